@@ -13,7 +13,18 @@ from bench import machine
 from bench.table import Table
 from bench.timing import say
 
-NAMES = ("start", "growth", "scan", "grades", "peak", "emd", "sun", "accuracy", "choices", "cluster")
+NAMES = (
+    "start",
+    "growth",
+    "scan",
+    "grades",
+    "peak",
+    "emd",
+    "sun",
+    "accuracy",
+    "choices",
+    "cluster",
+)
 """Fresh processes first, before this one has filled caches and warmed the processor."""
 
 RESULTS = Path(__file__).with_name("results")
@@ -51,10 +62,25 @@ def main(arguments: Sequence[str] | None = None) -> Path:
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m bench", description="Benchmarks of sunspin; see docs/benchmarks.md.")
-    parser.add_argument("--quick", action="store_true", help="small sizes and few repeats, under a minute")
-    parser.add_argument("--only", type=_names, default=list(NAMES), metavar="NAME[,NAME]", help=f"some of {', '.join(NAMES)}")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="where to write the results (default: bench/results/)")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench", description="Benchmarks of sunspin; see docs/benchmarks.md."
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="small sizes and few repeats, under a minute"
+    )
+    parser.add_argument(
+        "--only",
+        type=_names,
+        default=list(NAMES),
+        metavar="NAME[,NAME]",
+        help=f"some of {', '.join(NAMES)}",
+    )
+    parser.add_argument(
+        "--json",
+        type=Path,
+        metavar="FILE",
+        help="where to write the results (default: bench/results/)",
+    )
     return parser.parse_args(arguments)
 
 
@@ -62,7 +88,9 @@ def _names(text: str) -> list[str]:
     chosen = text.split(",")
     unknown = [name for name in chosen if name not in NAMES]
     if unknown:
-        raise argparse.ArgumentTypeError(f"no benchmark {', '.join(unknown)}; there are {', '.join(NAMES)}")
+        raise argparse.ArgumentTypeError(
+            f"no benchmark {', '.join(unknown)}; there are {', '.join(NAMES)}"
+        )
     return [name for name in NAMES if name in chosen]
 
 

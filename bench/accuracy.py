@@ -29,10 +29,16 @@ def run(quick: bool) -> Table:
             fine = found.outcome == k.Outcome.FINE
             refused += int((~fine).sum())
             error = np.linalg.norm(found.sun_B[fine, 0] - exact[fine], axis=1)
-            work = {"run": lambda v=vehicle, r=rows, w=window, e=asked: k.run_rows(v, r, w, direction_error=e)}
+            work = {
+                "run": lambda v=vehicle, r=rows, w=window, e=asked: k.run_rows(
+                    v, r, w, direction_error=e
+                )
+            }
             seconds = medians(work, 1 if quick else 3)["run"]
             table.add(name, asked, *np.quantile(error, [0.5, 0.99, 1.0]), 1e6 * seconds / n)
-    table.notes.append(f"rows that end in an outcome other than FINE, and are not counted: {refused}")
+    table.notes.append(
+        f"rows that end in an outcome other than FINE, and are not counted: {refused}"
+    )
     table.notes.append("few rows fill few lanes, see `scan` for speed")
     return table
 
@@ -51,7 +57,12 @@ def cases(n: int) -> list[tuple[str, Vehicle, k.Rows, float]]:
         ("grid of the paper, wheel stops", vehicle, states(problem.sun_B, grid, speed), window),
         ("its fast corners", vehicle, states(problem.sun_B, corners, speed), window),
         ("no wheel", none, states(problem.sun_B, grid, []), window),
-        ("two wheels, both stop", two, states(problem.sun_B, grid, [float(speed[0]), -0.7 * float(speed[0])]), window),
+        (
+            "two wheels, both stop",
+            two,
+            states(problem.sun_B, grid, [float(speed[0]), -0.7 * float(speed[0])]),
+            window,
+        ),
         ("backward, the wheel gains speed", vehicle, states(problem.sun_B, grid, speed), -window),
     ]
 
@@ -64,4 +75,6 @@ def states(sun_B: np.ndarray, omega_B: np.ndarray, speeds: object) -> k.Rows:
 def last_sun(vehicle: Vehicle, rows: k.Rows, i: int, window_s: float) -> np.ndarray:
     """The reference's direction to the Sun (3) at the end of row i."""
     speeds = rows.wheel_speed_rad_s[i] if len(vehicle.wheels) else None
-    return ss.propagate(vehicle, rows.omega_B[i], rows.sun_B[i], speeds, [0.0, window_s])["sun_B"].values[-1]
+    return ss.propagate(vehicle, rows.omega_B[i], rows.sun_B[i], speeds, [0.0, window_s])[
+        "sun_B"
+    ].values[-1]

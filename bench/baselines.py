@@ -83,12 +83,17 @@ class TaylorBatch:
         event = hk.nt_event_batch(speed, note, direction=hk.event_direction.negative)
         self.problem, self.size, self.stops = problem, size, stops
         self.first_s = fixed_body_stop_s(problem)
-        self.free = hk.taylor_adaptive_batch(system, np.zeros((N_STATE, size)), nt_events=[event], tol=tol)
+        self.free = hk.taylor_adaptive_batch(
+            system, np.zeros((N_STATE, size)), nt_events=[event], tol=tol
+        )
         self.stuck = hk.taylor_adaptive_batch(stuck_system(problem), np.zeros((6, size)), tol=tol)
 
     def __call__(self, starts: np.ndarray) -> End:
         ends = [self._batch(starts[i : i + self.size]) for i in range(0, len(starts), self.size)]
-        return End(np.concatenate([end.sun_B for end in ends]), np.concatenate([end.stop_s for end in ends]))
+        return End(
+            np.concatenate([end.sun_B for end in ends]),
+            np.concatenate([end.stop_s for end in ends]),
+        )
 
     def _batch(self, starts: np.ndarray) -> End:
         n, free, stuck = len(starts), self.free, self.stuck
@@ -148,7 +153,9 @@ class DormandPrince:
 
     def _piece(self, start: float, y: np.ndarray, p: g.Parameters, events: list | None) -> Any:
         span = (start, self.window_s)
-        return solve_ivp(self._rate, span, y, "DOP853", args=(p,), rtol=self.rtol, atol=self.rtol, events=events)
+        return solve_ivp(
+            self._rate, span, y, "DOP853", args=(p,), rtol=self.rtol, atol=self.rtol, events=events
+        )
 
     def __call__(self, starts: np.ndarray) -> End:
         def stop(t: float, y: np.ndarray, p: g.Parameters) -> float:
@@ -163,7 +170,9 @@ class DormandPrince:
         return End(sun, when)
 
 
-def on_cores(contestants: list[Contestant], starts: np.ndarray, block: int = 1) -> Callable[[], None]:
+def on_cores(
+    contestants: list[Contestant], starts: np.ndarray, block: int = 1
+) -> Callable[[], None]:
     """Work for as many threads as there are contestants: neighbouring blocks of rows in turn, so that all have as much to do.
 
     heyoka releases the interpreter while it integrates. A thread that has its rows done waits for the others.

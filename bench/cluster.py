@@ -39,7 +39,12 @@ def timed(problem: Problem, axes: dict[str, np.ndarray], kind: str, workers: int
         return go(problem, axes, workers=workers)
     from distributed import Client, LocalCluster
 
-    options = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    options = {
+        "n_workers": workers,
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": None,
+    }
     with LocalCluster(host="127.0.0.1", **options) as cluster, Client(cluster) as client:
         go(problem, small, scheduler=client)
         return go(problem, axes, scheduler=client)
@@ -48,6 +53,12 @@ def timed(problem: Problem, axes: dict[str, np.ndarray], kind: str, workers: int
 def go(problem: Problem, axes: dict[str, np.ndarray], **where: object) -> float:
     start = time.perf_counter()
     scan(
-        problem.vehicle, problem.target_z, problem.sun_B, *axes.values(), problem.wheel_speed_rad_s, problem.window_s, **where
-    )  # fmt: skip
+        problem.vehicle,
+        problem.target_z,
+        problem.sun_B,
+        *axes.values(),
+        problem.wheel_speed_rad_s,
+        problem.window_s,
+        **where,
+    )
     return time.perf_counter() - start

@@ -21,7 +21,11 @@ def run(quick: bool) -> Table:
     """Distances per second, one core."""
     rng = np.random.default_rng(4)
     z, target = rng.uniform(-1, 1, SAMPLES), rng.uniform(0, 1, TARGET)
-    table = Table("emd", f"distances of {SAMPLES} against {TARGET} samples", ("by", "ms", "distances/s", "largest difference"))
+    table = Table(
+        "emd",
+        f"distances of {SAMPLES} against {TARGET} samples",
+        ("by", "ms", "distances/s", "largest difference"),
+    )
     ways = _ways(z, target)
     say(f"emd: {len(ways)} ways")
     values = {name: call() for name, call in ways.items()}
@@ -30,12 +34,18 @@ def run(quick: bool) -> Table:
     work[FUSED] = lambda: philae().scan(axes, workers=1)
     seconds = medians(work, 3 if quick else 9)
     for name in ways:
-        table.add(name, 1e3 * seconds[name], 1 / seconds[name], abs(values[name] - values["ss.emd"]))
+        table.add(
+            name, 1e3 * seconds[name], 1 / seconds[name], abs(values[name] - values["ss.emd"])
+        )
     fused = seconds[FUSED] / np.prod([len(axis) for axis in axes.values()])
     table.add(FUSED, 1e3 * fused, float(1 / fused), None)
     if not _has_pot():
-        table.notes.append("POT is not installed, its rows are left out; pip install 'POT>=0.9.4' (the extra `bench`) adds them.")
-    table.notes.append("SciPy's and POT's values are halved before they are compared: the paper's distance is half of theirs.")
+        table.notes.append(
+            "POT is not installed, its rows are left out; pip install 'POT>=0.9.4' (the extra `bench`) adds them."
+        )
+    table.notes.append(
+        "SciPy's and POT's values are halved before they are compared: the paper's distance is half of theirs."
+    )
     return table
 
 

@@ -60,5 +60,7 @@ def description() -> dict[str, Any]:
 
 def line(what: dict[str, Any]) -> str:
     """The description in one line, for the head of the printed tables."""
-    versions = ", ".join(f"{name} {version or 'not installed'}" for name, version in what["libraries"].items())
+    versions = ", ".join(
+        f"{name} {version or 'not installed'}" for name, version in what["libraries"].items()
+    )
     return f"{what['cpu']}, {what['cores']} cores, load {what['load_average'] or 0:.2g}; Python {what['python']}; {versions}"

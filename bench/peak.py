@@ -25,7 +25,13 @@ QUICK_S, FULL_S = 0.05, 0.3
 def run(quick: bool) -> Table:
     """GFLOP/s per core and on all cores; a fused multiply-add counts as two operations."""
     wanted = QUICK_S if quick else FULL_S
-    columns = ("numbers", "vector bits", "GFLOP/s, one core", f"GFLOP/s, {cores()} cores", "all / one")
+    columns = (
+        "numbers",
+        "vector bits",
+        "GFLOP/s, one core",
+        f"GFLOP/s, {cores()} cores",
+        "all / one",
+    )
     table = Table("peak", "measured peak of fused multiply-adds", columns)
     for kind in TYPES:
         for bits in widths():
@@ -91,7 +97,9 @@ def burner(kind: str, bits: int) -> tuple[Callable[[int], object], int]:
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     real = ctypes.c_double if kind == "float64" else ctypes.c_float
-    function = ctypes.CFUNCTYPE(real, ctypes.c_int64, real, real)(engine.get_function_address("burn"))
+    function = ctypes.CFUNCTYPE(real, ctypes.c_int64, real, real)(
+        engine.get_function_address("burn")
+    )
 
     def burn(n: int, engine: object = engine) -> float:
         """x = x a + b, n times; a and b such that x neither grows nor gets slow to handle. ctypes releases the GIL."""
@@ -113,15 +121,31 @@ def source(scalar: str, suffix: str, lanes: int, count: int) -> str:
 
     start = [f"  %s{k} = fmul {vector} %bv, splat ({scalar} {float(k + 1)})" for k in range(count)]
     phis = [f"  %x{k} = phi {vector} [ %s{k}, %entry ], [ %y{k}, %loop ]" for k in range(count)]
-    steps = [f"  %y{k} = call {vector} {fma}({vector} %x{k}, {vector} %av, {vector} %bv)" for k in range(count)]
+    steps = [
+        f"  %y{k} = call {vector} {fma}({vector} %x{k}, {vector} %av, {vector} %bv)"
+        for k in range(count)
+    ]
     sums = [f"  %t{k} = fadd {vector} %t{k - 1}, %y{k}" for k in range(1, count)]
     lines = [
         f"declare {vector} {fma}({vector}, {vector}, {vector})",
         f"define {scalar} @burn(i64 %n, {scalar} %a, {scalar} %b) {{",
-        "entry:", *splat("a"), *splat("b"), *start, "  br label %loop",
-        "loop:", "  %i = phi i64 [ 0, %entry ], [ %j, %loop ]", *phis, *steps,
-        "  %j = add i64 %i, 1", "  %more = icmp slt i64 %j, %n", "  br i1 %more, label %loop, label %exit",
-        "exit:", f"  %t0 = fadd {vector} %y0, zeroinitializer", *sums,
-        f"  %r = extractelement {vector} %t{count - 1}, i32 0", f"  ret {scalar} %r", "}",
-    ]  # fmt: skip
+        "entry:",
+        *splat("a"),
+        *splat("b"),
+        *start,
+        "  br label %loop",
+        "loop:",
+        "  %i = phi i64 [ 0, %entry ], [ %j, %loop ]",
+        *phis,
+        *steps,
+        "  %j = add i64 %i, 1",
+        "  %more = icmp slt i64 %j, %n",
+        "  br i1 %more, label %loop, label %exit",
+        "exit:",
+        f"  %t0 = fadd {vector} %y0, zeroinitializer",
+        *sums,
+        f"  %r = extractelement {vector} %t{count - 1}, i32 0",
+        f"  ret {scalar} %r",
+        "}",
+    ]
     return "\n".join(lines)

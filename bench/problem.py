@@ -53,12 +53,18 @@ class Problem:
     def axes(self, *counts: int) -> dict[str, np.ndarray]:
         """A regular grid of `counts` initial rates over the ranges of the paper's."""
         full = rebound.grid(self.case)
-        return {name: np.linspace(full[name][0], full[name][-1], n) for name, n in zip(AXES, counts, strict=True)}
+        return {
+            name: np.linspace(full[name][0], full[name][-1], n)
+            for name, n in zip(AXES, counts, strict=True)
+        }
 
     def scan(
-        self, axes: dict[str, np.ndarray], workers: int | None = None, direction_error: float | None = None,
+        self,
+        axes: dict[str, np.ndarray],
+        workers: int | None = None,
+        direction_error: float | None = None,
         factors: Sequence[float] = (),
-    ) -> xr.DataArray:  # fmt: skip
+    ) -> xr.DataArray:
         """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3. With `factors` in
         two grades, for the sets below so many times the smallest."""
         return ss.scan(
@@ -81,7 +87,10 @@ class Problem:
         n = len(omega_B)
         speeds = np.tile(self.wheel_speed_rad_s, (n, 1))
         momentum = g.total_momentum(self.vehicle, omega_B, speeds)
-        states = np.concatenate([momentum, g.axial_momenta(self.vehicle, omega_B, speeds), np.tile(self.sun_B, (n, 1))], axis=1)
+        states = np.concatenate(
+            [momentum, g.axial_momenta(self.vehicle, omega_B, speeds), np.tile(self.sun_B, (n, 1))],
+            axis=1,
+        )
         return states[np.argsort(np.linalg.norm(momentum, axis=1), kind="stable")]
 
     def rates(self, starts: np.ndarray) -> np.ndarray:
@@ -98,7 +107,11 @@ class Problem:
             wheel.friction.coulomb_N_m,
             wheel.friction.viscous_N_m_s,
         )
-        return g.Parameters(tuple(symmetric_inverse(g.free_inertia(self.vehicle, [free])).tolist()), (0.0, 0.0, 0.0), (turning,))
+        return g.Parameters(
+            tuple(symmetric_inverse(g.free_inertia(self.vehicle, [free])).tolist()),
+            (0.0, 0.0, 0.0),
+            (turning,),
+        )
 
 
 @cache
@@ -112,4 +125,7 @@ def grid_sample(axes: dict[str, np.ndarray], n: int, seed: int = SEED) -> np.nda
     shape = tuple(len(axes[name]) for name in AXES)
     size = int(np.prod(shape))
     index = np.random.default_rng(seed).choice(size, n, replace=n > size)
-    return np.stack([axes[name][i] for name, i in zip(AXES, np.unravel_index(index, shape), strict=True)], axis=-1)
+    return np.stack(
+        [axes[name][i] for name, i in zip(AXES, np.unravel_index(index, shape), strict=True)],
+        axis=-1,
+    )

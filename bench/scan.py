@@ -30,7 +30,16 @@ REFERENCE_STEP_S = 0.1
 OURS = "sunspin scan, EMD to 1e-3"
 DIRECTION_ERROR = 1e-5
 OURS_DIRECTIONS = f"sunspin scan, directions to {DIRECTION_ERROR:g}"
-COLUMNS = ("contestant", "cores", "in use", "rows", "us/row", "rows/s", "sunspin is faster by", "direction error, rad")
+COLUMNS = (
+    "contestant",
+    "cores",
+    "in use",
+    "rows",
+    "us/row",
+    "rows/s",
+    "sunspin is faster by",
+    "direction error, rad",
+)
 
 
 @dataclass(frozen=True)
@@ -66,10 +75,16 @@ def run(quick: bool) -> Table:
     axes = problem.axes(*size.grid)
     states = problem.starts(grid_sample(axes, size.batch))
     trials = {tol: batch_size_trial(problem, states, tol) for tol in TOLERANCES}
-    entries = contestants(problem, axes, size, {tol: min(tried, key=tried.get) for tol, tried in trials.items()})
+    entries = contestants(
+        problem, axes, size, {tol: min(tried, key=tried.get) for tol, tried in trials.items()}
+    )
     teams = tuple(sorted({cores(), 1}, reverse=True))
-    work: dict[tuple[str, int], Callable] = {(OURS, n): lambda n=n: problem.scan(axes, workers=n) for n in teams}
-    work |= {(OURS_DIRECTIONS, n): lambda n=n: problem.scan(axes, n, DIRECTION_ERROR) for n in teams}
+    work: dict[tuple[str, int], Callable] = {
+        (OURS, n): lambda n=n: problem.scan(axes, workers=n) for n in teams
+    }
+    work |= {
+        (OURS_DIRECTIONS, n): lambda n=n: problem.scan(axes, n, DIRECTION_ERROR) for n in teams
+    }
     rows = dict.fromkeys((OURS, OURS_DIRECTIONS), int(np.prod(size.grid)))
     for name, entry in entries.items():
         rows[name] = len(entry.starts)
@@ -83,10 +98,22 @@ def run(quick: bool) -> Table:
     for (name, n), timing in times.items():
         per_row = timing.median / rows[name]
         ratio = timing.against(times[OURS, n]) * rows[OURS] / rows[name]
-        table.add(name, n, timing.cores_used, rows[name], 1e6 * per_row, 1 / per_row, ratio, errors.get(name))
+        table.add(
+            name,
+            n,
+            timing.cores_used,
+            rows[name],
+            1e6 * per_row,
+            1 / per_row,
+            ratio,
+            errors.get(name),
+        )
     table.notes += [
         "sunspin's rows include mask, distribution and distance; the others' are the propagation only, which favours them.",
-        *(f"us/row by batch size at tolerance {tol:g}, one core: {_line(tried)}" for tol, tried in trials.items()),
+        *(
+            f"us/row by batch size at tolerance {tol:g}, one core: {_line(tried)}"
+            for tol, tried in trials.items()
+        ),
         _distance_note(problem, axes, size.distances),
         _peak_note(problem, axes, times[OURS, 1].median / rows[OURS], quick),
     ]
@@ -106,17 +133,25 @@ def _line(times: dict[int, float]) -> str:
     return ", ".join(f"{size}: {1e6 * seconds:.0f}" for size, seconds in times.items())
 
 
-def contestants(problem: Problem, axes: dict[str, np.ndarray], size: Size, batch: dict[float, int]) -> dict[str, Entry]:
+def contestants(
+    problem: Problem, axes: dict[str, np.ndarray], size: Size, batch: dict[float, int]
+) -> dict[str, Entry]:
     """All but sunspin, `batch` giving the batch size for each tolerance. The slow ones run on one core and fewer rows."""
-    many, few, fewest = (problem.starts(grid_sample(axes, n)) for n in (size.batch, size.scalar, size.scipy))
+    many, few, fewest = (
+        problem.starts(grid_sample(axes, n)) for n in (size.batch, size.scalar, size.scipy)
+    )
     teams = tuple(sorted({cores(), 1}, reverse=True))
     entries = {}
     for tol, lanes in batch.items():
         make = _maker(TaylorBatch, problem, tol, lanes)
         entries[f"heyoka {tol:g}, batches of {lanes}"] = Entry(make, many, lanes, teams)
     for tol in batch:
-        entries[f"heyoka {tol:g}, one by one"] = Entry(_maker(TaylorScalar, problem, tol), few, 1, (1,))
-    entries[f"SciPy DOP853 {SCIPY_RTOL:g}"] = Entry(_maker(DormandPrince, problem, SCIPY_RTOL), fewest, 1, (1,))
+        entries[f"heyoka {tol:g}, one by one"] = Entry(
+            _maker(TaylorScalar, problem, tol), few, 1, (1,)
+        )
+    entries[f"SciPy DOP853 {SCIPY_RTOL:g}"] = Entry(
+        _maker(DormandPrince, problem, SCIPY_RTOL), fewest, 1, (1,)
+    )
     return entries
 
 
@@ -124,7 +159,9 @@ def _maker(kind: Callable[..., Contestant], *arguments: object) -> Callable[[], 
     return lambda: kind(*arguments)
 
 
-def direction_errors(problem: Problem, axes: dict[str, np.ndarray], entries: dict[str, Entry], n: int) -> dict[str, float]:
+def direction_errors(
+    problem: Problem, axes: dict[str, np.ndarray], entries: dict[str, Entry], n: int
+) -> dict[str, float]:
     """Largest error (rad) of the last direction over n random rows; contestants with few rows get fewer here too."""
     say(f"scan: directions of {n} rows against the reference")
     starts = problem.starts(grid_sample(axes, n, seed=2))
@@ -141,13 +178,23 @@ def our_direction_error(problem: Problem, axes: dict[str, np.ndarray], n: int) -
     """The same of the kernel, asked for DIRECTION_ERROR."""
     rates = grid_sample(axes, n, seed=2)
     rows = k.Rows(rates, np.tile(problem.sun_B, (n, 1)), np.tile(problem.wheel_speed_rad_s, (n, 1)))
-    ends = k.run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR).sun_B[:, 0]
-    return float(max(np.linalg.norm(end - last_sun(problem, omega)) for end, omega in zip(ends, rates, strict=True)))
+    ends = k.run_rows(
+        problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR
+    ).sun_B[:, 0]
+    return float(
+        max(
+            np.linalg.norm(end - last_sun(problem, omega))
+            for end, omega in zip(ends, rates, strict=True)
+        )
+    )
 
 
 def _peak_note(problem: Problem, axes: dict[str, np.ndarray], per_row: float, quick: bool) -> str:
     operations = operations_per_row(problem, grid_sample(axes, 64 if quick else 512, seed=4))
-    reached, roof = operations / per_row / 1e9, peak("float32", seconds=QUICK_S if quick else FULL_S)
+    reached, roof = (
+        operations / per_row / 1e9,
+        peak("float32", seconds=QUICK_S if quick else FULL_S),
+    )
     return (
         f"{operations:.3g} operations a row on one core: {reached:.0f} GFLOP/s, {100 * reached / roof:.0f} % of the measured peak "
         f"of fused multiply-adds in float32 ({roof:.0f}); vectors of {k.vector_bits()} bits"
@@ -176,7 +223,9 @@ def _distance_note(problem: Problem, axes: dict[str, np.ndarray], n: int) -> str
 def reference_emd(problem: Problem, omega_B: np.ndarray) -> float:
     """The scan's distance the long way: a densely sampled track, the mask as numpy, SciPy's distance."""
     times = np.linspace(0.0, problem.window_s, round(problem.window_s / REFERENCE_STEP_S) + 1)
-    run = ss.propagate(problem.vehicle, omega_B, problem.sun_B, problem.wheel_speed_rad_s, times, rtol=1e-9)
+    run = ss.propagate(
+        problem.vehicle, omega_B, problem.sun_B, problem.wheel_speed_rad_s, times, rtol=1e-9
+    )
     track = run["sun_B"].values
     seen = track[allows(reconstructible_mask(problem.vehicle), track), 2]
     return float(wasserstein_distance(seen, problem.target_z)) / 2

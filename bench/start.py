@@ -21,7 +21,9 @@ FIRST_GRID = ("2", "2", "2")
 def run(quick: bool) -> Table:
     """Wall times of fresh processes."""
     repeats = 3 if quick else 5
-    table = Table("start", "wall time of fresh processes", ("what", "s", "of which the scan", "processes"))
+    table = Table(
+        "start", "wall time of fresh processes", ("what", "s", "of which the scan", "processes")
+    )
     taken: dict[str, list[float]] = {name: [] for name in CHEAP}
     say(f"start: {', '.join(CHEAP)}")
     for _ in range(repeats):
@@ -37,9 +39,16 @@ def run(quick: bool) -> Table:
         say("start: first scan with a warm cache")
         again = [child("first", *FIRST_GRID, cache=folder) for _ in range(repeats)]
         seconds = statistics.median(wall for wall, _ in again)
-        table.add("first scan, warm cache", seconds, statistics.median(told["scan_s"] for _, told in again), repeats)
+        table.add(
+            "first scan, warm cache",
+            seconds,
+            statistics.median(told["scan_s"] for _, told in again),
+            repeats,
+        )
         unchanged = before and _files(folder) == before
-    table.notes.append(f"The scan has 8 rows. Compiled anew with the warm cache: {'no' if unchanged else 'YES'}.")
+    table.notes.append(
+        f"The scan has 8 rows. Compiled anew with the warm cache: {'no' if unchanged else 'YES'}."
+    )
     return table
 
 

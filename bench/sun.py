@@ -20,7 +20,9 @@ def run(quick: bool) -> Table:
     say(f"sun: {lengths} samples")
     power = telemetry(vehicle, lengths[-1], rng)
     seconds = medians({n: lambda n=n: ss.sun_directions(vehicle, power[:n]) for n in lengths}, 3)
-    table = Table("sun", "directions to the Sun from panel powers", ("samples", "s", "samples/s", "us/sample"))
+    table = Table(
+        "sun", "directions to the Sun from panel powers", ("samples", "s", "samples/s", "us/sample")
+    )
     for n in lengths:
         taken = seconds[n]
         table.add(n, taken, n / taken, 1e6 * taken / n)

@@ -29,19 +29,35 @@ class Table:
     def text(self) -> str:
         """The table as aligned text: words to the left, numbers to the right."""
         lines = [[_shown(row[column]) for column in self.columns] for row in self.rows]
-        widths = [max(len(line[i]) for line in [list(self.columns), *lines]) for i in range(len(self.columns))]
+        widths = [
+            max(len(line[i]) for line in [list(self.columns), *lines])
+            for i in range(len(self.columns))
+        ]
         words = [all(isinstance(row[column], str) for row in self.rows) for column in self.columns]
 
         def aligned(cells: list[str]) -> str:
-            parts = [c.ljust(w) if left else c.rjust(w) for c, w, left in zip(cells, widths, words, strict=True)]
+            parts = [
+                c.ljust(w) if left else c.rjust(w)
+                for c, w, left in zip(cells, widths, words, strict=True)
+            ]
             return "  ".join(parts).rstrip()
 
-        head = [f"{self.name}: {self.title}", "", aligned(list(self.columns)), "  ".join("-" * w for w in widths)]
+        head = [
+            f"{self.name}: {self.title}",
+            "",
+            aligned(list(self.columns)),
+            "  ".join("-" * w for w in widths),
+        ]
         return "\n".join([*head, *map(aligned, lines), *(["", *self.notes] if self.notes else [])])
 
     def as_json(self) -> dict[str, Any]:
         """The table for a JSON file."""
-        return {"title": self.title, "columns": list(self.columns), "rows": self.rows, "notes": self.notes}
+        return {
+            "title": self.title,
+            "columns": list(self.columns),
+            "rows": self.rows,
+            "notes": self.notes,
+        }
 
 
 def _shown(cell: Cell) -> str:

@@ -43,7 +43,9 @@ def declared(folder: Path = ROOT / "tests") -> list[Declared]:
             marks = [_mark(decorator) for decorator in node.decorator_list]
             names = tuple(name for name, _ in marks if name)
             test = f"{path.relative_to(folder.parent).as_posix()}::{node.name}"
-            found += [Declared(test, *arguments, names) for name, arguments in marks if name == "evidence"]
+            found += [
+                Declared(test, *arguments, names) for name, arguments in marks if name == "evidence"
+            ]
     return found
 
 
@@ -69,19 +71,27 @@ def capabilities() -> dict[str, str]:
         for name in sunspin.__all__
         if inspect.isfunction(thing := getattr(sunspin, name))
     }
-    return able | {name: one.summary for name, one in COMMANDS.items() if name.replace("-", "_") not in able}
+    return able | {
+        name: one.summary for name, one in COMMANDS.items() if name.replace("-", "_") not in able
+    }
 
 
 def page(file: str | None) -> str:
     """The page in Markdown; `file` is what the tests have written, if they have run."""
-    run = json.loads(Path(file).read_text("utf-8")) if file and Path(file).is_file() else {"tests": {}}
+    run = (
+        json.loads(Path(file).read_text("utf-8"))
+        if file and Path(file).is_file()
+        else {"tests": {}}
+    )
     found, able = declared(), capabilities()
     unknown = {item.capability for item in found} - set(able)
     if unknown:
         raise ValueError(f"evidence for what the public face does not have: {sorted(unknown)}")
     lines = [*_head(run), *_overview(found, able, run)]
     for name, about in sorted(able.items()):
-        lines += _section(name, about, [item for item in found if item.capability == name], run["tests"])
+        lines += _section(
+            name, about, [item for item in found if item.capability == name], run["tests"]
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -93,17 +103,24 @@ def _head(run: dict) -> list[str]:
         "`make test` runs them and builds it again."
     )
     return [
-        "# What may be believed", "",
+        "# What may be believed",
+        "",
         "Every capability of sunspin and the tests that speak for it. The tests write this page: no figure on it was typed.",
-        "", *(f"- **{kind}**: {meaning};" for kind, meaning in KINDS.items()),
-        "- **none**: no test claims to be evidence. It may still work.", "", made, "",
-    ]  # fmt: skip
+        "",
+        *(f"- **{kind}**: {meaning};" for kind, meaning in KINDS.items()),
+        "- **none**: no test claims to be evidence. It may still work.",
+        "",
+        made,
+        "",
+    ]
 
 
 def _overview(found: list[Declared], able: dict[str, str], run: dict) -> list[str]:
     lines = ["| capability | " + " | ".join(KINDS) + " |", "|---|" + "---|" * len(KINDS)]
     for name in sorted(able):
-        counts = [sum(item.capability == name and item.kind == kind for item in found) for kind in KINDS]
+        counts = [
+            sum(item.capability == name and item.kind == kind for item in found) for kind in KINDS
+        ]
         cells = [str(n) if n else "–" for n in counts] if any(counts) else ["**none**", "", ""]
         lines.append(f"| [{name}](#{name.replace('_', '-')}) | " + " | ".join(cells) + " |")
     return [*lines, ""]
@@ -118,7 +135,9 @@ def _section(name: str, about: str, items: list[Declared], runs: dict) -> list[s
         for item in (item for item in items if item.kind == kind):
             claim = item.test.split("::test_")[1].replace("_", " ")
             path = item.test.split("::")[0].removeprefix("tests/")
-            lines.append(f"| {kind} | {claim} (`{path}`) | {_cell(item.against)} | {_reached(item, runs.get(item.test))} |")
+            lines.append(
+                f"| {kind} | {claim} (`{path}`) | {_cell(item.against)} | {_reached(item, runs.get(item.test))} |"
+            )
     return [*lines, ""]
 
 
@@ -136,7 +155,9 @@ def _reached(item: Declared, run: dict | None) -> str:
         shown = f"{high:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
         allowed = "" if figure["limit"] is None else f" (allowed {figure['limit']:.3g})"
         figures.append(_cell(f"{label} {shown}{' ' + unit if unit else ''}{allowed}"))
-    return "; ".join(figures) or ("passes" if run["passed"] == 1 else f"passes, {run['passed']} cases")
+    return "; ".join(figures) or (
+        "passes" if run["passed"] == 1 else f"passes, {run['passed']} cases"
+    )
 
 
 def _cell(text: str) -> str:

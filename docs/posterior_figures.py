@@ -32,7 +32,12 @@ def true_motion(case, times_s):
     truth = tomllib.loads((case.folder / "twin_truth.toml").read_text("utf-8"))
     blow = collision_s(case.vehicle, case.telemetry.attrs["epoch_utc"])
     start = Rows(*(np.array([truth[key]]) for key in ("omega_B", "sun_B", "wheel_speed_rad_s")))
-    after = Rows(*(np.array([truth[f"collision_{key}"]]) for key in ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")))
+    after = Rows(
+        *(
+            np.array([truth[f"collision_{key}"]])
+            for key in ("omega_after_B", "sun_B", "wheel_speed_after_rad_s")
+        )
+    )
     parts = []
     for t in times_s:
         rows, begin = (after, blow) if t > blow else (start, truth["t_s"])
@@ -51,11 +56,17 @@ def main(posterior_folder, sampling_folder=None):
     compared = against(case, tree)
     figures_lines.draw(compared).savefig(IMAGES / "posterior_lines.png", dpi=80)
     for name, factor in compared.factors.items():
-        print(f"{name}: {compared.sets[name][1]:.3g} (rad/s)^3, {factor:.3g} times the posterior's {compared.volume:.3g}")
+        print(
+            f"{name}: {compared.sets[name][1]:.3g} (rad/s)^3, {factor:.3g} times the posterior's {compared.volume:.3g}"
+        )
     if sampling_folder is None:
         return
-    rows = [json.loads(path.read_text("utf-8")) for path in sorted(Path(sampling_folder).glob("*.json"))]
-    figures_sampling.draw(widths(case.vehicle), rows).savefig(IMAGES / "posterior_sampling.png", dpi=80)
+    rows = [
+        json.loads(path.read_text("utf-8")) for path in sorted(Path(sampling_folder).glob("*.json"))
+    ]
+    figures_sampling.draw(widths(case.vehicle), rows).savefig(
+        IMAGES / "posterior_sampling.png", dpi=80
+    )
 
 
 if __name__ == "__main__":

@@ -45,7 +45,13 @@ def cubesat():
     faces = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1)}
     panels = [Panel(name, normal, 2.3 if "z" in name else 7.0) for name, normal in faces.items()]
     form = TelemetryForm(quantity="power_W", noise=0.14)
-    return Vehicle("3U", inertia_kg_m2=np.diag([0.042, 0.040, 0.009]), panels=panels, gain_unit="W", telemetry=form)
+    return Vehicle(
+        "3U",
+        inertia_kg_m2=np.diag([0.042, 0.040, 0.009]),
+        panels=panels,
+        gain_unit="W",
+        telemetry=form,
+    )
 
 
 def side_panels():
@@ -53,7 +59,9 @@ def side_panels():
     faces = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0)}
     form = TelemetryForm(quantity="current_A", noise=0.02)
     panels = [Panel(name, normal, 1.0) for name, normal in faces.items()]
-    return Vehicle("1U", inertia_kg_m2=np.diag([0.0022, 0.0024, 0.0019]), panels=panels, telemetry=form)
+    return Vehicle(
+        "1U", inertia_kg_m2=np.diag([0.0022, 0.0024, 0.0019]), panels=panels, telemetry=form
+    )
 
 
 TWINS = {  # vehicle, kind of twin, largest rate (rad/s), samples, interval (s)
@@ -87,7 +95,9 @@ class Place:
         square = np.sum(x[:, 3:5] ** 2, axis=1)
         there = square < 4.0
         square = np.minimum(square, 4.0)
-        across = np.concatenate([np.sqrt(1.0 - square / 4)[:, None] * x[:, 3:5], (1.0 - square / 2)[:, None]], axis=1)
+        across = np.concatenate(
+            [np.sqrt(1.0 - square / 4)[:, None] * x[:, 3:5], (1.0 - square / 2)[:, None]], axis=1
+        )
         sun = across @ self.frame
         return State(x[:, :3], sun / np.linalg.norm(sun, axis=1, keepdims=True), x[:, 5:]), there
 
@@ -110,38 +120,69 @@ def log_posterior(likelihood, state, there):
 def nested(log_density, dimensions, seed):
     """Log evidence over the unit cube, draws of equal weight in it, calls."""
     sampler = Sampler(
-        lambda z: z, log_density, n_dim=dimensions, n_live=LIVE, vectorized=True, pass_dict=False, seed=seed, n_networks=1
+        lambda z: z,
+        log_density,
+        n_dim=dimensions,
+        n_live=LIVE,
+        vectorized=True,
+        pass_dict=False,
+        seed=seed,
+        n_networks=1,
     )
     sampler.run(n_eff=WANTED, discard_exploration=True)
     points, weight, _ = sampler.posterior()
     share = np.exp(weight - logsumexp(weight))
-    return float(sampler.log_z), points[np.random.default_rng(seed).choice(len(points), 8000, p=share)], sampler.n_like
+    return (
+        float(sampler.log_z),
+        points[np.random.default_rng(seed).choice(len(points), 8000, p=share)],
+        sampler.n_like,
+    )
 
 
 def in_box(likelihood, place):
     """As `nested`, in a box about a mode; draws are states."""
     d = len(place.mean)
-    z, points, calls = nested(lambda p: log_posterior(likelihood, *place.states((2 * p - 1) * HALF)), d, 1)
-    return z + d * np.log(2 * HALF) + place.log_volume, place.states((2 * points - 1) * HALF)[0], calls
+    z, points, calls = nested(
+        lambda p: log_posterior(likelihood, *place.states((2 * p - 1) * HALF)), d, 1
+    )
+    return (
+        z + d * np.log(2 * HALF) + place.log_volume,
+        place.states((2 * points - 1) * HALF)[0],
+        calls,
+    )
 
 
 def walked(likelihood, place, state):
     """States that walkers reach from draws of ours, and the longest correlation time in steps."""
     rng = np.random.default_rng(2)
-    begin = np.linalg.solve(place.root, (place.flat(state) - place.mean).T).T[rng.choice(len(state), WALKERS, replace=False)]
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.1), (emcee.moves.StretchMove(), 0.1)]
+    begin = np.linalg.solve(place.root, (place.flat(state) - place.mean).T).T[
+        rng.choice(len(state), WALKERS, replace=False)
+    ]
+    moves = [
+        (emcee.moves.DEMove(), 0.8),
+        (emcee.moves.DESnookerMove(), 0.1),
+        (emcee.moves.StretchMove(), 0.1),
+    ]
     sampler = emcee.EnsembleSampler(
-        WALKERS, begin.shape[1], lambda y: log_posterior(likelihood, *place.states(y)), moves=moves, vectorize=True
+        WALKERS,
+        begin.shape[1],
+        lambda y: log_posterior(likelihood, *place.states(y)),
+        moves=moves,
+        vectorize=True,
     )
     sampler.random_state = np.random.RandomState(3).get_state()
     sampler.run_mcmc(begin, STEPS)
     time_ = sampler.get_autocorr_time(discard=BURNT, quiet=True)
-    return place.states(sampler.get_chain(discard=BURNT, flat=True, thin=10))[0], float(np.max(time_))
+    return place.states(sampler.get_chain(discard=BURNT, flat=True, thin=10))[0], float(
+        np.max(time_)
+    )
 
 
 def told(omega):
     """5, 50 and 95 % of the angular speed, and the sigmas of the rates, in 1e-3 rad/s."""
-    speed = " ".join(f"{q:8.2f}" for q in 1e3 * np.quantile(np.linalg.norm(omega, axis=1), [0.05, 0.5, 0.95]))
+    speed = " ".join(
+        f"{q:8.2f}" for q in 1e3 * np.quantile(np.linalg.norm(omega, axis=1), [0.05, 0.5, 0.95])
+    )
     return f"|omega| {speed}; sigmas {' '.join(f'{s:6.3f}' for s in 1e3 * omega.std(axis=0))}"
 
 
@@ -151,13 +192,23 @@ def compare(kind, twin, walk):
     telemetry, _, _, priors = make(craft, drawn, max_rate, samples, interval, 0, twin)
     began = time.process_time()
     tree = ss.posterior(craft, telemetry, priors, seed=0, workers=1)
-    print(f"{kind} {twin}: {tree.attrs['verdict']}; k {tree.attrs['pareto_k']:.2f}; {time.process_time() - began:.0f} s")
+    print(
+        f"{kind} {twin}: {tree.attrs['verdict']}; k {tree.attrs['pareto_k']:.2f}; {time.process_time() - began:.0f} s"
+    )
     data, _, _ = readings(craft, telemetry)
     likelihood = Likelihood(model(craft, priors, brightness(craft, data))[0], data, 1e-6)
     draws, modes = tree["posterior"], tree["modes"]
-    state = State(draws["omega_B"].values[0], draws["sun_B"].values[0], in_sigmas(likelihood.model, draws))
-    wider = 3 * np.log(tree.attrs["searched_rate_rad_s"] / max_rate)  # ours are relative to the ball at the reference
-    weight, evidence, of = modes["weight"].values, modes["log_evidence"].values + wider, draws["mode_id"].values[0]
+    state = State(
+        draws["omega_B"].values[0], draws["sun_B"].values[0], in_sigmas(likelihood.model, draws)
+    )
+    wider = 3 * np.log(
+        tree.attrs["searched_rate_rad_s"] / max_rate
+    )  # ours are relative to the ball at the reference
+    weight, evidence, of = (
+        modes["weight"].values,
+        modes["log_evidence"].values + wider,
+        draws["mode_id"].values[0],
+    )
     listed = np.flatnonzero(weight > 0.01)
     began = time.process_time()
     theirs = []
@@ -167,20 +218,28 @@ def compare(kind, twin, walk):
         z, other, calls = in_box(likelihood, place)
         theirs.append(z)
         took = time.process_time() - began
-        print(f"  mode {m}: log evidence ours {evidence[m]:.2f}, nautilus {z:.2f} ({calls} calls, {took:.0f} s)")
+        print(
+            f"  mode {m}: log evidence ours {evidence[m]:.2f}, nautilus {z:.2f} ({calls} calls, {took:.0f} s)"
+        )
         print(f"    ours     {told(own.omega)}\n    nautilus {told(other.omega)}", flush=True)
         if walk:
             other, long = walked(likelihood, place, own)
             print(f"    emcee    {told(other.omega)}; correlation {long:.0f} steps", flush=True)
     share = np.exp(np.array(theirs) - logsumexp(theirs))
-    print(f"  weights ours {np.round(weight[listed], 3)}, nautilus {np.round(share, 3)}", flush=True)
+    print(
+        f"  weights ours {np.round(weight[listed], 3)}, nautilus {np.round(share, 3)}", flush=True
+    )
 
 
 def in_sigmas(model_, draws):
     """The further unknowns (n, k) of draws, in their prior's sigmas."""
     u = np.zeros((draws.sizes["draw"], len(model_.unknowns)))
     for i, x in enumerate(model_.unknowns):
-        value = draws["wheel_speed_rad_s"].values[0, :, x.index] if x.kind == "wheel_speed" else draws[x.name].values[0]
+        value = (
+            draws["wheel_speed_rad_s"].values[0, :, x.index]
+            if x.kind == "wheel_speed"
+            else draws[x.name].values[0]
+        )
         u[:, i] = (value - x.centre) / x.sigma
     return u
 

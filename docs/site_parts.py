@@ -21,7 +21,11 @@ def block_math(translator, node: nodes.math_block) -> None:
     target = f' id="{node["ids"][0]}"' if node.get("ids") else ""
     translator.body.append(f'<div class="math"{target}>')
     if node.get("number"):
-        link = f'<a class="headerlink" href="#{node["ids"][0]}" title="Link to this equation">¶</a>' if target else ""
+        link = (
+            f'<a class="headerlink" href="#{node["ids"][0]}" title="Link to this equation">¶</a>'
+            if target
+            else ""
+        )
         translator.body.append(f'<span class="eqno">({node["number"]}){link}</span>')
     translator.body.append(tex2mathml(node.astext(), as_block=True) + "</div>\n")
     raise nodes.SkipNode
@@ -39,7 +43,11 @@ def commands() -> str:
     for name, listed in COMMANDS.items():
         command = cli.get_command(top, name)
         assert command is not None
-        text = command.get_help(click.Context(command, info_name=name, parent=top, max_content_width=100, terminal_width=100))
+        text = command.get_help(
+            click.Context(
+                command, info_name=name, parent=top, max_content_width=100, terminal_width=100
+            )
+        )
         parts += [f"## {name}", "", listed.summary, "", "```text", text, "```", ""]
     return "\n".join(parts)
 
@@ -48,9 +56,18 @@ def examples() -> str:
     """The numbered programs of examples/, each under the first line of its docstring."""
     import ast
 
-    parts = ["# Examples", "", "Short programs that run as they stand: `python examples/01_....py`. The tests run them.", ""]
+    parts = [
+        "# Examples",
+        "",
+        "Short programs that run as they stand: `python examples/01_....py`. The tests run them.",
+        "",
+    ]
     for path in sorted((ROOT / "examples").glob("[0-9]*.py")):
-        title = (ast.get_docstring(ast.parse(path.read_text("utf-8"))) or path.stem).splitlines()[0].rstrip(".")
+        title = (
+            (ast.get_docstring(ast.parse(path.read_text("utf-8"))) or path.stem)
+            .splitlines()[0]
+            .rstrip(".")
+        )
         parts += [f"## {path.stem[:2]}. {title}", "", f"`examples/{path.name}`", ""]
         parts += [f"```{{literalinclude}} ../examples/{path.name}", ":language: python", "```", ""]
     return "\n".join(parts)
@@ -60,7 +77,11 @@ def write_pages(app) -> None:
     """Generated pages are rewritten only where they changed, so that a second build is short."""
     from evidence_page import page
 
-    written = {"cli.md": commands(), "examples.md": examples(), "believe.md": page(app.config.evidence_file or None)}
+    written = {
+        "cli.md": commands(),
+        "examples.md": examples(),
+        "believe.md": page(app.config.evidence_file or None),
+    }
     for name, text in written.items():
         target = HERE / name
         if not target.exists() or target.read_text("utf-8") != text:
@@ -68,7 +89,9 @@ def write_pages(app) -> None:
 
 
 def setup(app) -> dict:
-    app.add_html_math_renderer("mathml", inline_renderers=(inline_math, None), block_renderers=(block_math, None))
+    app.add_html_math_renderer(
+        "mathml", inline_renderers=(inline_math, None), block_renderers=(block_math, None)
+    )
     app.add_config_value("evidence_file", "", "env")
     app.connect("builder-inited", write_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

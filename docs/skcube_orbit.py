@@ -31,11 +31,16 @@ def compared(result, gyro, part) -> np.ndarray:
         read = gyro.sel(time=at).values
         sigma = result["omega_sigma_all_B"].values[k]
         mean = np.nanmean(read, axis=0)
-        own = np.hypot(part.scale_rad_s * part.zero_sigma, mean * part.scale_sigma / part.scale_rad_s)
+        own = np.hypot(
+            part.scale_rad_s * part.zero_sigma, mean * part.scale_sigma / part.scale_rad_s
+        )
         rows.append([(result["omega_mean_B"].values[k, 0] - mean) / np.hypot(sigma, own), sigma])
         pull = ", ".join(f"{x:+.1f}" for x in rows[-1][0])
-        print(f"  {result['utc_start'].values[k]} {len(at):3d} samples  pulls {pull}  sigma {np.degrees(sigma).round(3)}  "
-              f"{result['why_not_decided'].values[k] or 'decided'}", flush=True)  # fmt: skip
+        print(
+            f"  {result['utc_start'].values[k]} {len(at):3d} samples  pulls {pull}  sigma {np.degrees(sigma).round(3)}  "
+            f"{result['why_not_decided'].values[k] or 'decided'}",
+            flush=True,
+        )
     return np.array(rows)
 
 
@@ -45,18 +50,26 @@ def by_parts(orbit, found, craft, telemetry, elements) -> None:
     for count in (2, 3):
         for part in np.array_split(np.arange(len(t)), count):
             own = in_orbit(elements, epoch, t[part], shift_sigma_s=150.0)
-            made = by_sun_sensors(own, craft, telemetry.isel(time=part), start_of(found, own)._replace(left_T=np.inf))
+            made = by_sun_sensors(
+                own, craft, telemetry.isel(time=part), start_of(found, own)._replace(left_T=np.inf)
+            )
             expected = float(orbit.ahead_s(orbit.instants(t[part])).mean())
-            sigma = np.hypot(made.shift_sigma_s, float(orbit.ahead_sigma_s(orbit.instants([t[part].mean()]))[0]))
+            sigma = np.hypot(
+                made.shift_sigma_s, float(orbit.ahead_sigma_s(orbit.instants([t[part].mean()]))[0])
+            )
             pull = (made.shift_s - expected) / sigma
-            print(f"  day {t[part].mean() / 86400:.1f}: {made.shift_s:+.0f} +- {made.shift_sigma_s:.0f} s alone, {expected:+.0f} s "
-                  f"by the whole file, {pull:+.1f} sigma apart")  # fmt: skip
+            print(
+                f"  day {t[part].mean() / 86400:.1f}: {made.shift_s:+.0f} +- {made.shift_sigma_s:.0f} s alone, {expected:+.0f} s "
+                f"by the whole file, {pull:+.1f} sigma apart"
+            )
 
 
 def main(folder: Path) -> None:
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(folder / "skcube" / "skcube_adcs.csv", craft)
-    utc = np.datetime64(data.attrs["epoch_utc"][:-1]) + (1e9 * data["time"].values).astype("timedelta64[ns]")
+    utc = np.datetime64(data.attrs["epoch_utc"][:-1]) + (1e9 * data["time"].values).astype(
+        "timedelta64[ns]"
+    )
     gyro, blind = data["gyro_B"], data.drop_vars("gyro_B")
     elements = parse_elements(VZLUSAT, "VZLUSAT-1")
     given = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=150.0)
@@ -69,12 +82,19 @@ def main(folder: Path) -> None:
     free = blind.isel(time=(blind["time"].values > FREE_S) & (utc < np.datetime64("2017-06-28")))
     for name, environment in (("with the orbit", orbit), ("without", None)):
         print(name)
-        result = ss.rates(craft, free, environment=environment, calibration=None if environment is None else calibration)
+        result = ss.rates(
+            craft,
+            free,
+            environment=environment,
+            calibration=None if environment is None else calibration,
+        )
         pulls, sigma = np.moveaxis(compared(result, gyro, craft.sensors.gyro), 1, 0)
         inside = [float((np.abs(pulls) < limit).mean()) for limit in (1.0, 1.96)]
-        print(f"{name}: {len(pulls)} passes, {int(result['decided'].sum())} decided; inside 68 %: {inside[0]:.2f}, inside 95 %: "
-              f"{inside[1]:.2f}; rms pull {np.sqrt((pulls**2).mean()):.2f} {np.sqrt((pulls**2).mean(0)).round(2)}; median sigma "
-              f"{np.degrees(np.median(sigma)):.3f} {np.degrees(np.median(sigma, axis=0)).round(3)} deg/s")  # fmt: skip
+        print(
+            f"{name}: {len(pulls)} passes, {int(result['decided'].sum())} decided; inside 68 %: {inside[0]:.2f}, inside 95 %: "
+            f"{inside[1]:.2f}; rms pull {np.sqrt((pulls**2).mean()):.2f} {np.sqrt((pulls**2).mean(0)).round(2)}; median sigma "
+            f"{np.degrees(np.median(sigma)):.3f} {np.degrees(np.median(sigma, axis=0)).round(3)} deg/s"
+        )
 
 
 if __name__ == "__main__":

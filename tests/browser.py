@@ -19,12 +19,23 @@ from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
-    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage",
-    "--disable-gpu-compositing", "--disable-gpu-rasterization",
-    "--remote-debugging-pipe", "--no-first-run", "--disable-extensions", "--disable-component-update",
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-dev-shm-usage",
+    "--disable-gpu-compositing",
+    "--disable-gpu-rasterization",
+    "--remote-debugging-pipe",
+    "--no-first-run",
+    "--disable-extensions",
+    "--disable-component-update",
     "--disable-background-networking",
-    "--disable-sync", "--hide-scrollbars", "--mute-audio", "--window-size=1280,900",
-)  # fmt: skip
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--mute-audio",
+    "--window-size=1280,900",
+)
 
 HOSTILE = """<script>window.hacked=1</script> "x" & </script><!--"""
 """A name that would run, or break the page, if it were taken for anything but text."""
@@ -50,16 +61,23 @@ class Browser:
 
         command = [str(found()), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, preexec_fn=descriptors,
-            close_fds=False, start_new_session=True,
-        )  # fmt: skip
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=descriptors,
+            close_fds=False,
+            start_new_session=True,
+        )
         os.close(to_read)
         os.close(to_write)
         self._buffer, self._number, self._session = b"", 0, None
         self.events: list[dict[str, Any]] = []
         targets = self.call("Target.getTargets")["targetInfos"]
         page = next(t for t in targets if t["type"] == "page")
-        self._session = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)["sessionId"]
+        self._session = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
 
@@ -93,17 +111,29 @@ class Browser:
     def open(self, path: Path, width: int = 1280, height: int = 900, dark: bool = False) -> None:
         """Open a file in a window of this size and wait until it is loaded."""
         self.events.clear()
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
-        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        self.call(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}],
+        )
         self.call("Page.navigate", url=path.as_uri())
         self.until("document.readyState === 'complete'")
 
     def js(self, expression: str) -> Any:
         """The value of an expression in the page; promises are awaited."""
-        done = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        done = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         if "exceptionDetails" in done:
             raise RuntimeError(
-                done["exceptionDetails"].get("exception", {}).get("description", "") or str(done["exceptionDetails"])
+                done["exceptionDetails"].get("exception", {}).get("description", "")
+                or str(done["exceptionDetails"])
             )
         return done["result"].get("value")
 
@@ -120,7 +150,9 @@ class Browser:
 
     def show(self, selector: str, drawn: bool = True) -> None:
         """Bring an element into the window and, for a plot, wait until it is drawn."""
-        self.js(f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center', behavior: 'instant'}})")
+        self.js(
+            f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center', behavior: 'instant'}})"
+        )
         if drawn:
             self.until(f"document.querySelector({json.dumps(selector)}).dataset.drawn === 'yes'")
 
@@ -137,7 +169,9 @@ class Browser:
                 **(text if kind == "keyDown" else {}),
             )
 
-    def picture(self, path: Path | None = None, clip: dict[str, float] | None = None, whole: bool = False) -> bytes:
+    def picture(
+        self, path: Path | None = None, clip: dict[str, float] | None = None, whole: bool = False
+    ) -> bytes:
         """A PNG of the window, of a part of it, or of the whole page."""
         options: dict[str, Any] = {"format": "png", "captureBeyondViewport": whole}
         if clip:
@@ -149,7 +183,11 @@ class Browser:
 
     def requests(self) -> list[str]:
         """Addresses that the page has asked for."""
-        return [e["params"]["request"]["url"] for e in self.events if e.get("method") == "Network.requestWillBeSent"]
+        return [
+            e["params"]["request"]["url"]
+            for e in self.events
+            if e.get("method") == "Network.requestWillBeSent"
+        ]
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the console, exceptions, entries of the log."""

@@ -30,7 +30,9 @@ def data_dir() -> Path:
     named = os.environ.get("SUNSPIN_DATA")
     folder = Path(named) if named else Path(__file__).parents[2] / "shared" / "data"
     if not folder.is_dir():
-        pytest.skip(f"other people's data is not here ({folder}); docs/data.md says where to download it, then set SUNSPIN_DATA")
+        pytest.skip(
+            f"other people's data is not here ({folder}); docs/data.md says where to download it, then set SUNSPIN_DATA"
+        )
     return folder
 
 

@@ -20,22 +20,33 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 CUBE = Vehicle(
-    "cube", inertia_kg_m2=np.diag([0.042, 0.05, 0.03]), gain_unit="W",
-    panels=[Panel(name, normal, 1.0) for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), NORMALS, strict=True)],
+    "cube",
+    inertia_kg_m2=np.diag([0.042, 0.05, 0.03]),
+    gain_unit="W",
+    panels=[
+        Panel(name, normal, 1.0)
+        for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), NORMALS, strict=True)
+    ],
     telemetry=TelemetryForm(noise=0.01),
-)  # fmt: skip
+)
 SAMPLES = 40
 
-FOUR = replace(CUBE, name="four", panels=tuple(panel for panel in CUBE.panels if not panel.normal_B[2]))
+FOUR = replace(
+    CUBE, name="four", panels=tuple(panel for panel in CUBE.panels if not panel.normal_B[2])
+)
 """The same body with panels on its sides only: their common brightness tells the Sun's height above them, but for its sign."""
 
 Fault = Callable[..., np.ndarray]
 
 
-def albedo(power: np.ndarray, rng: np.random.Generator, attitude: Rotation, normals: np.ndarray) -> np.ndarray:
+def albedo(
+    power: np.ndarray, rng: np.random.Generator, attitude: Rotation, normals: np.ndarray
+) -> np.ndarray:
     """The Earth, which stays where it is while the body turns: up to a tenth of full Sun on what looks there, lit or not."""
     earth = rng.normal(size=3)
-    return power + rng.uniform(0.02, 0.1) * np.maximum(attitude.apply(earth / np.linalg.norm(earth)) @ normals.T, 0)
+    return power + rng.uniform(0.02, 0.1) * np.maximum(
+        attitude.apply(earth / np.linalg.norm(earth)) @ normals.T, 0
+    )
 
 
 def offset(power: np.ndarray, rng: np.random.Generator, normals: np.ndarray) -> np.ndarray:
@@ -82,12 +93,17 @@ def warm(power: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 SINGLE = (albedo, offset, battery, dead_string, dead_panel, gains, quantised, spikes, stale, warm)
-FAULTS: dict[str, tuple[Fault, ...]] = {"none": (), **{fault.__name__: (fault,) for fault in SINGLE}}
+FAULTS: dict[str, tuple[Fault, ...]] = {
+    "none": (),
+    **{fault.__name__: (fault,) for fault in SINGLE},
+}
 FAULTS["sides"] = (dead_string, albedo, battery, quantised)
 FAULTS["everything"] = (gains, dead_string, warm, albedo, battery, quantised, spikes, stale)
 
 
-def twin(faults: tuple[Fault, ...], rng: np.random.Generator, craft: Vehicle = CUBE) -> tuple[xr.Dataset, xr.Dataset]:
+def twin(
+    faults: tuple[Fault, ...], rng: np.random.Generator, craft: Vehicle = CUBE
+) -> tuple[xr.Dataset, xr.Dataset]:
     """Telemetry and truth."""
     t = np.concatenate([[0.0], np.cumsum(10.0 * rng.uniform(0.8, 1.2, SAMPLES - 1))])
     sun = rng.normal(size=3)
@@ -97,10 +113,15 @@ def twin(faults: tuple[Fault, ...], rng: np.random.Generator, craft: Vehicle = C
     for fault in faults:
         seen = {albedo: (attitude, craft.panel_normals_B), offset: (craft.panel_normals_B,)}
         power = fault(power, rng, *seen.get(fault, ()))
-    power = np.maximum(power + (0.01 * rng.normal(size=power.shape) if quantised not in faults else 0.0), 0.0)
+    power = np.maximum(
+        power + (0.01 * rng.normal(size=power.shape) if quantised not in faults else 0.0), 0.0
+    )
     if stale in faults:
         power = stale(power, rng)
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(SAMPLES, dtype=np.uint8))}
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(SAMPLES, dtype=np.uint8)),
+    }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return xr.Dataset(variables, {"time": t, "panel": list(craft.panel_names)}, attrs), run
 
@@ -131,7 +152,9 @@ def coverage(faults: tuple[Fault, ...], count: int, seed: int, craft: Vehicle = 
     """Over `count` twins with these faults."""
     places, narrow, errors = [], [], []
     for i in range(count):
-        data, run = twin(faults, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))), craft)
+        data, run = twin(
+            faults, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))), craft
+        )
         result = ss.rates(craft, data, max_rate_rad_s=0.15)
         places.append(place(result, run))
         narrow.append(place(result.assign(omega_sigma_B=result["omega_sigma_B"] / 5), run))

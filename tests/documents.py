@@ -63,7 +63,11 @@ def blocks(text: str) -> list[Block]:
         if fence[2] == "text" and after:
             found[-1] = found[-1]._replace(printed=body)
         elif not fence[2].startswith("{"):
-            found.append(Block(fence[2], body, at + 1, bool(NOT_RUN.search(above)), MARKS.get(above, ""), None))
+            found.append(
+                Block(
+                    fence[2], body, at + 1, bool(NOT_RUN.search(above)), MARKS.get(above, ""), None
+                )
+            )
         after, above = fence[2] == "python", ""
         at = end + 1
     return found
@@ -81,18 +85,24 @@ class Reader:
         elif block.language == "console":
             for command, printed in commands(block.text):
                 self._same(self._command(command), printed, block.line)
-        elif block.language in ("toml", "csv") and (name := re.match(r"# file: (\S+)\n", block.text)):
+        elif block.language in ("toml", "csv") and (
+            name := re.match(r"# file: (\S+)\n", block.text)
+        ):
             (self.folder / name[1]).write_text(block.text, "utf-8")
 
     def _same(self, got: str, want: str | None, line: int) -> None:
         if want is not None:
             checker, flags = doctest.OutputChecker(), doctest.ELLIPSIS
-            assert checker.check_output(want, got, flags), f"{self.page.name}, block at line {line}: printed\n{got}"
+            assert checker.check_output(want, got, flags), (
+                f"{self.page.name}, block at line {line}: printed\n{got}"
+            )
 
     def _python(self, block: Block) -> str:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed), contextlib.chdir(self.folder):
-            exec(compile("\n" * block.line + block.text, str(self.page), "exec"), self.names)  # our own file
+            exec(
+                compile("\n" * block.line + block.text, str(self.page), "exec"), self.names
+            )  # our own file
         return printed.getvalue()
 
     def _command(self, command: str) -> str:
@@ -104,11 +114,20 @@ class Reader:
             from sunspin.cli import cli
 
             with contextlib.chdir(self.folder):
-                done = CliRunner().invoke(cli, words[1:], catch_exceptions=False, prog_name="sunspin", terminal_width=100)
+                done = CliRunner().invoke(
+                    cli, words[1:], catch_exceptions=False, prog_name="sunspin", terminal_width=100
+                )
             assert done.exit_code == 0, f"{self.page.name}: {command}\n{done.output}"
             return done.stdout
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-        ran = subprocess.run(command, shell=True, cwd=self.folder, env=os.environ | {"PATH": path}, capture_output=True, text=True)
+        ran = subprocess.run(
+            command,
+            shell=True,
+            cwd=self.folder,
+            env=os.environ | {"PATH": path},
+            capture_output=True,
+            text=True,
+        )
         assert ran.returncode == 0, f"{self.page.name}: {command}\n{ran.stdout}{ran.stderr}"
         return ran.stdout
 

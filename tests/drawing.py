@@ -14,11 +14,23 @@ def covered(figure: Figure) -> list[str]:
     """Titles of the flat axes whose legend stands on points of a curve, on marks or on an edge of a histogram."""
     lay_out(figure).draw_without_rendering()
     found = []
-    for axes in (axes for axes in figure.axes if axes.name != "3d" and axes.get_legend() is not None):
+    for axes in (
+        axes for axes in figure.axes if axes.name != "3d" and axes.get_legend() is not None
+    ):
         box = axes.get_legend().get_window_extent()
-        points = [line.get_transform().transform(line.get_xydata()) for line in axes.lines if len(line.get_xdata()) > 2]
-        points += [patch.get_transform().transform(patch.get_path().vertices) for patch in axes.patches]
+        points = [
+            line.get_transform().transform(line.get_xydata())
+            for line in axes.lines
+            if len(line.get_xdata()) > 2
+        ]
+        points += [
+            patch.get_transform().transform(patch.get_path().vertices) for patch in axes.patches
+        ]
         clouds = [one for one in axes.collections if len(one.get_offsets()) > 1]
         points += [cloud.get_offset_transform().transform(cloud.get_offsets()) for cloud in clouds]
-        found += [axes.get_title()] if any(box.contains(*point) for some in points for point in some) else []
+        found += (
+            [axes.get_title()]
+            if any(box.contains(*point) for some in points for point in some)
+            else []
+        )
     return found

@@ -55,13 +55,17 @@ class Way(NamedTuple):
     def of(cls, given: tuple[str, str], begin_s: float, ahead_s: float, span_s: float) -> Way:
         t = np.arange(-STEP_S, span_s + 2 * STEP_S, STEP_S)
         day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
-        _, place, speed = Satrec.twoline2rv(*given).sgp4_array(np.full(len(t), day), fraction + (begin_s + t + ahead_s) / 86400)
+        _, place, speed = Satrec.twoline2rv(*given).sgp4_array(
+            np.full(len(t), day), fraction + (begin_s + t + ahead_s) / 86400
+        )
         days = day - 2451545.0 + fraction + (begin_s + t) / 86400
         sidereal = np.radians((280.46061837 + 360.98564736629 * days) % 360)
         field = 1e-9 * field_nT(place, sidereal, EPOCH + timedelta(seconds=begin_s))
         radius = float(np.linalg.norm(place, axis=1).mean())
         rate = float(np.linalg.norm(np.cross(place, speed), axis=1).mean() / radius**2)
-        return cls(CubicSpline(t, place), CubicSpline(t, field), sun_of_date(days[:1])[0], radius, rate)
+        return cls(
+            CubicSpline(t, place), CubicSpline(t, field), sun_of_date(days[:1])[0], radius, rate
+        )
 
 
 class Moving(NamedTuple):
@@ -92,12 +96,20 @@ def sunlit(place: np.ndarray, sun: np.ndarray) -> bool:
 
 
 def make(
-    seed: int, i: int, patches: int = 20_000, every_s: tuple[float, float] = (15, 40), power: tuple[float, float] = (-0.5, 0.6)
+    seed: int,
+    i: int,
+    patches: int = 20_000,
+    every_s: tuple[float, float] = (15, 40),
+    power: tuple[float, float] = (-0.5, 0.6),
 ) -> tuple[Vehicle, xr.Dataset, tuple[str, str], xr.Dataset, dict[str, Any]]:
     """Vehicle, telemetry, the two lines, the true motion, what was drawn; a sample `every_s`, rates of 10 to this `power` deg/s."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     given, sigma = lines(rng), float(10 ** rng.uniform(0.3, 1.3))
-    ahead, interval, passes = sigma * rng.normal(), float(rng.uniform(*every_s)), int(rng.integers(4, 8))
+    ahead, interval, passes = (
+        sigma * rng.normal(),
+        float(rng.uniform(*every_s)),
+        int(rng.integers(4, 8)),
+    )
     ground, (body, units) = Ground.drawn(rng, patches), drawn_body(rng)
     body, speed = body._replace(coil=0.0), np.radians(10 ** rng.uniform(*power))
     starts = np.sort(rng.choice(12, passes, replace=False)) * 5600.0 + rng.uniform(0, 2500, passes)
@@ -113,35 +125,81 @@ def make(
         power = np.zeros((len(t), 6))
         for k, at in enumerate(place):
             normals = body_from_N[k].inv().apply(FACES)
-            power[k] = np.maximum(normals @ way.sun, 0) * sunlit(at, way.sun) + ground.light(at, way.sun, normals)
+            power[k] = np.maximum(normals @ way.sun, 0) * sunlit(at, way.sun) + ground.light(
+                at, way.sun, normals
+            )
         power = np.maximum(power * spread + 0.01 * rng.normal(size=power.shape), 0.0)
-        reading = 1e9 * body_from_N.apply(field) @ matrix.T + zero + 600 * rng.normal(size=field.shape)
+        reading = (
+            1e9 * body_from_N.apply(field) @ matrix.T + zero + 600 * rng.normal(size=field.shape)
+        )
         lit = [sunlit(at, way.sun) for at in place]
-        parts.append((start + t, power, reading, quaternion, rate, np.tile(way.sun, (len(t), 1)), np.array(lit)))
-    time_s, power, reading, quaternion, rate, sun, lit = (np.concatenate(each) for each in zip(*parts, strict=True))
+        parts.append(
+            (
+                start + t,
+                power,
+                reading,
+                quaternion,
+                rate,
+                np.tile(way.sun, (len(t), 1)),
+                np.array(lit),
+            )
+        )
+    time_s, power, reading, quaternion, rate, sun, lit = (
+        np.concatenate(each) for each in zip(*parts, strict=True)
+    )
     inertia = np.diag(np.diag(body.inertia) * (1 + 0.02 * rng.normal(size=3)))
-    fact = Fact(value=tuple(map(tuple, inertia.tolist())),
-                sigma=tuple(map(tuple, (0.03 * np.diag(inertia).mean() * np.ones((3, 3))).tolist())))  # fmt: skip
+    fact = Fact(
+        value=tuple(map(tuple, inertia.tolist())),
+        sigma=tuple(map(tuple, (0.03 * np.diag(inertia).mean() * np.ones((3, 3))).tolist())),
+    )
     known = bool(rng.random() < 0.7)
-    vehicle = Vehicle("in orbit", inertia_kg_m2=inertia if known else None, facts={"body.inertia_kg_m2": fact} if known else {},
-                      gain_unit="W", panels=tuple(Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)),
-                      telemetry=TelemetryForm(noise=0.01), sensors=FIELD)  # fmt: skip
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(time_s), dtype=np.uint8)),
-                 "field_B": (("time", "axis"), reading)}  # fmt: skip
+    vehicle = Vehicle(
+        "in orbit",
+        inertia_kg_m2=inertia if known else None,
+        facts={"body.inertia_kg_m2": fact} if known else {},
+        gain_unit="W",
+        panels=tuple(Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)),
+        telemetry=TelemetryForm(noise=0.01),
+        sensors=FIELD,
+    )
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(time_s), dtype=np.uint8)),
+        "field_B": (("time", "axis"), reading),
+    }
     attrs = {"epoch_utc": EPOCH.isoformat() + "Z", "synthetic": 1}
     data = xr.Dataset(variables, {"time": time_s, "panel": list(vehicle.panel_names)}, attrs)
-    truth = xr.Dataset({"omega_B": (("time", "axis"), rate), "B_from_N": (("time", "quaternion"), quaternion),
-                        "sun_N": (("time", "axis"), sun)}, {"time": time_s})  # fmt: skip
-    about: dict[str, Any] = {"deg_s": float(np.degrees(speed)), "interval_s": interval, "passes": passes, "samples": len(time_s),
-             "units": units, "inertia": known, "ahead_s": ahead, "sigma_s": sigma, "lit": float(lit.mean())}  # fmt: skip
+    truth = xr.Dataset(
+        {
+            "omega_B": (("time", "axis"), rate),
+            "B_from_N": (("time", "quaternion"), quaternion),
+            "sun_N": (("time", "axis"), sun),
+        },
+        {"time": time_s},
+    )
+    about: dict[str, Any] = {
+        "deg_s": float(np.degrees(speed)),
+        "interval_s": interval,
+        "passes": passes,
+        "samples": len(time_s),
+        "units": units,
+        "inertia": known,
+        "ahead_s": ahead,
+        "sigma_s": sigma,
+        "lit": float(lit.mean()),
+    }
     sunny = [start for start, one in zip(starts, parts, strict=True) if one[-1].sum() >= 8]
     about["begin_s"] = [float(x) for x in rng.permutation(sunny)[:JUDGED]]
     return vehicle, data, given, truth, about
 
 
-def orbit_of(given: tuple[str, str], data: xr.Dataset, about: dict[str, Any], by_deg: float = 0.0) -> Orbit:
+def orbit_of(
+    given: tuple[str, str], data: xr.Dataset, about: dict[str, Any], by_deg: float = 0.0
+) -> Orbit:
     elements = parse_elements("\n".join((given[0], turned(given[1], by_deg))), "twin")
-    return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=about["sigma_s"])
+    return in_orbit(
+        elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=about["sigma_s"]
+    )
 
 
 def one_pass(data: xr.Dataset, begin_s: float) -> xr.Dataset:
@@ -161,15 +219,25 @@ def judged(result: xr.Dataset, truth: xr.Dataset, k: int) -> dict[str, Any]:
     turned_by = Rotation.from_quat(true["B_from_N"].values)
     sun = turned_by.apply(true["sun_N"].values)
     off = np.degrees(np.linalg.norm(np.cross(result["sun_B"].sel(time=t).values, sun), axis=1))
-    found = {"pulls": (miss / sigma).tolist(), "miss_deg_s": np.degrees(miss).tolist(), "sigma_deg_s": np.degrees(sigma).tolist(),
-             "sun_deg": float(np.median(off)), "sun_sigma_deg": float(np.degrees(np.median(result["sun_sigma_rad"].sel(time=t)))),
-             "decided": bool(result["decided"].values[k]), "why_not": str(result["why_not_decided"].values[k])}  # fmt: skip
+    found = {
+        "pulls": (miss / sigma).tolist(),
+        "miss_deg_s": np.degrees(miss).tolist(),
+        "sigma_deg_s": np.degrees(sigma).tolist(),
+        "sun_deg": float(np.median(off)),
+        "sun_sigma_deg": float(np.degrees(np.median(result["sun_sigma_rad"].sel(time=t)))),
+        "decided": bool(result["decided"].values[k]),
+        "why_not": str(result["why_not_decided"].values[k]),
+    }
     found["wrong"] = bool((np.abs(miss) > np.maximum(5 * sigma, np.radians(0.1))).any())
     if result.attrs["frame_N"] == "J2000":
         # the twins' N is the true equator of 2021, 0.3 deg from J2000
-        apart = (Rotation.from_quat(result["B_from_N"].sel(time=t).values).inv() * turned_by).magnitude()
-        found |= {"attitude_deg": float(np.degrees(np.median(apart))),
-                  "turn_sigma_deg": float(np.degrees(np.median(result["turn_sigma_rad"].sel(time=t))))}  # fmt: skip
+        apart = (
+            Rotation.from_quat(result["B_from_N"].sel(time=t).values).inv() * turned_by
+        ).magnitude()
+        found |= {
+            "attitude_deg": float(np.degrees(np.median(apart))),
+            "turn_sigma_deg": float(np.degrees(np.median(result["turn_sigma_rad"].sel(time=t)))),
+        }
     return found
 
 
@@ -184,12 +252,21 @@ def judge(seed: int, i: int) -> dict[str, Any]:
             words = check.verdict.name
         if name == "field alone" and orbit is None:
             continue
-        calibration = None if orbit is None or check is None else field_calibration(orbit, vehicle, data, check.made)
+        calibration = (
+            None
+            if orbit is None or check is None
+            else field_calibration(orbit, vehicle, data, check.made)
+        )
         dropped = ["power_W", "panel"] if name == "field alone" else []
         about[name] = {"check": words, "passes": []}
         for begin in about["begin_s"][: 1 if dropped else None]:
             try:
-                result = ss.rates(vehicle, one_pass(data, begin).drop_vars(dropped), environment=orbit, calibration=calibration)
+                result = ss.rates(
+                    vehicle,
+                    one_pass(data, begin).drop_vars(dropped),
+                    environment=orbit,
+                    calibration=calibration,
+                )
                 about[name]["passes"].append(judged(result, truth, 0))
             except SunspinError as error:
                 about[name]["passes"].append({"refused": str(error)})
@@ -214,12 +291,17 @@ def table(rows: list[dict[str, Any]]) -> dict[str, Any]:
     pulls = np.abs(np.array([row["pulls"] for row in ran if not row["wrong"]])).ravel()
     decided = [row for row in ran if row["decided"]]
     return {
-        "passes": len(rows), "ran": len(ran), "decided": len(decided), "wrong among decided": sum(row["wrong"] for row in decided),
-        "in 68": float((pulls < 1).mean()), "in 95": float((pulls < 1.96).mean()), "rms pull": float(np.sqrt((pulls**2).mean())),
+        "passes": len(rows),
+        "ran": len(ran),
+        "decided": len(decided),
+        "wrong among decided": sum(row["wrong"] for row in decided),
+        "in 68": float((pulls < 1).mean()),
+        "in 95": float((pulls < 1.96).mean()),
+        "rms pull": float(np.sqrt((pulls**2).mean())),
         "median miss deg/s": float(np.median(np.abs([row["miss_deg_s"] for row in ran]))),
         "median sigma deg/s": float(np.median([row["sigma_deg_s"] for row in ran])),
         "median Sun deg": float(np.median([row["sun_deg"] for row in ran])),
-    }  # fmt: skip
+    }
 
 
 if __name__ == "__main__":

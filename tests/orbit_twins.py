@@ -31,7 +31,11 @@ EARTH_KM, MU_KM3_S2, FIELD_T = 6371.0, 398600.4, 3.0e-5
 
 SENSORS = {
     "none": Sensors(),
-    "gyro": Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, 2e-3), scale_sigma=0.01)),
+    "gyro": Sensors(
+        gyro=Gyro(
+            ("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, 2e-3), scale_sigma=0.01
+        )
+    ),
     "field": Sensors(magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), 500.0)),
     "attitude": Sensors(attitude=Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01)),
 }
@@ -67,7 +71,9 @@ class Orbit(NamedTuple):
 
     def field_T(self, place: np.ndarray) -> np.ndarray:
         up = place / np.linalg.norm(place)
-        return FIELD_T * (EARTH_KM / self.radius_km) ** 3 * (3 * (self.dipole @ up) * up - self.dipole)
+        return (
+            FIELD_T * (EARTH_KM / self.radius_km) ** 3 * (3 * (self.dipole @ up) * up - self.dipole)
+        )
 
     def sunlit(self, place: np.ndarray) -> bool:
         along = place @ self.sun
@@ -83,8 +89,13 @@ class Ground(NamedTuple):
     @classmethod
     def drawn(cls, rng: np.random.Generator, patches: int = 20_000) -> Ground:
         """Of albedo 0.3, more or less by half, in clouds of 500 km and seas of 3000 km."""
-        z, turn = 1 - (2 * np.arange(patches) + 1) / patches, np.pi * (3 - np.sqrt(5)) * np.arange(patches)
-        up = np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z])
+        z, turn = (
+            1 - (2 * np.arange(patches) + 1) / patches,
+            np.pi * (3 - np.sqrt(5)) * np.arange(patches),
+        )
+        up = np.column_stack(
+            [np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z]
+        )
         waves = np.array([rng.uniform(2, 12) * unit(rng) for _ in range(8)])
         return cls(up, 0.3 * np.exp(0.2 * np.sin(up @ waves.T + rng.uniform(0, 6, 8)).sum(axis=1)))
 
@@ -96,7 +107,12 @@ class Ground(NamedTuple):
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / distance[:, None]
         area = 4 * np.pi * EARTH_KM**2 / len(self.up)
-        sent = albedo * np.maximum(up @ sun, 0) * np.maximum(-np.einsum("mi,mi->m", up, ray), 0) / np.pi
+        sent = (
+            albedo
+            * np.maximum(up @ sun, 0)
+            * np.maximum(-np.einsum("mi,mi->m", up, ray), 0)
+            / np.pi
+        )
         return np.maximum(normals @ ray.T, 0) @ (sent * area / distance**2)
 
 
@@ -115,8 +131,12 @@ class Body(NamedTuple):
             turned, w = Rotation.from_quat(y[:4]), y[4:]
             place = orbit.place_km(t)
             up, field = turned.apply(place / orbit.radius_km), turned.apply(orbit.field_T(place))
-            moment = self.dipole + self.coil * np.cross(w, field)  # -k dB/dt, and B seen from the body turns by -w
-            torque = np.cross(moment, field) + 3 * orbit.rate_rad_s**2 * np.cross(up, self.inertia @ up)
+            moment = self.dipole + self.coil * np.cross(
+                w, field
+            )  # -k dB/dt, and B seen from the body turns by -w
+            torque = np.cross(moment, field) + 3 * orbit.rate_rad_s**2 * np.cross(
+                up, self.inertia @ up
+            )
             spin = 0.5 * np.append(-y[3] * w - np.cross(w, y[:3]), w @ y[:3])
             return np.concatenate([spin, inverse @ (torque - np.cross(w, self.inertia @ w))])
 
@@ -133,10 +153,16 @@ def drawn_body(rng: np.random.Generator) -> tuple[Body, int]:
     return Body(inertia, units * 10 ** rng.uniform(-3, -1.7) * unit(rng), coil), units
 
 
-def motion(body: Body, orbit: Orbit, omega_B: np.ndarray, t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def motion(
+    body: Body, orbit: Orbit, omega_B: np.ndarray, t: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions (n, 4) B_from_N and rates (n, 3) at times t (n)."""
-    start = np.concatenate([Rotation.random(random_state=int(rng.integers(2**31))).as_quat(), omega_B])
-    solved = solve_ivp(body.change(orbit), (0.0, t[-1]), start, method="DOP853", t_eval=t, rtol=1e-9, atol=1e-11)
+    start = np.concatenate(
+        [Rotation.random(random_state=int(rng.integers(2**31))).as_quat(), omega_B]
+    )
+    solved = solve_ivp(
+        body.change(orbit), (0.0, t[-1]), start, method="DOP853", t_eval=t, rtol=1e-9, atol=1e-11
+    )
     quaternion = solved.y[:4].T
     return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True), solved.y[4:].T
 
@@ -150,20 +176,35 @@ def times(rng: np.random.Generator) -> tuple[np.ndarray, float]:
     passes = []
     for k in range(int(rng.integers(1, 4))):
         n = int(rng.uniform(300, 600) / interval)
-        passes.append(ORBIT_S * k + np.concatenate([[0.0], np.cumsum(interval * rng.uniform(0.9, 1.1, max(n, 9)))]))
+        passes.append(
+            ORBIT_S * k
+            + np.concatenate([[0.0], np.cumsum(interval * rng.uniform(0.9, 1.1, max(n, 9)))])
+        )
     return np.concatenate(passes), interval
 
 
-def read(kind: str, quaternion: np.ndarray, omega: np.ndarray, field: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+def read(
+    kind: str,
+    quaternion: np.ndarray,
+    omega: np.ndarray,
+    field: np.ndarray,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
     """What the other sensor reads: rates (n, 3), a field (n, 3) in nT, or a quaternion (n, 4)."""
     shape = omega.shape
     if kind == "gyro":
-        value = omega * (1 + 0.01 * rng.normal()) + 2e-3 * rng.normal(size=3) + 1e-3 * rng.normal(size=shape)
+        value = (
+            omega * (1 + 0.01 * rng.normal())
+            + 2e-3 * rng.normal(size=3)
+            + 1e-3 * rng.normal(size=shape)
+        )
         return {"gyro_B": (("time", "axis"), value)}
     if kind == "field":
         return {"field_B": (("time", "axis"), 1e9 * field + 500.0 * rng.normal(size=shape))}
     if kind == "attitude":
-        value = (Rotation.from_rotvec(0.01 * rng.normal(size=shape)) * Rotation.from_quat(quaternion)).as_quat()
+        value = (
+            Rotation.from_rotvec(0.01 * rng.normal(size=shape)) * Rotation.from_quat(quaternion)
+        ).as_quat()
         return {"attitude_B_from_N": (("time", "quaternion"), value)}
     return {}
 
@@ -173,7 +214,10 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     orbit, ground, (body, units) = Orbit.drawn(rng), Ground.drawn(rng), drawn_body(rng)
     omega, (t, interval) = np.radians(10 ** rng.uniform(-0.5, 0.8)) * unit(rng), times(rng)
-    sensor, (told, stated, sure) = str(rng.choice([*SENSORS, "none"])), rng.random(3) < [0.7, 0.7, 0.5]
+    sensor, (told, stated, sure) = (
+        str(rng.choice([*SENSORS, "none"])),
+        rng.random(3) < [0.7, 0.7, 0.5],
+    )
     faces = FACES if rng.random() < 0.6 else np.delete(FACES, rng.integers(6), axis=0)
     quaternion, rate = motion(body, orbit, omega, t, rng)
     turned = Rotation.from_quat(quaternion)
@@ -187,20 +231,55 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, 
     power = np.maximum(power + 0.01 * rng.normal(size=power.shape), 0.0)
     given = np.diag(np.diag(body.inertia) * (1 + 0.02 * rng.normal(size=3)))
     sigma = 0.03 * np.diag(given).mean() * np.ones((3, 3))
-    fact = Fact(value=tuple(map(tuple, given.tolist())), sigma=tuple(map(tuple, sigma.tolist())) if sure else None)
-    vehicle = Vehicle("in orbit", inertia_kg_m2=given if told else None, facts={"body.inertia_kg_m2": fact} if told else {},
-                      gain_unit="W", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(faces)],
-                      telemetry=TelemetryForm(noise=0.01 if stated else None), sensors=SENSORS[sensor])  # fmt: skip
+    fact = Fact(
+        value=tuple(map(tuple, given.tolist())),
+        sigma=tuple(map(tuple, sigma.tolist())) if sure else None,
+    )
+    vehicle = Vehicle(
+        "in orbit",
+        inertia_kg_m2=given if told else None,
+        facts={"body.inertia_kg_m2": fact} if told else {},
+        gain_unit="W",
+        panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(faces)],
+        telemetry=TelemetryForm(noise=0.01 if stated else None),
+        sensors=SENSORS[sensor],
+    )
     field = turned.apply(np.array([orbit.field_T(orbit.place_km(at)) for at in t]))
-    pull = float(np.median(np.linalg.norm(np.linalg.solve(body.inertia, np.cross(body.dipole, field).T), axis=0)))
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
-                 **read(sensor, quaternion, rate, field, rng)}  # fmt: skip
+    pull = float(
+        np.median(
+            np.linalg.norm(np.linalg.solve(body.inertia, np.cross(body.dipole, field).T), axis=0)
+        )
+    )
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+        **read(sensor, quaternion, rate, field, rng),
+    }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    run = xr.Dataset({"omega_B": (("time", "axis"), rate), "B_from_N": (("time", "quaternion"), quaternion)}, {"time": t})
-    about = {"deg_s": float(np.degrees(np.linalg.norm(omega))), "interval_s": interval, "samples": len(t), "panels": len(faces),
-             "sensor": sensor, "inertia": bool(told), "sure": bool(sure), "stated": bool(stated), "units": units,
-             "pull_rad_s2": pull, "coil": body.coil, "earth": float(np.median(earth))}  # fmt: skip
-    return vehicle, xr.Dataset(variables, {"time": t, "panel": list(vehicle.panel_names)}, attrs), run, about
+    run = xr.Dataset(
+        {"omega_B": (("time", "axis"), rate), "B_from_N": (("time", "quaternion"), quaternion)},
+        {"time": t},
+    )
+    about = {
+        "deg_s": float(np.degrees(np.linalg.norm(omega))),
+        "interval_s": interval,
+        "samples": len(t),
+        "panels": len(faces),
+        "sensor": sensor,
+        "inertia": bool(told),
+        "sure": bool(sure),
+        "stated": bool(stated),
+        "units": units,
+        "pull_rad_s2": pull,
+        "coil": body.coil,
+        "earth": float(np.median(earth)),
+    }
+    return (
+        vehicle,
+        xr.Dataset(variables, {"time": t, "panel": list(vehicle.panel_names)}, attrs),
+        run,
+        about,
+    )
 
 
 def judge(seed: int, i: int, orbits: int | None = None) -> dict[str, Any]:
@@ -208,9 +287,14 @@ def judge(seed: int, i: int, orbits: int | None = None) -> dict[str, Any]:
     vehicle, data, run, about = make(seed, i)
     if orbits is not None:
         data = data.isel(time=data["time"].values < ORBIT_S * orbits)
-    return about | told(vehicle, data, lambda result: {
-        "noise": result.attrs["acceleration_noise"], "passes": [judged(result, run, k) for k in range(result.sizes["pass_id"])],
-    })  # fmt: skip
+    return about | told(
+        vehicle,
+        data,
+        lambda result: {
+            "noise": result.attrs["acceleration_noise"],
+            "passes": [judged(result, run, k) for k in range(result.sizes["pass_id"])],
+        },
+    )
 
 
 @command
@@ -218,9 +302,21 @@ def main(arguments: list[str] | None = None) -> None:
     """Run twins and print what becomes of them."""
     rows = []
     for i, row in campaign("tests/orbit_twins.py", "orbit", judge, arguments):
-        print(i, {k: (round(v, 5) if isinstance(v, float) else v) for k, v in row.items() if k != "passes"}, flush=True)
+        print(
+            i,
+            {
+                k: (round(v, 5) if isinstance(v, float) else v)
+                for k, v in row.items()
+                if k != "passes"
+            },
+            flush=True,
+        )
         for part in row.get("passes", ()):
-            print("   ", {k: np.round(v, 2).tolist() if isinstance(v, list) else v for k, v in part.items()}, flush=True)
+            print(
+                "   ",
+                {k: np.round(v, 2).tolist() if isinstance(v, list) else v for k, v in part.items()},
+                flush=True,
+            )
             rows.append(row | part)
     print(json.dumps(tally(rows), indent=1))
 

@@ -20,9 +20,14 @@ EXTRAS = "cluster,spice,parquet"
 """What modules of the package import beside the core."""
 
 SMOKE = (
-    "tests/test_imports.py", "tests/test_vehicle.py", "tests/telemetry/test_sun.py", "tests/dynamics/test_propagate.py",
-    "tests/dynamics/test_impact.py", "tests/estimate/test_metrics.py", "tests/cli/test_cli_border.py",
-)  # fmt: skip
+    "tests/test_imports.py",
+    "tests/test_vehicle.py",
+    "tests/telemetry/test_sun.py",
+    "tests/dynamics/test_propagate.py",
+    "tests/dynamics/test_impact.py",
+    "tests/estimate/test_metrics.py",
+    "tests/cli/test_cli_border.py",
+)
 """One file of each layer that compiles no kernel."""
 
 
@@ -45,13 +50,21 @@ def environment(program: str, version: str) -> Path:
     """The interpreter of an environment for this version, built anew when the lock or pyproject.toml change."""
     home = ROOT / "build" / f"python{version}"
     python, ready = home / "bin" / "python", home / ".ready"
-    wanted = b"".join((ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml"))
+    wanted = b"".join(
+        (ROOT / name).read_bytes() for name in ("requirements.lock", "pyproject.toml")
+    )
     if not (ready.is_file() and ready.read_bytes() == wanted):
         subprocess.run([program, "-m", "venv", "--clear", home], check=True)
-        quiet = ["--quiet", "--disable-pip-version-check", "--no-compile"]  # most files of the packages are never imported here
+        quiet = [
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-compile",
+        ]  # most files of the packages are never imported here
         pip = [python, "-m", "pip", "install", *quiet, "-c", ROOT / "requirements.lock"]
         subprocess.run([*pip, *TOOLS], check=True)
-        subprocess.run([*pip, "--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"], check=True)
+        subprocess.run(
+            [*pip, "--no-build-isolation", "--editable", f"{ROOT}[{EXTRAS}]"], check=True
+        )
         ready.write_bytes(wanted)
     return python
 
@@ -67,9 +80,15 @@ def main() -> int:
             continue
         print(f"Python {version}: {program}", flush=True)
         python = environment(program, version)
-        done = subprocess.run([python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *SMOKE], cwd=ROOT)
+        done = subprocess.run(
+            [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *SMOKE], cwd=ROOT
+        )
         failed += [version] if done.returncode else []
-    print(f"Python {', '.join(failed)}: smoke tests failed" if failed else "Other versions of Python: nothing failed")
+    print(
+        f"Python {', '.join(failed)}: smoke tests failed"
+        if failed
+        else "Other versions of Python: nothing failed"
+    )
     return len(failed)
 
 

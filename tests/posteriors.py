@@ -13,29 +13,57 @@ from sunspin.vehicle import Vehicle
 
 
 def tree_of(
-    vehicle: Vehicle, state: State, priors: dict, first_s: float = 0.0, last_s: float = 600.0, samples: int = 5, **attrs
+    vehicle: Vehicle,
+    state: State,
+    priors: dict,
+    first_s: float = 0.0,
+    last_s: float = 600.0,
+    samples: int = 5,
+    **attrs,
 ) -> xr.DataTree:
     """A posterior whose draws (n) are `state` at the first sample, `u` in the order of the model's unknowns."""
     unknown, _ = model(vehicle, priors, 1.0)
     n, each = len(state), ("chain", "draw")
     values = unknown.values(state.u)
     variables = {
-        "omega_B": ((*each, "axis"), state.omega[None]), "sun_B": ((*each, "axis"), state.sun[None]),
+        "omega_B": ((*each, "axis"), state.omega[None]),
+        "sun_B": ((*each, "axis"), state.sun[None]),
         "wheel_speed_rad_s": ((*each, "wheel"), unknown.wheel_speeds(state.u)[None]),
-        "mode_id": (each, np.zeros((1, n), dtype=int)), "log_likelihood_sum": (each, -np.arange(n, dtype=float)[None]),
-    }  # fmt: skip
+        "mode_id": (each, np.zeros((1, n), dtype=int)),
+        "log_likelihood_sum": (each, -np.arange(n, dtype=float)[None]),
+    }
     for i, x in enumerate(unknown.unknowns):
         if x.kind != "wheel_speed":
-            variables[x.name] = (each, values[:, i][None], {"prior_centre": x.centre, "prior_sigma": x.sigma})
-    coords = {"chain": [0], "draw": np.arange(n), "axis": ["x", "y", "z"], "wheel": [w.name for w in vehicle.wheels]}
+            variables[x.name] = (
+                each,
+                values[:, i][None],
+                {"prior_centre": x.centre, "prior_sigma": x.sigma},
+            )
+    coords = {
+        "chain": [0],
+        "draw": np.arange(n),
+        "axis": ["x", "y", "z"],
+        "wheel": [w.name for w in vehicle.wheels],
+    }
     cov = np.cov(state.omega.T) if n > 1 else 1e-6 * np.eye(3)
-    modes = xr.Dataset({"weight": ("mode", [1.0]), "omega_B": (("mode", "axis"), state.omega.mean(axis=0)[None]),
-                        "omega_cov_B": (("mode", "axis", "axis2"), cov[None])})  # fmt: skip
+    modes = xr.Dataset(
+        {
+            "weight": ("mode", [1.0]),
+            "omega_B": (("mode", "axis"), state.omega.mean(axis=0)[None]),
+            "omega_cov_B": (("mode", "axis", "axis2"), cov[None]),
+        }
+    )
     tree = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords), "modes": modes})
     tree.attrs |= {
-        "vehicle": vehicle.name, "t_first_s": first_s, "t_last_s": last_s, "samples": samples, "synthetic": 1,
-        "priors_given": json.dumps(priors), "wheel_mode": '"coast"', "verdict_word": "unique",
-    } | attrs  # fmt: skip
+        "vehicle": vehicle.name,
+        "t_first_s": first_s,
+        "t_last_s": last_s,
+        "samples": samples,
+        "synthetic": 1,
+        "priors_given": json.dumps(priors),
+        "wheel_mode": '"coast"',
+        "verdict_word": "unique",
+    } | attrs
     return tree
 
 
@@ -50,6 +78,12 @@ def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> tuple[xr.DataTre
     truth, sun = (np.array(FORMER_TRUTH[key]) for key in ("omega_B", "sun_B"))
     u = 0.5 * rng.standard_normal((n, len(unknown.unknowns))) * (spread > 0)
     u[:, unknown.where("scale")] = np.log(0.02)
-    state = State(truth + spread * rng.standard_normal((n, 3)), np.tile(sun / np.linalg.norm(sun), (n, 1)), u)
-    last = float(case.telemetry["time"].values[case.telemetry["phase"].values == "first_rebound"][-1])
-    return tree_of(case.vehicle, state, AS_DRAWN, 25200.0, last, 23, epoch_utc="2014-11-12T08:35:00Z"), state
+    state = State(
+        truth + spread * rng.standard_normal((n, 3)), np.tile(sun / np.linalg.norm(sun), (n, 1)), u
+    )
+    last = float(
+        case.telemetry["time"].values[case.telemetry["phase"].values == "first_rebound"][-1]
+    )
+    return tree_of(
+        case.vehicle, state, AS_DRAWN, 25200.0, last, 23, epoch_utc="2014-11-12T08:35:00Z"
+    ), state

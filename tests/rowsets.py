@@ -13,7 +13,11 @@ import numpy as np
 
 import sunspin
 
-ELSEWHERE = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parent]))}
+ELSEWHERE = os.environ | {
+    "PYTHONPATH": os.pathsep.join(
+        map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parent])
+    )
+}
 """The environment of other processes that are to find this module and the package under test."""
 
 
@@ -33,7 +37,11 @@ class Waves:
     bad_row: int = -1
     log: str | None = None
 
-    outputs: ClassVar = {"height": ("float64", ()), "kind": ("int8", ()), "path": ("float32", (2, 3))}
+    outputs: ClassVar = {
+        "height": ("float64", ()),
+        "kind": ("int8", ()),
+        "path": ("float32", (2, 3)),
+    }
 
     def identity(self):
         return {"pitch": self.pitch}

@@ -104,11 +104,20 @@ zero = {{ value = [0.1, -0.2, 0.05], sigma = 0.02 }}
 noise_rad_s = 3e-4
 """
 
-FACES = {"px": [1, 0, 0], "mx": [-1, 0, 0], "py": [0, 1, 0], "my": [0, -1, 0], "pz": [0, 0, 1], "mz": [0, 0, -1]}
+FACES = {
+    "px": [1, 0, 0],
+    "mx": [-1, 0, 0],
+    "py": [0, 1, 0],
+    "my": [0, -1, 0],
+    "pz": [0, 0, 1],
+    "mz": [0, 0, -1],
+}
 
 
 def _text(form: str, names: str, gain: str, **more: str) -> str:
-    panels = "\n".join(f'[[panel]]\nname = "{name}"\nnormal_B = {FACES[name]}\n{gain}' for name in names.split())
+    panels = "\n".join(
+        f'[[panel]]\nname = "{name}"\nnormal_B = {FACES[name]}\n{gain}' for name in names.split()
+    )
     columns = "\n".join(f'{name} = "I_{name}"' for name in names.split())
     return form.format(panels=panels, columns=columns, **more)
 
@@ -133,12 +142,23 @@ def six_faces(folder: Path, rng: np.random.Generator, n: int = 90) -> Satellite:
     t -= t[0]
     run = ss.propagate(craft, 0.03 * rng.normal(size=3), _sun(rng), None, t)
     power = ss.panel_power(craft, run["sun_B"].values)
-    power += 0.03 * rng.normal(size=power.shape) + 7.0 * 0.05 * rng.uniform(size=power.shape) * (power == 0)
+    power += 0.03 * rng.normal(size=power.shape) + 7.0 * 0.05 * rng.uniform(size=power.shape) * (
+        power == 0
+    )
     power[n // 2 : n // 2 + n // 6] = np.abs(0.01 * rng.normal(size=(n // 6, 6)))  # eclipse
     q = run["B_from_N"].values * [-1, -1, -1, 1]
-    stamps = [str(np.datetime64("2026-02-03T04:05:06.000") + np.timedelta64(round(1000 * s), "ms")).replace("T", " ") for s in t]
-    columns = {"timestamp": stamps} | {f"I_{name}": power[:, k].round(3) for k, name in enumerate(FACES)}
-    columns |= {name: q[:, k].round(5) for name, k in (("q_s", 3), ("q_x", 0), ("q_y", 1), ("q_z", 2))}
+    stamps = [
+        str(
+            np.datetime64("2026-02-03T04:05:06.000") + np.timedelta64(round(1000 * s), "ms")
+        ).replace("T", " ")
+        for s in t
+    ]
+    columns = {"timestamp": stamps} | {
+        f"I_{name}": power[:, k].round(3) for k, name in enumerate(FACES)
+    }
+    columns |= {
+        name: q[:, k].round(5) for name, k in (("q_s", 3), ("q_x", 0), ("q_y", 1), ("q_z", 2))
+    }
     return Satellite(vehicle, _csv(folder / "six.csv", columns), run)
 
 
@@ -161,19 +181,28 @@ def four_faces(folder: Path, rng: np.random.Generator, n: int = 60) -> Satellite
     counts[7, 1] = 2047
     columns = {"t_ms": (1_760_000_000_000 + np.round(1000 * t)).astype(np.int64)}
     columns |= {f"I_{name}": counts[:, k] for k, name in enumerate("px mx py my".split())}
-    columns |= {"T_px": [f"{10 * w:.1f}".replace(".", ",") for w in warm[:, 0]], "T_mx": (10 * warm[:, 1]).round().astype(int)}
+    columns |= {
+        "T_px": [f"{10 * w:.1f}".replace(".", ",") for w in warm[:, 0]],
+        "T_mx": (10 * warm[:, 1]).round().astype(int),
+    }
     return Satellite(vehicle, _csv(folder / "four.csv", columns, ";"), run)
 
 
-def wheeled(folder: Path, rng: np.random.Generator, n: int = 60, form: str = "parquet", speed: bool = True) -> Satellite:
+def wheeled(
+    folder: Path, rng: np.random.Generator, n: int = 60, form: str = "parquet", speed: bool = True
+) -> Satellite:
     vehicle = folder / "wheel.toml"
     column = 'speed_column = "mw_rpm"\nspeed_scale_rad_s = 0.104719755'
-    vehicle.write_text(_text(WHEEL, "px mx py my pz mz", "gain_A = 0.8", speed=column if speed else ""))
+    vehicle.write_text(
+        _text(WHEEL, "px mx py my pz mz", "gain_A = 0.8", speed=column if speed else "")
+    )
     craft = parse_vehicle(vehicle.read_text(), "wheel")
     t = np.arange(n) * 8.0
     run = ss.propagate(craft, 0.015 * rng.normal(size=3), _sun(rng), 60.0, t)
     current = ss.panel_power(craft, run["sun_B"].values)
-    current += 0.004 * rng.normal(size=current.shape) + 0.8 * 0.05 * rng.uniform(size=current.shape) * (current == 0)
+    current += 0.004 * rng.normal(size=current.shape) + 0.8 * 0.05 * rng.uniform(
+        size=current.shape
+    ) * (current == 0)
     gyro = np.degrees(run["omega_B"].values + 3e-4 * rng.normal(size=(n, 3))) + [0.11, -0.19, 0.04]
     columns = {"met": t} | {f"I_{name}": 1000 * current[:, k] for k, name in enumerate(FACES)}
     columns |= {name: gyro[:, k] for k, name in enumerate(("gx", "gy", "gz"))}
@@ -186,7 +215,9 @@ def wheeled(folder: Path, rng: np.random.Generator, n: int = 60, form: str = "pa
         pq.write_table(pa.table(columns), path)
     elif form == "netcdf":
         path = folder / "wheel.nc"
-        data = xr.Dataset({name: ("time", value) for name, value in columns.items()}, attrs={"title": "synthetic"})
+        data = xr.Dataset(
+            {name: ("time", value) for name, value in columns.items()}, attrs={"title": "synthetic"}
+        )
         data.to_netcdf(path, engine="h5netcdf")
     else:
         path = _csv(folder / "wheel.csv", columns)

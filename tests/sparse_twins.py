@@ -29,7 +29,9 @@ def judge(seed: int, i: int) -> dict[str, Any]:
         about[name] = []
         for begin in about["begin_s"]:
             try:
-                about[name].append(judged(ss.rates(vehicle, one_pass(data, begin).drop_vars(dropped)), truth, 0))
+                about[name].append(
+                    judged(ss.rates(vehicle, one_pass(data, begin).drop_vars(dropped)), truth, 0)
+                )
             except SunspinError as error:
                 about[name].append({"refused": str(error)})
     return about

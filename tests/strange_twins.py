@@ -30,6 +30,7 @@ from validation.calibrate import NEAR_SIGMAS
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 
+
 class Twin(NamedTuple):
     """The vehicle as it is told, its telemetry, the true rate at the first sample (3) rad/s, the priors told, what was drawn."""
 
@@ -61,7 +62,10 @@ def panels(rng: np.random.Generator) -> list[Panel]:
     if kind == "anywhere":
         normals = np.array([unit(rng) for _ in range(rng.integers(4, 9))])
     gains = rng.uniform(0.7, 1.0, len(normals))
-    return [Panel(f"p{i}", normal, float(gain)) for i, (normal, gain) in enumerate(zip(normals, gains, strict=True))]
+    return [
+        Panel(f"p{i}", normal, float(gain))
+        for i, (normal, gain) in enumerate(zip(normals, gains, strict=True))
+    ]
 
 
 def wheels(rng: np.random.Generator, inertia: np.ndarray, rate: float) -> list[Wheel]:
@@ -73,7 +77,15 @@ def wheels(rng: np.random.Generator, inertia: np.ndarray, rate: float) -> list[W
         own = momentum / abs(speed)
         lost = momentum / rng.uniform(700, 10_000)
         part = rng.uniform(0, 1)
-        out.append(Wheel(f"w{i}", unit(rng), own, speed, Friction(lost * part, lost * (1 - part) / abs(speed))))
+        out.append(
+            Wheel(
+                f"w{i}",
+                unit(rng),
+                own,
+                speed,
+                Friction(lost * part, lost * (1 - part) / abs(speed)),
+            )
+        )
     return out
 
 
@@ -84,7 +96,9 @@ def true_body(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     moved = []
     for wheel in vehicle.wheels:
         dry, viscous = np.exp(ASSUMED["friction"] * rng.standard_normal(2))
-        friction = Friction(wheel.friction.coulomb_N_m * dry, wheel.friction.viscous_N_m_s * viscous)
+        friction = Friction(
+            wheel.friction.coulomb_N_m * dry, wheel.friction.viscous_N_m_s * viscous
+        )
         speed = wheel.speed_rad_s * (1 + ASSUMED["wheel_speed"] * rng.standard_normal())
         moved.append(replace(wheel, speed_rad_s=speed, friction=friction))
     return replace(vehicle, inertia_kg_m2=tensor, wheels=moved)
@@ -97,22 +111,51 @@ def make(seed: int, i: int, turns: float = 0.24) -> Twin:
     noise = 10 ** rng.uniform(-2.3, -1.3)
     stated = noise if rng.random() < 0.7 else None
     form = TelemetryForm(quantity="current_A", noise=stated)
-    vehicle = Vehicle("strange", inertia_kg_m2=inertia, panels=panels(rng), wheels=wheels(rng, inertia, rate), telemetry=form)
+    vehicle = Vehicle(
+        "strange",
+        inertia_kg_m2=inertia,
+        panels=panels(rng),
+        wheels=wheels(rng, inertia, rate),
+        telemetry=form,
+    )
     interval = min(rng.uniform(0.2, 2 * np.pi * turns) / rate, 120.0)
     n = int(rng.integers(10, 41))
-    t = interval * np.arange(n) + np.concatenate([[0.0], rng.uniform(-0.25, 0.25, n - 1) * interval * (rng.random() < 0.7)])
+    t = interval * np.arange(n) + np.concatenate(
+        [[0.0], rng.uniform(-0.25, 0.25, n - 1) * interval * (rng.random() < 0.7)]
+    )
     omega, dark = rate * unit(rng), str(rng.choice(["zero", "clipped", "below zero"]))
-    truth = {"omega_B": omega, "sun_B": unit(rng), "t_s": t, "scale": float(10 ** rng.uniform(-1, 1)), "noise": 0.0}
+    truth = {
+        "omega_B": omega,
+        "sun_B": unit(rng),
+        "t_s": t,
+        "scale": float(10 ** rng.uniform(-1, 1)),
+        "noise": 0.0,
+    }
     telemetry = ss.twin(true_body(vehicle, rng), truth, seed=i)
     value = telemetry["current_A"].values
     noisy = value + noise * truth["scale"] * rng.standard_normal(value.shape)
-    floor = {"zero": np.where(value > 0, noisy, 0.0), "clipped": np.maximum(noisy, 0.0), "below zero": noisy}
+    floor = {
+        "zero": np.where(value > 0, noisy, 0.0),
+        "clipped": np.maximum(noisy, 0.0),
+        "below zero": noisy,
+    }
     telemetry["current_A"].values[:] = floor[dark]
     if stated is not None:
         vehicle = replace(vehicle, telemetry=replace(form, noise=noise * truth["scale"]))
-    told = {"max_rate_rad_s": float(rng.uniform(1.1, 2.0) * rate), "steady_torque": 0.0}  # none acts
-    about = {"rate": rate, "turns_between": rate * interval / 2 / np.pi, "samples": n, "panels": len(vehicle.panels),
-             "wheels": len(vehicle.wheels), "noise": noise, "stated": stated is not None, "dark": dark}  # fmt: skip
+    told = {
+        "max_rate_rad_s": float(rng.uniform(1.1, 2.0) * rate),
+        "steady_torque": 0.0,
+    }  # none acts
+    about = {
+        "rate": rate,
+        "turns_between": rate * interval / 2 / np.pi,
+        "samples": n,
+        "panels": len(vehicle.panels),
+        "wheels": len(vehicle.wheels),
+        "noise": noise,
+        "stated": stated is not None,
+        "dark": dark,
+    }
     return Twin(vehicle, telemetry, omega, told, about)
 
 
@@ -129,12 +172,20 @@ def judge(twin: Twin, workers: int | None) -> dict[str, Any]:
     far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
     nearest = int(np.argmin(far))
     return twin.about | {
-        "word": tree.attrs["verdict_word"], "verdict": tree.attrs["verdict"], "sigmas": far[nearest], "modes": len(far),
-        "weight": float(modes["weight"].values[nearest]), "level": float(chi2.cdf(far[nearest] ** 2, 3)),
-        "error": float(np.linalg.norm(off[nearest])), "sigma": float(np.sqrt(np.trace(spread[nearest]))),
-        "p": tree.attrs["p_value"], "noise_sigmas": tree.attrs["noise_sigmas"], "pareto_k": tree.attrs["pareto_k"],
-        "effective": tree.attrs["effective_draws"], "processor_s": time.process_time() - began,
-    }  # fmt: skip
+        "word": tree.attrs["verdict_word"],
+        "verdict": tree.attrs["verdict"],
+        "sigmas": far[nearest],
+        "modes": len(far),
+        "weight": float(modes["weight"].values[nearest]),
+        "level": float(chi2.cdf(far[nearest] ** 2, 3)),
+        "error": float(np.linalg.norm(off[nearest])),
+        "sigma": float(np.sqrt(np.trace(spread[nearest]))),
+        "p": tree.attrs["p_value"],
+        "noise_sigmas": tree.attrs["noise_sigmas"],
+        "pareto_k": tree.attrs["pareto_k"],
+        "effective": tree.attrs["effective_draws"],
+        "processor_s": time.process_time() - began,
+    }
 
 
 def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -143,11 +194,15 @@ def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
     found = [row for row in judged if row["sigmas"] < NEAR_SIGMAS]
     confident = [row for row in judged if row["word"] in ("unique", "aliases", "line")]
     return {
-        "twins": len(rows), "words": dict(Counter(row["word"] for row in rows)), "found": len(found),
-        "in_50": sum(row["level"] < 0.5 for row in judged), "in_90": sum(row["level"] < 0.9 for row in judged),
-        "confident": len(confident), "confident_misses": sum(row["sigmas"] >= NEAR_SIGMAS for row in confident),
+        "twins": len(rows),
+        "words": dict(Counter(row["word"] for row in rows)),
+        "found": len(found),
+        "in_50": sum(row["level"] < 0.5 for row in judged),
+        "in_90": sum(row["level"] < 0.9 for row in judged),
+        "confident": len(confident),
+        "confident_misses": sum(row["sigmas"] >= NEAR_SIGMAS for row in confident),
         "processor_s": float(np.median([row["processor_s"] for row in judged])) if judged else None,
-    }  # fmt: skip
+    }
 
 
 @command
@@ -158,7 +213,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--twins", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--turns", type=float, default=0.24, help="at most so many between two samples")
+    parser.add_argument(
+        "--turns", type=float, default=0.24, help="at most so many between two samples"
+    )
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
     folder = rows_folder(given.out / f"strange-{given.seed}-{given.turns:g}")
@@ -169,7 +226,15 @@ def main(arguments: list[str] | None = None) -> None:
     rows = []
     for i in range(given.first, given.first + given.twins):
         rows.append(kept(folder / f"{i:04d}.json", partial(row, i)))
-        print(i, {k: (round(v, 3) if isinstance(v, float) else v) for k, v in rows[-1].items() if k != "verdict"}, flush=True)
+        print(
+            i,
+            {
+                k: (round(v, 3) if isinstance(v, float) else v)
+                for k, v in rows[-1].items()
+                if k != "verdict"
+            },
+            flush=True,
+        )
     print(json.dumps(tally(rows), indent=1))
 
 

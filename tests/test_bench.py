@@ -32,7 +32,11 @@ def test_the_cheap_ones_run_and_are_written_down(tmp_path, capsys):
     path = main(["--quick", "--only", "sun,emd", "--json", str(tmp_path / "new" / "result.json")])
     result = json.loads(path.read_text("utf-8"))
     assert set(result) == {"machine", "quick", "seconds", "tables"}
-    assert result["quick"] is True and result["machine"]["cores"] >= 1 and result["machine"]["libraries"]["numba"]
+    assert (
+        result["quick"] is True
+        and result["machine"]["cores"] >= 1
+        and result["machine"]["libraries"]["numba"]
+    )
     assert list(result["tables"]) == ["emd", "sun"]
     for table in result["tables"].values():
         assert table["rows"] and all(list(row) == table["columns"] for row in table["rows"])
@@ -57,7 +61,11 @@ def test_every_benchmark_is_there():
 @pytest.mark.parametrize(
     ("make", "rows", "error"),
     [
-        (lambda problem: TaylorBatch(problem, 1e-9, 2), 3, 1e-4),  # two batches, the second not full
+        (
+            lambda problem: TaylorBatch(problem, 1e-9, 2),
+            3,
+            1e-4,
+        ),  # two batches, the second not full
         (lambda problem: TaylorScalar(problem, 1e-9), 3, 1e-4),
         (lambda problem: DormandPrince(problem, 1e-6), 1, 1e-2),
     ],
@@ -67,7 +75,9 @@ def test_contestants_agree_with_the_reference(make, rows, error, reference):
     end = make(PHILAE)(PHILAE.starts(RATES)[:rows])
     stops = [run["event_time_s"].values for run in reference[:rows]]
     np.testing.assert_allclose(end.stop_s, np.concatenate(stops), atol=error)
-    np.testing.assert_allclose(end.sun_B, [run["sun_B"].values[-1] for run in reference[:rows]], atol=error)
+    np.testing.assert_allclose(
+        end.sun_B, [run["sun_B"].values[-1] for run in reference[:rows]], atol=error
+    )
 
 
 def test_the_wheel_stops_inside_the_window_and_its_stop_matters(reference):
@@ -122,8 +132,16 @@ def test_a_table_is_aligned_and_keeps_its_notes():
     table = Table("name", "title", ("what", "s"), notes=["note"])
     table.add("long word", 12345.6)
     table.add("x", None)
-    assert table.text().splitlines() == ["name: title", "", "what            s", "---------  ------", "long word  12,346",
-                                         "x               -", "", "note"]  # fmt: skip
+    assert table.text().splitlines() == [
+        "name: title",
+        "",
+        "what            s",
+        "---------  ------",
+        "long word  12,346",
+        "x               -",
+        "",
+        "note",
+    ]
     assert table.row("x") == {"what": "x", "s": None}
 
 

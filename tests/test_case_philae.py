@@ -19,7 +19,11 @@ def test_mass_and_inertia_are_those_of_table_2():
     np.testing.assert_array_equal(vehicle.inertia_kg_m2, inertia)
     assert vehicle.mass_kg == 97.63
     (wheel,) = vehicle.wheels
-    assert (wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.axis_B.tolist()) == (0.0058, 865.0, [0.0, 0.0, 1.0])
+    assert (wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.axis_B.tolist()) == (
+        0.0058,
+        865.0,
+        [0.0, 0.0, 1.0],
+    )
 
 
 def test_panels_are_those_of_section_2_1():
@@ -37,7 +41,9 @@ def test_legs_are_those_of_table_3():
 
 
 def test_friction_is_the_fit_and_the_printed_pair_an_option():
-    assert vehicle.wheels[0].friction.coulomb_N_m == pytest.approx(4.643e-4 * 388.9 * 0.0058, rel=1e-12)
+    assert vehicle.wheels[0].friction.coulomb_N_m == pytest.approx(
+        4.643e-4 * 388.9 * 0.0058, rel=1e-12
+    )
     assert vehicle.wheels[0].friction.viscous_N_m_s == pytest.approx(4.643e-4 * 0.0058, rel=1e-12)
     printed = vehicle.with_friction("printed").wheels[0].friction
     assert (printed.coulomb_N_m, printed.viscous_N_m_s) == (1.0e-3, 2.6811e-6)
@@ -63,12 +69,20 @@ def test_times_of_table_1():
 def test_phases_follow_each_other_without_gap():
     phases = case.timeline.phases
     assert [phase.name for phase in phases] == [
-        "deployment", "descent", "first_rebound", "second_rebound", "settling", "rest",
-    ]  # fmt: skip
+        "deployment",
+        "descent",
+        "first_rebound",
+        "second_rebound",
+        "settling",
+        "rest",
+    ]
     assert all(a.end_s == b.begin_s for a, b in zip(phases, phases[1:], strict=False))
     assert phases[-1].end_s == np.inf
     at = case.timeline.event("collision").t_s
-    assert case.timeline.phase_at(at) == "second_rebound" and case.timeline.phase_at(at - 0.001) == "first_rebound"
+    assert (
+        case.timeline.phase_at(at) == "second_rebound"
+        and case.timeline.phase_at(at - 0.001) == "first_rebound"
+    )
     assert case.timeline.phase_at(-1.0) is None
 
 
@@ -83,14 +97,20 @@ def test_published_lines_have_unit_directions_and_the_first_sun_is_a_unit_vector
         assert np.linalg.norm(along) == pytest.approx(1.0, abs=1e-4)
     assert np.linalg.norm(case.published["first_sun"].value) == pytest.approx(1.0, abs=1e-4)
     # the paper's second quotation of the same direction is not one
-    assert np.linalg.norm(case.published["first_sun_E_study"].value) == pytest.approx(0.9646, abs=1e-4)
+    assert np.linalg.norm(case.published["first_sun_E_study"].value) == pytest.approx(
+        0.9646, abs=1e-4
+    )
 
 
-@pytest.mark.evidence("load_case", "validated", "the paper's figures, where the case states them too")
+@pytest.mark.evidence(
+    "load_case", "validated", "the paper's figures, where the case states them too"
+)
 def test_published_figures_agree_with_the_case_where_both_state_them():
     published = case.published
     assert published["wheel_speed"].value == vehicle.wheels[0].speed_rad_s
-    assert published["scan_duration"].value * 60 == case.timeline.seconds("first_sample_after_touchdown", "collision")
+    assert published["scan_duration"].value * 60 == case.timeline.seconds(
+        "first_sample_after_touchdown", "collision"
+    )
     printed = vehicle.wheels[0].alternative_frictions["printed"]
     assert published["friction_coulomb"].value == printed.coulomb_N_m
     assert published["friction_viscous"].value == printed.viscous_N_m_s
@@ -123,9 +143,18 @@ def test_names_that_a_timeline_does_not_have():
     [
         ("epoch_utc = ", "not valid TOML"),
         ("[[event]]\nname = 'a'", "'epoch_utc' is missing"),
-        ("epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nutc = 'noon'\nsource = 's'", "ISO-8601.*noon"),
-        ("epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nutc = '2014-11-12'\nsource = ' '", "empty source"),
-        ("epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nwhen = 1\nsource = 's'", "unknown key 'when'"),
+        (
+            "epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nutc = 'noon'\nsource = 's'",
+            "ISO-8601.*noon",
+        ),
+        (
+            "epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nutc = '2014-11-12'\nsource = ' '",
+            "empty source",
+        ),
+        (
+            "epoch_utc = '2014-11-12T00:00:00'\n[[event]]\nname = 'a'\nwhen = 1\nsource = 's'",
+            "unknown key 'when'",
+        ),
     ],
 )
 def test_mistakes_in_a_timeline_are_named(text, message):

@@ -21,7 +21,13 @@ from sunspin.philae import study
 from sunspin.philae.starts import starts
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
 from sunspin.vehicle.changes import Change, changed, changes_of, settings
-from sunspin.vehicle.file import ChangedFile, VehicleFile, parse_vehicle, vehicle_table, vehicle_text
+from sunspin.vehicle.file import (
+    ChangedFile,
+    VehicleFile,
+    parse_vehicle,
+    vehicle_table,
+    vehicle_text,
+)
 
 OWN = ss.load_vehicle("philae")
 
@@ -31,16 +37,34 @@ def with_changes(*changes):
 
 
 def test_numbers_factors_and_steps_by_key():
-    craft = with_changes("wheel.speed_rad_s=833", "body.inertia_kg_m2[2][2]*=0.9", "leg[2].tip_B_m[0]+=0.1", "panel[6].gain*=1.1")
-    assert craft.wheels[0].speed_rad_s == 833 and craft.inertia_kg_m2[2, 2] == pytest.approx(0.9 * 16.523)
-    assert craft.legs[1].tip_B_m[0] == pytest.approx(-0.6784) and craft.panels[5].gain == pytest.approx(253)
+    craft = with_changes(
+        "wheel.speed_rad_s=833",
+        "body.inertia_kg_m2[2][2]*=0.9",
+        "leg[2].tip_B_m[0]+=0.1",
+        "panel[6].gain*=1.1",
+    )
+    assert craft.wheels[0].speed_rad_s == 833 and craft.inertia_kg_m2[2, 2] == pytest.approx(
+        0.9 * 16.523
+    )
+    assert craft.legs[1].tip_B_m[0] == pytest.approx(-0.6784) and craft.panels[
+        5
+    ].gain == pytest.approx(253)
     assert [one.key for one in craft.changes] == [
-        "wheel.speed_rad_s", "body.inertia_kg_m2[2][2]", "leg[2].tip_B_m[0]", "panel[6].gain"
-    ]  # fmt: skip
-    assert str(craft.changes[0]).startswith("wheel.speed_rad_s = 833 rad/s (was 865 rad/s; paper, section 2.2")
+        "wheel.speed_rad_s",
+        "body.inertia_kg_m2[2][2]",
+        "leg[2].tip_B_m[0]",
+        "panel[6].gain",
+    ]
+    assert str(craft.changes[0]).startswith(
+        "wheel.speed_rad_s = 833 rad/s (was 865 rad/s; paper, section 2.2"
+    )
     assert craft.facts["wheel.wheel.speed_rad_s"].source.startswith("set for this run; was 865")
-    same = ss.load_vehicle("philae", {"wheel.speed_rad_s": 833, "body.inertia_kg_m2[2][2]": "*=0.9"})
-    assert same.wheels[0].speed_rad_s == 833 and same.inertia_kg_m2[2, 2] == craft.inertia_kg_m2[2, 2]
+    same = ss.load_vehicle(
+        "philae", {"wheel.speed_rad_s": 833, "body.inertia_kg_m2[2][2]": "*=0.9"}
+    )
+    assert (
+        same.wheels[0].speed_rad_s == 833 and same.inertia_kg_m2[2, 2] == craft.inertia_kg_m2[2, 2]
+    )
 
 
 def test_an_element_beside_the_diagonal_sets_its_mirror_and_a_law_of_friction_goes_by_its_name():
@@ -49,7 +73,10 @@ def test_an_element_beside_the_diagonal_sets_its_mirror_and_a_law_of_friction_go
     assert printed == OWN.with_friction("printed").wheels[0].friction
     own = OWN.wheels[0].friction
     stiffer = with_changes("wheel.friction.coulomb_N_m*=1.1").wheels[0].friction
-    assert stiffer.coulomb_N_m == pytest.approx(1.1 * own.coulomb_N_m) and stiffer.viscous_N_m_s == own.viscous_N_m_s
+    assert (
+        stiffer.coulomb_N_m == pytest.approx(1.1 * own.coulomb_N_m)
+        and stiffer.viscous_N_m_s == own.viscous_N_m_s
+    )
     assert with_changes("panel_response.grazing.loss=0.3").panel_response.law.loss == 0.3
     assert with_changes("sun_rule=[]").sun_rules == ()
 
@@ -82,7 +109,10 @@ def test_what_changes_nothing_is_no_change():
         ("wheel.speed_rad_s*=inf", "finite number"),
         ("wheel.speed_rad_s=1\nbody.mass_kg=2", "a number is expected"),
         ("wheel.speed_rad_s-=5", "did you mean wheel.speed_rad_s?"),
-        ("wheel.friction*=2", "set one of wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s"),
+        (
+            "wheel.friction*=2",
+            "set one of wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s",
+        ),
         ("wheel.name=x", "nothing can be set by this name"),
         ("name*=2", "nothing can be set by this name"),
         ("body.inertia_kg_m2[][0]=1", "known: 0 to 2"),
@@ -93,7 +123,7 @@ def test_what_changes_nothing_is_no_change():
         ("collision.damper=2", "must be a share between 0 and 1"),
         ("study.mask=none", "'reconstructible' or 'everywhere'"),
     ],
-)  # fmt: skip
+)
 def test_anything_else_is_refused_with_the_nearest_name_or_the_files_own_sentence(change, words):
     with pytest.raises(SunspinError) as refused:
         ss.load_case("philae", [change])
@@ -108,16 +138,27 @@ def test_all_that_is_listed_can_be_set(name):
         if one.value == "as below":
             continue
         if one.value is not None:
-            assert changed(table, [Change(one.key, "=", one.value)], VehicleFile) == (table, ()), one.key
+            assert changed(table, [Change(one.key, "=", one.value)], VehicleFile) == (table, ()), (
+                one.key
+            )
         else:
-            assert changed(table, [Change(one.key, "=", "x")], VehicleFile)[1][0].was is None, one.key
+            assert changed(table, [Change(one.key, "=", "x")], VehicleFile)[1][0].was is None, (
+                one.key
+            )
     listed = {one.key: one for one in settings(assumptions_table(), AssumptionsFile)}
     assert all(one.source for one in listed.values()) and listed["study.lead_s"].unit == "s"
 
 
 def test_the_changed_file_is_a_vehicle_file():
-    asked = changes_of(["wheel.friction=printed", "wheel.speed_rad_s=833", "panel_response.wall.panel=\"6\"",
-                        "panel_response.wall.toward_B=[1, 0, 0]", "panel_response.wall.above=0.5"])  # fmt: skip
+    asked = changes_of(
+        [
+            "wheel.friction=printed",
+            "wheel.speed_rad_s=833",
+            'panel_response.wall.panel="6"',
+            "panel_response.wall.toward_B=[1, 0, 0]",
+            "panel_response.wall.above=0.5",
+        ]
+    )
     for name in ("philae", "skcube"):
         mine = asked if name == "philae" else ()
         written = parse_vehicle(vehicle_text(ChangedFile(name, mine)), "here")
@@ -126,12 +167,20 @@ def test_the_changed_file_is_a_vehicle_file():
 
 
 def test_assumptions_follow_into_the_study():
-    case = ss.load_case("philae", ["study.lead_s=30", "study.target_weights=interval", "study.mask=everywhere"])
+    case = ss.load_case(
+        "philae", ["study.lead_s=30", "study.target_weights=interval", "study.mask=everywhere"]
+    )
     usual = ss.load_case("philae")
     sun = ss.sun_directions(usual.vehicle, usual.telemetry)
     mine, theirs = rb.rebound_of(case, sun), rb.rebound_of(usual, sun)
-    assert mine.lead_s == 30 and theirs.lead_s == pytest.approx(56.02) and rb.after_touchdown_s(case) == 30
-    assert theirs.weights is None and mine.weights.sum() == pytest.approx(np.ptp(mine.t_s[mine.told]))
+    assert (
+        mine.lead_s == 30
+        and theirs.lead_s == pytest.approx(56.02)
+        and rb.after_touchdown_s(case) == 30
+    )
+    assert theirs.weights is None and mine.weights.sum() == pytest.approx(
+        np.ptp(mine.t_s[mine.told])
+    )
     assert rb.counted(case) is None and rb.counted(usual) is not None
     assert len(case.changes) == 3 and usual.assumptions == read_assumptions()
 
@@ -141,13 +190,22 @@ def test_what_was_found_for_another_body_is_not_kept():
     case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
     assert not rb.moves_and_sees_alike(case.vehicle, OWN)
     assert rb.moves_and_sees_alike(with_changes("leg[2].tip_B_m[0]+=0.1"), OWN)
-    surer = replace(OWN, facts={key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")})
-    assert rb.moves_and_sees_alike(surer, OWN) and rb.draws_alike(OWN, OWN) and not rb.draws_alike(surer, OWN)
+    surer = replace(
+        OWN, facts={key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")}
+    )
+    assert (
+        rb.moves_and_sees_alike(surer, OWN)
+        and rb.draws_alike(OWN, OWN)
+        and not rb.draws_alike(surer, OWN)
+    )
     with pytest.raises(InputError, match="another body"):
         study._worth(study.Inputs(case, None))
-    assert study._worth(study.Inputs(ss.load_case("philae", ["collision.restitution=0.2"]), None))[1].sizes == study._worth(
-        study.Inputs(ss.load_case("philae"), None)
-    )[1].sizes
+    assert (
+        study._worth(study.Inputs(ss.load_case("philae", ["collision.restitution=0.2"]), None))[
+            1
+        ].sizes
+        == study._worth(study.Inputs(ss.load_case("philae"), None))[1].sizes
+    )
 
 
 def command(*words):
@@ -159,33 +217,108 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
     listed = json.loads(command("simulate", "philae", "--set", "list", "--json").output)
     assert {"wheel.speed_rad_s", "body.inertia_kg_m2"} <= {one["key"] for one in listed}
     speed = next(one for one in listed if one["key"] == "wheel.speed_rad_s")
-    assert speed["value"] == 865 and speed["unit"] == "rad/s" and speed["source"].startswith("paper")
+    assert (
+        speed["value"] == 865 and speed["unit"] == "rad/s" and speed["source"].startswith("paper")
+    )
     assert "study.lead_s" in command("reproduce", "--set", "list").output
-    for name in ("scan", "posterior", "outcomes", "simulate", "coverage"):  # without the arguments that a run needs
+    for name in (
+        "scan",
+        "posterior",
+        "outcomes",
+        "simulate",
+        "coverage",
+    ):  # without the arguments that a run needs
         assert "wheel.speed_rad_s" in command(name, "--set", "list").output, name
-    ran = command("simulate", "philae", "--omega", "0.1,0,0", "--sun", "0,0,1", "--duration", "10", "--out", tmp_path / "run",
-                  "--set", "wheel.speed_rad_s=833")  # fmt: skip
-    assert ran.exit_code == 0 and "Changed for this run: wheel.speed_rad_s = 833 rad/s" in ran.output
+    ran = command(
+        "simulate",
+        "philae",
+        "--omega",
+        "0.1,0,0",
+        "--sun",
+        "0,0,1",
+        "--duration",
+        "10",
+        "--out",
+        tmp_path / "run",
+        "--set",
+        "wheel.speed_rad_s=833",
+    )
+    assert (
+        ran.exit_code == 0 and "Changed for this run: wheel.speed_rad_s = 833 rad/s" in ran.output
+    )
     told = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert told["changes"][0].startswith("wheel.speed_rad_s = 833") and "833" in (tmp_path / "run" / "vehicle.toml").read_text()
+    assert (
+        told["changes"][0].startswith("wheel.speed_rad_s = 833")
+        and "833" in (tmp_path / "run" / "vehicle.toml").read_text()
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--set", "study.mask=everywhere"),
-         "does not use that assumption"),
-        (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--set", "study.leed_s=3"),
-         "did you mean study.lead_s?"),
-        (("outcomes", "philae", "--set", "wheel.speed_rad_s=833"), "keep the lines with --printed-lines"),
+        (
+            (
+                "simulate",
+                "philae",
+                "--omega",
+                "0,0,0",
+                "--sun",
+                "0,0,1",
+                "--duration",
+                "1",
+                "--set",
+                "study.mask=everywhere",
+            ),
+            "does not use that assumption",
+        ),
+        (
+            (
+                "simulate",
+                "philae",
+                "--omega",
+                "0,0,0",
+                "--sun",
+                "0,0,1",
+                "--duration",
+                "1",
+                "--set",
+                "study.leed_s=3",
+            ),
+            "did you mean study.lead_s?",
+        ),
+        (
+            ("outcomes", "philae", "--set", "wheel.speed_rad_s=833"),
+            "keep the lines with --printed-lines",
+        ),
         (("outcomes", "philae", "--printed-lines", "--omega", "0,0,1"), "give one of them"),
         (("coverage", "--set", "study.confidence=0.8"), "give --confidence"),
-        (("outcomes", "philae", "--lead", "5", "--set", "study.lead_s=30"), "--lead and --set study.lead_s say the same thing"),
-        (("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1", "--wheel-speed", "800",
-          "--set", "wheel.speed_rad_s=833"), "--wheel-speed and --set wheel.speed_rad_s say the same thing"),
-        (("coverage", "--friction", "printed", "--set", "wheel.friction=printed"), "--friction and --set wheel.friction say"),
+        (
+            ("outcomes", "philae", "--lead", "5", "--set", "study.lead_s=30"),
+            "--lead and --set study.lead_s say the same thing",
+        ),
+        (
+            (
+                "simulate",
+                "philae",
+                "--omega",
+                "0,0,0",
+                "--sun",
+                "0,0,1",
+                "--duration",
+                "1",
+                "--wheel-speed",
+                "800",
+                "--set",
+                "wheel.speed_rad_s=833",
+            ),
+            "--wheel-speed and --set wheel.speed_rad_s say the same thing",
+        ),
+        (
+            ("coverage", "--friction", "printed", "--set", "wheel.friction=printed"),
+            "--friction and --set wheel.friction say",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_command_refuses_what_it_cannot_use(words, said):
     result = command(*words)
     assert isinstance(result.exception, SunspinError) and said in str(result.exception)
@@ -194,12 +327,26 @@ def test_a_command_refuses_what_it_cannot_use(words, said):
 def test_what_a_command_does_not_use_is_said_and_not_listed():
     """A change without effect is no error, as one set of changes may go through several commands, but it is not silent."""
     words = ("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1")
-    ran = command(*words, "--set", "panel[2].gain*=2", "--set", "body.mass_kg=90", "--set", "body.inertia_kg_m2[0][1]*=2")
+    ran = command(
+        *words,
+        "--set",
+        "panel[2].gain*=2",
+        "--set",
+        "body.mass_kg=90",
+        "--set",
+        "body.inertia_kg_m2[0][1]*=2",
+    )
     said = [line for line in ran.stderr.splitlines() if "changes nothing here" in line]
-    assert ran.exit_code == 0 and [line.split()[1] for line in said] == ["panel[2].gain", "body.mass_kg"]
+    assert ran.exit_code == 0 and [line.split()[1] for line in said] == [
+        "panel[2].gain",
+        "body.mass_kg",
+    ]
     refused = command(*words, "--set", "panel[9].gain=3")
     assert "no [9] here" in str(refused.exception) and "changes nothing" not in refused.stderr
-    listed = {one["key"].partition(".")[0] for one in json.loads(command("simulate", "philae", "--set", "list", "--json").output)}
+    listed = {
+        one["key"].partition(".")[0]
+        for one in json.loads(command("simulate", "philae", "--set", "list", "--json").output)
+    }
     assert listed == {"body", "wheel"}
 
 
@@ -207,20 +354,54 @@ def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
     """--friction wherever a wheel runs; --restitution and --damper where there may be a blow."""
     usual = ("simulate", "philae", "--omega", "0.1,0,0", "--sun", "0,0,1", "--duration", "60")
     said = [command(*usual, *more).output.splitlines() for more in ((), ("--friction", "printed"))]
-    assert said[1][0].startswith("Changed for this run: wheel.friction = printed") and said[0][-1] != said[1][-1]
-    words = ("outcomes", "philae", "--printed-lines", "--runs", "50", "--strategy", "off", "--friction", "printed")
-    ran = [command(*words, *more) for more in ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))]
-    noisier = command("outcomes", "philae", "--runs", "50", "--strategy", "off", "--set", "telemetry.noise*=2")
-    assert "telemetry.noise changes nothing here" in noisier.stderr and "a leg touches first" in noisier.output
-    rates = [[line for line in one.output.splitlines() if "angular speed after" in line] for one in ran]
-    assert rates[0] != rates[1] == rates[2] and rates[0] and "collision.restitution = 0.4 (was 0" in ran[1].output
+    assert (
+        said[1][0].startswith("Changed for this run: wheel.friction = printed")
+        and said[0][-1] != said[1][-1]
+    )
+    words = (
+        "outcomes",
+        "philae",
+        "--printed-lines",
+        "--runs",
+        "50",
+        "--strategy",
+        "off",
+        "--friction",
+        "printed",
+    )
+    ran = [
+        command(*words, *more)
+        for more in ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))
+    ]
+    noisier = command(
+        "outcomes", "philae", "--runs", "50", "--strategy", "off", "--set", "telemetry.noise*=2"
+    )
+    assert (
+        "telemetry.noise changes nothing here" in noisier.stderr
+        and "a leg touches first" in noisier.output
+    )
+    rates = [
+        [line for line in one.output.splitlines() if "angular speed after" in line] for one in ran
+    ]
+    assert (
+        rates[0] != rates[1] == rates[2]
+        and rates[0]
+        and "collision.restitution = 0.4 (was 0" in ran[1].output
+    )
 
 
 def test_a_posterior_without_predictions_does_not_use_the_collision(monkeypatch):
     monkeypatch.setattr("sunspin.estimate.posterior.estimate.posterior", refuse)
-    told = [command("posterior", "philae", *words, "--restitution", "0.2", "--set", "body.mass_kg=90").stderr.splitlines()
-            for words in ((), ("--predict", "17:25"))]  # fmt: skip
-    assert [line.split()[1] for line in told[0] if "nothing here" in line] == ["body.mass_kg", "collision.restitution"]
+    told = [
+        command(
+            "posterior", "philae", *words, "--restitution", "0.2", "--set", "body.mass_kg=90"
+        ).stderr.splitlines()
+        for words in ((), ("--predict", "17:25"))
+    ]
+    assert [line.split()[1] for line in told[0] if "nothing here" in line] == [
+        "body.mass_kg",
+        "collision.restitution",
+    ]
     assert not any("nothing here" in line for line in told[1])
 
 
@@ -237,9 +418,14 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
     axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
     volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
     changed = with_changes("wheel.speed_rad_s=833").said["changes"]
-    scan = volume.to_dataset().assign_attrs(vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere")
+    scan = volume.to_dataset().assign_attrs(
+        vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere"
+    )
     write_netcdf(tmp_path / "scan.nc", scan)
-    for sets, words in ((("wheel.speed_rad_s=833",), ""), ((), "of another body than this run's: philae, wheel.speed_rad_s = 833")):
+    for sets, words in (
+        (("wheel.speed_rad_s=833",), ""),
+        ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
+    ):
         points, whose = starts(opened("philae", sets).craft, [], tmp_path / "scan.nc", 1.1, False)
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
@@ -247,8 +433,12 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
 def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
     assert scenario_of("philae", craft, {}).wheel_speed_rad_s == (833.0,)
-    assert own_scenario(craft).wheel_speed_rad_s == (833.0,) and own_scenario(OWN).wheel_speed_rad_s == (865.0,)
-    case = ss.load_case("philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"])
+    assert own_scenario(craft).wheel_speed_rad_s == (833.0,) and own_scenario(
+        OWN
+    ).wheel_speed_rad_s == (865.0,)
+    case = ss.load_case(
+        "philae", ["collision.restitution=0.2", "collision.damper=0.5", "study.lead_s=30"]
+    )
     found = case_scenario(case)
     assert (found.restitution, found.damper, found.lead_s) == (0.2, 0.5, 30.0)
     assert paper_scenario(case).restitution == 0.2
@@ -262,11 +452,19 @@ def test_a_blow_never_gains_energy(restitution, damper):
 
     def energy(omega, velocity, speed):
         wheel, axis = OWN.wheels[0], OWN.wheels[0].axis_B
-        turning = np.einsum("ni,ij,nj->n", omega, OWN.inertia_kg_m2, omega) / 2 + wheel.inertia_kg_m2 * speed * (omega @ axis)
-        return turning + wheel.inertia_kg_m2 * speed**2 / 2 + OWN.mass_kg * (velocity**2).sum(axis=1) / 2
+        turning = np.einsum(
+            "ni,ij,nj->n", omega, OWN.inertia_kg_m2, omega
+        ) / 2 + wheel.inertia_kg_m2 * speed * (omega @ axis)
+        return (
+            turning
+            + wheel.inertia_kg_m2 * speed**2 / 2
+            + OWN.mass_kg * (velocity**2).sum(axis=1) / 2
+        )
 
     after = hit["omega_B"].values, hit["velocity_B"].values
-    lost = energy(omega, velocity, np.full(50, 300.0)) - energy(*after, hit["wheel_speed_rad_s"].values[:, 0])
+    lost = energy(omega, velocity, np.full(50, 300.0)) - energy(
+        *after, hit["wheel_speed_rad_s"].values[:, 0]
+    )
     assert np.all(lost > -1e-10)
     before, behind = velocity + np.cross(omega, leg), after[1] + np.cross(after[0], leg)
     if damper == 0:

@@ -20,7 +20,14 @@ from sunspin.vehicle.response.joined import Joined
 from sunspin.vehicle.response.protocol import unit_readings
 from sunspin.vehicle.response.tabled import Tabled
 
-FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0], "+Z": [0, 0, 1], "-Z": [0, 0, -1]}
+FACES = {
+    "+X": [1, 0, 0],
+    "-X": [-1, 0, 0],
+    "+Y": [0, 1, 0],
+    "-Y": [0, -1, 0],
+    "+Z": [0, 0, 1],
+    "-Z": [0, 0, -1],
+}
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
 ONE = {"X": THREE["X"]}
 MOVES = """
@@ -35,11 +42,14 @@ NOISE = 0.005
 
 
 def text(channels, reads="sum", more="", telemetry="", channel=""):
-    panels = "".join(f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_A = 0.5\n' for name, normal in FACES.items())
+    panels = "".join(
+        f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_A = 0.5\n'
+        for name, normal in FACES.items()
+    )
     shared = "".join(
         f'[[channel]]\nname = "{name}"\npanels = [{", ".join(repr(each) for each in names)}]\nreads = "{reads}"\n{channel}\n'
         for name, names in channels.items()
-    )  # fmt: skip
+    )
     return f'name = "c"\n{panels}{shared}[telemetry]\nquantity = "current_A"\nnoise = {NOISE}\n{telemetry}\n{more}'
 
 
@@ -59,8 +69,12 @@ def test_readings_are_those_of_inputs():
     """In the order of the panels, a channel where its first panel stands."""
     vehicle = craft({"Y": THREE["Y"], "odd": ("+X", "+Z")})
     assert vehicle.input_names == ("odd", "-X", "Y", "-Z") and len(vehicle.panels) == 6
-    np.testing.assert_allclose(ss.panel_power(vehicle, [0.6, 0.0, 0.8]), [0.5 * 1.4, 0, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(ss.panel_power(vehicle, [-0.6, -0.8, 0.0]), [0, 0.3, 0.4, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        ss.panel_power(vehicle, [0.6, 0.0, 0.8]), [0.5 * 1.4, 0, 0, 0], atol=1e-15
+    )
+    np.testing.assert_allclose(
+        ss.panel_power(vehicle, [-0.6, -0.8, 0.0]), [0, 0.3, 0.4, 0], atol=1e-15
+    )
     np.testing.assert_allclose(vehicle.input_gains, [0.5 * np.sqrt(2), 0.5, 0.5, 0.5], rtol=1e-12)
     largest = craft({"odd": ("+X", "+Z")}, reads="largest")
     np.testing.assert_allclose(ss.panel_power(largest, [0.6, 0.0, 0.8])[0], 0.4, atol=1e-15)
@@ -77,23 +91,35 @@ def test_readings_are_those_of_inputs():
         (text({"X": ()}), "channel 'X' names no panel"),
         (text(ONE, reads="mean"), "should be 'sum' or 'largest'"),
         (text({"+Y": THREE["X"]}), "channel '+Y' is called like a panel that is not in it"),
-        (text(ONE, more='[telemetry.columns]\n"+X" = "px"'), "telemetry.columns names a panel that is read through a channel"),
+        (
+            text(ONE, more='[telemetry.columns]\n"+X" = "px"'),
+            "telemetry.columns names a panel that is read through a channel",
+        ),
         (text(ONE, channel="throttled = true"), "some inputs are throttled and others are not"),
         (text(ONE, channel="throttled = 1"), "should be a valid boolean"),
         (text(ONE, channel="throtled = true"), "did you mean throttled?"),
-        (text({}, more='[telemetry.columns]\n"+X" = "i"\n"-X" = "i"'), "panels that share an input"),
+        (
+            text({}, more='[telemetry.columns]\n"+X" = "i"\n"-X" = "i"'),
+            "panels that share an input",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_channel_is_one_sentence(written, told):
     with pytest.raises(ss.VehicleError) as caught:
         parse_vehicle(written, "c.toml")
-    assert told in str(caught.value) and "\n" not in str(caught.value) and str(caught.value).startswith("c.toml")
+    assert (
+        told in str(caught.value)
+        and "\n" not in str(caught.value)
+        and str(caught.value).startswith("c.toml")
+    )
 
 
 def test_the_template_shows_a_channel_that_works():
     told = resources.files("sunspin").joinpath("template", "vehicle.toml").read_text("utf-8")
     lines = told[told.index("#   [[channel]]") :].splitlines()[:5]
-    opened = told.replace('"+X" = "px"\n"-X" = "mx"', '"X" = "ix"') + "\n".join(line.removeprefix("#   ") for line in lines)
+    opened = told.replace('"+X" = "px"\n"-X" = "mx"', '"X" = "ix"') + "\n".join(
+        line.removeprefix("#   ") for line in lines
+    )
     assert parse_vehicle(opened, "template").input_names == ("X", "+Y", "-Y", "+Z")
 
 
@@ -108,14 +134,19 @@ def test_a_file_is_read_by_inputs(tmp_path):
     file.write_text("time,IX_A,+Y,-Y,zp,-Z\n2026-01-01T00:00:00Z,0.1,0,0.2,0,0.3\n")
     vehicle = craft(ONE, more='[telemetry.columns]\n"+Z" = "zp"\n')
     samples = ss.read_telemetry(file, vehicle)
-    assert samples["panel"].values.tolist() == ["X", "+Y", "-Y", "+Z", "-Z"] and samples.attrs["unused_columns"] == ""
+    assert (
+        samples["panel"].values.tolist() == ["X", "+Y", "-Y", "+Z", "-Z"]
+        and samples.attrs["unused_columns"] == ""
+    )
     np.testing.assert_array_equal(samples["current_A"].values, [[0.1, 0, 0.2, 0, 0.3]])
 
 
 # --------------------------------------------------------------------------------------------------------------------- directions
 
 
-@pytest.mark.parametrize(("channels", "reads"), [(THREE, "sum"), (ONE, "largest"), ({"odd": ("+X", "+Y")}, "sum")])
+@pytest.mark.parametrize(
+    ("channels", "reads"), [(THREE, "sum"), (ONE, "largest"), ({"odd": ("+X", "+Y")}, "sum")]
+)
 def test_directions_that_fit_alike(channels, reads):
     """Against a fine grid of directions: none fits better, and one is given only where all that fit are in one place."""
     vehicle = craft(channels, reads=reads)
@@ -123,14 +154,18 @@ def test_directions_that_fit_alike(channels, reads):
     grid = directions(40_000, 2)
     unit = ss.panel_power(vehicle, grid)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    away = np.linalg.norm(unit - (readings / np.linalg.norm(readings, axis=1, keepdims=True))[:, None], axis=-1)
+    away = np.linalg.norm(
+        unit - (readings / np.linalg.norm(readings, axis=1, keepdims=True))[:, None], axis=-1
+    )
     response = vehicle.response_in()
     delta = response.best(readings)[1]
     assert (delta <= away.min(axis=1) + 1e-12).all()
     alike = response.alike(readings, np.full(12, 0.05))
     for some, off, least in zip(alike, away, delta, strict=True):
         some = some[np.isfinite(some[:, 0])]
-        for place in grid[off < 0.02]:  # an apart neighbourhood without a direction in it were one that is missed
+        for place in grid[
+            off < 0.02
+        ]:  # an apart neighbourhood without a direction in it were one that is missed
             assert (some @ place).max() > np.cos(0.3) or least > 0.01
     sun = ss.sun_directions(vehicle, readings)
     given = np.isfinite(sun["sun_B"].values[:, 0])
@@ -172,11 +207,15 @@ def test_along_an_arc_lit_inputs_keep_their_proportions_to_its_ends(channels, re
             here, there = unit_readings(np.stack([ss.panel_power(vehicle, end), readings[i]]))
             np.testing.assert_allclose(here[lit], there[lit], atol=1e-6)
             around = ss.panel_power(vehicle, end + 1e-4 * directions(200, 8)) > 0
-            assert (around != lit).any()  # it ends where another input is lit or one of these is dark
+            assert (
+                around != lit
+            ).any()  # it ends where another input is lit or one of these is dark
 
 
 def test_with_three_channels_no_set_of_lit_inputs_gives_a_direction():
-    assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(craft({"odd": ("+X", "+Y")}))
+    assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(
+        craft({"odd": ("+X", "+Y")})
+    )
     assert len(craft(THREE).response_in().images) == 8 and len(craft(ONE).response_in().images) == 2
     assert len(craft({}).response_in().images) == 1
 
@@ -190,15 +229,22 @@ def test_images_change_no_reading_and_keep_rates_and_directions_together():
         other = imaged(track, image).omega[0, 0]
         moved, seen = sun - dt * np.cross(omega, sun), image @ sun
         np.testing.assert_allclose(image @ moved, seen - dt * np.cross(other, seen), atol=1e-12)
-        np.testing.assert_allclose(ss.panel_power(vehicle, seen), ss.panel_power(vehicle, sun), atol=1e-12)
+        np.testing.assert_allclose(
+            ss.panel_power(vehicle, seen), ss.panel_power(vehicle, sun), atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
 def test_slopes_of_flat_panels_are_those_of_the_differences(reads):
-    response, sun = craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads).response_in(), directions(50, 5)
+    response, sun = (
+        craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads).response_in(),
+        directions(50, 5),
+    )
     gain = np.array([1.1, 0.9, 1.2, 1.0])
     assert isinstance(response, Joined)
-    for own, differences in zip(response.slopes(sun, gain=gain)[:2], Tabled._along_sphere(response, sun, gain), strict=True):
+    for own, differences in zip(
+        response.slopes(sun, gain=gain)[:2], Tabled._along_sphere(response, sun, gain), strict=True
+    ):
         np.testing.assert_allclose(own, differences, atol=1e-5)
 
 
@@ -209,19 +255,26 @@ def flight(vehicle, seed, samples=16, step_s=12.0):
     rng = np.random.default_rng(seed)
     t = np.cumsum(step_s * rng.uniform(0.8, 1.2, samples))
     omega, sun = 0.03 * directions(1, seed + 1)[0], directions(1, seed + 2)[0]
-    data = ss.twin(vehicle, {"omega_B": omega, "sun_B": sun, "t_s": t - t[0], "noise": NOISE}, seed=seed)
+    data = ss.twin(
+        vehicle, {"omega_B": omega, "sun_B": sun, "t_s": t - t[0], "noise": NOISE}, seed=seed
+    )
     truth = ss.propagate(vehicle, omega, sun, [], data["time"].values)
     if vehicle.sensors.gyro:
         read = truth["omega_B"].values + 1e-3 * rng.normal(size=(samples, 3))
         data["gyro_B"] = ("time", "axis"), read
     if vehicle.throttled:
-        data["current_A"] = data["current_A"] * xr.DataArray(rng.uniform(0.2, 1.0, samples), dims="time")
+        data["current_A"] = data["current_A"] * xr.DataArray(
+            rng.uniform(0.2, 1.0, samples), dims="time"
+        )
     return data, truth
 
 
 def away(result, truth):
     """Distance (K) of the modes from the truth, in the largest of the components' sigmas."""
-    omega, sigma = (np.stack([result[f"{name}_{axis}"].values[0] for axis in "xyz"], axis=-1) for name in ("omega", "sigma"))
+    omega, sigma = (
+        np.stack([result[f"{name}_{axis}"].values[0] for axis in "xyz"], axis=-1)
+        for name in ("omega", "sigma")
+    )
     middle = np.argmin(np.abs(truth["time"].values - truth["time"].values[-1] / 2))
     return np.abs((omega - truth["omega_B"].values[middle]) / sigma).max(axis=-1)
 
@@ -230,7 +283,11 @@ def test_three_channels_leave_the_signs_open():
     vehicle = craft(THREE, more=MOVES)
     data, truth = flight(vehicle, 0)
     result = ss.rates(vehicle, data)
-    assert not result["decided"].values[0] and not result["unique"].values[0] and result["fits"].values[0]
+    assert (
+        not result["decided"].values[0]
+        and not result["unique"].values[0]
+        and result["fits"].values[0]
+    )
     assert np.nanmin(away(result, truth)) < 4
     sizes = np.abs(np.stack([result[f"omega_{axis}"].values[0, :8] for axis in "xyz"], axis=-1))
     assert np.ptp(sizes, axis=0).max() < 1e-3  # eight motions of one size, component by component
@@ -252,7 +309,9 @@ def test_a_gyro_decides_one_channel():
     data, truth = flight(vehicle, 2)
     result = ss.rates(vehicle, data)
     assert result["decided"].values[0] and away(result, truth)[0] < 4
-    assert (result["sun_B"].values * truth["sun_B"].sel(time=result["time"].values).values).sum(axis=1).min() > 0.97
+    assert (result["sun_B"].values * truth["sun_B"].sel(time=result["time"].values).values).sum(
+        axis=1
+    ).min() > 0.97
 
 
 def test_throttled_samples_count_by_their_ratios():
@@ -261,7 +320,9 @@ def test_throttled_samples_count_by_their_ratios():
     data, truth = flight(vehicle, 3)
     quality = ss.panel_quality(vehicle, data)
     assert (quality["use"].values == 0).all() and quality["scale_sigma"].values.min() >= 2
-    np.testing.assert_allclose(quality["scale"].values * 0.5, np.linalg.norm(data["current_A"].values, axis=1), rtol=0.1)
+    np.testing.assert_allclose(
+        quality["scale"].values * 0.5, np.linalg.norm(data["current_A"].values, axis=1), rtol=0.1
+    )
     assert np.nanmin(away(ss.rates(vehicle, data), truth)) < 4
 
 
@@ -269,7 +330,10 @@ def nearest(tree, truth):
     """Distance of the nearest mode of a posterior from the truth, in its sigmas (of three components together)."""
     modes = tree["modes"]
     gaps = modes["omega_B"].values - truth["omega_B"].values[0]
-    return min(np.sqrt(gap @ np.linalg.solve(cov, gap)) for gap, cov in zip(gaps, modes["omega_cov_B"].values, strict=True))
+    return min(
+        np.sqrt(gap @ np.linalg.solve(cov, gap))
+        for gap, cov in zip(gaps, modes["omega_cov_B"].values, strict=True)
+    )
 
 
 @pytest.mark.long
@@ -282,13 +346,21 @@ def test_the_posterior_of_three_channels_has_the_truth_among_motions_that_are_al
     assert "7 mirror images and turned copies" in tree.attrs["verdict"]
 
 
-@pytest.mark.evidence("posterior", "modelled", "passes whose samples are lowered to 20 to 100 % by factors that nobody knows")
+@pytest.mark.evidence(
+    "posterior",
+    "modelled",
+    "passes whose samples are lowered to 20 to 100 % by factors that nobody knows",
+)
 def test_the_posterior_of_throttled_panels_is_that_of_their_ratios():
     """The truth is found and decided; there is no brightness to be told."""
     vehicle = craft({}, more=MOVES, telemetry="throttled = true")
     data, truth = flight(vehicle, 1, samples=12, step_s=6.0)
     tree = ss.posterior(vehicle, data, {"steady_torque": 0}, seed=1)
-    assert nearest(tree, truth) < 4 and tree.attrs["verdict_word"] == "unique" and tree["passes"]["decided"].values[0]
+    assert (
+        nearest(tree, truth) < 4
+        and tree.attrs["verdict_word"] == "unique"
+        and tree["passes"]["decided"].values[0]
+    )
     assert "log_scale" not in tree["posterior"] and "throttled" in str(tree.attrs)
     with pytest.raises(ss.InputError, match=r"turns of panels that .* are throttled"):
         ss.posterior(vehicle, data, {"tilt": 0.02})
@@ -299,14 +371,26 @@ def test_derivatives_of_throttled_readings_have_their_factors_at_the_best():
     vehicle = craft({}, more=MOVES, telemetry="throttled = true")
     data = readings(vehicle, flight(vehicle, 1)[0])[0]
     unknown, _ = model(vehicle, {}, 1.0)
-    state = State(np.array([[0.01, -0.02, 0.03]]), directions(1, 5), np.full((1, len(unknown.unknowns)), 0.3))
+    state = State(
+        np.array([[0.01, -0.02, 0.03]]), directions(1, 5), np.full((1, len(unknown.unknowns)), 0.3)
+    )
     free, rng = Likelihood(unknown, data, 1e-9), np.random.default_rng(2)
     light = free.light(free.predict(state).sun, state.u)[0]
     factor = rng.uniform(0.2, 1.0, (len(data), 1))
     here = replace(free, data=replace(data, value=factor * light, lit=light > 0))
-    np.testing.assert_allclose(here.throttle(light[None]).factor[0][light.any(axis=1)], factor[light.any(axis=1)], rtol=1e-9)
+    np.testing.assert_allclose(
+        here.throttle(light[None]).factor[0][light.any(axis=1)],
+        factor[light.any(axis=1)],
+        rtol=1e-9,
+    )
     jacobian, step = here.linearised(state).jacobian[0], 1e-6
     for i in range(3):
-        more, less = (here.misfit(here.predict(State(state.omega + h * np.eye(3)[i], state.sun, state.u)), state.u)[0][0]
-                      for h in (step, -step))  # fmt: skip
-        np.testing.assert_allclose(jacobian[:, i], (more - less) / (2 * step), atol=2e-3 * np.abs(jacobian[:, i]).max())
+        more, less = (
+            here.misfit(
+                here.predict(State(state.omega + h * np.eye(3)[i], state.sun, state.u)), state.u
+            )[0][0]
+            for h in (step, -step)
+        )
+        np.testing.assert_allclose(
+            jacobian[:, i], (more - less) / (2 * step), atol=2e-3 * np.abs(jacobian[:, i]).max()
+        )

@@ -24,10 +24,11 @@ NOT_IMPORTED = {
     "numba-cuda": "numba finds it by itself",
     "h5py": "h5netcdf reads and writes by it, and from 1.7 on does not bring it",
     "soupsieve": "holds back a version of what furo needs",
-    "furo": "named in docs/conf.py, found by Sphinx", "myst-parser": "named in docs/conf.py, found by Sphinx",
+    "furo": "named in docs/conf.py, found by Sphinx",
+    "myst-parser": "named in docs/conf.py, found by Sphinx",
     "sphinx": "run as a program",
     "parquet": "xarray and pandas read by it",
-}  # fmt: skip
+}
 
 BROUGHT = {"pandas": "xarray", "markupsafe": "jinja2", "llvmlite": "numba"}
 """Imported here, and needed always by a declared one, which knows the version that it needs."""
@@ -38,14 +39,18 @@ SHARE_ALIKE = re.compile(r"\b(A?GPL|GNU (Affero )?General Public)", re.IGNORECAS
 
 
 def names(requirements: list[str]) -> set[str]:
-    return {re.match(r"[A-Za-z0-9_.-]+", text)[0].lower().replace("_", "-") for text in requirements}
+    return {
+        re.match(r"[A-Za-z0-9_.-]+", text)[0].lower().replace("_", "-") for text in requirements
+    }
 
 
 CORE = names(PROJECT["dependencies"])
 EXTRAS = {extra: names(wanted) for extra, wanted in PROJECT["optional-dependencies"].items()}
 
 
-IMPORT = re.compile(r"^ *(?:from|import) ([A-Za-z_]\w*)[\w.]*(?: import\b| as\b| *(?:#.*)?$)", re.MULTILINE)
+IMPORT = re.compile(
+    r"^ *(?:from|import) ([A-Za-z_]\w*)[\w.]*(?: import\b| as\b| *(?:#.*)?$)", re.MULTILINE
+)
 """The first name of what a line imports; one of a module's own package begins with a dot."""
 
 
@@ -64,7 +69,9 @@ def module_of(distribution: str) -> str:
 
 
 def test_what_is_imported_is_declared():
-    runtime = CORE | set().union(*(wanted for extra, wanted in EXTRAS.items() if extra not in ("test", "docs", "bench")))
+    runtime = CORE | set().union(
+        *(wanted for extra, wanted in EXTRAS.items() if extra not in ("test", "docs", "bench"))
+    )
     used = imported(ROOT / "src" / "sunspin")
     assert len(used) > 10
     for module, parent in BROUGHT.items():
@@ -96,7 +103,10 @@ def closure(wanted: set[str]) -> set[str]:
 
 def licence(name: str) -> str:
     about = metadata.metadata(name)
-    given = [about.get("License-Expression") or "", *(c for c in about.get_all("Classifier", []) if c.startswith("License"))]
+    given = [
+        about.get("License-Expression") or "",
+        *(c for c in about.get_all("Classifier", []) if c.startswith("License")),
+    ]
     return " ".join(filter(None, given)) or str(about.get("License") or "")[:200]
 
 
@@ -106,13 +116,19 @@ def test_licences_let_users_choose_their_own(extra):
     every = closure(EXTRAS[extra] if extra else CORE)
     assert every or extra, "nothing is installed"
     told = {name: licence(name) for name in every}
-    assert all(told.values()), f"no licence: {sorted(name for name, text in told.items() if not text)}"
+    assert all(told.values()), (
+        f"no licence: {sorted(name for name, text in told.items() if not text)}"
+    )
     assert not {name: text for name, text in told.items() if SHARE_ALIKE.search(text)}
 
 
 def test_the_lock_fits_what_is_declared():
     """Every direct dependency is locked, once, at an exact version."""
-    lines = [line for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines() if line and not line.startswith("#")]
+    lines = [
+        line
+        for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines()
+        if line and not line.startswith("#")
+    ]
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.+-]+", line) for line in lines)
     locked = [line.split("==")[0].lower().replace("_", "-") for line in lines]
     assert len(locked) == len(set(locked))
@@ -122,5 +138,9 @@ def test_the_lock_fits_what_is_declared():
 
 def test_versions_that_are_claimed_are_tried():
     """Classifiers begin with the lowest version that may install it, and name none that `make test-all` would not try."""
-    claimed = [text.rpartition(" :: ")[2] for text in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", text)]
+    claimed = [
+        text.rpartition(" :: ")[2]
+        for text in PROJECT["classifiers"]
+        if re.search(r":: 3\.\d+$", text)
+    ]
     assert PROJECT["requires-python"] == f">={claimed[0]}" and set(claimed) <= set(VERSIONS)

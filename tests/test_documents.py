@@ -30,7 +30,9 @@ def cases() -> list:
         for mark in LAYERS:
             if any(block.mark == mark for block in run):
                 marks = [getattr(pytest.mark, mark)] if mark else []
-                found.append(pytest.param(name, mark, id=f"{name}-{mark}" if mark else name, marks=marks))
+                found.append(
+                    pytest.param(name, mark, id=f"{name}-{mark}" if mark else name, marks=marks)
+                )
     return found
 
 
@@ -47,8 +49,12 @@ def test_every_block_says_what_it_is(name):
     """A block without a language would not be run and nobody would see it; indented commands neither."""
     for block in BLOCKS[name]:
         assert block.language in LANGUAGES, f"{name}, line {block.line}"
-    text = re.sub(r"^(`{3,}|:{3,}).*?^\1$", "", PAGES[name].read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
-    assert not re.search(r"^ {4,}(\$|sunspin|make|python|pip) ", text, re.MULTILINE), f"{name} has commands outside a console block"
+    text = re.sub(
+        r"^(`{3,}|:{3,}).*?^\1$", "", PAGES[name].read_text("utf-8"), flags=re.MULTILINE | re.DOTALL
+    )
+    assert not re.search(r"^ {4,}(\$|sunspin|make|python|pip) ", text, re.MULTILINE), (
+        f"{name} has commands outside a console block"
+    )
 
 
 def test_the_runner_notices(tmp_path):
@@ -63,7 +69,9 @@ def test_the_runner_notices(tmp_path):
         (block,) = blocks(text)
         with pytest.raises((AssertionError, ZeroDivisionError, click.ClickException, SystemExit)):
             Reader(page, tmp_path).follow(block)
-    (block,) = blocks("*Not run by the tests: it needs a cluster of machines.*\n\n```console\n$ false\n```\n")
+    (block,) = blocks(
+        "*Not run by the tests: it needs a cluster of machines.*\n\n```console\n$ false\n```\n"
+    )
     assert block.skipped
 
 
@@ -84,16 +92,22 @@ def test_links_lead_somewhere():
     written = {"believe.md", "cli.md", "examples.md"}
     for name, path in PAGES.items():
         for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text("utf-8")):
-            assert link.split("/")[-1] in written or (path.parent / link).exists(), f"{name}: {link}"
+            assert link.split("/")[-1] in written or (path.parent / link).exists(), (
+                f"{name}: {link}"
+            )
 
 
 def test_what_a_page_includes_is_there():
     """Sphinx would say so too, but the site is not built with every change."""
     for name, path in PAGES.items():
         text = path.read_text("utf-8")
-        for target, options in re.findall(r"^`{3,}\{literalinclude\} (\S+)\n((?::.*\n)*)", text, re.MULTILINE):
+        for target, options in re.findall(
+            r"^`{3,}\{literalinclude\} (\S+)\n((?::.*\n)*)", text, re.MULTILINE
+        ):
             included = (path.parent / target).read_text("utf-8")
-            for mark in re.findall(r"^:(?:start|end)-(?:at|before|after): (.+)$", options, re.MULTILINE):
+            for mark in re.findall(
+                r"^:(?:start|end)-(?:at|before|after): (.+)$", options, re.MULTILINE
+            ):
                 assert mark in included, f"{name}: {target} has no line with {mark!r}"
 
 
@@ -111,7 +125,11 @@ def test_every_equation_that_the_code_cites_is_on_the_page_of_the_model():
 def test_the_reference_lists_the_public_face():
     import sunspin
 
-    listed = re.findall(r"^\.\. auto\w+:: sunspin\.(\w+)$", (ROOT / "docs" / "api.md").read_text("utf-8"), re.MULTILINE)
+    listed = re.findall(
+        r"^\.\. auto\w+:: sunspin\.(\w+)$",
+        (ROOT / "docs" / "api.md").read_text("utf-8"),
+        re.MULTILINE,
+    )
     assert sorted(listed) == sorted(set(sunspin.__all__) - {"__version__"})
 
 

@@ -6,13 +6,13 @@ import pytest
 
 from docs.evidence_page import KINDS, capabilities, declared, page
 
-TEST = '''
+TEST = """
 import pytest
 
 @pytest.mark.evidence("{name}", "verified", "a closed form")
 @pytest.mark.slow
 def test_it_is_right(): ...
-'''
+"""
 
 
 def test_every_capability_has_a_line_and_one_without_evidence_says_none(monkeypatch):
@@ -20,7 +20,9 @@ def test_every_capability_has_a_line_and_one_without_evidence_says_none(monkeypa
     text = page(None)
     assert len(capabilities()) >= 25
     for name in capabilities():
-        assert f"## {name}\n" in text and f"| [{name}](#{name.replace('_', '-')}) | **none** |" in text
+        assert (
+            f"## {name}\n" in text and f"| [{name}](#{name.replace('_', '-')}) | **none** |" in text
+        )
     assert "not run before this page was built" in text
 
 
@@ -29,7 +31,13 @@ def test_what_the_tests_declare_is_read_from_their_text(tmp_path):
     folder.mkdir()
     (folder / "test_x.py").write_text(TEST.format(name="emd"))
     (item,) = declared(folder)
-    assert item == ("tests/test_x.py::test_it_is_right", "emd", "verified", "a closed form", ("evidence", "slow"))
+    assert item == (
+        "tests/test_x.py::test_it_is_right",
+        "emd",
+        "verified",
+        "a closed form",
+        ("evidence", "slow"),
+    )
 
 
 def test_a_figure_a_failure_and_a_test_that_was_not_run(tmp_path, monkeypatch):
@@ -37,17 +45,26 @@ def test_a_figure_a_failure_and_a_test_that_was_not_run(tmp_path, monkeypatch):
     monkeypatch.setattr("docs.evidence_page.declared", lambda: items)
     entry = {"passed": 2, "failed": 0, "skipped": "", "figures": {}}
     figure = {"low": 1e-12, "high": 3e-10, "unit": "rad", "limit": 1e-9}
-    tests = {items[0].test: entry | {"figures": {"error": figure}}, items[1].test: entry | {"failed": 1}}
+    tests = {
+        items[0].test: entry | {"figures": {"error": figure}},
+        items[1].test: entry | {"failed": 1},
+    }
     file = tmp_path / "evidence.json"
     file.write_text(json.dumps({"version": "9.9", "python": "3", "machine": "m", "tests": tests}))
     text = page(str(file))
-    assert "error 1e-12 to 3e-10 rad (allowed 1e-09)" in text and "**fails**" in text and "| not run |" in text
+    assert (
+        "error 1e-12 to 3e-10 rad (allowed 1e-09)" in text
+        and "**fails**" in text
+        and "| not run |" in text
+    )
     assert "version 9.9" in text
 
 
 def test_evidence_for_what_does_not_exist_is_refused(monkeypatch):
     known = declared()
-    assert {item.kind for item in known} == set(KINDS)  # else the three words would not part anything
+    assert {item.kind for item in known} == set(
+        KINDS
+    )  # else the three words would not part anything
     wrong = known[0]._replace(capability="mind_reading")
     monkeypatch.setattr("docs.evidence_page.declared", lambda: [wrong])
     with pytest.raises(ValueError, match="mind_reading"):

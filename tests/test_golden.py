@@ -46,14 +46,27 @@ def made(philae: Vehicle | None = None) -> dict[str, list[float]]:
     hit = ss.impact(philae, [0.1, 0.2, 0.3], 300.0, [0.01, -0.1, -0.3], "2")
     outcomes = ss.outcomes(philae, [[0.1, -0.05, 0.02], [0.2, 0.1, 0.0]], "off", 400, 3)
     return {
-        "reference": [*run["sun_B"].values.ravel(), *run["omega_B"].values.ravel(), run["event_time_s"].values[0] / 1000],
-        "directions": np.nan_to_num([*told["sun_B"].values.ravel(), *told["delta"].values, *told["sigma_rad"].values]).tolist(),
+        "reference": [
+            *run["sun_B"].values.ravel(),
+            *run["omega_B"].values.ravel(),
+            run["event_time_s"].values[0] / 1000,
+        ],
+        "directions": np.nan_to_num(
+            [*told["sun_B"].values.ravel(), *told["delta"].values, *told["sigma_rad"].values]
+        ).tolist(),
         "emd": emd.values.ravel().tolist(),
         "E": error.values.ravel().tolist(),
-        "impact": [*hit["omega_B"].values, *hit["velocity_B"].values, hit["wheel_speed_rad_s"].values[0] / 1000],
-        "outcomes": [float(np.mean(outcomes["rz_share"].values[:, :20].sum(axis=1))), float(np.nanmean(outcomes["speed_after"])),
-                     *(float(np.mean(outcomes["contact_point"].values == k)) for k in range(3))],
-    }  # fmt: skip
+        "impact": [
+            *hit["omega_B"].values,
+            *hit["velocity_B"].values,
+            hit["wheel_speed_rad_s"].values[0] / 1000,
+        ],
+        "outcomes": [
+            float(np.mean(outcomes["rz_share"].values[:, :20].sum(axis=1))),
+            float(np.nanmean(outcomes["speed_after"])),
+            *(float(np.mean(outcomes["contact_point"].values == k)) for k in range(3)),
+        ],
+    }
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +91,13 @@ def test_the_changes_say_by_how_much_it_moved():
 def test_it_would_notice_a_part_in_a_million(now):
     """One moment of inertia larger by 1e-6: far below every physical error, and far beyond the bounds."""
     philae = ss.load_vehicle("philae")
-    other = made(replace(philae, inertia_kg_m2=philae.inertia_kg_m2 + np.diag([0.0, 1e-6 * philae.inertia_kg_m2[1, 1], 0.0])))
+    other = made(
+        replace(
+            philae,
+            inertia_kg_m2=philae.inertia_kg_m2
+            + np.diag([0.0, 1e-6 * philae.inertia_kg_m2[1, 1], 0.0]),
+        )
+    )
     for part in ("reference", "impact"):
         assert np.abs(np.subtract(other[part], now[part])).max() > 10 * BOUNDS[part], part
     assert other["directions"] == now["directions"]  # which no inertia enters
@@ -91,10 +110,17 @@ def mark() -> str:
 
 def store() -> str:
     """Store this machine's numbers; the line for the changes."""
-    before, after = json.loads(STORED.read_text("utf-8")), {part: [float(x) for x in v] for part, v in made().items()}
+    before, after = (
+        json.loads(STORED.read_text("utf-8")),
+        {part: [float(x) for x in v] for part, v in made().items()},
+    )
     moved = {part: float(np.abs(np.subtract(after[part], before[part])).max()) for part in BOUNDS}
     STORED.write_text(json.dumps(after, indent=1) + "\n", "utf-8")
-    return f"- Golden run {mark()}: " + ", ".join(f"{part} moved by {size:.1e}" for part, size in moved.items()) + "."
+    return (
+        f"- Golden run {mark()}: "
+        + ", ".join(f"{part} moved by {size:.1e}" for part, size in moved.items())
+        + "."
+    )
 
 
 if __name__ == "__main__":

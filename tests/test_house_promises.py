@@ -12,11 +12,20 @@ import sunspin as ss
 from sources import has, nodes_if, tree
 
 ROOT = Path(__file__).parents[1]
-PYTHON = [path for part in ("src", "tests", "validation", "bench") for path in sorted((ROOT / part).rglob("*.py"))]
+PYTHON = [
+    path
+    for part in ("src", "tests", "validation", "bench")
+    for path in sorted((ROOT / part).rglob("*.py"))
+]
 FUNCTIONS = [name for name in ss.__all__ if inspect.isfunction(getattr(ss, name))]
 
-SHAPE = re.compile(r"\((?:…|\.\.\.|[a-z_0-9]+)(?:, ?[a-z_0-9]+)*,?\)|Dataset|DataArray|DataTree|Vehicle|number|path|dict", re.I)
-UNIT = re.compile(r"\b(rad|rad/s|s|m|m/s|W|kg|N m|N m s|deg|Hz)\b|\[0, 1\]|unit|relative|SI|Dataset|Vehicle|path|share")
+SHAPE = re.compile(
+    r"\((?:…|\.\.\.|[a-z_0-9]+)(?:, ?[a-z_0-9]+)*,?\)|Dataset|DataArray|DataTree|Vehicle|number|path|dict",
+    re.I,
+)
+UNIT = re.compile(
+    r"\b(rad|rad/s|s|m|m/s|W|kg|N m|N m s|deg|Hz)\b|\[0, 1\]|unit|relative|SI|Dataset|Vehicle|path|share"
+)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -57,7 +66,11 @@ def test_no_module_draws_random_numbers_when_it_is_imported():
         for node in tree(path).body if has(path, *drawn) else ():
             if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
                 continue
-            found = [call for call in ast.walk(node) if isinstance(call, ast.Call) and name_of(call) in drawn]
+            found = [
+                call
+                for call in ast.walk(node)
+                if isinstance(call, ast.Call) and name_of(call) in drawn
+            ]
             seeded = [call for call in found if not call.args]
             assert not (found if "src" in path.parts else seeded), f"{path}:{node.lineno}"
 
@@ -71,9 +84,13 @@ def test_every_generator_has_a_seed():
 
 
 def test_warnings_are_errors_and_marks_are_known():
-    options = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"]["ini_options"]
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"][
+        "ini_options"
+    ]
     first, *others = options["filterwarnings"]
-    assert first == "error" and all(text.startswith("ignore:") and "site-packages" in text for text in others)
+    assert first == "error" and all(
+        text.startswith("ignore:") and "site-packages" in text for text in others
+    )
     assert "--strict-markers" in options["addopts"] and "--strict-config" in options["addopts"]
 
 
@@ -85,11 +102,20 @@ def test_no_file_format_of_ours_can_carry_code():
         if "src" not in path.parts:
             continue
         found = nodes_if(path, *modules, *functions)  # "pickle" is in "allow_pickle", too
-        names = {alias.name.split(".")[0] for node in found if isinstance(node, ast.Import) for alias in node.names}
-        names |= {(node.module or "").split(".")[0] for node in found if isinstance(node, ast.ImportFrom)}
+        names = {
+            alias.name.split(".")[0]
+            for node in found
+            if isinstance(node, ast.Import)
+            for alias in node.names
+        }
+        names |= {
+            (node.module or "").split(".")[0] for node in found if isinstance(node, ast.ImportFrom)
+        }
         assert not names & modules, path
         asked = [node for node in found if isinstance(node, ast.Call)]
-        assert not [call for call in asked if any(k.arg == "allow_pickle" for k in call.keywords)], path
+        assert not [
+            call for call in asked if any(k.arg == "allow_pickle" for k in call.keywords)
+        ], path
         assert not [call for call in asked if name_of(call) in functions], path
 
 

@@ -23,8 +23,11 @@ def contracts(package: Path) -> subprocess.CompletedProcess:
     code = "import sys; from importlinter.cli import lint_imports as run; sys.exit(run(sys.argv[1], no_cache=True))"
     return subprocess.run(
         [sys.executable, "-c", code, str(ROOT / "pyproject.toml")],
-        cwd=package, env=os.environ | {"PYTHONPATH": str(package)}, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=package,
+        env=os.environ | {"PYTHONPATH": str(package)},
+        capture_output=True,
+        text=True,
+    )
 
 
 def test_the_import_contracts_hold():
@@ -34,20 +37,46 @@ def test_the_import_contracts_hold():
 
 LAYERS, APART = "A room uses the rooms below it", "do not know each other"
 FORBIDDEN = (
-    (LAYERS, "vehicle/response/cosine.py", "sunspin.dynamics.gyrostat", "vehicle.response.cosine -> sunspin.dynamics.gyrostat"),
-    (LAYERS, "dynamics/impact.py", "sunspin.estimate.scan.metrics", "dynamics.impact -> sunspin.estimate.scan.metrics"),
-    ("stands on what the rooms offer", "philae/twin.py", "sunspin.dynamics.ensemble.codegen",
-     "philae.twin -> sunspin.dynamics.ensemble.codegen"),
-    (APART, "telemetry/sun.py", "sunspin.dynamics.gyrostat", "telemetry.sun -> sunspin.dynamics.gyrostat"),
+    (
+        LAYERS,
+        "vehicle/response/cosine.py",
+        "sunspin.dynamics.gyrostat",
+        "vehicle.response.cosine -> sunspin.dynamics.gyrostat",
+    ),
+    (
+        LAYERS,
+        "dynamics/impact.py",
+        "sunspin.estimate.scan.metrics",
+        "dynamics.impact -> sunspin.estimate.scan.metrics",
+    ),
+    (
+        "stands on what the rooms offer",
+        "philae/twin.py",
+        "sunspin.dynamics.ensemble.codegen",
+        "philae.twin -> sunspin.dynamics.ensemble.codegen",
+    ),
+    (
+        APART,
+        "telemetry/sun.py",
+        "sunspin.dynamics.gyrostat",
+        "telemetry.sun -> sunspin.dynamics.gyrostat",
+    ),
     ("Physics does not draw", "landing/flight.py", "matplotlib", "landing.flight -> matplotlib"),
-    ("No circles", "estimate/scan/metrics.py", "sunspin.estimate.scan.rows", "No cycles are allowed in sunspin.estimate.scan"),
+    (
+        "No circles",
+        "estimate/scan/metrics.py",
+        "sunspin.estimate.scan.rows",
+        "No cycles are allowed in sunspin.estimate.scan",
+    ),
 )
 """A contract, a file, an import that the contract forbids it, and how it says so."""
 
 
 def test_the_import_contracts_would_notice(tmp_path):
     """A negative control: the same contracts on a copy of the package with forbidden imports, each told by its contract."""
-    shutil.copytree(ROOT / "src" / "sunspin", tmp_path / "sunspin", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "src" / "sunspin", tmp_path / "sunspin", ignore=shutil.ignore_patterns("__pycache__")
+    )
     for _, module, name, _ in FORBIDDEN:
         with open(tmp_path / "sunspin" / module, "a", encoding="utf-8") as file:
             file.write(f"\nimport {name}\n")
@@ -73,8 +102,14 @@ def test_no_comparison_without_assert():
 def test_randomness_is_passed_and_never_found():
     for path in SOURCES:
         for node in nodes_if(path, "random."):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute) and node.value.attr == "random":
-                assert node.attr in ("default_rng", "Generator", "SeedSequence"), f"{path}:{node.lineno}"
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Attribute)
+                and node.value.attr == "random"
+            ):
+                assert node.attr in ("default_rng", "Generator", "SeedSequence"), (
+                    f"{path}:{node.lineno}"
+                )
 
 
 def test_nothing_from_outside_is_executed():
@@ -84,7 +119,9 @@ def test_nothing_from_outside_is_executed():
         assert not names & never, path
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "src").glob("sunspin/cases/*/vehicle.toml")), ids=lambda p: p.parent.name)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "src").glob("sunspin/cases/*/vehicle.toml")), ids=lambda p: p.parent.name
+)
 def test_every_number_of_a_built_in_vehicle_has_a_source(path):
     def check(value, key):
         if isinstance(value, dict) and "value" in value:
@@ -97,10 +134,16 @@ def test_every_number_of_a_built_in_vehicle_has_a_source(path):
                 check(item, key)
         else:
             exact_geometry = key.endswith("normal_B")
-            assert isinstance(value, str) or exact_geometry or not contains_number(value), f"{key} has no source"
+            assert isinstance(value, str) or exact_geometry or not contains_number(value), (
+                f"{key} has no source"
+            )
 
     def contains_number(value):
-        return any(map(contains_number, value)) if isinstance(value, list) else isinstance(value, int | float)
+        return (
+            any(map(contains_number, value))
+            if isinstance(value, list)
+            else isinstance(value, int | float)
+        )
 
     check(tomllib.loads(path.read_text("utf-8")), "")
 
@@ -117,7 +160,12 @@ def test_type_checkers_see_the_public_names():
 
     tree = ast.parse((ROOT / "src" / "sunspin" / "__init__.py").read_text("utf-8"))
     block = next(node for node in tree.body if isinstance(node, ast.If))
-    seen = {name.asname: node.module for node in block.body if isinstance(node, ast.ImportFrom) for name in node.names}
+    seen = {
+        name.asname: node.module
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
+    }
     assert seen == sunspin._HOME
 
 
@@ -130,19 +178,29 @@ def test_every_convention_is_pinned_by_tests_that_exist():
         named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", item)
         assert named, item
         for path, name in named:
-            assert re.search(rf"^def {name}\(", (ROOT / path).read_text("utf-8"), re.MULTILINE), f"{path}::{name}"
+            assert re.search(rf"^def {name}\(", (ROOT / path).read_text("utf-8"), re.MULTILINE), (
+                f"{path}::{name}"
+            )
 
 
 def test_the_lock_is_within_the_ranges_and_names_no_host():
     from packaging.requirements import Requirement
     from packaging.utils import canonicalize_name
 
-    lines = [x for x in (ROOT / "requirements.lock").read_text("utf-8").splitlines() if x and not x.startswith("#")]
+    lines = [
+        x
+        for x in (ROOT / "requirements.lock").read_text("utf-8").splitlines()
+        if x and not x.startswith("#")
+    ]
     assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
-    locked = {canonicalize_name(name): version for name, version in (line.split("==") for line in lines)}
+    locked = {
+        canonicalize_name(name): version for name, version in (line.split("==") for line in lines)
+    }
     table = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     extras = table["project"]["optional-dependencies"]
     del extras["gpu"]  # half a GB for one kind of machine: no make target installs it
     wanted = [*table["project"]["dependencies"], *sum(extras.values(), [])]
     for requirement in map(Requirement, [*wanted, *table["build-system"]["requires"]]):
-        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement
+        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), (
+            requirement
+        )

@@ -38,31 +38,56 @@ def test_every_public_name_is_there():
 @pytest.mark.parametrize("order", ["sunspin, xarray as xr", "xarray as xr, sunspin"])
 def test_a_file_of_results_has_the_accessor_at_once(order, tmp_path):
     """Without a public name of sunspin being used; and a question whether xarray is there, before it, changes nothing."""
-    result = sunspin.propagate(Vehicle("made up", inertia_kg_m2=np.eye(3)), [0.1, 0, 0], [0, 0, 1.0], None, [0.0, 1.0])
+    result = sunspin.propagate(
+        Vehicle("made up", inertia_kg_m2=np.eye(3)), [0.1, 0, 0], [0, 0, 1.0], None, [0.0, 1.0]
+    )
     result.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
     code = f"import importlib.util; import {order.split(', ')[0]}; importlib.util.find_spec('xarray'); import {order}; import sys"
     code += "; print(xr.open_dataset(sys.argv[1]).sunspin.summary())"
-    done = subprocess.run([sys.executable, "-c", code, tmp_path / "a.nc"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "a.nc"], capture_output=True, text=True, check=True
+    )
     assert done.stdout.startswith("at t = 1 s:")
 
 
 def test_sunspin_alone_imports_nothing_heavy():
     code = "import sys, sunspin; print(*sys.modules)"
-    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    loaded = set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.split()
+    )
     assert not loaded & {"numpy", "xarray", "scipy", "numba", "matplotlib", "click"}
 
 
 def test_a_first_scan_waits_for_no_module_that_it_does_not_use():
     """Each of these takes as long to import as a small scan takes to run."""
     code = "import sys, sunspin as ss; ss.scan, ss.load_case, ss.sun_directions; import sunspin.cli.scan; print(*sys.modules)"
-    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    loaded = set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.split()
+    )
     assert "sunspin.dynamics.ensemble.run" in loaded
-    assert not loaded & {"sympy", "heyoka", "scipy.stats", "scipy.optimize", "scipy.spatial", "matplotlib", "zarr", "plotly"}
+    assert not loaded & {
+        "sympy",
+        "heyoka",
+        "scipy.stats",
+        "scipy.optimize",
+        "scipy.spatial",
+        "matplotlib",
+        "zarr",
+        "plotly",
+    }
 
 
 def test_rates_wait_for_no_module_that_they_do_not_use():
     """These take longer to import than a short pass to estimate."""
     code = "import sys, sunspin as ss; ss.rates; import sunspin.cli.rates; print(*sys.modules)"
-    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    loaded = set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.split()
+    )
     assert "sunspin.estimate.rates.estimate" in loaded
     assert not loaded & {"sympy", "scipy.stats", "scipy.optimize", "matplotlib"}

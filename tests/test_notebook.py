@@ -47,7 +47,14 @@ def test_a_vehicle_with_nothing_known_says_so():
 def test_names_from_a_file_are_text():
     evil = "<script>alert(1)</script>"
     panel, wheel = ss.Panel(evil, [1, 0, 0], 1.0), ss.Wheel(evil, [0, 0, 1], 1e-3)
-    craft = ss.Vehicle(evil, np.eye(3), panels=[panel], wheels=[wheel], legs=[ss.Leg(evil, [0, 0, 1])], gain_unit=evil)
+    craft = ss.Vehicle(
+        evil,
+        np.eye(3),
+        panels=[panel],
+        wheels=[wheel],
+        legs=[ss.Leg(evil, [0, 0, 1])],
+        gain_unit=evil,
+    )
     shown = Checked(craft._repr_html_())
     assert "script" not in shown.tags and shown.text.count(evil) >= 4
 

@@ -27,7 +27,9 @@ def built(tmp_path_factory) -> Path:
 def run(code: str, folder: Path) -> str:
     """Run code on the wheel's own files, not on those of the checkout."""
     environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONSAFEPATH": "1"}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -37,9 +39,14 @@ def test_the_wheel_works_on_its_own(built, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
     said = "import sunspin; print(sunspin.__file__, sunspin.load_case('philae').telemetry.sizes['time'])"
-    where = run(f"{said}; from sunspin.cli import cli; cli(['init', 'mine', '--quiet'], standalone_mode=False)", tmp_path).split()
+    where = run(
+        f"{said}; from sunspin.cli import cli; cli(['init', 'mine', '--quiet'], standalone_mode=False)",
+        tmp_path,
+    ).split()
     assert where == [str(tmp_path / "sunspin" / "__init__.py"), "251"]
-    assert (tmp_path / "mine" / "vehicle.toml").is_file() and (tmp_path / "sunspin" / "py.typed").is_file()
+    assert (tmp_path / "mine" / "vehicle.toml").is_file() and (
+        tmp_path / "sunspin" / "py.typed"
+    ).is_file()
 
 
 def test_the_archives_hold_what_they_should_and_nothing_else(built):
@@ -48,9 +55,20 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
     assert all(re.match(r"sunspin(-[\d.]+\.dist-info)?/", name) for name in names)
     with tarfile.open(source) as archive:
         inside = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    wanted = ["LICENSE", "CITATION.cff", "CHANGELOG.md", "tests/conftest.py", "docs/conf.py", "examples/01_sun_from_powers.py"]
+    wanted = [
+        "LICENSE",
+        "CITATION.cff",
+        "CHANGELOG.md",
+        "tests/conftest.py",
+        "docs/conf.py",
+        "examples/01_sun_from_powers.py",
+    ]
     assert set(wanted) <= inside
-    data = {path.relative_to(ROOT / "src").as_posix() for path in (ROOT / "src/sunspin/cases").glob("*/*") if path.is_file()}
+    data = {
+        path.relative_to(ROOT / "src").as_posix()
+        for path in (ROOT / "src/sunspin/cases").glob("*/*")
+        if path.is_file()
+    }
     assert "sunspin/cases/philae/rows.toml" in data and data <= set(names)
     other = (".bsp", ".bc", ".zip", ".nc", ".tex")  # other people's data and results
     assert not [name for name in [*names, *inside] if name.lower().endswith(other)]
@@ -59,11 +77,15 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
 def test_one_version_everywhere():
     version = PROJECT["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
-    assert re.search(rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert re.search(
+        rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
+    )
 
 
 def test_extras_keep_the_core_lean():
     core = " ".join(PROJECT["dependencies"])
-    assert {"gpu", "cluster", "spice", "parquet", "docs", "test"} <= set(PROJECT["optional-dependencies"])
+    assert {"gpu", "cluster", "spice", "parquet", "docs", "test"} <= set(
+        PROJECT["optional-dependencies"]
+    )
     for heavy in ("pyarrow", "distributed", "spiceypy", "cuda", "sphinx"):
         assert heavy not in core

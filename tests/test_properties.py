@@ -47,17 +47,24 @@ def run(vehicle, omega, sun, speeds, t=T, **options):
 
 def close(a, b, turned_rad, tolerance=1e-10):
     """Equal but for what rounding, multiplied by the way turned, may do."""
-    np.testing.assert_allclose(a, b, rtol=0, atol=tolerance * (1 + turned_rad) * max(1.0, float(np.abs(b).max(initial=0.0))))
+    np.testing.assert_allclose(
+        a,
+        b,
+        rtol=0,
+        atol=tolerance * (1 + turned_rad) * max(1.0, float(np.abs(b).max(initial=0.0))),
+    )
 
 
 def changed(vehicle: Vehicle, matrix: np.ndarray) -> Vehicle:
     """The vehicle turned (or mirrored) by an orthogonal matrix; a wheel's axis is a pseudovector."""
     sign = np.linalg.det(matrix)
     return Vehicle(
-        "changed", matrix @ vehicle.inertia_kg_m2 @ matrix.T, vehicle.mass_kg,
+        "changed",
+        matrix @ vehicle.inertia_kg_m2 @ matrix.T,
+        vehicle.mass_kg,
         panels=[replace(p, normal_B=matrix @ p.normal_B) for p in vehicle.panels],
         wheels=[replace(w, axis_B=sign * matrix @ w.axis_B) for w in vehicle.wheels],
-    )  # fmt: skip
+    )
 
 
 @few
@@ -81,11 +88,19 @@ def test_turning_the_vehicle_turns_what_the_kernel_gives(seed, n_wheels):
     matrix = Rotation.random(rng=rng).as_matrix()
     ends = [
         k.run_rows(v, k.Rows(w[None], r[None], speeds[None]), 40.0, direction_error=1e-8)
-        for v, w, r in ((vehicle, omega, sun), (changed(vehicle, matrix), matrix @ omega, matrix @ sun))
+        for v, w, r in (
+            (vehicle, omega, sun),
+            (changed(vehicle, matrix), matrix @ omega, matrix @ sun),
+        )
     ]
     assert all(end.outcome[0] == k.Outcome.FINE for end in ends)
     close(ends[1].sun_B[0, 0], matrix @ ends[0].sun_B[0, 0], 1.0, 1e-6)
-    close(ends[1].sun_B[0, 0], matrix @ run(vehicle, omega, sun, speeds)["sun_B"].values[-1], 1.0, 1e-6)
+    close(
+        ends[1].sun_B[0, 0],
+        matrix @ run(vehicle, omega, sun, speeds)["sun_B"].values[-1],
+        1.0,
+        1e-6,
+    )
 
 
 @few
@@ -109,10 +124,20 @@ def test_turning_the_panels_turns_the_direction_to_the_sun(seed, n_panels):
 @given(seeds, wheels, st.sampled_from([2.0, 3.7, 1e3, 1e-4]))
 def test_another_unit_of_mass_changes_no_motion(seed, n_wheels, factor):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
-    heavier = Vehicle("heavier", factor * vehicle.inertia_kg_m2, wheels=[
-        replace(w, inertia_kg_m2=factor * w.inertia_kg_m2,
-                friction=Friction(factor * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s)) for w in vehicle.wheels
-    ])  # fmt: skip
+    heavier = Vehicle(
+        "heavier",
+        factor * vehicle.inertia_kg_m2,
+        wheels=[
+            replace(
+                w,
+                inertia_kg_m2=factor * w.inertia_kg_m2,
+                friction=Friction(
+                    factor * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s
+                ),
+            )
+            for w in vehicle.wheels
+        ],
+    )
     a, b = run(vehicle, omega, sun, speeds), run(heavier, omega, sun, speeds)
     turned = np.linalg.norm(omega) * T[-1]
     close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
@@ -125,10 +150,22 @@ def test_another_unit_of_mass_changes_no_motion(seed, n_wheels, factor):
 def test_another_unit_of_time_changes_no_way(seed, n_wheels, factor):
     """Rates times f and torques times f^2 give the same orientations 1 / f earlier."""
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
-    faster = replace(vehicle, wheels=[
-        replace(w, friction=Friction(factor**2 * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s)) for w in vehicle.wheels
-    ])  # fmt: skip
-    a, b = run(vehicle, omega, sun, speeds), run(faster, factor * omega, sun, factor * speeds, T / factor)
+    faster = replace(
+        vehicle,
+        wheels=[
+            replace(
+                w,
+                friction=Friction(
+                    factor**2 * w.friction.coulomb_N_m, factor * w.friction.viscous_N_m_s
+                ),
+            )
+            for w in vehicle.wheels
+        ],
+    )
+    a, b = (
+        run(vehicle, omega, sun, speeds),
+        run(faster, factor * omega, sun, factor * speeds, T / factor),
+    )
     turned = np.linalg.norm(omega) * T[-1]
     close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
     close(b["omega_B"].values / factor, a["omega_B"].values, turned, 1e-8)
@@ -142,7 +179,9 @@ def test_the_order_of_wheels_does_not_matter(seed, order):
     a, b = run(vehicle, omega, sun, speeds), run(other, omega, sun, speeds[list(order)])
     turned = np.linalg.norm(omega) * T[-1]
     close(b["sun_B"].values, a["sun_B"].values, turned, 1e-8)
-    close(b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values[:, list(order)], turned, 1e-8)
+    close(
+        b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values[:, list(order)], turned, 1e-8
+    )
 
 
 @few
@@ -150,7 +189,9 @@ def test_the_order_of_wheels_does_not_matter(seed, order):
 def test_without_friction_a_motion_reversed_goes_back(seed, n_wheels):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.0, viscous=0.0)
     end = run(vehicle, omega, sun, speeds).isel(time=-1)
-    back = run(vehicle, -end["omega_B"].values, end["sun_B"].values, -end["wheel_speed_rad_s"].values).isel(time=-1)
+    back = run(
+        vehicle, -end["omega_B"].values, end["sun_B"].values, -end["wheel_speed_rad_s"].values
+    ).isel(time=-1)
     turned = np.linalg.norm(omega) * T[-1]
     close(back["sun_B"].values, sun, turned, 1e-8)
     close(-back["omega_B"].values, omega, turned, 1e-8)
@@ -163,10 +204,16 @@ def test_what_is_conserved_is_conserved_and_energy_never_made(seed, n_wheels, mo
     there = run(vehicle, omega, sun, speeds, np.linspace(0, 120, 121), wheel_mode=mode)
     H, r = there["momentum_B"].values, there["sun_B"].values
     size = np.linalg.norm(H[0])
-    for invariant in (np.linalg.norm(H, axis=1) / size, np.linalg.norm(r, axis=1), np.einsum("ij,ij->i", H, r) / size):
+    for invariant in (
+        np.linalg.norm(H, axis=1) / size,
+        np.linalg.norm(r, axis=1),
+        np.einsum("ij,ij->i", H, r) / size,
+    ):
         assert np.ptp(invariant) < 1e-11
     if mode == "coast":  # a motor that holds a speed may do work
-        energy = g.kinetic_energy(vehicle, there["omega_B"].values, there["wheel_speed_rad_s"].values)
+        energy = g.kinetic_energy(
+            vehicle, there["omega_B"].values, there["wheel_speed_rad_s"].values
+        )
         assert np.all(np.diff(energy) <= 1e-11 * energy[0])
 
 
@@ -176,7 +223,13 @@ def test_a_run_is_its_parts_one_after_the_other(seed, n_wheels):
     vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
     whole = run(vehicle, omega, sun, speeds)
     middle = whole.isel(time=4)
-    rest = run(vehicle, middle["omega_B"].values, middle["sun_B"].values, middle["wheel_speed_rad_s"].values, T[4:])
+    rest = run(
+        vehicle,
+        middle["omega_B"].values,
+        middle["sun_B"].values,
+        middle["wheel_speed_rad_s"].values,
+        T[4:],
+    )
     close(rest["sun_B"].values, whole["sun_B"].values[4:], np.linalg.norm(omega) * T[-1], 1e-8)
 
 
@@ -185,26 +238,51 @@ def test_a_run_is_its_parts_one_after_the_other(seed, n_wheels):
 def test_samples_are_answered_one_by_one(seed):
     """Directions of many samples are those of each alone, to the bit, in any order."""
     vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
-    power = np.maximum(ss.panel_power(vehicle, np.array([unit(rng) for _ in range(25)])) + rng.normal(size=(25, 6)) * 0.01, 0)
+    power = np.maximum(
+        ss.panel_power(vehicle, np.array([unit(rng) for _ in range(25)]))
+        + rng.normal(size=(25, 6)) * 0.01,
+        0,
+    )
     order = rng.permutation(25)
-    all_, shuffled = (ss.sun_directions(vehicle, p, lit_threshold=0.03, noise=0.01) for p in (power, power[order]))
+    all_, shuffled = (
+        ss.sun_directions(vehicle, p, lit_threshold=0.03, noise=0.01) for p in (power, power[order])
+    )
     for name in ("sun_B", "delta", "status", "sigma_rad"):
         assert all_[name].values[order].tobytes() == shuffled[name].values.tobytes(), name
 
 
 @few
-@example(2977344, [1, 0, 2, 3, 4, 5], 1e-3)  # a panel has failed, and all of an arc fits the others alike
+@example(
+    2977344, [1, 0, 2, 3, 4, 5], 1e-3
+)  # a panel has failed, and all of an arc fits the others alike
 @given(seeds, st.permutations(range(6)), st.sampled_from([1e-3, 1.0, 60.0]))
 def test_neither_the_order_of_panels_nor_the_unit_of_power_matters(seed, order, unit_of_power):
     vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
     order = list(order)
-    other = replace(vehicle, panels=[replace(vehicle.panels[i], gain=unit_of_power * vehicle.panels[i].gain) for i in order])
-    power = np.maximum(ss.panel_power(vehicle, np.array([unit(rng) for _ in range(60)])) + rng.normal(size=(60, 6)) * 0.01, 0)
+    other = replace(
+        vehicle,
+        panels=[
+            replace(vehicle.panels[i], gain=unit_of_power * vehicle.panels[i].gain) for i in order
+        ],
+    )
+    power = np.maximum(
+        ss.panel_power(vehicle, np.array([unit(rng) for _ in range(60)]))
+        + rng.normal(size=(60, 6)) * 0.01,
+        0,
+    )
     power[::7, 0] = 0.0  # a panel that fails: patterns that cannot be
     power[1::9] = 0.0
     a = ss.sun_directions(vehicle, power, lit_threshold=0.03, noise=0.01)
-    b = ss.sun_directions(other, unit_of_power * power[:, order], lit_threshold=0.03 * unit_of_power, noise=0.01 * unit_of_power)
-    assert np.array_equal(a["status"].values, b["status"].values) and len(np.unique(a["status"].values)) > 2
+    b = ss.sun_directions(
+        other,
+        unit_of_power * power[:, order],
+        lit_threshold=0.03 * unit_of_power,
+        noise=0.01 * unit_of_power,
+    )
+    assert (
+        np.array_equal(a["status"].values, b["status"].values)
+        and len(np.unique(a["status"].values)) > 2
+    )
     assert np.array_equal(a["status_text"].values, b["status_text"].values)
     assert np.array_equal(a["lit"].values[:, order], b["lit"].values)
     close(b["delta"].values, a["delta"].values, 0.0, 1e-10)
@@ -224,5 +302,7 @@ def test_a_property_would_notice():
 @pytest.mark.slow
 def test_the_same_with_many_examples():
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", __file__]
-    done = subprocess.run(command, env=os.environ | {"SUNSPIN_EXAMPLES": "200"}, capture_output=True, text=True)
+    done = subprocess.run(
+        command, env=os.environ | {"SUNSPIN_EXAMPLES": "200"}, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout[-3000:]

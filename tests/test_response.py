@@ -18,7 +18,12 @@ from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.health import noise_alone
-from sunspin.telemetry.sun import SunStatus, best_directions, is_reconstructed, reconstructible_patterns
+from sunspin.telemetry.sun import (
+    SunStatus,
+    best_directions,
+    is_reconstructed,
+    reconstructible_patterns,
+)
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.choice import ResponseForm
@@ -36,10 +41,14 @@ from vehicles import FIRST_SUN
 PHILAE = ss.load_vehicle("philae")
 NOISE = 0.004
 CUBE = Vehicle(
-    "cube", gain_unit="A",
-    panels=[Panel(f"{'+-'[k // 3]}{'xyz'[k % 3]}", normal, 0.5) for k, normal in enumerate(np.vstack([np.eye(3), -np.eye(3)]))],
+    "cube",
+    gain_unit="A",
+    panels=[
+        Panel(f"{'+-'[k // 3]}{'xyz'[k % 3]}", normal, 0.5)
+        for k, normal in enumerate(np.vstack([np.eye(3), -np.eye(3)]))
+    ],
     telemetry=TelemetryForm(quantity="current_A", noise=NOISE),
-)  # fmt: skip
+)
 TURN = np.array([0.0, 0.12, 0.15])
 BODY = replace(CUBE, inertia_kg_m2=np.diag([0.010, 0.012, 0.008]))
 KNOWN = {"max_rate_rad_s": 0.1, "inertia": 0.0, "steady_torque": 0.0}
@@ -52,7 +61,11 @@ OF_PHILAE = LAWS | {"wall": Wall("3", [0, 0, 1], 0.5), "tilted": Tilted("3", TUR
 
 def under(law, vehicle=CUBE):
     given = LAWS if vehicle is CUBE else OF_PHILAE
-    return vehicle if law == "cosine" else replace(vehicle, panel_response=ResponseForm(**{law: given[law]}))
+    return (
+        vehicle
+        if law == "cosine"
+        else replace(vehicle, panel_response=ResponseForm(**{law: given[law]}))
+    )
 
 
 def directions(n, seed=0):
@@ -72,20 +85,30 @@ def _tangent(slope, sun):
 
 def telemetry(value):
     time = np.arange(len(value)) * 30.0
-    return xr.Dataset({"current_A": (("time", "panel"), value)}, {"time": time, "panel": list(CUBE.panel_names)})
+    return xr.Dataset(
+        {"current_A": (("time", "panel"), value)}, {"time": time, "panel": list(CUBE.panel_names)}
+    )
 
 
 def tumbling(vehicle, samples, seed=0):
     """Telemetry of a cube that turns at 3 deg/s, a reading in 20 s, and its rate at the first."""
     body = replace(BODY, panel_response=vehicle.panel_response)
     rate, sun = 0.05 * directions(1, seed)[0], directions(1, seed + 1)[0]
-    return ss.twin(body, {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(samples), "scale": 1.0}, seed=seed), rate
+    return ss.twin(
+        body,
+        {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(samples), "scale": 1.0},
+        seed=seed,
+    ), rate
 
 
 def lit_names(vehicle, sun):
     names = vehicle.panel_names
-    codes, which = np.unique((ss.panel_power(vehicle, sun) > 0) @ (1 << np.arange(len(names))), return_inverse=True)
-    patterns = [frozenset(name for k, name in enumerate(names) if code >> k & 1) for code in codes.tolist()]
+    codes, which = np.unique(
+        (ss.panel_power(vehicle, sun) > 0) @ (1 << np.arange(len(names))), return_inverse=True
+    )
+    patterns = [
+        frozenset(name for k, name in enumerate(names) if code >> k & 1) for code in codes.tolist()
+    ]
     return [patterns[k] for k in which]
 
 
@@ -95,7 +118,11 @@ def lit_names(vehicle, sun):
 @pytest.mark.parametrize(
     ("law", "sun", "power"),
     [
-        ("grazing", [0.6, 0.8, 0.0], [0.5 * 0.6 * (1 - 0.6 * 0.4**5), 0.5 * 0.8 * (1 - 0.6 * 0.2**5), 0, 0, 0, 0]),
+        (
+            "grazing",
+            [0.6, 0.8, 0.0],
+            [0.5 * 0.6 * (1 - 0.6 * 0.4**5), 0.5 * 0.8 * (1 - 0.6 * 0.2**5), 0, 0, 0, 0],
+        ),
         ("wall", [0.8, 0.6, 0.0], [0.0, 0.3, 0, 0, 0, 0]),
         ("wall", [0.8, -0.6, 0.0], [0.4, 0, 0, 0, 0.3, 0]),
         ("tilted", FACING, [0.5, *(0.5 * FACING[1:]), 0, 0, 0]),
@@ -116,18 +143,31 @@ def test_slopes_are_those_of_the_powers(law):
     for axis in np.eye(3):
         ahead, behind = (Rotation.from_rotvec(sign * step * axis).apply(sun) for sign in (1, -1))
         of_sun = (response.power(ahead, tilt=tilt) - response.power(behind, tilt=tilt)) / (2 * step)
-        smooth = np.abs(response.power(ahead, tilt=tilt) + response.power(behind, tilt=tilt) - 2 * power) < 1e-7
-        np.testing.assert_allclose(of_sun[smooth], (to_sun @ np.cross(axis, sun)[..., None])[..., 0][smooth], atol=2e-6)
-        turned = [response.power(sun, tilt=sign * step * axis + np.zeros((6, 3))) for sign in (1, -1)]
+        smooth = (
+            np.abs(response.power(ahead, tilt=tilt) + response.power(behind, tilt=tilt) - 2 * power)
+            < 1e-7
+        )
+        np.testing.assert_allclose(
+            of_sun[smooth], (to_sun @ np.cross(axis, sun)[..., None])[..., 0][smooth], atol=2e-6
+        )
+        turned = [
+            response.power(sun, tilt=sign * step * axis + np.zeros((6, 3))) for sign in (1, -1)
+        ]
         about_none = response.slopes(sun, tilt=np.zeros((6, 3))).to_tilt @ axis
         smooth = np.abs(turned[0] + turned[1] - 2 * response.power(sun)) < 1e-7
-        np.testing.assert_allclose(((turned[0] - turned[1]) / (2 * step))[smooth], about_none[smooth], atol=2e-6)
+        np.testing.assert_allclose(
+            ((turned[0] - turned[1]) / (2 * step))[smooth], about_none[smooth], atol=2e-6
+        )
     assert smooth.mean() > 0.95
     steps = [np.cross(axis, sun) for axis in np.eye(3)]
     for turned in (None, tilt):
         plain = response.slopes(sun, tilt=turned)
-        for step, along in zip(steps, response.along(sun, steps, gain=np.full(6, 1.1), tilt=turned), strict=True):
-            expected = np.where(plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0)
+        for step, along in zip(
+            steps, response.along(sun, steps, gain=np.full(6, 1.1), tilt=turned), strict=True
+        ):
+            expected = np.where(
+                plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0
+            )
             np.testing.assert_allclose(along, expected, atol=1e-9)
 
 
@@ -139,16 +179,22 @@ def test_what_a_response_promises(law):
     np.testing.assert_allclose(response.power(sun, gain=np.full(6, 1.1)), 1.1 * power, rtol=1e-14)
     light, by = response.under(sun * 3.0)
     np.testing.assert_allclose(light, 3 * power, atol=1e-12)
-    np.testing.assert_allclose(np.where(power > 0, (by @ sun[..., None])[..., 0], 0), power, atol=1e-9)
+    np.testing.assert_allclose(
+        np.where(power > 0, (by @ sun[..., None])[..., 0], 0), power, atol=1e-9
+    )
     low, high = response.bounds(sun, 0.2)
-    turns = Rotation.from_rotvec(0.2 * directions(300, 5) * np.random.default_rng(6).uniform(0, 1, (300, 1)))
+    turns = Rotation.from_rotvec(
+        0.2 * directions(300, 5) * np.random.default_rng(6).uniform(0, 1, (300, 1))
+    )
     near = np.array([response.power(turn.apply(sun)) for turn in turns])
     assert (near >= low - 1e-12).all() and (near <= high + 1e-12).all()
     assert (high - low).max() < 0.5 * (1 if law == "wall" else 0.7)  # of use, too
     assert np.isnan(response.bounds(np.full((2, 3), np.nan), 0.2)).all()
     errors = Rotation.from_rotvec(0.1 * np.random.default_rng(7).normal(size=(2000, 3)))
     blurred = np.mean([response.power(error.apply(sun)) for error in errors], axis=0)
-    np.testing.assert_allclose(response.power(sun, blur_rad=0.1), blurred, atol=0.5 * (0.12 if law == "wall" else 0.015))
+    np.testing.assert_allclose(
+        response.power(sun, blur_rad=0.1), blurred, atol=0.5 * (0.12 if law == "wall" else 0.015)
+    )
 
 
 @pytest.mark.parametrize("law", ["cosine", "grazing", "tilted"])
@@ -159,7 +205,10 @@ def test_the_earths_light_has_the_slope_it_says(law):
     for one in np.eye(3):
         ends = [axis * 0.3 + sign * step * one for sign in (1, -1)]
         size = [np.linalg.norm(end, axis=1) for end in ends]
-        ahead, behind = (response.disc(end / length[:, None], length)[0] for end, length in zip(ends, size, strict=True))
+        ahead, behind = (
+            response.disc(end / length[:, None], length)[0]
+            for end, length in zip(ends, size, strict=True)
+        )
         np.testing.assert_allclose((ahead - behind) / (2 * step), slope @ one, atol=0.02 * 0.5)
     alike = slice(1 if law == "tilted" else 0, None)
     np.testing.assert_allclose(light[:, alike], cosine[0][:, alike], atol=0.04 * 0.5)
@@ -169,18 +218,26 @@ def test_body_and_sun_turned_together_change_nothing():
     turn = Rotation.from_rotvec([0.4, -1.0, 0.3])
     normals = turn.apply(CUBE.panel_normals_B)
     turned = replace(
-        CUBE, panels=[replace(p, normal_B=n) for p, n in zip(CUBE.panels, normals, strict=True)],
+        CUBE,
+        panels=[replace(p, normal_B=n) for p, n in zip(CUBE.panels, normals, strict=True)],
         panel_response=ResponseForm(wall=Wall("+x", turn.apply([0, 1, 0]), 0.3)),
-    )  # fmt: skip
+    )
     power, sun = readings(under("wall"), 300)
-    np.testing.assert_allclose(ss.panel_power(turned, turn.apply(sun)), ss.panel_power(under("wall"), sun), atol=1e-14)
-    np.testing.assert_allclose(best_directions(turned, power)[1], best_directions(under("wall"), power)[1], atol=1e-5)  # at edges
+    np.testing.assert_allclose(
+        ss.panel_power(turned, turn.apply(sun)), ss.panel_power(under("wall"), sun), atol=1e-14
+    )
+    np.testing.assert_allclose(
+        best_directions(turned, power)[1], best_directions(under("wall"), power)[1], atol=1e-5
+    )  # at edges
 
 
 # ---------------------------------------------------------------------------------- the table's way, where the closed form knows
 
 
-@pytest.mark.parametrize("vehicle", [pytest.param(PHILAE, marks=pytest.mark.long, id="philae"), pytest.param(CUBE, id="cube")])
+@pytest.mark.parametrize(
+    "vehicle",
+    [pytest.param(PHILAE, marks=pytest.mark.long, id="philae"), pytest.param(CUBE, id="cube")],
+)
 def test_what_is_looked_up_agrees_with_the_closed_form(vehicle, monkeypatch):
     """No loss at all is the cosine's law, and everything that is found by looking must be what the planes give."""
     sigma = 0.008 * vehicle.panel_gains.max()
@@ -188,9 +245,17 @@ def test_what_is_looked_up_agrees_with_the_closed_form(vehicle, monkeypatch):
     exact = vehicle.response_in()
     looked = Tabled(vehicle.panel_normals_B, vehicle.panel_gains, Grazing(0.0), vehicle.panel_names)
     assert isinstance(exact, Cosine)
-    above = looked.best(power)[1] - exact.best(power)[1]  # along an edge; in a corner where three panels graze the look is coarser
-    assert above.max() < 0.01 and np.quantile(above, 0.98) < 2e-4 and np.median(np.abs(above)) < 1e-12
-    before, patterns, seen = ss.sun_directions(vehicle, power, noise=sigma), lit_patterns(vehicle), observable_patterns(vehicle)
+    above = (
+        looked.best(power)[1] - exact.best(power)[1]
+    )  # along an edge; in a corner where three panels graze the look is coarser
+    assert (
+        above.max() < 0.01 and np.quantile(above, 0.98) < 2e-4 and np.median(np.abs(above)) < 1e-12
+    )
+    before, patterns, seen = (
+        ss.sun_directions(vehicle, power, noise=sigma),
+        lit_patterns(vehicle),
+        observable_patterns(vehicle),
+    )
     mask, health = reconstructible_mask(vehicle), ss.panel_health(vehicle, power, noise=sigma)
     monkeypatch.setattr(Vehicle, "response_in", lambda self, phase=None: looked)
     after = ss.sun_directions(vehicle, power, noise=sigma)
@@ -200,10 +265,16 @@ def test_what_is_looked_up_agrees_with_the_closed_form(vehicle, monkeypatch):
     same = is_reconstructed(before["status"].values)
     assert same.any()
     same[same] = np.abs(after["sun_B"].values - before["sun_B"].values)[same].max(axis=1) < 1e-6
-    assert same.sum() > 0.9 * is_reconstructed(before["status"].values).sum()  # the others' minimum is on an edge
-    assert np.median(np.abs(after["sigma_rad"].values / before["sigma_rad"].values - 1)[same]) < 0.05
+    assert (
+        same.sum() > 0.9 * is_reconstructed(before["status"].values).sum()
+    )  # the others' minimum is on an edge
+    assert (
+        np.median(np.abs(after["sigma_rad"].values / before["sigma_rad"].values - 1)[same]) < 0.05
+    )
     ours, theirs = (np.sort(ds["sun_arc_B"].values[..., 2], axis=1) for ds in (after, before))
-    both = np.isfinite(theirs).all(axis=1) & np.isfinite(ours).all(axis=1)  # no region of the cube leaves an arc
+    both = np.isfinite(theirs).all(axis=1) & np.isfinite(ours).all(
+        axis=1
+    )  # no region of the cube leaves an arc
     assert both.any() == (vehicle is PHILAE) and np.abs(ours - theirs)[both].max(initial=0.0) < 1e-3
     assert lit_patterns(vehicle) == patterns and observable_patterns(vehicle) >= seen
     assert ss.panel_health(vehicle, power, noise=sigma)["allowed"] == health["allowed"]
@@ -220,23 +291,35 @@ def test_compiled_code_reads_the_same_law(law):
     low, high = response.bounds(sun, 0.06)
     lit, away = low > 0, (low > 0) | (high == 0)
     assert away.mean() > 0.7
-    np.testing.assert_allclose(0.5 * read[..., 0][away], exact.power[away], atol=1e-15 if law == "cosine" else 2e-3)
-    np.testing.assert_allclose(0.5 * _tangent(read[..., 1:], sun)[lit], exact.to_sun[lit], atol=1e-15 if law == "cosine" else 0.05)
+    np.testing.assert_allclose(
+        0.5 * read[..., 0][away], exact.power[away], atol=1e-15 if law == "cosine" else 2e-3
+    )
+    np.testing.assert_allclose(
+        0.5 * _tangent(read[..., 1:], sun)[lit],
+        exact.to_sun[lit],
+        atol=1e-15 if law == "cosine" else 0.05,
+    )
     for number, angle in enumerate(angles):
         bounds = np.array([[between(inside, number, k, *one) for k in range(6)] for one in sun])
-        np.testing.assert_allclose(0.5 * np.moveaxis(bounds, -1, 0), response.bounds(sun, angle), atol=1e-7)
+        np.testing.assert_allclose(
+            0.5 * np.moveaxis(bounds, -1, 0), response.bounds(sun, angle), atol=1e-7
+        )
 
 
 @pytest.mark.parametrize("law", ["grazing", "wall", "tilted"])
 def test_the_table_reads_to_the_error_it_states(law):
     response, sun = under(law).response_in(), directions(20_000, 9)
     table = response.table(1e-3)
-    assert isinstance(table, SphereTable) and table.numbers.dtype == np.float32 and table.error <= 1e-3
+    assert (
+        isinstance(table, SphereTable) and table.numbers.dtype == np.float32 and table.error <= 1e-3
+    )
     power, slope = table.read(sun)
     away = np.abs(power - response.power(sun) / 0.5)
     assert np.mean((away > 1.2 * table.error).any(axis=1)) < table.edges < 0.3
     exact = response.slopes(sun).to_sun / 0.5
-    assert np.median(np.abs(slope - exact)) < 1e-3 and np.percentile(np.abs(slope - exact), 90) < 0.02
+    assert (
+        np.median(np.abs(slope - exact)) < 1e-3 and np.percentile(np.abs(slope - exact), 90) < 0.02
+    )
     assert np.isnan(table.read(np.full((1, 3), np.nan))[0]).all()
 
 
@@ -249,17 +332,26 @@ def test_the_minimum_of_delta_is_global(law, share, reached):
     """Against 200,000 directions: readings with little and with much noise."""
     vehicle = under(law)
     exact = ss.panel_power(vehicle, directions(100, 11))
-    power = np.maximum(exact + 0.5 * share * np.random.default_rng(12).normal(size=exact.shape), 0.0)
+    power = np.maximum(
+        exact + 0.5 * share * np.random.default_rng(12).normal(size=exact.shape), 0.0
+    )
     shape = ss.panel_power(vehicle, sphere(200_000))
     shape /= np.linalg.norm(shape, axis=1, keepdims=True)
-    least = np.sqrt(np.maximum(2 - 2 * (power / np.linalg.norm(power, axis=1, keepdims=True) @ shape.T).max(axis=1), 0))
+    least = np.sqrt(
+        np.maximum(
+            2 - 2 * (power / np.linalg.norm(power, axis=1, keepdims=True) @ shape.T).max(axis=1), 0
+        )
+    )
     _, delta = best_directions(vehicle, power)
     reached("Delta above the best of the grid", (delta - least).max(), "", 1e-6)
     assert (delta - least).max() < 1e-6
     if law != "wall":  # where the cosine's law has its minimum, too, or the same elsewhere
         away = ss.panel_power(vehicle, best_directions(CUBE, power)[0])
         away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-        assert (np.linalg.norm(away - power / np.linalg.norm(power, axis=1, keepdims=True), axis=1) > delta + 1e-4).mean() > 0.2
+        assert (
+            np.linalg.norm(away - power / np.linalg.norm(power, axis=1, keepdims=True), axis=1)
+            > delta + 1e-4
+        ).mean() > 0.2
 
 
 @pytest.mark.parametrize("law", ["grazing", pytest.param("tilted", marks=pytest.mark.long)])
@@ -274,30 +366,47 @@ def test_directions_come_back_and_err_as_they_say(law):
     assert np.median(squared) == pytest.approx(np.log(2), rel=0.25)  # two degrees of freedom
     biased = ss.sun_directions(replace(vehicle, panel_response=ResponseForm()), power)
     wrong = np.arccos(np.clip((biased["sun_B"].values * sun).sum(axis=1), -1, 1))
-    assert np.nanpercentile((wrong / biased["sigma_rad"].values) ** 2, 80) > 6  # 3.2 where all is well
+    assert (
+        np.nanpercentile((wrong / biased["sigma_rad"].values) ** 2, 80) > 6
+    )  # 3.2 where all is well
 
 
 def test_behind_a_wall_one_reading_has_two_directions():
     """The panel at +x dark and those at +y and +z lit: the Sun may stand to either side of the plane of x where y > 0.3."""
     vehicle = under("wall")
-    twice = ss.panel_power(vehicle, [[0.0, 0.6, 0.8], [0.5, 0.6 * np.sqrt(0.75), 0.8 * np.sqrt(0.75)]])
+    twice = ss.panel_power(
+        vehicle, [[0.0, 0.6, 0.8], [0.5, 0.6 * np.sqrt(0.75), 0.8 * np.sqrt(0.75)]]
+    )
     twice /= np.linalg.norm(twice, axis=1, keepdims=True)
     np.testing.assert_allclose(twice[0], twice[1], atol=1e-12)
     found = ss.sun_directions(vehicle, twice)
-    assert (found["delta"].values < 1e-7).all() and not is_reconstructed(found["status"].values).any()
+    assert (found["delta"].values < 1e-7).all() and not is_reconstructed(
+        found["status"].values
+    ).any()
 
 
 def test_a_tilted_panel_is_a_panel_that_stands_elsewhere():
     """Directions, quality and health as of a vehicle whose file says so."""
-    stands = replace(CUBE, panels=[replace(CUBE.panels[0], normal_B=Rotation.from_rotvec(TURN).apply([1, 0, 0])), *CUBE.panels[1:]])
+    stands = replace(
+        CUBE,
+        panels=[
+            replace(CUBE.panels[0], normal_B=Rotation.from_rotvec(TURN).apply([1, 0, 0])),
+            *CUBE.panels[1:],
+        ],
+    )
     power, _ = readings(stands, 60)
     ours, theirs = (ss.sun_directions(vehicle, power) for vehicle in (under("tilted"), stands))
     assert np.array_equal(ours["status"], theirs["status"])
     np.testing.assert_allclose(ours["sun_B"], theirs["sun_B"], atol=1e-6)
-    ours, theirs = (ss.panel_quality(vehicle, telemetry(power)) for vehicle in (under("tilted"), stands))
+    ours, theirs = (
+        ss.panel_quality(vehicle, telemetry(power)) for vehicle in (under("tilted"), stands)
+    )
     np.testing.assert_allclose(ours["gain"], theirs["gain"], rtol=1e-4)
     np.testing.assert_allclose(ours["sigma"], theirs["sigma"], rtol=1e-3)
-    assert ss.panel_health(under("tilted"), power)["allowed"] == ss.panel_health(stands, power)["allowed"]
+    assert (
+        ss.panel_health(under("tilted"), power)["allowed"]
+        == ss.panel_health(stands, power)["allowed"]
+    )
 
 
 def test_an_unknown_tilt_follows_from_the_readings_by_the_slopes():
@@ -308,12 +417,20 @@ def test_an_unknown_tilt_follows_from_the_readings_by_the_slopes():
     value = CUBE.response_in().power(sun, tilt=tilt) + sigma * rng.normal(size=(300, 6))
 
     def linearise(state):
-        power, _, to_tilt = CUBE.response_in().slopes(sun, tilt=np.concatenate([state, np.zeros((5, 3))]))
-        return Dense.of((power - value)[None, :, 0] / sigma, to_tilt[None, :, 0] / sigma, np.ones((1, 3)))
+        power, _, to_tilt = CUBE.response_in().slopes(
+            sun, tilt=np.concatenate([state, np.zeros((5, 3))])
+        )
+        return Dense.of(
+            (power - value)[None, :, 0] / sigma, to_tilt[None, :, 0] / sigma, np.ones((1, 3))
+        )
 
-    found = least_squares(linearise, lambda state, step: state + step, dense, np.zeros((1, 3)), steps=20)
+    found = least_squares(
+        linearise, lambda state, step: state + step, dense, np.zeros((1, 3)), steps=20
+    )
     error = found.state[0] - tilt[0]
-    assert (np.abs(error[1:]) < 4 * sigma / 0.5 / np.sqrt(50)).all() and np.abs(found.state[0, 1:]).min() > 0.03
+    assert (np.abs(error[1:]) < 4 * sigma / 0.5 / np.sqrt(50)).all() and np.abs(
+        found.state[0, 1:]
+    ).min() > 0.03
 
 
 # -------------------------------------------------------------------------------------------------- quality, gains, health, mask
@@ -325,20 +442,32 @@ def test_quality_finds_nothing_wrong_with_readings_of_the_law_itself(law):
     vehicle = under(law)
     power, _ = readings(vehicle, 200)
     quality = ss.panel_quality(vehicle, telemetry(power))
-    assert (quality["use"].values == 0).mean() > 0.99 and np.abs(quality["gain"].values / 0.5 - 1).max() < 0.02
-    if law != "wall":  # a Sun in front of it and another behind may read the same but for their brightness
+    assert (quality["use"].values == 0).mean() > 0.99 and np.abs(
+        quality["gain"].values / 0.5 - 1
+    ).max() < 0.02
+    if (
+        law != "wall"
+    ):  # a Sun in front of it and another behind may read the same but for their brightness
         ours, cosine = (np.abs(brightness(v, power) - 1).mean() for v in (vehicle, CUBE))
         assert ours < 0.03 and cosine > 1.5 * ours
 
 
-@pytest.mark.parametrize("law", ["grazing", *(pytest.param(law, marks=pytest.mark.long) for law in ("wall", "tilted"))])
+@pytest.mark.parametrize(
+    "law", ["grazing", *(pytest.param(law, marks=pytest.mark.long) for law in ("wall", "tilted"))]
+)
 def test_health_knows_what_the_law_lights(law):
     vehicle = under(law, PHILAE)
     shown = set(lit_names(vehicle, directions(100_000, 15)))
-    clean = ss.panel_power(vehicle, directions(60 if law == "wall" else 30, 16))  # few of them fall on the wall
-    assert {frozenset(pattern) for pattern in ss.panel_health(vehicle, clean[:5])["allowed"]} == shown
+    clean = ss.panel_power(
+        vehicle, directions(60 if law == "wall" else 30, 16)
+    )  # few of them fall on the wall
+    assert {
+        frozenset(pattern) for pattern in ss.panel_health(vehicle, clean[:5])["allowed"]
+    } == shown
     assert ss.panel_health(vehicle, clean, lit_threshold=0.1)["impossible"] == {}
-    assert ("1",) in ss.panel_health(vehicle, clean * [0, 1, 1, 1, 1, 1], lit_threshold=0.1)["explanations"]
+    assert ("1",) in ss.panel_health(vehicle, clean * [0, 1, 1, 1, 1, 1], lit_threshold=0.1)[
+        "explanations"
+    ]
     if law == "wall":  # the cosine's law would accuse the panel in the shadow
         assert ss.panel_health(PHILAE, clean, lit_threshold=0.1)["explanations"] == [("3",)]
 
@@ -355,11 +484,20 @@ def test_noise_alone_finds_the_nearest_sun_of_the_law(law):
     for value, on, ours in zip(power, lit, found.chi_square, strict=True):
         seen = shape * on
         bright = np.maximum(seen @ value, 0) / np.maximum((seen**2).sum(axis=1), 1e-12)
-        away = np.where(on, bright[:, None] * shape - value, np.maximum(bright[:, None] * shape - 3 * NOISE, 0)) / NOISE
+        away = (
+            np.where(
+                on,
+                bright[:, None] * shape - value,
+                np.maximum(bright[:, None] * shape - 3 * NOISE, 0),
+            )
+            / NOISE
+        )
         assert ours <= (away**2).sum(axis=1).min() + 1e-3
 
 
-@pytest.mark.parametrize("law", ["wall", *(pytest.param(law, marks=pytest.mark.long) for law in ("grazing", "tilted"))])
+@pytest.mark.parametrize(
+    "law", ["wall", *(pytest.param(law, marks=pytest.mark.long) for law in ("grazing", "tilted"))]
+)
 def test_the_mask_allows_what_the_law_allows(law):
     vehicle = under(law, PHILAE)
     good, sun = reconstructible_patterns(vehicle), directions(100_000, 19)
@@ -375,10 +513,17 @@ def test_the_scan_counts_what_the_law_allows(reached):
     vehicle = under("wall", PHILAE)
     target, rng = np.random.default_rng(1).uniform(0.05, 0.98, 15), np.random.default_rng(20)
     good, error, moved = reconstructible_patterns(vehicle), [], []
-    for omega in np.column_stack([rng.uniform(-0.5, 1, 5), rng.uniform(-0.5, 1, 5), rng.uniform(-0.3, 0.3, 5)]):
-        track = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, np.linspace(0, 900, 18001), rtol=1e-9)["sun_B"].values
+    for omega in np.column_stack(
+        [rng.uniform(-0.5, 1, 5), rng.uniform(-0.5, 1, 5), rng.uniform(-0.3, 0.3, 5)]
+    ):
+        track = ss.propagate(
+            vehicle, omega, FIRST_SUN, 865.0, np.linspace(0, 900, 18001), rtol=1e-9
+        )["sun_B"].values
         counts = np.array([pattern in good for pattern in lit_names(vehicle, track)])
-        ours = [ss.scan(v, target, FIRST_SUN, *omega[:, None], 865.0, 900.0).item() for v in (vehicle, PHILAE)]
+        ours = [
+            ss.scan(v, target, FIRST_SUN, *omega[:, None], 865.0, 900.0).item()
+            for v in (vehicle, PHILAE)
+        ]
         error.append(abs(ours[0] - wasserstein_distance(track[counts, 2], target) / 2))
         moved.append(abs(ours[0] - ours[1]))
     reached("largest difference of EMD", max(error), "", 2e-3)
@@ -399,22 +544,38 @@ def test_replacing_the_response_moves_every_public_result(monkeypatch):
         synthetic = ss.twin(PHILAE, truth=truth)
         sun = ss.sun_directions(PHILAE, power, noise=NOISE)
         return {
-            "panel_power": ss.panel_power(PHILAE, [0.6, 0.0, 0.8]), "sun_B": sun["sun_B"].values, "delta": sun["delta"].values,
-            "sun_cov_B": sun["sun_cov_B"].values, "status": sun["status"].values,
+            "panel_power": ss.panel_power(PHILAE, [0.6, 0.0, 0.8]),
+            "sun_B": sun["sun_B"].values,
+            "delta": sun["delta"].values,
+            "sun_cov_B": sun["sun_cov_B"].values,
+            "status": sun["status"].values,
             "health": [str(ss.panel_health(PHILAE, power)["allowed"])],
             "noise": noise_alone(PHILAE, power, NOISE, 3 * NOISE).chi_square,
-            "quality": ss.panel_quality(CUBE, value)["gain"].values, "twin": synthetic["power_W"].values,
-            "mask": allows(reconstructible_mask(PHILAE), directions(4000)), "rates": ss.rates(BODY, flight)["omega_B"].values,
-            "posterior": ss.posterior(BODY, flight, KNOWN, draws=50, workers=1)["posterior"]["omega_B"].values,
-        }  # fmt: skip
+            "quality": ss.panel_quality(CUBE, value)["gain"].values,
+            "twin": synthetic["power_W"].values,
+            "mask": allows(reconstructible_mask(PHILAE), directions(4000)),
+            "rates": ss.rates(BODY, flight)["omega_B"].values,
+            "posterior": ss.posterior(BODY, flight, KNOWN, draws=50, workers=1)["posterior"][
+                "omega_B"
+            ].values,
+        }
 
     def other(self, phase=None):
-        return Tabled(self.panel_normals_B, self.panel_gains, Wall(self.panel_names[2], [0, 0, 1], 0.2), self.panel_names)
+        return Tabled(
+            self.panel_normals_B,
+            self.panel_gains,
+            Wall(self.panel_names[2], [0, 0, 1], 0.2),
+            self.panel_names,
+        )
 
     before = results()
     monkeypatch.setattr(Vehicle, "response_in", other)
     after = results()
-    assert not [name for name in before if np.asarray(before[name]).tobytes() == np.asarray(after[name]).tobytes()]
+    assert not [
+        name
+        for name in before
+        if np.asarray(before[name]).tobytes() == np.asarray(after[name]).tobytes()
+    ]
 
 
 FILE = """
@@ -427,7 +588,9 @@ gain_W = 1.0
 
 
 def test_the_vehicle_file_names_the_law():
-    wall = parse_vehicle(FILE + "[panel_response.wall]\npanel = 'a'\ntoward_B = [0, 1, 0]\nabove = 0.3", "file")
+    wall = parse_vehicle(
+        FILE + "[panel_response.wall]\npanel = 'a'\ntoward_B = [0, 1, 0]\nabove = 0.3", "file"
+    )
     assert ss.panel_power(wall, [0.8, 0.6, 0.0]).tolist() == [0.0]
     turn = "turn_B_rad = { value = [0, 0, 0.1], sigma = 0.02, source = 'drawing' }"
     tilted = parse_vehicle(f"{FILE}[panel_response.tilted]\npanel = 'a'\n{turn}", "file")
@@ -439,10 +602,19 @@ def test_the_vehicle_file_names_the_law():
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("[panel_response.grazing]\nloss = 1.5", ["panel_response.grazing.loss", "between 0 and 1", "1.5"]),
+        (
+            "[panel_response.grazing]\nloss = 1.5",
+            ["panel_response.grazing.loss", "between 0 and 1", "1.5"],
+        ),
         ("[panel_response.mirror]\nloss = 1", ["panel_response.mirror", "unknown key", "grazing"]),
-        ("[panel_response]\ngrazing.loss = 0.1\ntilted = { panel = 'a', turn_B_rad = [0, 0, 0] }", ["one law", "keep one"]),
-        ("[panel_response.wall]\npanel = 'b'\ntoward_B = [0, 1, 0]\nabove = 0.3", ["panel_response", "not have", "panels: ['a']"]),
+        (
+            "[panel_response]\ngrazing.loss = 0.1\ntilted = { panel = 'a', turn_B_rad = [0, 0, 0] }",
+            ["one law", "keep one"],
+        ),
+        (
+            "[panel_response.wall]\npanel = 'b'\ntoward_B = [0, 1, 0]\nabove = 0.3",
+            ["panel_response", "not have", "panels: ['a']"],
+        ),
     ],
 )
 def test_a_wrong_law_is_refused_in_one_sentence(table, words):
@@ -457,11 +629,20 @@ def test_rates_follow(law, reached):
     """A cube that turns at 1.5 deg/s, 30 readings in five minutes: by the law that holds, and by the cosine's."""
     body = replace(CUBE, inertia_kg_m2=np.diag([0.002, 0.0021, 0.0022]))
     vehicle = replace(body, panel_response=under(law).panel_response)
-    run = ss.propagate(vehicle, np.radians(1.5) * directions(1)[0], directions(1, 5)[0], [], np.arange(0, 300, 10.0))
+    run = ss.propagate(
+        vehicle,
+        np.radians(1.5) * directions(1)[0],
+        directions(1, 5)[0],
+        [],
+        np.arange(0, 300, 10.0),
+    )
     power = ss.panel_power(vehicle, run["sun_B"].values)
     power = np.maximum(power + NOISE * np.random.default_rng(0).normal(size=power.shape), 0.0)
     data = telemetry(power).assign_coords(time=run["time"].values)
-    error = [float(np.abs(ss.rates(v, data)["omega_B"].values - run["omega_B"].values).max()) for v in (vehicle, body)]
+    error = [
+        float(np.abs(ss.rates(v, data)["omega_B"].values - run["omega_B"].values).max())
+        for v in (vehicle, body)
+    ]
     reached("error of the rate over the cosine's", error[0] / error[1])
     assert error[0] < error[1] / 3
 
@@ -471,7 +652,9 @@ def sigmas_off(vehicle, flight, rate):
     body = replace(BODY, panel_response=vehicle.panel_response)
     found = ss.posterior(body, flight, KNOWN, draws=500, workers=1)
     off = rate - found["modes"]["omega_B"].values[0]
-    return float(np.sqrt(off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off))), found.attrs["verdict_word"]
+    return float(
+        np.sqrt(off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off))
+    ), found.attrs["verdict_word"]
 
 
 @pytest.mark.long

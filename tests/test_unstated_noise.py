@@ -29,19 +29,37 @@ COLUMNS = [
     (f"{value}_{axis}{unit}", sigma.format(axis=axis) + end)
     for axis in "xyz"
     for value, unit, sigma, end in (
-        ("omega", "", "sigma_{axis}", ""), ("omega", "_deg_s", "sigma_{axis}", "_deg_s"),
-        ("omega", "_B_rad_s", "sigma_{axis}", "_rad_s"), ("sun", "_B", "sigma_rad", ""),
+        ("omega", "", "sigma_{axis}", ""),
+        ("omega", "_deg_s", "sigma_{axis}", "_deg_s"),
+        ("omega", "_B_rad_s", "sigma_{axis}", "_rad_s"),
+        ("sun", "_B", "sigma_rad", ""),
     )
-]  # fmt: skip
+]
 """Columns of tables, and of the error of each."""
 
 VARIABLES = [
-    ("omega_B", "omega_cov_B"), ("sun_B", "sun_cov_B"), ("sun_B", "sigma_rad"), ("sun_B", "sun_sigma_rad"),
-    ("omega_mean_B", "omega_sigma_B"), ("curve_omega_B", "curve_omega_sigma_B"), *((f"omega_{x}", f"sigma_{x}") for x in "xyz"),
-]  # fmt: skip
+    ("omega_B", "omega_cov_B"),
+    ("sun_B", "sun_cov_B"),
+    ("sun_B", "sigma_rad"),
+    ("sun_B", "sun_sigma_rad"),
+    ("omega_mean_B", "omega_sigma_B"),
+    ("curve_omega_B", "curve_omega_sigma_B"),
+    *((f"omega_{x}", f"sigma_{x}") for x in "xyz"),
+]
 """The same of results."""
 
-SMALL = ("--prior", "steady_torque=0", "--prior", "inertia=0", "--prior", "max_rate_rad_s=0.06", "--draws", "200", "--workers", "1")
+SMALL = (
+    "--prior",
+    "steady_torque=0",
+    "--prior",
+    "inertia=0",
+    "--prior",
+    "max_rate_rad_s=0.06",
+    "--draws",
+    "200",
+    "--workers",
+    "1",
+)
 QUICK = ("--effort", "0.02", "--no-wirings", "--workers", "1")
 
 
@@ -64,12 +82,24 @@ def without_error(folder: Path) -> list[str]:
     for path in folder.glob("*.csv"):
         table = pd.read_csv(path, comment="#")
         both = [(value, sigma) for value, sigma in COLUMNS if {value, sigma} <= set(table)]
-        found += [f"{path.name} {value}" for value, sigma in both if unsure(table[value].values, table[sigma].values)]
+        found += [
+            f"{path.name} {value}"
+            for value, sigma in both
+            if unsure(table[value].values, table[sigma].values)
+        ]
     for path in folder.glob("*.nc"):
         tree = xr.open_datatree(path, engine="h5netcdf")
         for group in (tree, *tree.children.values()):
-            both = [(value, sigma) for value, sigma in VARIABLES if {value, sigma} <= set(group.data_vars)]
-            found += [f"{path.name} {v}" for v, s in both if unsure(group[v].values, error_of(group[v].values, group[s].values))]
+            both = [
+                (value, sigma)
+                for value, sigma in VARIABLES
+                if {value, sigma} <= set(group.data_vars)
+            ]
+            found += [
+                f"{path.name} {v}"
+                for v, s in both
+                if unsure(group[v].values, error_of(group[v].values, group[s].values))
+            ]
         tree.close()
     return found
 
@@ -100,7 +130,16 @@ def everything(spinner: Spinner, folder: Path, seed: int, *commands: str) -> Non
     if "sun" in commands:
         said("sun", vehicle, telemetry, "--json", "--out", str(folder / "sun"))
     for words in ((), tle) if "rates" in commands else ():
-        said("rates", vehicle, telemetry, *words, *QUICK, "--json", "--out", str(folder / f"rates{len(words)}"))
+        said(
+            "rates",
+            vehicle,
+            telemetry,
+            *words,
+            *QUICK,
+            "--json",
+            "--out",
+            str(folder / f"rates{len(words)}"),
+        )
     if "posterior" in commands:
         said("posterior", vehicle, telemetry, *SMALL, "--json", "--out", str(folder / "posterior"))
     bad = {place.name: without_error(place) for place in folder.iterdir() if place.is_dir()}
@@ -111,12 +150,23 @@ def test_a_spinner_without_noise_is_judged_and_its_rate_is_determined(tmp_path, 
     """Three faces, never more than three panels lit, nothing below zero: without a noise all costs of the orbit check were NaN."""
     vehicle, telemetry, elements = UNSTATED.write(tmp_path)
     text = said("check", vehicle, telemetry, "--tle", elements)
-    assert "copies with node and phase turned at random predict better" in text and "field of 60" in text
+    assert (
+        "copies with node and phase turned at random predict better" in text
+        and "field of 60" in text
+    )
     out = tmp_path / "rates"
     text = said("rates", vehicle, telemetry, "--tle", elements, *QUICK, "--out", str(out))
-    assert "passes are decided" in text and "error of panel readings" in text and "NOISE NOT STATED" in text
+    assert (
+        "passes are decided" in text
+        and "error of panel readings" in text
+        and "NOISE NOT STATED" in text
+    )
     table = pd.read_csv(out / "passes.csv", comment="#")
-    speed = table["speed_median_deg_s"][0] if "speed_median_deg_s" in table else np.degrees(table["speed_median"][0])
+    speed = (
+        table["speed_median_deg_s"][0]
+        if "speed_median_deg_s" in table
+        else np.degrees(table["speed_median"][0])
+    )
     assert speed == pytest.approx(40.0, abs=1.5)
     assert without_error(out) == []
 
@@ -130,9 +180,13 @@ def test_the_line_that_check_gives_can_be_followed(key, tmp_path):
     assert line is not None and "NOISE NOT STATED" in text
     assert float(line[2]) == pytest.approx(ASSUMED_SHARE * 2.5e-3, rel=0.1)
     path = Path(vehicle)
-    path.write_text(path.read_text("utf-8").replace("[telemetry]\n", f"[telemetry]\n{line[1]}\n"), "utf-8")
+    path.write_text(
+        path.read_text("utf-8").replace("[telemetry]\n", f"[telemetry]\n{line[1]}\n"), "utf-8"
+    )
     assert "NOISE" not in said("check", vehicle, telemetry)
-    assert json.loads(said("check", vehicle, telemetry, "--json"))["telemetry"]["noise"] == float(line[2])
+    assert json.loads(said("check", vehicle, telemetry, "--json"))["telemetry"]["noise"] == float(
+        line[2]
+    )
     assert ss.load_vehicle(vehicle).telemetry.noise == float(line[2])
 
 
@@ -141,13 +195,20 @@ def test_noise_that_nothing_gives_is_assumed_and_lights_no_other_panel(tmp_path)
     craft = ss.load_vehicle(vehicle)
     samples = ss.read_telemetry(telemetry, craft)
     sun, power = ss.sun_directions(craft, samples), samples["power_W"].values
-    assert sun.attrs["noise_from"] == ASSUMED_FROM and sun.attrs["noise"] == pytest.approx(ASSUMED_SHARE, rel=0.1)
+    assert sun.attrs["noise_from"] == ASSUMED_FROM and sun.attrs["noise"] == pytest.approx(
+        ASSUMED_SHARE, rel=0.1
+    )
     assert sun.attrs["lit_threshold"] == LIT_FRACTION * power.max()  # as ever without a noise
     assert is_reconstructed(sun["status"]).sum() > 10
     assert not unsure(sun["sun_B"].values, error_of(sun["sun_B"].values, sun["sun_cov_B"].values))
     assert np.isfinite(sun["sigma_rad"].values[is_reconstructed(sun["status"])]).all()
     assert ss.panel_health(craft, samples)["noise"] == {}  # what is assumed accuses no panel
-    stated = ss.sun_directions(craft, samples, noise=float(sun.attrs["noise"]), lit_threshold=float(sun.attrs["lit_threshold"]))
+    stated = ss.sun_directions(
+        craft,
+        samples,
+        noise=float(sun.attrs["noise"]),
+        lit_threshold=float(sun.attrs["lit_threshold"]),
+    )
     xr.testing.assert_equal(stated["sun_cov_B"], sun["sun_cov_B"])
 
 
@@ -156,7 +217,9 @@ def test_exact_and_dark_readings_have_no_noise_of_their_own():
     axes = np.vstack([np.eye(3), -np.eye(3), np.ones((1, 3)) / np.sqrt(3)])
     craft = Vehicle("v", panels=[Panel(str(k), axis, 1.0) for k, axis in enumerate(axes)])
     exact = ss.sun_directions(craft, ss.panel_power(craft, np.abs(rng.normal(size=(20, 3)))))
-    assert exact.attrs["noise_from"] == ASSUMED_FROM  # four panels lit and no residual beyond rounding
+    assert (
+        exact.attrs["noise_from"] == ASSUMED_FROM
+    )  # four panels lit and no residual beyond rounding
     dark = ss.sun_directions(craft, np.zeros((4, 7)))
     assert np.isnan(dark["sun_B"].values).all() and np.isnan(dark["sigma_rad"].values).all()
     for wrong in (0.0, -1.0, np.nan, np.inf):
@@ -171,29 +234,50 @@ def test_the_unit_of_readings_decides_no_sample_without_noise(gain):
     """What is dark was judged by a share of the gain and not of full Sun."""
     rng = np.random.default_rng(0)
     craft = Vehicle("v", panels=[Panel(str(k), axis, 1.0) for k, axis in enumerate(-np.eye(3))])
-    power = np.abs(rng.normal(size=(60, 3))) * (rng.random((60, 1)) < 0.7) + 0.15 * rng.random((60, 3))
-    use = [panel_quality(craft, file)["use"].values for file in (of_powers(craft, power), of_powers(craft, gain * power))]
+    power = np.abs(rng.normal(size=(60, 3))) * (rng.random((60, 1)) < 0.7) + 0.15 * rng.random(
+        (60, 3)
+    )
+    use = [
+        panel_quality(craft, file)["use"].values
+        for file in (of_powers(craft, power), of_powers(craft, gain * power))
+    ]
     assert np.array_equal(*use) and 5 < np.count_nonzero(use[0] == 2) < 50
 
 
 def of_powers(craft: Vehicle, power: np.ndarray) -> xr.Dataset:
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(power), dtype=np.uint8))}
-    return xr.Dataset(variables, {"time": np.arange(len(power)) * 1.0, "panel": list(craft.panel_names)})
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(power), dtype=np.uint8)),
+    }
+    return xr.Dataset(
+        variables, {"time": np.arange(len(power)) * 1.0, "panel": list(craft.panel_names)}
+    )
 
 
 def test_a_direction_without_an_error_is_no_reading(monkeypatch):
     craft = Vehicle("v", panels=[Panel("a", [1, 0, 0], 1.0)], telemetry=TelemetryForm(noise=0.01))
     sun, covariance = np.tile([0.0, 0.0, 1.0], (4, 1)), np.tile(1e-4 * np.eye(3), (4, 1, 1))
     covariance[1] = np.nan
-    samples = xr.Dataset({
-        "sun_sensor_B": (("time", "axis"), sun), "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance),
-        "field_B": (("time", "axis"), np.array([[0.0, 0, 0], [1, 2, 3], [2, 3, 4], [3, 4, 5]])),
-    }, {"time": np.arange(4.0)})  # fmt: skip
+    samples = xr.Dataset(
+        {
+            "sun_sensor_B": (("time", "axis"), sun),
+            "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance),
+            "field_B": (("time", "axis"), np.array([[0.0, 0, 0], [1, 2, 3], [2, 3, 4], [3, 4, 5]])),
+        },
+        {"time": np.arange(4.0)},
+    )
     seen = seen_in(craft, samples)
     assert np.isfinite(seen.sun).all(axis=1).tolist() == [True, False, True, True]
 
-    found = xr.Dataset({"sun_B": (("time", "axis"), sun), "sigma_rad": ("time", np.array([0.01, np.nan, 0.02, 0.03]))})
-    monkeypatch.setattr(sensor_calibration, "sun_by_panels", lambda *_: (found, np.zeros(4, dtype=bool)))
+    found = xr.Dataset(
+        {
+            "sun_B": (("time", "axis"), sun),
+            "sigma_rad": ("time", np.array([0.01, np.nan, 0.02, 0.03])),
+        }
+    )
+    monkeypatch.setattr(
+        sensor_calibration, "sun_by_panels", lambda *_: (found, np.zeros(4, dtype=bool))
+    )
     read = sensor_calibration.readings(craft, of_powers(craft, np.ones((4, 1))))
     assert read.t_s.tolist() == [0.0, 2.0, 3.0] and np.isfinite(read.sun_sigma).all()
 
@@ -205,7 +289,14 @@ def test_no_number_stands_beside_an_error_of_nan(stated, tmp_path, few_copies):
 
 @pytest.mark.long
 def test_one_face_that_sees_nothing_and_a_magnetometer_that_reads_zeros(tmp_path, few_copies):
-    everything(replace(UNSTATED, faces=("+Z",), samples=6, spoilt=True), tmp_path, 1, "check", "sun", "rates")
+    everything(
+        replace(UNSTATED, faces=("+Z",), samples=6, spoilt=True),
+        tmp_path,
+        1,
+        "check",
+        "sun",
+        "rates",
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 3, 7, 10])
@@ -214,7 +305,10 @@ def test_drawn_files_are_judged_and_directions_have_errors(seed, tmp_path, few_c
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [*range(100, 108), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(108, 124))])
+@pytest.mark.parametrize(
+    "seed",
+    [*range(100, 108), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(108, 124))],
+)
 def test_more_drawn_files_and_their_rates(seed, tmp_path, few_copies):
     everything(Spinner.drawn(seed), tmp_path, seed, "check", "sun", "rates")
 
@@ -223,7 +317,17 @@ def test_more_drawn_files_and_their_rates(seed, tmp_path, few_copies):
 @pytest.mark.parametrize("orbit", [False, True])
 @pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.slow)])
 def test_posteriors_without_a_noise_say_which_is_assumed(stated, orbit, tmp_path, undrawn):
-    spinner = replace(UNSTATED, samples=4, interval_s=10.0, rate_deg_s=3.0, stated=stated, orbit=orbit, magnetometer=False)
+    spinner = replace(
+        UNSTATED,
+        samples=4,
+        interval_s=10.0,
+        rate_deg_s=3.0,
+        stated=stated,
+        orbit=orbit,
+        magnetometer=False,
+    )
     everything(spinner, tmp_path, 3, "posterior")
     about = json.loads((tmp_path / "posterior" / "summary.json").read_text("utf-8"))
-    assert about["noise_from"] == ("given" if stated else ASSUMED_FROM) and about["noise"] == pytest.approx(0.02, rel=0.6)
+    assert about["noise_from"] == ("given" if stated else ASSUMED_FROM) and about[
+        "noise"
+    ] == pytest.approx(0.02, rel=0.6)

@@ -56,24 +56,42 @@ def test_it_is_frozen(tmp_path):
     ("change", "parts"),
     [
         (lambda t: "", ["empty"]),
-        (lambda t: t.replace("mass_kg", "mas_kg"), ["body.mas_kg", "unknown key", "mass_kg, inertia_kg_m2"]),
+        (
+            lambda t: t.replace("mass_kg", "mas_kg"),
+            ["body.mas_kg", "unknown key", "mass_kg, inertia_kg_m2"],
+        ),
         (lambda t: t.replace("[1, 0, 0], [0, 2", "[1, 0.1, 0], [0, 2"), ["symmetric", "0.1"]),
         (lambda t: t.replace("[0, 0, 2.5]", "[0, 0, 5]"), ["not that of any body", "1, 2, 5"]),
         (lambda t: t.replace("[[1, 0, 0]", "[[-1, 0, 0]"), ["positive definite"]),
-        (lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, 0, 1]"), ["normal_B of panel 'a'", "unit vector", "1.414"]),
-        (lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, 0]"), ["normal_B", "three finite numbers"]),
+        (
+            lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, 0, 1]"),
+            ["normal_B of panel 'a'", "unit vector", "1.414"],
+        ),
+        (
+            lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, 0]"),
+            ["normal_B", "three finite numbers"],
+        ),
         (lambda t: t.replace("cells = 10", "cells = -1"), ["gain of panel 'a'", "positive"]),
         (lambda t: t.replace("cells = 10", ""), ["panel 'a'", "exactly one of cells"]),
-        (lambda t: t.replace("cells = 10", 'cells = "10"'), ["panel[0].cells", "a number is expected"]),
+        (
+            lambda t: t.replace("cells = 10", 'cells = "10"'),
+            ["panel[0].cells", "a number is expected"],
+        ),
         (lambda t: t.replace("mass_kg = 10", "mass_kg = nan"), ["body.mass_kg", "finite number"]),
         (lambda t: t.replace("mass_kg = 10", "mass_kg ="), ["not valid TOML", "line"]),
         (lambda t: t.replace('name = "w"', ""), ["wheel[0].name", "missing"]),
         (lambda t: t.replace("value = 0.01", "value = 3.0"), ["axial inertia exceeds"]),
-        (lambda t: t.replace("coulomb_N_m = 1e-3", "coulomb_N_m = -1e-3"), ["coulomb_N_m", "zero or positive"]),
+        (
+            lambda t: t.replace("coulomb_N_m = 1e-3", "coulomb_N_m = -1e-3"),
+            ["coulomb_N_m", "zero or positive"],
+        ),
         (lambda t: t.encode("utf-16"), ["not UTF-8"]),
         (lambda t: t + '[[sun_rule]]\nall_dark = ["z"]\nreason = "r"\n', ["does not have", "z"]),
         (lambda t: t + '[[leg]]\nname = "1"\ntip_B_m = [1, 2]\n', ["tip_B_m of leg '1'"]),
-        (lambda t: t.replace('source = "datasheet"', 'source = ""'), ["source must be a text that is not empty"]),
+        (
+            lambda t: t.replace('source = "datasheet"', 'source = ""'),
+            ["source must be a text that is not empty"],
+        ),
     ],
 )
 def test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts):
@@ -88,19 +106,42 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts):
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        (lambda t: t.replace("cells = 10", "gain = 10"), ["panel[0].gain", "unknown key", "name, normal_B, cells, relative_gain"]),
+        (
+            lambda t: t.replace("cells = 10", "gain = 10"),
+            ["panel[0].gain", "unknown key", "name, normal_B, cells, relative_gain"],
+        ),
         (lambda t: t.replace("cells = 10", "cels = 10"), ["panel[0].cels", "unknown key"]),
-        (lambda t: t.replace("cells = 10", "cells = 10\ngain_W = 2"), ["exactly one of cells", "cells, gain_W"]),
-        (lambda t: t + "spin_down = { c1_rad_s = 1, c2_per_s = -1, c3_rad_s = -1 }\n", ["wheel.w.friction gives both a spin_down"]),
-        (lambda t: t + "[telemetry]\nnoise = 0\n", ["telemetry.noise must be positive (found 0.0)"]),
-        (lambda t: t + '[gyro]\ncolumns = ["x", "y", "z"]\nscale_rad_s = 1\nnoise_rad_s = 1\nzero_sigma = 1\n',
-         ["gyro.zero_sigma", "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"]),
-        (lambda t: t + "[clock]\nsensors_late_s = { value = 1, sigma = -1 }\n", ["the sigma of clock.sensors_late_s"]),
+        (
+            lambda t: t.replace("cells = 10", "cells = 10\ngain_W = 2"),
+            ["exactly one of cells", "cells, gain_W"],
+        ),
+        (
+            lambda t: t + "spin_down = { c1_rad_s = 1, c2_per_s = -1, c3_rad_s = -1 }\n",
+            ["wheel.w.friction gives both a spin_down"],
+        ),
+        (
+            lambda t: t + "[telemetry]\nnoise = 0\n",
+            ["telemetry.noise must be positive (found 0.0)"],
+        ),
+        (
+            lambda t: (
+                t
+                + '[gyro]\ncolumns = ["x", "y", "z"]\nscale_rad_s = 1\nnoise_rad_s = 1\nzero_sigma = 1\n'
+            ),
+            ["gyro.zero_sigma", "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"],
+        ),
+        (
+            lambda t: t + "[clock]\nsensors_late_s = { value = 1, sigma = -1 }\n",
+            ["the sigma of clock.sensors_late_s"],
+        ),
         (lambda t: t.replace("[[panel]]", "[panel]"), ["panel: should be a valid list"]),
         (lambda t: t.replace("[body]", "[[body]]"), ["body: should be a table"]),
-        (lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, [0], 0]"), ["normal_B of panel 'a'", "three finite numbers"]),
+        (
+            lambda t: t.replace("normal_B = [1, 0, 0]", "normal_B = [1, [0], 0]"),
+            ["normal_B of panel 'a'", "three finite numbers"],
+        ),
     ],
-)  # fmt: skip
+)
 def test_keys_of_a_file_are_not_the_names_in_python(tmp_path, change, parts):
     test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts)
 
@@ -115,13 +156,25 @@ CRAFT = ss.Vehicle("v", np.diag([1.0, 2.0, 2.5]), 10.0, panels=[PANEL], wheels=[
         (lambda: replace(CRAFT, mass_kg=-1), "mass_kg must be positive (found -1.0)"),
         (lambda: replace(CRAFT, inertia_kg_m2=np.diag([1, 2, 9])), "not that of any body"),
         (lambda: replace(CRAFT, panels=[PANEL, PANEL]), "two panels share the name 'a'"),
-        (lambda: replace(CRAFT, panels=[3]), "Vehicle, panels[0]: should be an instance of Panel (found 3)"),
+        (
+            lambda: replace(CRAFT, panels=[3]),
+            "Vehicle, panels[0]: should be an instance of Panel (found 3)",
+        ),
         (lambda: replace(CRAFT, mass="3"), "Vehicle, mass: unknown key 'mass'; known keys: name, "),
         (lambda: replace(PANEL, gain=0.0), "the gain of panel 'a' must be positive"),
         (lambda: replace(PANEL, gain="2"), "Panel, gain: a number is expected, not '2'"),
-        (lambda: replace(WHEEL, inertia_kg_m2=np.nan), "Wheel.inertia_kg_m2 must be positive (found nan)"),
-        (lambda: replace(CRAFT.telemetry, noise=-0.1), "TelemetryForm.noise must be positive (found -0.1)"),
-        (lambda: replace(CRAFT.telemetry, quantity="power"), "TelemetryForm, quantity: should be 'power_W' or 'current_A'"),
+        (
+            lambda: replace(WHEEL, inertia_kg_m2=np.nan),
+            "Wheel.inertia_kg_m2 must be positive (found nan)",
+        ),
+        (
+            lambda: replace(CRAFT.telemetry, noise=-0.1),
+            "TelemetryForm.noise must be positive (found -0.1)",
+        ),
+        (
+            lambda: replace(CRAFT.telemetry, quantity="power"),
+            "TelemetryForm, quantity: should be 'power_W' or 'current_A'",
+        ),
         (lambda: ss.Panel("a", [1, 0, 0]), "Panel, gain: this key is missing"),
         (lambda: SunRule([], "r"), "SunRule, all_dark: List should have at least 1 item"),
     ],
@@ -137,7 +190,10 @@ def test_parts_are_compared_and_hashed_by_content():
         one, two = ss.load_vehicle(name), ss.load_vehicle(name)
         assert one == two == pickle.loads(pickle.dumps(one)) and len({one, two}) == 1
         assert replace(one, name="other") != one
-    assert replace(PANEL, normal_B=[0, 1, 0]) != PANEL == ss.Panel("a", np.array([1.0, 0, 0]), 2) and PANEL != 3
+    assert (
+        replace(PANEL, normal_B=[0, 1, 0]) != PANEL == ss.Panel("a", np.array([1.0, 0, 0]), 2)
+        and PANEL != 3
+    )
 
 
 def test_every_part_is_frozen():
@@ -164,6 +220,8 @@ def test_unknown_names_list_the_known_ones():
 
 
 def test_a_file_needs_only_what_is_used(tmp_path):
-    vehicle = load(tmp_path, 'name = "panels only"\n[[panel]]\nname = "a"\nnormal_B = [0, 0, 1]\ngain_W = 2\n')
+    vehicle = load(
+        tmp_path, 'name = "panels only"\n[[panel]]\nname = "a"\nnormal_B = [0, 0, 1]\ngain_W = 2\n'
+    )
     with pytest.raises(ss.VehicleError, match=r"inertia_kg_m2 under \[body\]"):
         ss.propagate(vehicle, [0, 0, 0.1], [1, 0, 0], None, [0.0, 1.0])

@@ -45,16 +45,35 @@ scale_rad_s = 1.0
 noise_rad_s = 0.001
 """
 RIGHT = {
-    "mass": "10.0", "inertia": "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "gain": "1.0", "wheel": "0.01", "speed": "100.0",
-    "coulomb": "1e-5", "viscous": "1e-6", "x": '"px"', "minus": '"mx"', "gyro": '["gx", "gy", "gz"]',
-}  # fmt: skip
+    "mass": "10.0",
+    "inertia": "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
+    "gain": "1.0",
+    "wheel": "0.01",
+    "speed": "100.0",
+    "coulomb": "1e-5",
+    "viscous": "1e-6",
+    "x": '"px"',
+    "minus": '"mx"',
+    "gyro": '["gx", "gy", "gz"]',
+}
 VALUES = ("mass", "gain", "wheel", "speed", "coulomb", "viscous", "inertia")
 GOOD_SIGMAS = ("0", "0.5", "1e-9")
 SQUARE = "[[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]"
 BAD_SIGMAS = (
-    "-1", "-1e-9", "[0.1]", "[0.1, 0.2]", "[[0.1, 0.2], [0.3, 0.4]]", "[]", "[[0.1], [0.2, 0.3]]", "nan", "inf", "true", '"0.1"',
-    "[0.1, 0.2, 0.3]", "[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]",
-)  # fmt: skip
+    "-1",
+    "-1e-9",
+    "[0.1]",
+    "[0.1, 0.2]",
+    "[[0.1, 0.2], [0.3, 0.4]]",
+    "[]",
+    "[[0.1], [0.2, 0.3]]",
+    "nan",
+    "inf",
+    "true",
+    '"0.1"',
+    "[0.1, 0.2, 0.3]",
+    "[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]",
+)
 CONTROL = ("a\\nb", "\\u0000", "a\\tb", "\\u001b[2J", "\\u202e", "\\r")
 
 
@@ -66,7 +85,9 @@ def refused(text: str, *words: str) -> None:
     with pytest.raises(ss.VehicleError) as told:
         parse_vehicle(text, "v.toml")
     said = str(told.value)
-    assert said.isprintable() and said.startswith("v.toml") and all(word in said for word in words), said
+    assert (
+        said.isprintable() and said.startswith("v.toml") and all(word in said for word in words)
+    ), said
 
 
 def test_the_right_file_is_read():
@@ -87,7 +108,11 @@ def test_a_sigma_has_the_form_of_its_value(key):
 def test_the_sigma_of_an_angle_is_no_number_of_degrees():
     text = made().replace("normal_B = [1, 0, 0]", "normal_B = { value = [1, 0, 0], sigma = HERE }")
     assert parse_vehicle(text.replace("HERE", "1"), "v.toml").facts["panel.+X.normal_B"].sigma == 1
-    refused(text.replace("HERE", "1.1"), "the sigma of panel.+X.normal_B is in rad and not above 1", "one degree is")
+    refused(
+        text.replace("HERE", "1.1"),
+        "the sigma of panel.+X.normal_B is in rad and not above 1",
+        "one degree is",
+    )
     turned = "[panel_response]\nturned_B_rad = { value = [0, 0, 0], sigma = 5 }\n"
     refused(made() + turned, "turned_B_rad is in rad and not above 1")
     refused(made(gyro='["gx", "gy"]'), "gyro.columns: List should have at least 3 items, not 2")
@@ -100,7 +125,10 @@ def test_the_sigma_of_a_tensor_is_symmetric_as_the_tensor_is():
         sigma = [[0.1] * 3 for _ in range(3)]
         i, j = rng.sample(range(3), 2)
         sigma[i][j] = rng.choice([0.0, 0.2, 1e-3])
-        refused(made(inertia=f"{{value = {RIGHT['inertia']}, sigma = {sigma}}}"), "sigma of inertia_kg_m2 must be symmetric")
+        refused(
+            made(inertia=f"{{value = {RIGHT['inertia']}, sigma = {sigma}}}"),
+            "sigma of inertia_kg_m2 must be symmetric",
+        )
 
 
 def test_one_column_serves_one_panel_and_one_axis():
@@ -115,29 +143,52 @@ def test_one_column_serves_one_panel_and_one_axis():
 @pytest.mark.parametrize("name", CONTROL)
 @pytest.mark.parametrize("place", ["x", "gyro"])
 def test_columns_are_printable(place, name):
-    refused(made(**{place: f'"{name}"' if place == "x" else f'["{name}", "gy", "gz"]'}), "printable")
+    refused(
+        made(**{place: f'"{name}"' if place == "x" else f'["{name}", "gy", "gz"]'}), "printable"
+    )
 
 
 def test_a_misspelt_key_is_named_with_the_nearest_known():
     rng = random.Random(2)
-    refused(made().replace("noise_rad_s", "noise_deg_s"), "unknown key 'noise_deg_s'", "did you mean noise_rad_s?")
-    for key in ("scale_rad_s", "columns", "noise_rad_s", "gain_W", "speed_rad_s", "axis_B", "normal_B", "mass_kg", "coulomb_N_m"):
+    refused(
+        made().replace("noise_rad_s", "noise_deg_s"),
+        "unknown key 'noise_deg_s'",
+        "did you mean noise_rad_s?",
+    )
+    for key in (
+        "scale_rad_s",
+        "columns",
+        "noise_rad_s",
+        "gain_W",
+        "speed_rad_s",
+        "axis_B",
+        "normal_B",
+        "mass_kg",
+        "coulomb_N_m",
+    ):
         for _ in range(5):
             at = rng.randrange(len(key))
-            wrong = rng.choice([key[:at] + "q" + key[at + 1 :], key[:at] + "q" + key[at:], f"{key}s"])
+            wrong = rng.choice(
+                [key[:at] + "q" + key[at + 1 :], key[:at] + "q" + key[at:], f"{key}s"]
+            )
             start = made().index(f"\n{key} =")
             text = made()[: start + 1] + wrong + made()[start + 1 + len(key) :]
             refused(text, f"unknown key '{wrong}'", f"did you mean {key}?")
 
 
 def test_a_table_with_one_column_for_two_panels_or_a_line_break_in_quotes(tmp_path):
-    craft = parse_vehicle(made().replace('"+X" = "px"\n', '"+X" = "-X"\n').replace('"-X" = "mx"\n', ""), "v.toml")
+    craft = parse_vehicle(
+        made().replace('"+X" = "px"\n', '"+X" = "-X"\n').replace('"-X" = "mx"\n', ""), "v.toml"
+    )
     path = tmp_path / "t.csv"
     path.write_text("time,-X\n2026-01-01T00:00:00Z,1\n2026-01-01T00:00:01Z,1\n")
     with pytest.raises(ss.TelemetryError, match="two panels read one column"):
         read_telemetry(path, craft)
     craft = parse_vehicle(made(), "v.toml")
-    for text in ('time,px,mx\n2026-01-01T00:00:00Z,"1\n2",1\n', 'time,px,"m\nx"\n2026-01-01T00:00:00Z,1,1\n'):
+    for text in (
+        'time,px,mx\n2026-01-01T00:00:00Z,"1\n2",1\n',
+        'time,px,"m\nx"\n2026-01-01T00:00:00Z,1,1\n',
+    ):
         path.write_text(text)
         with pytest.raises(ss.TelemetryError, match="quotes goes on in the next line"):
             read_telemetry(path, craft)
@@ -149,11 +200,31 @@ def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert sunspin("init", ".", "--quiet") == Told(0, "", "")
     for axis in ("0,0", "0,-0.0", "0.1,0.2,0.1"):
-        told = sunspin("scan", "vehicle.toml", "telemetry.csv", f"--omega-x={axis}", "--omega-y=0", "--omega-z=0")
+        told = sunspin(
+            "scan",
+            "vehicle.toml",
+            "telemetry.csv",
+            f"--omega-x={axis}",
+            "--omega-y=0",
+            "--omega-z=0",
+        )
         assert judge(told).what == "refused" and "omega_x has a rate twice" in told.err
 
 
-NAMES = ("$x$", "$\\frac{$", "\\$", "$$", "_x", "日本", "a$b", "$\\alpha$ & %", "\\\\$x$", "^{", "☃", "$x\\$")
+NAMES = (
+    "$x$",
+    "$\\frac{$",
+    "\\$",
+    "$$",
+    "_x",
+    "日本",
+    "a$b",
+    "$\\alpha$ & %",
+    "\\\\$x$",
+    "^{",
+    "☃",
+    "$x\\$",
+)
 
 
 @pytest.mark.long  # the quick one is in tests/output/test_pass_pages.py
@@ -161,7 +232,9 @@ NAMES = ("$x$", "$\\frac{$", "\\$", "$$", "_x", "日本", "a$b", "$\\alpha$ & %"
 def test_names_of_panels_are_drawn_as_they_are(names, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert sunspin("init", ".", "--quiet") == Told(0, "", "")
-    template = Path(str(resources.files("sunspin") / "template" / "vehicle.toml")).read_text("utf-8")
+    template = Path(str(resources.files("sunspin") / "template" / "vehicle.toml")).read_text(
+        "utf-8"
+    )
     for face, name in zip(("+X", "-X", "+Y", "-Y", "+Z"), names, strict=True):
         assert f'"{face}"' in template
         template = template.replace(f'"{face}"', f"'{name}'")
@@ -171,14 +244,32 @@ def test_names_of_panels_are_drawn_as_they_are(names, tmp_path, monkeypatch):
 
 
 REVERSED = (
-    '["-", "gy", "gz"]', '["gx", "-gx", "gz"]', '["-gx", "-gx", "gz"]', '["-gx"]', '["-gx", "gy", "gz", "-gw"]', '"-gx,-gy,-gz"',
-    "[-1, 2, 3]", '["-gx", 3, "gz"]', '["", "gy", "gz"]', '[["-gx"], "gy", "gz"]', '{ x = "-gx" }', "true",
-    '["-gx\\n", "gy", "gz"]', '["-gx\\u0000", "gy", "gz"]', f'["-{"g" * 200}", "gy", "gz"]',
-)  # fmt: skip
+    '["-", "gy", "gz"]',
+    '["gx", "-gx", "gz"]',
+    '["-gx", "-gx", "gz"]',
+    '["-gx"]',
+    '["-gx", "gy", "gz", "-gw"]',
+    '"-gx,-gy,-gz"',
+    "[-1, 2, 3]",
+    '["-gx", 3, "gz"]',
+    '["", "gy", "gz"]',
+    '[["-gx"], "gy", "gz"]',
+    '{ x = "-gx" }',
+    "true",
+    '["-gx\\n", "gy", "gz"]',
+    '["-gx\\u0000", "gy", "gz"]',
+    f'["-{"g" * 200}", "gy", "gz"]',
+)
 
 
-@pytest.mark.parametrize(("table", "more"), [("gyro", "scale_rad_s = 1\nnoise_rad_s = 1"), ("magnetometer", "noise = 1"),
-                                             ("sun_vector", "sigma_rad = 0.1")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("table", "more"),
+    [
+        ("gyro", "scale_rad_s = 1\nnoise_rad_s = 1"),
+        ("magnetometer", "noise = 1"),
+        ("sun_vector", "sigma_rad = 0.1"),
+    ],
+)
 def test_columns_of_three_axes_that_make_no_sense_are_one_sentence(table, more):
     for columns in REVERSED:
         with pytest.raises(ss.VehicleError, match=rf"^v.toml[:,] {table}.columns") as told:

@@ -41,7 +41,10 @@ def lines(rng: np.random.Generator) -> tuple[str, str]:
     first = f"1 99999U 21001A   21{day:012.8f}  .00001000  00000-0  50000-4 0  999"
     shape = f"{int(rng.uniform(5e3, 3e4)):07d} {perigee:8.4f} {anomaly:8.4f} {rng.uniform(14.9, 15.5):11.8f}"
     second = f"2 99999 {inclination:8.4f} {node:8.4f} {shape}    1"
-    return tuple(text + str(sum(int(c) if c.isdigit() else c == "-" for c in text) % 10) for text in (first, second))
+    return tuple(
+        text + str(sum(int(c) if c.isdigit() else c == "-" for c in text) % 10)
+        for text in (first, second)
+    )
 
 
 def turned(second: str, by_deg: float) -> str:
@@ -52,27 +55,43 @@ def turned(second: str, by_deg: float) -> str:
 def sun_of_date(days: np.ndarray) -> np.ndarray:
     """Directions (n, 3) at days (n) from J2000.0: Astronomical Almanac, page C5, to 0.01 degrees."""
     anomaly = np.radians(357.528 + 0.9856003 * days)
-    longitude = np.radians(280.460 + 0.9856474 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly))
+    longitude = np.radians(
+        280.460 + 0.9856474 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly)
+    )
     tilt = np.radians(23.439 - 4e-7 * days)
-    return np.column_stack([np.cos(longitude), np.cos(tilt) * np.sin(longitude), np.sin(tilt) * np.sin(longitude)])
+    return np.column_stack(
+        [np.cos(longitude), np.cos(tilt) * np.sin(longitude), np.sin(tilt) * np.sin(longitude)]
+    )
 
 
 def field_nT(place: np.ndarray, sidereal: np.ndarray, when: datetime) -> np.ndarray:
     """The field (n, 3) in the axes of `place` (n, 3) km, in which the Earth has turned by `sidereal` (n) rad."""
     radius = np.linalg.norm(place, axis=1)
     theta, phi = np.arccos(place[:, 2] / radius), np.arctan2(place[:, 1], place[:, 0])
-    up, south, east = (part[0] for part in ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), when))
+    up, south, east = (
+        part[0]
+        for part in ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), when)
+    )
     level = up * np.sin(theta) + south * np.cos(theta)
-    return np.column_stack([level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi),
-                            up * np.cos(theta) - south * np.sin(theta)])  # fmt: skip
+    return np.column_stack(
+        [
+            level * np.cos(phi) - east * np.sin(phi),
+            level * np.sin(phi) + east * np.cos(phi),
+            up * np.cos(theta) - south * np.sin(theta),
+        ]
+    )
 
 
-def sky(given: tuple[str, str], begin: float, t: np.ndarray, ahead: float | np.ndarray) -> tuple[np.ndarray, ...]:
+def sky(
+    given: tuple[str, str], begin: float, t: np.ndarray, ahead: float | np.ndarray
+) -> tuple[np.ndarray, ...]:
     """Direction to the Sun (n, 3), field (n, 3) in nT, whether the Sun is up (n) and the ground below lit (n), at s from `begin`
     after the epoch, so many s ahead of the elements."""
     day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
     true = begin + t
-    _, place, _ = Satrec.twoline2rv(*given).sgp4_array(np.full(len(t), day), fraction + (true + ahead) / 86400)
+    _, place, _ = Satrec.twoline2rv(*given).sgp4_array(
+        np.full(len(t), day), fraction + (true + ahead) / 86400
+    )
     days = day - 2451545.0 + fraction + true / 86400
     sidereal = np.radians((280.46061837 + 360.98564736629 * days) % 360)
     sun = sun_of_date(days)
@@ -93,35 +112,80 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, tuple[str, str], dict[
     t -= t[0]
     sun, field, lit, day = sky(given, begin, t, ahead)
     spin = np.radians(10 ** rng.uniform(-0.5, 0.7)) * unit(rng)
-    body = Rotation.from_rotvec(t[:, None] * spin) * Rotation.random(random_state=int(rng.integers(2**31)))
+    body = Rotation.from_rotvec(t[:, None] * spin) * Rotation.random(
+        random_state=int(rng.integers(2**31))
+    )
     sun_B, field_B = body.apply(sun), body.apply(field)
     power = np.maximum(sun_B @ FACES.T, 0) * lit[:, None] * np.exp(0.03 * rng.normal(size=6))
-    power = np.maximum(power + 0.06 * rng.uniform(size=power.shape) * day[:, None] + 0.01 * rng.normal(size=power.shape), 0)
+    power = np.maximum(
+        power
+        + 0.06 * rng.uniform(size=power.shape) * day[:, None]
+        + 0.01 * rng.normal(size=power.shape),
+        0,
+    )
     matrix = np.eye(3) + 0.03 * rng.normal(size=(3, 3))
     reading = field_B @ matrix.T + 4000 * rng.normal(size=3) + 600 * rng.normal(size=field.shape)
     sensors = Sensors(magnetometer=Magnetometer(("x", "y", "z"), np.zeros(3), 600.0))
-    vehicle = Vehicle("in orbit", gain_unit="W", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
-                      telemetry=TelemetryForm(noise=0.01), sensors=sensors)  # fmt: skip
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
-                 "field_B": (("time", "axis"), reading)}  # fmt: skip
+    vehicle = Vehicle(
+        "in orbit",
+        gain_unit="W",
+        panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
+        telemetry=TelemetryForm(noise=0.01),
+        sensors=sensors,
+    )
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+        "field_B": (("time", "axis"), reading),
+    }
     attrs = {"epoch_utc": (EPOCH + timedelta(seconds=begin)).isoformat() + "Z", "synthetic": 1}
     data = xr.Dataset(variables, {"time": t, "panel": list(vehicle.panel_names)}, attrs)
-    return vehicle, data, given, {"ahead_s": ahead, "sigma_s": sigma, "samples": len(t), "passes": passes, "lit": float(lit.mean())}
+    return (
+        vehicle,
+        data,
+        given,
+        {
+            "ahead_s": ahead,
+            "sigma_s": sigma,
+            "samples": len(t),
+            "passes": passes,
+            "lit": float(lit.mean()),
+        },
+    )
 
 
 def judge(seed: int, i: int) -> dict[str, Any]:
     """What the check says of the elements as they are, with their node turned, and of a clock that is an hour behind and a field of
     the opposite sign."""
     vehicle, data, given, about = make(seed, i)
-    late = data.assign_attrs(epoch_utc=(datetime.fromisoformat(data.attrs["epoch_utc"]) - timedelta(hours=1)).isoformat())
+    late = data.assign_attrs(
+        epoch_utc=(datetime.fromisoformat(data.attrs["epoch_utc"]) - timedelta(hours=1)).isoformat()
+    )
     cases = {f"{wrong:g} deg": (wrong, data) for wrong in WRONG_DEG}
-    for name, (wrong, samples) in (cases | {"clock": (0.0, late), "sign": (0.0, data.assign(field_B=-data["field_B"]))}).items():
+    for name, (wrong, samples) in (
+        cases | {"clock": (0.0, late), "sign": (0.0, data.assign(field_B=-data["field_B"]))}
+    ).items():
         elements = parse_elements("\n".join((given[0], turned(given[1], wrong))), "twin")
-        orbit = in_orbit(elements, samples.attrs["epoch_utc"], samples["time"].values, shift_sigma_s=about["sigma_s"])
+        orbit = in_orbit(
+            elements,
+            samples.attrs["epoch_utc"],
+            samples["time"].values,
+            shift_sigma_s=about["sigma_s"],
+        )
         found = check_orbit(orbit, vehicle, samples, seed=i)
         angles = np.degrees([found.turn_rad, found.angle_residual_rad])
-        about[name] = [found.verdict.name, found.better, found.mistaken, found.shift_s, found.shift_sigma_s, found.turn_times,
-                       *angles, 1e6 * found.strength_residual_T, found.clock_behind_s, found.sign_turned]  # fmt: skip
+        about[name] = [
+            found.verdict.name,
+            found.better,
+            found.mistaken,
+            found.shift_s,
+            found.shift_sigma_s,
+            found.turn_times,
+            *angles,
+            1e6 * found.strength_residual_T,
+            found.clock_behind_s,
+            found.sign_turned,
+        ]
     return about
 
 
@@ -130,14 +194,25 @@ def main(arguments: list[str] | None = None) -> None:
     """Run twins and print what becomes of them, and a table."""
     rows = []
     for i, row in campaign("tests/tle_twins.py", "orbit check", judge, arguments):
-        print(i, {k: np.round(v, 3) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
+        print(
+            i,
+            {k: np.round(v, 3) if isinstance(v, float) else v for k, v in row.items()},
+            flush=True,
+        )
         rows.append(row)
     for case in (f"{wrong:g} deg" for wrong in WRONG_DEG):
         verdicts = [row[case][0] for row in rows]
         print(case, {name: verdicts.count(name) for name in sorted(set(verdicts))})
-    print("clock named", sum(row["clock"][-2] == 3600 for row in rows), "sign named", sum(row["sign"][-1] for row in rows))
+    print(
+        "clock named",
+        sum(row["clock"][-2] == 3600 for row in rows),
+        "sign named",
+        sum(row["sign"][-1] for row in rows),
+    )
     pulls = np.array([(row["0 deg"][3] - row["ahead_s"]) / row["0 deg"][4] for row in rows])
-    print(f"shift: rms {np.sqrt((pulls**2).mean()):.2f} sigma, {(np.abs(pulls) < 1.645).sum()} within 1.645, of {len(rows)}")
+    print(
+        f"shift: rms {np.sqrt((pulls**2).mean()):.2f} sigma, {(np.abs(pulls) < 1.645).sum()} within 1.645, of {len(rows)}"
+    )
 
 
 if __name__ == "__main__":

@@ -32,7 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m validation", description=told)
     commands = parser.add_subparsers(dest="campaign", required=True)
     for name, told in CAMPAIGNS.items():
-        import_module(f"validation.{name}_command").options(commands.add_parser(name, help=told, description=told))
+        import_module(f"validation.{name}_command").options(
+            commands.add_parser(name, help=told, description=told)
+        )
     options = parser.parse_args(arguments)
     return import_module(f"validation.{options.campaign}_command").run(options)
 

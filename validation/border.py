@@ -51,7 +51,9 @@ def sunspin(*arguments: str, piped: bytes = b"") -> Told:
 
     kept = sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook
     out = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
-    err = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", errors="backslashreplace", write_through=True)
+    err = io.TextIOWrapper(
+        io.BytesIO(), encoding="utf-8", errors="backslashreplace", write_through=True
+    )
     code, escaped, accepted = None, "", False
     with _quiet_descriptor() as below, warnings.catch_warnings():
         warnings.simplefilter("always")
@@ -72,7 +74,13 @@ def sunspin(*arguments: str, piped: bytes = b"") -> Told:
             sys.argv, sys.stdin, sys.stdout, sys.stderr, sys.unraisablehook = kept
         below.seek(0)
         said = err.buffer.getvalue() + below.read()
-    return Told(code, out.buffer.getvalue().decode("utf-8"), said.decode("utf-8", "replace"), escaped, accepted)
+    return Told(
+        code,
+        out.buffer.getvalue().decode("utf-8"),
+        said.decode("utf-8", "replace"),
+        escaped,
+        accepted,
+    )
 
 
 BEGUN = re.compile(r"sunspin: rates: \d+ samples[^\n]*\n")
@@ -90,7 +98,11 @@ def judge(told: Told) -> Verdict:
         return Verdict("fine") if not told.err else Verdict("noise", True, told.err)
     if told.code != 2:
         return Verdict("exit code", True, f"{told.code}: {told.err}")
-    one = told.err.startswith("sunspin: error: ") and told.err.count("\n") == 1 and told.err.endswith("\n")
+    one = (
+        told.err.startswith("sunspin: error: ")
+        and told.err.count("\n") == 1
+        and told.err.endswith("\n")
+    )
     if not one or told.out or len(told.err) > LONGEST or not told.err[:-1].isprintable():
         return Verdict("not one sentence", True, repr((told.out[:200], told.err[:2000])))
     return Verdict("out of memory" if "not enough memory" in told.err else "refused")

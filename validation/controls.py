@@ -29,13 +29,17 @@ TUMBLING = (0.35, -0.2, 0.15)
 """rad/s at the first sample: a motion off the printed lines."""
 
 
-def with_motion(case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int = 0, noise: float | None = None) -> xr.Dataset:
+def with_motion(
+    case: Case, omega_B: Any, wheel_mode: str = "coast", seed: int = 0, noise: float | None = None
+) -> xr.Dataset:
     """The case's telemetry and panels, with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
     data = case.telemetry.copy(deep=True)
     inside = np.flatnonzero(data["phase"].values == "first_rebound")
     t, known = data["time"].values[inside], rb.twin_file(case)
     speed = rb.nominal_speed(case.vehicle)
-    run = propagate(case.vehicle, omega_B, known["sun_B"], speed, t - t[0], wheel_mode=wheel_mode, rtol=1e-9)
+    run = propagate(
+        case.vehicle, omega_B, known["sun_B"], speed, t - t[0], wheel_mode=wheel_mode, rtol=1e-9
+    )
     sun, tilt = run["sun_B"].values, np.array(known["tilt_B_rad"]).reshape(-1, 3)
     exact = CELL_W * case.vehicle.response_in().power(sun, tilt=tilt)
     sigma = case.vehicle.require_noise() if noise is None else noise
@@ -114,7 +118,12 @@ class Found:
         return {row.id: settled(row) for row in found}
 
 
-def chain_of(telemetry: xr.Dataset | None = None, source: str = "scan", coarser: int = COARSER, **options: Any) -> Found:
+def chain_of(
+    telemetry: xr.Dataset | None = None,
+    source: str = "scan",
+    coarser: int = COARSER,
+    **options: Any,
+) -> Found:
     """The chain on a telemetry file, the built-in one unless given."""
     case = load_case("philae")
     case = case if telemetry is None else rb.with_telemetry(case, telemetry)

@@ -16,8 +16,15 @@ from validation.controls import CONTROLS, chain_of
 
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--coarser", type=int, default=1, help="every n-th grid point of the scan")
-    parser.add_argument("--seeds", type=int, default=0, help="right files made with this many seeds instead of the controls")
-    parser.add_argument("--twins", type=int, default=60, help="synthetic flights of each calibration")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=0,
+        help="right files made with this many seeds instead of the controls",
+    )
+    parser.add_argument(
+        "--twins", type=int, default=60, help="synthetic flights of each calibration"
+    )
 
 
 def run(options: Any) -> int:
@@ -45,7 +52,10 @@ def _look(telemetry: xr.Dataset, options: Any) -> tuple[str, bool]:
     if scan is None or chain is None:
         return f"{head}; nothing concluded: {found.why}", False
     chosen = chain.chosen
-    small, large = (np.degrees(chosen.angle_range(values)) for values in (chosen.smaller_angle, chosen.larger_angle))
+    small, large = (
+        np.degrees(chosen.angle_range(values))
+        for values in (chosen.smaller_angle, chosen.larger_angle)
+    )
     assert chain.calibration is not None
     return (
         f"{head}; smallest EMD {chain.emd_min:.4f} (as large in {chain.calibration.share_as_large(chain.emd_min):.0%}), set below "

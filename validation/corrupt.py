@@ -23,9 +23,19 @@ from validation.pool import Verdict
 from validation.suite import Suite
 
 FORMATS = (
-    "telemetry.nc", "telemetry.parquet", "trajectory.nc", "rates.nc", "scan.nc", "store", "kernel.bc", "orbit.bsp", "frames.zip",
-    "report", "attributes", "summary",
-)  # fmt: skip
+    "telemetry.nc",
+    "telemetry.parquet",
+    "trajectory.nc",
+    "rates.nc",
+    "scan.nc",
+    "store",
+    "kernel.bc",
+    "orbit.bsp",
+    "frames.zip",
+    "report",
+    "attributes",
+    "summary",
+)
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
 
@@ -60,28 +70,113 @@ def mismatched(data: Any, rng: np.random.Generator) -> Any:
 
 
 ATTRIBUTES = (
-    "units", "units", "units", "long_name", "about", "title", "flag_meanings", "flag_values", "_FillValue", "missing_value",
+    "units",
+    "units",
+    "units",
+    "long_name",
+    "about",
+    "title",
+    "flag_meanings",
+    "flag_values",
+    "_FillValue",
+    "missing_value",
     "scale_factor",
-    "add_offset", "calendar", "dtype", "coordinates", "_Unsigned", "kind", "epoch_utc", "vehicle", "strategy", "frame_N", "chain",
-    "title", "verdict", "periods", "priors", "seed", "passes", "cut_passes", "panels_left_out", "source", "changes",
-)  # fmt: skip
+    "add_offset",
+    "calendar",
+    "dtype",
+    "coordinates",
+    "_Unsigned",
+    "kind",
+    "epoch_utc",
+    "vehicle",
+    "strategy",
+    "frame_N",
+    "chain",
+    "title",
+    "verdict",
+    "periods",
+    "priors",
+    "seed",
+    "passes",
+    "cut_passes",
+    "panels_left_out",
+    "source",
+    "changes",
+)
 """Of variables and files: those that a reader, xarray or a page asks for."""
 
 CONTENTS: tuple[Any, ...] = (
-    7, -1, 2.5, np.nan, np.inf, np.array([1.0, 2.0]), np.zeros(0), True, "", " ", "<script>alert(1)</script>", "$\\frac$", "$x_$",
+    7,
+    -1,
+    2.5,
+    np.nan,
+    np.inf,
+    np.array([1.0, 2.0]),
+    np.zeros(0),
+    True,
+    "",
+    " ",
+    "<script>alert(1)</script>",
+    "$\\frac$",
+    "$x_$",
     "\u202egnp",
-    "\x1b[2J", "a\nb", "x" * 5000, "days since 0001-01-01", "seconds since 2026-01-01", "seconds since yesterday", "deg/s", "rad/s",
-    "s", "ms", "1", "%s{0}",
-    "bool", "time", "nothing else", "true", "noleap", np.bytes_(b"\xff\xfe"), "null", "[]", "{", '{"a": 1}',
-    "../../etc/passwd", "2026-01-01T00:00:00Z", "9999-12-31T23:59:59Z", "philae", "J2000",
-)  # fmt: skip
+    "\x1b[2J",
+    "a\nb",
+    "x" * 5000,
+    "days since 0001-01-01",
+    "seconds since 2026-01-01",
+    "seconds since yesterday",
+    "deg/s",
+    "rad/s",
+    "s",
+    "ms",
+    "1",
+    "%s{0}",
+    "bool",
+    "time",
+    "nothing else",
+    "true",
+    "noleap",
+    np.bytes_(b"\xff\xfe"),
+    "null",
+    "[]",
+    "{",
+    '{"a": 1}',
+    "../../etc/passwd",
+    "2026-01-01T00:00:00Z",
+    "9999-12-31T23:59:59Z",
+    "philae",
+    "J2000",
+)
 """What somebody may write there."""
 
 DELETED = object()
 JSON: tuple[Any, ...] = (
-    None, True, 0, -1, 1e308, 10**400, "", "x" * 5000, "<img src=x onerror=alert(1)>", "\u202e", "\ud800", "$\\frac$", [], {},
-    [[]], [None], [{}], {"": None}, {"a": {"b": []}}, "2026-01-01", "nan", [1, 2, 3], [1e400], DELETED,
-)  # fmt: skip
+    None,
+    True,
+    0,
+    -1,
+    1e308,
+    10**400,
+    "",
+    "x" * 5000,
+    "<img src=x onerror=alert(1)>",
+    "\u202e",
+    "\ud800",
+    "$\\frac$",
+    [],
+    {},
+    [[]],
+    [None],
+    [{}],
+    {"": None},
+    {"a": {"b": []}},
+    "2026-01-01",
+    "nan",
+    [1, 2, 3],
+    [1e400],
+    DELETED,
+)
 
 
 def relabelled(path: Path, rng: np.random.Generator) -> None:
@@ -93,7 +188,11 @@ def relabelled(path: Path, rng: np.random.Generator) -> None:
         file.visititems(lambda _, item: found.append(item))
         for _ in range(int(rng.integers(1, 4))):
             item = found[int(rng.integers(len(found)))]
-            own = [name for name in item.attrs if name not in ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")]
+            own = [
+                name
+                for name in item.attrs
+                if name not in ("DIMENSION_LIST", "REFERENCE_LIST", "CLASS", "NAME")
+            ]
             name = str(rng.choice([*ATTRIBUTES, *own * 4]))
             if name in item.attrs and rng.random() < 0.2:
                 del item.attrs[name]
@@ -109,7 +208,9 @@ def reworded(value: Any, rng: np.random.Generator) -> Any:
         new = reworded(value[key], rng)
         if isinstance(value, list):
             return [*value[:key], *([] if new is DELETED else [new]), *value[key + 1 :]]
-        return {k: new if k == key else v for k, v in value.items() if k != key or new is not DELETED}
+        return {
+            k: new if k == key else v for k, v in value.items() if k != key or new is not DELETED
+        }
     return JSON[int(rng.integers(len(JSON)))]
 
 
@@ -123,18 +224,31 @@ def made_rates() -> Any:
     times = (np.arange(0.0, 300.0, step) for step in (30.0, 3.0))
     run, fine = (ss.propagate(craft, [0.01, 0.02, 0.03], [0.6, 0.0, 0.8], None, t) for t in times)
     n, m = run.sizes["time"], fine.sizes["time"]
-    curve = {"curve_omega_B": "omega_B", "curve_omega_sigma_B": "omega_B", "curve_B_from_N": "B_from_N"}
+    curve = {
+        "curve_omega_B": "omega_B",
+        "curve_omega_sigma_B": "omega_B",
+        "curve_B_from_N": "B_from_N",
+    }
     made = xr.Dataset(
         {name: (run[name].dims, run[name].values) for name in ("omega_B", "B_from_N", "sun_B")}
         | {name: (("curve_time", fine[of].dims[1]), fine[of].values) for name, of in curve.items()}
-        | {"pass_of": ("time", np.zeros(n, dtype=int)), "curve_pass_of": ("curve_time", np.zeros(m, dtype=int)),
-           "omega_cov_B": (("time", "axis", "axis2"), np.tile(1e-8 * np.eye(3), (n, 1, 1))),
-           "omega_sigma_all_B": (("pass_id", "axis"), np.full((1, 3), 1e-4)), "weight": (("pass_id", "mode"), [[1.0]]),
-           "omega_mean_B": (("pass_id", "mode", "axis"), np.full((1, 1, 3), 0.02)),
-           "omega_sigma_B": (("pass_id", "mode", "axis"), np.full((1, 1, 3), 1e-4))},
+        | {
+            "pass_of": ("time", np.zeros(n, dtype=int)),
+            "curve_pass_of": ("curve_time", np.zeros(m, dtype=int)),
+            "omega_cov_B": (("time", "axis", "axis2"), np.tile(1e-8 * np.eye(3), (n, 1, 1))),
+            "omega_sigma_all_B": (("pass_id", "axis"), np.full((1, 3), 1e-4)),
+            "weight": (("pass_id", "mode"), [[1.0]]),
+            "omega_mean_B": (("pass_id", "mode", "axis"), np.full((1, 1, 3), 0.02)),
+            "omega_sigma_B": (("pass_id", "mode", "axis"), np.full((1, 1, 3), 1e-4)),
+        },
         coords={"time": run["time"].values, "curve_time": fine["time"].values, "pass_id": [0]},
-        attrs={"kind": "rates", "epoch_utc": "2026-01-01T00:00:00Z", "source": "panels", "vehicle": "cube"},
-    )  # fmt: skip
+        attrs={
+            "kind": "rates",
+            "epoch_utc": "2026-01-01T00:00:00Z",
+            "source": "panels",
+            "vehicle": "cube",
+        },
+    )
     for name in {*made.variables} & {*UNITS}:
         made[name].attrs["units"] = UNITS[str(name)]
     return made
@@ -178,12 +292,21 @@ class Corrupt(Suite):
     def try_trajectory_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
         self._bad("trajectory.nc", place, rng)
         form = str(rng.choice(["aem", "ck", "netcdf", "parquet"]))
-        return self._told("export", place, "--epoch=2026-01-01T00:00:00Z", f"--format={form}", "--out", place / "out")
+        return self._told(
+            "export",
+            place,
+            "--epoch=2026-01-01T00:00:00Z",
+            f"--format={form}",
+            "--out",
+            place / "out",
+        )
 
     def try_rates_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
         """A page is made of rates whose variables do not belong together: curves without a pass, of other lengths, not finite."""
         shutil.copytree("stock/results", place / "results")
-        mismatched(self.good["rates"], rng).to_netcdf(place / "results" / "rates.nc", engine="h5netcdf")
+        mismatched(self.good["rates"], rng).to_netcdf(
+            place / "results" / "rates.nc", engine="h5netcdf"
+        )
         return self._told("report", place / "results")
 
     def _read_by(self, folder: Path, place: Path, rng: np.random.Generator) -> Verdict:
@@ -191,8 +314,14 @@ class Corrupt(Suite):
         more = {
             "report": [folder],
             "compare": [folder, self.kinds[folder.name]],
-            "export": [folder, "--epoch=2026-01-01T00:00:00Z", f"--format={rng.choice(['aem', 'netcdf'])}", "--out", place / "out"],
-        }  # fmt: skip
+            "export": [
+                folder,
+                "--epoch=2026-01-01T00:00:00Z",
+                f"--format={rng.choice(['aem', 'netcdf'])}",
+                "--out",
+                place / "out",
+            ],
+        }
         command = str(rng.choice(list(more)))
         return self._told(command, *more[command])
 
@@ -221,7 +350,15 @@ class Corrupt(Suite):
 
     def try_scan_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
         bad = self._bad("scan.nc", place, rng)
-        return self._told("outcomes", "stock/vehicle.toml", "--scan", bad, "--sun=0,0.6,0.8", "--after=60", "--runs=4")
+        return self._told(
+            "outcomes",
+            "stock/vehicle.toml",
+            "--scan",
+            bad,
+            "--sun=0,0.6,0.8",
+            "--after=60",
+            "--runs=4",
+        )
 
     def try_kernel_bc(self, place: Path, rng: np.random.Generator) -> Verdict:
         bad = self._bad("kernel.bc", place, rng)
@@ -248,7 +385,11 @@ class Corrupt(Suite):
     def try_report(self, place: Path, rng: np.random.Generator) -> Verdict:
         """A page is made all the same, of what can be read; the file is named on it."""
         shutil.copytree("stock/results", place / "results")
-        files = sorted(path for path in (place / "results").iterdir() if path.name != MARKER and path.stat().st_size)
+        files = sorted(
+            path
+            for path in (place / "results").iterdir()
+            if path.name != MARKER and path.stat().st_size
+        )
         for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 3))):
             path.write_bytes(damaged(path.read_bytes(), rng) if path.stat().st_size else b"x")
         return self._told("report", place / "results")
@@ -259,10 +400,18 @@ class Corrupt(Suite):
         shutil.copytree("store", place / "store")
         files = sorted(path for path in (place / "store").rglob("*") if path.is_file())
         for path in rng.choice(np.array(files, dtype=object), size=int(rng.integers(1, 4))):
-            path.write_bytes(damaged(path.read_bytes(), rng)) if path.stat().st_size else path.write_bytes(b"x")
+            path.write_bytes(
+                damaged(path.read_bytes(), rng)
+            ) if path.stat().st_size else path.write_bytes(b"x")
         found: dict[str, Any] = {}
-        verdict = _sentence(lambda: found.update(ensemble(self.good["rows"], store=place / "store", workers=1, chunk=7)))
-        if verdict.what == "fine" and any(found[k].tobytes() != v.tobytes() for k, v in self.good["result"].items()):
+        verdict = _sentence(
+            lambda: found.update(
+                ensemble(self.good["rows"], store=place / "store", workers=1, chunk=7)
+            )
+        )
+        if verdict.what == "fine" and any(
+            found[k].tobytes() != v.tobytes() for k, v in self.good["result"].items()
+        ):
             return Verdict("wrong result", True, "damage passed unseen")
         return verdict
 
@@ -286,12 +435,17 @@ def _sentence(call: Any) -> Verdict:
 def make_kinds() -> dict[str, Path]:
     """A results folder of each kind that is made soon, in the present folder; those of a few minutes are not among them."""
     found = {"simulate": Path("stock/results")}
-    files, start = ["stock/vehicle.toml", "stock/telemetry.csv"], ["--sun=0,0.6,0.8", "--after=60", "--collision-speed=0"]
+    files, start = (
+        ["stock/vehicle.toml", "stock/telemetry.csv"],
+        ["--sun=0,0.6,0.8", "--after=60", "--collision-speed=0"],
+    )
     grid = ["--omega-x=0:0.02:0.02", "--omega-y=-0.03:-0.03:1", "--omega-z=0.05:0.05:1"]
     for command, *arguments in (
-        ("sun", *files), ("scan", *files, "--to=160", "--lines=0", *grid), ("rates", *files, "--noise=1e-4", "--effort=0.01"),
+        ("sun", *files),
+        ("scan", *files, "--to=160", "--lines=0", *grid),
+        ("rates", *files, "--noise=1e-4", "--effort=0.01"),
         ("outcomes", files[0], "--runs=8", "--omega=0.1,0,0", *start),
-    ):  # fmt: skip
+    ):
         told = sunspin(command, *arguments, "--out", f"kinds/{command}")
         if told.code != 0:
             raise RuntimeError(f"the results of {command} could not be made: {told}")
@@ -309,22 +463,35 @@ def make_files(home: Path) -> dict[str, Any]:
     fuzz.make_stock(home / "stock")
     rows = (home / "stock" / "telemetry.csv").read_text("utf-8").splitlines()[1:]
     header, cells = rows[0].split(","), [row.split(",") for row in rows[1:]]
-    columns: dict[str, Any] = {name: np.array([float(row[k]) for row in cells]) for k, name in enumerate(header) if k}
+    columns: dict[str, Any] = {
+        name: np.array([float(row[k]) for row in cells]) for k, name in enumerate(header) if k
+    }
     utc = np.array([row[0].rstrip("Z") for row in cells], dtype="datetime64[ns]")
-    table = xr.Dataset({name: ("row", v) for name, v in columns.items()} | {"time_utc": ("row", utc)})
+    table = xr.Dataset(
+        {name: ("row", v) for name, v in columns.items()} | {"time_utc": ("row", utc)}
+    )
     table.to_netcdf("telemetry.nc", engine="h5netcdf")
     write_parquet("telemetry.parquet", columns | {"time_utc": utc.astype("datetime64[us]")})
     axes = {f"omega_{x}": np.array([0.0, 0.1]) for x in "xyz"}
     dims = tuple(axes)
-    volume = xr.DataArray(np.linspace(0.1, 0.2, 8).reshape(2, 2, 2), dims=dims, coords=axes, name="emd")
-    volume.assign_coords(outcome=(dims, np.zeros((2, 2, 2), dtype=np.int8))).to_dataset().to_netcdf("scan.nc", engine="h5netcdf")
-    made = sunspin("export", "stock/results", "--epoch=2026-01-01T00:00:00Z", "--format=ck", "--out=kernels")
+    volume = xr.DataArray(
+        np.linspace(0.1, 0.2, 8).reshape(2, 2, 2), dims=dims, coords=axes, name="emd"
+    )
+    volume.assign_coords(outcome=(dims, np.zeros((2, 2, 2), dtype=np.int8))).to_dataset().to_netcdf(
+        "scan.nc", engine="h5netcdf"
+    )
+    made = sunspin(
+        "export", "stock/results", "--epoch=2026-01-01T00:00:00Z", "--format=ck", "--out=kernels"
+    )
     if made.code != 0:
         raise RuntimeError(made.err)
     write_orbit(home / "orbit.bsp")
     function = Waves(n_rows=ROWS)
     result = ensemble(function, store="store", chunk=7, workers=1)
-    content = {name: Path(name).read_bytes() for name in ("telemetry.nc", "telemetry.parquet", "scan.nc", "orbit.bsp")}
+    content = {
+        name: Path(name).read_bytes()
+        for name in ("telemetry.nc", "telemetry.parquet", "scan.nc", "orbit.bsp")
+    }
     content["trajectory.nc"] = Path("stock/results/trajectory.nc").read_bytes()
     content["kernel.bc"] = Path("kernels/sunspin.bc").read_bytes()
     content["frames.zip"] = Path("stock/frames.zip").read_bytes()
@@ -349,7 +516,9 @@ def write_orbit(path: Path) -> None:
     begin = collision.tdb_of(case, "first_touchdown") - 100
     end = collision.tdb_of(case, "second_touchdown") + 100
     t = np.linspace(begin, end, 200)
-    states = np.column_stack([1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t])
+    states = np.column_stack(
+        [1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t]
+    )
     handle = sp.spkopn(str(path), "made up", 0)
     sp.spkw09(handle, -226800, 1000012, "J2000", begin, end, "made up", 3, len(t), states, t)
     sp.spkcls(handle)

@@ -51,7 +51,10 @@ def run(options: argparse.Namespace) -> int:
         took = time.process_time() - begin
         late |= took > LIMIT_S
         cut, passes = found.attrs["cut_passes"], found.sizes["pass_id"]
-        print(f"{name}: {took:.0f} s of processor, {cut} of {passes} passes cut short; {found.attrs['verdict']}", flush=True)
+        print(
+            f"{name}: {took:.0f} s of processor, {cut} of {passes} passes cut short; {found.attrs['verdict']}",
+            flush=True,
+        )
     return int(late)
 
 
@@ -60,15 +63,32 @@ def pocketqube(seed: int, n: int) -> tuple[Vehicle, xr.Dataset]:
     rng = np.random.default_rng(seed)
     t = np.cumsum(60 * rng.uniform(0.95, 1.05, n))
     t -= t[0]
-    motion = ss.propagate(Vehicle("truth", inertia_kg_m2=np.diag(MOMENTS)), np.radians(1.0) * unit(rng), unit(rng), None, t)
-    panels = tuple(Panel(name, np.array(normal, dtype=float), GAIN_A) for name, normal in FACES.items())
-    vehicle = Vehicle("pocketqube", gain_unit="A", panels=panels, telemetry=TelemetryForm(quantity="current_A", noise=NOISE_A))
+    motion = ss.propagate(
+        Vehicle("truth", inertia_kg_m2=np.diag(MOMENTS)),
+        np.radians(1.0) * unit(rng),
+        unit(rng),
+        None,
+        t,
+    )
+    panels = tuple(
+        Panel(name, np.array(normal, dtype=float), GAIN_A) for name, normal in FACES.items()
+    )
+    vehicle = Vehicle(
+        "pocketqube",
+        gain_unit="A",
+        panels=panels,
+        telemetry=TelemetryForm(quantity="current_A", noise=NOISE_A),
+    )
     current = ss.panel_power(vehicle, motion["sun_B"].values)
     current += GAIN_A * EARTH * rng.uniform(size=current.shape)
     current *= (t % ORBIT_S < LIT_S)[:, None]
     current = np.maximum(current + NOISE_A * rng.normal(size=current.shape), 0.0)
     data = {"current_A": (("time", "panel"), current), "flag": ("time", np.zeros(n, np.uint8))}
-    return vehicle, xr.Dataset(data, {"time": t, "panel": list(FACES)}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
+    return vehicle, xr.Dataset(
+        data,
+        {"time": t, "panel": list(FACES)},
+        {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1},
+    )
 
 
 def nine_panels(seed: int, n: int) -> tuple[Vehicle, xr.Dataset]:
@@ -90,13 +110,24 @@ def nine_panels_and_a_wheel(seed: int, n: int) -> tuple[Vehicle, xr.Dataset]:
     rng = np.random.default_rng(seed)
     panels = tuple(Panel(f"p{k}", unit(rng), 1.0) for k in range(9))
     wheel = Wheel("wheel", unit(rng), 1e-4, WHEEL_RAD_S)
-    vehicle = Vehicle("wheeled", inertia_kg_m2=np.diag(WHEELED), gain_unit="W", panels=panels, wheels=(wheel,),
-                      telemetry=TelemetryForm(noise=0.02))  # fmt: skip
+    vehicle = Vehicle(
+        "wheeled",
+        inertia_kg_m2=np.diag(WHEELED),
+        gain_unit="W",
+        panels=panels,
+        wheels=(wheel,),
+        telemetry=TelemetryForm(noise=0.02),
+    )
     t = np.cumsum(np.concatenate([[0.0], rng.uniform(30, 120, n - 1)]))
-    motion = ss.propagate(vehicle, np.radians(2.0) * unit(rng), unit(rng), [WHEEL_RAD_S], t, wheel_mode="hold")
+    motion = ss.propagate(
+        vehicle, np.radians(2.0) * unit(rng), unit(rng), [WHEEL_RAD_S], t, wheel_mode="hold"
+    )
     power = ss.panel_power(vehicle, motion["sun_B"].values)
     power = np.maximum(power + 0.02 * rng.normal(size=power.shape), 0.0)
-    data = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(n, np.uint8)),
-            "wheel_speed_rad_s": (("time", "wheel"), motion["wheel_speed_rad_s"].values)}  # fmt: skip
+    data = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(n, np.uint8)),
+        "wheel_speed_rad_s": (("time", "wheel"), motion["wheel_speed_rad_s"].values),
+    }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return vehicle, xr.Dataset(data, {"time": t, "panel": list(vehicle.panel_names)}, attrs)

@@ -77,17 +77,28 @@ def _panels(rng: np.random.Generator) -> tuple[list[str], np.ndarray, np.ndarray
     if rng.uniform() < 0.4:
         for k in range(len(normals)):
             if rng.uniform() < 0.4:
-                normals[k] = _unit(normals[k] + np.tan(np.radians(rng.uniform(10, 30))) * _unit(rng.normal(size=3)))
+                normals[k] = _unit(
+                    normals[k] + np.tan(np.radians(rng.uniform(10, 30))) * _unit(rng.normal(size=3))
+                )
     for k in range(wings):
         side, along, up = rng.permutation(3)
         wing = np.zeros(3)
-        wing[side], wing[along], wing[up] = rng.uniform(0.3, 0.7), rng.uniform(-0.2, 0.2), rng.choice([-1, 1]) * rng.uniform(0.6, 1)
+        wing[side], wing[along], wing[up] = (
+            rng.uniform(0.3, 0.7),
+            rng.uniform(-0.2, 0.2),
+            rng.choice([-1, 1]) * rng.uniform(0.6, 1),
+        )
         mirror = np.ones(3)
         mirror[side] = -1
         normals += [_unit(wing), _unit(wing * mirror)]
         names += [f"W{k}a", f"W{k}b"]
     three = rng.uniform(1.0, 3.0, 3) if rng.uniform() < 0.5 else np.ones(3)
-    gains = np.array([three[np.argmax(np.abs(n))] if name[0] in "+-" else 2.0 for name, n in zip(names, normals, strict=True)])
+    gains = np.array(
+        [
+            three[np.argmax(np.abs(n))] if name[0] in "+-" else 2.0
+            for name, n in zip(names, normals, strict=True)
+        ]
+    )
     return names, np.array(normals), gains
 
 
@@ -128,18 +139,34 @@ def satellite(seed: int, i: int) -> Satellite:
             continue
         omega = np.radians(10 ** rng.uniform(-0.2, 0.6)) * _unit(rng.normal(size=3))
         count = 2 if i % 8 == 7 else i % 2
-        axes = [np.eye(3)[rng.integers(3)] if rng.uniform() < 0.7 else _unit(rng.normal(size=3)) for _ in range(count)]
-        momenta = np.array([moments.mean() * np.radians(rng.uniform(2, 8)) * axis for axis in axes]).reshape(-1, 3)
+        axes = [
+            np.eye(3)[rng.integers(3)] if rng.uniform() < 0.7 else _unit(rng.normal(size=3))
+            for _ in range(count)
+        ]
+        momenta = np.array(
+            [moments.mean() * np.radians(rng.uniform(2, 8)) * axis for axis in axes]
+        ).reshape(-1, 3)
         turn = np.cross(np.eye(3), np.radians(1.0) * rng.normal(size=3)) + np.eye(3)
         q, r = np.linalg.qr(turn)
         turn = q * np.sign(np.diag(r))
         real = turn @ np.diag(moments * (1 + 0.01 * rng.normal(size=3))) @ turn.T
         t_s = np.round(np.cumsum(rng.uniform(8.0, 16.0, SAMPLES)), 1)
-        rates, sun = _moved(real, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0])
+        rates, sun = _moved(
+            real, momenta.sum(axis=0), omega, _unit(rng.normal(size=3)), t_s - t_s[0]
+        )
         light = gains * (1 + NOISE * rng.normal(size=len(gains))) * np.maximum(sun @ normals.T, 0.0)
         readings = np.maximum(light + NOISE * rng.normal(size=light.shape), 0.0)
         if ((readings > LIT * gains).sum(axis=1) >= 2).mean() > 0.7:  # enough to see a motion
-            return Satellite(tuple(names), normals, gains, np.diag(moments), momenta, t_s - t_s[0], readings, rates)
+            return Satellite(
+                tuple(names),
+                normals,
+                gains,
+                np.diag(moments),
+                momenta,
+                t_s - t_s[0],
+                readings,
+                rates,
+            )
     raise RuntimeError(f"satellite {i} of seed {seed} could not be drawn")
 
 
@@ -167,44 +194,86 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     if pair is not None:
         order[list(pair)] = order[list(pair)][::-1]
     vehicle = ss.Vehicle(
-        f"satellite {i}", inertia_kg_m2=made.inertia, gain_unit="W",
+        f"satellite {i}",
+        inertia_kg_m2=made.inertia,
+        gain_unit="W",
         panels=[ss.Panel(*one) for one in zip(made.names, made.normals, made.gains, strict=True)],
-        wheels=[ss.Wheel(f"wheel {k}", _unit(h), 1e-4, float(np.linalg.norm(h)) / 1e-4) for k, h in enumerate(made.momenta)],
+        wheels=[
+            ss.Wheel(f"wheel {k}", _unit(h), 1e-4, float(np.linalg.norm(h)) / 1e-4)
+            for k, h in enumerate(made.momenta)
+        ],
         telemetry=TelemetryForm(noise=NOISE),
-    )  # fmt: skip
+    )
     data = xr.Dataset(
-        {"power_W": (("time", "panel"), made.readings[:, order], {"units": "W"}),
-         "flag": ("time", np.zeros(SAMPLES, dtype=int))},
-        {"time": made.t_s, "panel": list(made.names)}, {"synthetic": 1},
-    )  # fmt: skip
+        {
+            "power_W": (("time", "panel"), made.readings[:, order], {"units": "W"}),
+            "flag": ("time", np.zeros(SAMPLES, dtype=int)),
+        },
+        {"time": made.t_s, "panel": list(made.names)},
+        {"synthetic": 1},
+    )
     row: dict[str, Any] = {
-        "seed": seed, "satellite": i, "exchange": which, "panels": list(made.names), "wheels": len(made.momenta),
+        "seed": seed,
+        "satellite": i,
+        "exchange": which,
+        "panels": list(made.names),
+        "wheels": len(made.momenta),
         "pair": None if pair is None else [made.names[k] for k in pair],
-    }  # fmt: skip
+    }
     begun = time.process_time()
     try:
         result = ss.rates(vehicle, data, max_rate_rad_s=0.09, wirings=True)
     except SunspinError as error:
-        return row | {"outcome": "refused", "verdict": str(error), "cpu_s": time.process_time() - begun}
-    row |= {"cpu_s": time.process_time() - begun, "verdict": result.attrs["verdict"], "fits": bool(result["fits"].values[0]),
-            "decided": bool(result["decided"].values[0]), "why": str(result["why_not_decided"].values[0])}  # fmt: skip
+        return row | {
+            "outcome": "refused",
+            "verdict": str(error),
+            "cpu_s": time.process_time() - begun,
+        }
+    row |= {
+        "cpu_s": time.process_time() - begun,
+        "verdict": result.attrs["verdict"],
+        "fits": bool(result["fits"].values[0]),
+        "decided": bool(result["decided"].values[0]),
+        "why": str(result["why_not_decided"].values[0]),
+    }
     changes = json.loads(result.attrs.get("wiring_changes", "[]"))
     row["named"] = [one["what"] for one in changes]
     return row | _judged(made, order, pair, result, row)
 
 
-def _judged(made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]) -> dict[str, Any]:
+def _judged(
+    made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dict[str, Any]
+) -> dict[str, Any]:
     """The outcome, and of a decided motion its error (sigmas) from the truth and from motions that look the same."""
-    omega, sigma = (np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"]) for name in ("omega", "sigma"))
+    omega, sigma = (
+        np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
+        for name in ("omega", "sigma")
+    )
     t = result["time"].values[result["pass_of"].values == 0]
     at = int(np.argmin(np.abs(made.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
     alike = equivalents(made, order)
     motions = [made.omega[at], *(np.linalg.det(m) * m @ made.omega[at] for m in alike)]
-    off = [bool(((np.abs(omega - one) > WRONG_SIGMAS * sigma) & (np.abs(omega - one) > WRONG_RAD_S)).any()) for one in motions]
+    off = [
+        bool(
+            (
+                (np.abs(omega - one) > WRONG_SIGMAS * sigma) & (np.abs(omega - one) > WRONG_RAD_S)
+            ).any()
+        )
+        for one in motions
+    ]
     pulls = [float((np.abs(omega - one) / sigma).max()) for one in motions]
-    truth = None if pair is None else f"the columns of panels {made.names[pair[0]]} and {made.names[pair[1]]} exchanged"
-    kept = {"equivalent_to_file": bool(alike), "pull": min(pulls), "omega_deg_s": np.degrees(omega).tolist(),
-            "sigma_deg_s": np.degrees(sigma).tolist(), "truth_deg_s": np.degrees(made.omega[at]).tolist()}  # fmt: skip
+    truth = (
+        None
+        if pair is None
+        else f"the columns of panels {made.names[pair[0]]} and {made.names[pair[1]]} exchanged"
+    )
+    kept = {
+        "equivalent_to_file": bool(alike),
+        "pull": min(pulls),
+        "omega_deg_s": np.degrees(omega).tolist(),
+        "sigma_deg_s": np.degrees(sigma).tolist(),
+        "truth_deg_s": np.degrees(made.omega[at]).tolist(),
+    }
     if row["decided"] and all(off):
         return kept | {"outcome": "decided wrongly"}
     if truth is None and (row["named"] or "CHECK" in row["verdict"]):
@@ -213,10 +282,14 @@ def _judged(made: Satellite, order: np.ndarray, pair: Any, result: Any, row: dic
         return kept | {"outcome": "decided" if row["decided"] else "undecided"}
     if row["named"]:
         if truth in row["named"]:
-            return kept | {"outcome": "named rightly" if len(row["named"]) == 1 else "named among several"}
+            return kept | {
+                "outcome": "named rightly" if len(row["named"]) == 1 else "named among several"
+            }
         return kept | {"outcome": "a false change named"}
     if "CHECK" in row["verdict"]:
-        return kept | {"outcome": "a false change named" if truth not in row["verdict"] else "named rightly"}
+        return kept | {
+            "outcome": "a false change named" if truth not in row["verdict"] else "named rightly"
+        }
     within = "decided, and right within its errors" if row["decided"] else "undecided"
     return kept | {"outcome": "equivalent" if alike else within}
 
@@ -248,9 +321,17 @@ def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:
 def table(rows: list[dict[str, Any]]) -> str:
     """Counts of right files and of exchanged ones."""
     lines = ["| outcome | right files | columns exchanged |", "|---|---|---|"]
-    right, wrong = ([row["outcome"] for row in rows if (row["exchange"] < 0) == own] for own in (True, False))
+    right, wrong = (
+        [row["outcome"] for row in rows if (row["exchange"] < 0) == own] for own in (True, False)
+    )
     for what in dict.fromkeys(sorted([*right, *wrong])):
         lines.append(f"| {what} | {right.count(what)} | {wrong.count(what)} |")
     cpu = [row["cpu_s"] for row in rows]
     lines.append(f"| all | {len(right)} | {len(wrong)} |")
-    return "\n".join([*lines, "", f"processor time: median {np.median(cpu):.0f} s, most {max(cpu):.0f} s"]) if cpu else "no rows"
+    return (
+        "\n".join(
+            [*lines, "", f"processor time: median {np.median(cpu):.0f} s, most {max(cpu):.0f} s"]
+        )
+        if cpu
+        else "no rows"
+    )

@@ -31,7 +31,17 @@ SEARCH_S = 2.5
 KINDS = {"vehicle": 0.4, "telemetry": 0.25, "options": 0.35}
 """Share of the cases whose vehicle, telemetry or options are hostile."""
 
-ON_VEHICLES = ("check", "check", "sun", "simulate", "simulate", "scan", "outcomes", "rates", "posterior")
+ON_VEHICLES = (
+    "check",
+    "check",
+    "sun",
+    "simulate",
+    "simulate",
+    "scan",
+    "outcomes",
+    "rates",
+    "posterior",
+)
 ON_TABLES = ("check", "check", "sun", "sun", "scan", "rates", "posterior")
 
 
@@ -45,7 +55,11 @@ class Fuzz(Suite):
         make_stock(self.stock)
         for change in cut_short():
             self.stack.enter_context(change)
-        self.stack.enter_context(mock.patch("sunspin.estimate.rates.motion._runge_kutta", self._while_short(_runge_kutta)))
+        self.stack.enter_context(
+            mock.patch(
+                "sunspin.estimate.rates.motion._runge_kutta", self._while_short(_runge_kutta)
+            )
+        )
         self.commands = command_table()
 
     def _while_short(self, function: Any) -> Any:
@@ -88,7 +102,10 @@ class Fuzz(Suite):
             else:
                 arguments.append(f"{parameter.opts[0]}={value}")
         if rng.random() < 0.05:
-            arguments.insert(int(rng.integers(len(arguments) + 1)), hostile.TEXTS[int(rng.integers(len(hostile.TEXTS)))])
+            arguments.insert(
+                int(rng.integers(len(arguments) + 1)),
+                hostile.TEXTS[int(rng.integers(len(hostile.TEXTS)))],
+            )
         return arguments
 
     def __call__(self, index: int) -> Verdict:
@@ -102,7 +119,9 @@ class Fuzz(Suite):
             told = self.told = sunspin(*arguments)
             verdict = judge(told)
             if verdict.bad:
-                verdict = verdict._replace(shown=f"{[word[:80] for word in arguments]}\n{verdict.shown}")
+                verdict = verdict._replace(
+                    shown=f"{[word[:80] for word in arguments]}\n{verdict.shown}"
+                )
             return verdict
         finally:
             os.chdir(self.home)
@@ -115,13 +134,24 @@ def make_stock(folder: Path) -> None:
 
     for code, *arguments in (
         (0, "init", str(folder)),
-        (0, "simulate", "philae", "--omega=0.1,0,0", "--sun=0,0.6,0.8", "--duration=20", "--out", str(folder / "results")),
+        (
+            0,
+            "simulate",
+            "philae",
+            "--omega=0.1,0,0",
+            "--sun=0,0.6,0.8",
+            "--duration=20",
+            "--out",
+            str(folder / "results"),
+        ),
     ):
         told = sunspin(*arguments)
         if told.code != code:
             raise RuntimeError(f"the stock could not be made: {told}")
     telemetry = folder / "telemetry.csv"
-    telemetry.write_text("".join(telemetry.read_text("utf-8").splitlines(keepends=True)[:7]), "utf-8")
+    telemetry.write_text(
+        "".join(telemetry.read_text("utf-8").splitlines(keepends=True)[:7]), "utf-8"
+    )
     (folder / "folder").mkdir()
     (folder / "empty").write_bytes(b"")
     (folder / "loop").symlink_to("loop")
@@ -191,12 +221,39 @@ def base(command: str) -> list[str]:
 
 
 PATHS = (
-    "folder", "empty", "loop", "nowhere", "missing", "missing/deep/er", "vehicle.toml", "telemetry.csv", "results", "frames.zip",
-    ".", "..", "",
-    "pipe", "results/trajectory.nc", "/dev/null", "/dev/zero", "/dev/full/x", "/proc/self/mem", "/proc/self/x", "x" * 300,
-    "y/" * 2500, "caf\udce9",
-    "\u202egpj.x", "new\nline", "~", "file:///etc/passwd", "philae", "con", "\x1b[2J", "empty/below", "new place",
-)  # fmt: skip
+    "folder",
+    "empty",
+    "loop",
+    "nowhere",
+    "missing",
+    "missing/deep/er",
+    "vehicle.toml",
+    "telemetry.csv",
+    "results",
+    "frames.zip",
+    ".",
+    "..",
+    "",
+    "pipe",
+    "results/trajectory.nc",
+    "/dev/null",
+    "/dev/zero",
+    "/dev/full/x",
+    "/proc/self/mem",
+    "/proc/self/x",
+    "x" * 300,
+    "y/" * 2500,
+    "caf\udce9",
+    "\u202egpj.x",
+    "new\nline",
+    "~",
+    "file:///etc/passwd",
+    "philae",
+    "con",
+    "\x1b[2J",
+    "empty/below",
+    "new place",
+)
 
 
 def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:

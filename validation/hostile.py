@@ -12,31 +12,117 @@ import numpy as np
 from tests.corrupted import BYTES, CELLS
 
 NUMBERS = (
-    "0", "-0.0", "1", "-1", "2", "0.5", "nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "5e-324", "1e150", "1e-150", "1e12",
-    "-1e12", "1e30", "1e-30", "1e6", "1e-9", "0.1", "-0.1", "3", "100", "1000000000000",
-)  # fmt: skip
+    "0",
+    "-0.0",
+    "1",
+    "-1",
+    "2",
+    "0.5",
+    "nan",
+    "inf",
+    "-inf",
+    "1e308",
+    "-1e308",
+    "1e-308",
+    "5e-324",
+    "1e150",
+    "1e-150",
+    "1e12",
+    "-1e12",
+    "1e30",
+    "1e-30",
+    "1e6",
+    "1e-9",
+    "0.1",
+    "-0.1",
+    "3",
+    "100",
+    "1000000000000",
+)
 
 WORDS = (
-    '""', '" "', '"x"', '"\\u0000"', '"\\u001b[31mred\\u001b[0m"', '"\\u202egnp"', '"<script>alert(1)</script>"',
+    '""',
+    '" "',
+    '"x"',
+    '"\\u0000"',
+    '"\\u001b[31mred\\u001b[0m"',
+    '"\\u202egnp"',
+    '"<script>alert(1)</script>"',
     '"../../etc/passwd"',
-    '"/dev/zero"', "'''a\nb'''", '"%s%n{0}"', '"\\U0001F6F0"', '"' + "x" * 99 + '"', '"' + "x" * 5000 + '"', '"nan"',
-    '"power_W"', '"flag"',
-    '"elapsed"', '"unix"', '"utc"', '"current_A"', '"2026-01-01T00:00:00Z"', '"0001-01-01T00:00:00+23:59"', '"time_utc"', '"px"',
-    '"+X"', '"e\\u0301"',
-)  # fmt: skip
+    '"/dev/zero"',
+    "'''a\nb'''",
+    '"%s%n{0}"',
+    '"\\U0001F6F0"',
+    '"' + "x" * 99 + '"',
+    '"' + "x" * 5000 + '"',
+    '"nan"',
+    '"power_W"',
+    '"flag"',
+    '"elapsed"',
+    '"unix"',
+    '"utc"',
+    '"current_A"',
+    '"2026-01-01T00:00:00Z"',
+    '"0001-01-01T00:00:00+23:59"',
+    '"time_utc"',
+    '"px"',
+    '"+X"',
+    '"e\\u0301"',
+)
 
 ODD = (
-    "true", "false", "2026-01-01", "2026-01-01T00:00:00Z", "07:32:00", "[]", "[[]]", "{}", "[1, 2]", "[1, 2, 3]", "[0, 0, 0]",
-    "[1e308, 1e308, 1e308]", "[nan, 0, 0]", "[0, 0, 1.0009]", "[1e-200, 0, 0]", "[[1,0,0],[0,1,0],[0,0,1]]",
-    "[[1e308,0,0],[0,1e308,0],[0,0,1e308]]", "[[1e-308,0,0],[0,1e-308,0],[0,0,1e-308]]", "[[1,0,0],[0,1,0],[0,0,1e-30]]",
-    "[[1,0,0],[0,1,0]]", "[[1,0.999999,0],[0.999999,1,0],[0,0,1.5]]", "{ value = 1 }", "{ value = nan }", "{ value = [1, 0, 0] }",
-    "{ value = 1, sigma = -1 }", '{ value = 1, sigma = "x" }', '{ value = 1, source = "" }', "{ value = { value = 1 } }",
-    "{ sigma = 1 }", "{ a = 1 }", '["+X"]', '["a", "b", "c"]', '["px", "px", "px"]', '["px", "nowhere", "py"]', "9" * 400,
+    "true",
+    "false",
+    "2026-01-01",
+    "2026-01-01T00:00:00Z",
+    "07:32:00",
+    "[]",
+    "[[]]",
+    "{}",
+    "[1, 2]",
+    "[1, 2, 3]",
+    "[0, 0, 0]",
+    "[1e308, 1e308, 1e308]",
+    "[nan, 0, 0]",
+    "[0, 0, 1.0009]",
+    "[1e-200, 0, 0]",
+    "[[1,0,0],[0,1,0],[0,0,1]]",
+    "[[1e308,0,0],[0,1e308,0],[0,0,1e308]]",
+    "[[1e-308,0,0],[0,1e-308,0],[0,0,1e-308]]",
+    "[[1,0,0],[0,1,0],[0,0,1e-30]]",
+    "[[1,0,0],[0,1,0]]",
+    "[[1,0.999999,0],[0.999999,1,0],[0,0,1.5]]",
+    "{ value = 1 }",
+    "{ value = nan }",
+    "{ value = [1, 0, 0] }",
+    "{ value = 1, sigma = -1 }",
+    '{ value = 1, sigma = "x" }',
+    '{ value = 1, source = "" }',
+    "{ value = { value = 1 } }",
+    "{ sigma = 1 }",
+    "{ a = 1 }",
+    '["+X"]',
+    '["a", "b", "c"]',
+    '["px", "px", "px"]',
+    '["px", "nowhere", "py"]',
+    "9" * 400,
     "9" * 5000,
-    "-" + "9" * 310, "0x" + "f" * 300, "0x" + "f" * 5000, "1_000", "[" * 60 + "]" * 60, "[" * 4000 + "]" * 4000,
+    "-" + "9" * 310,
+    "0x" + "f" * 300,
+    "0x" + "f" * 5000,
+    "1_000",
+    "[" * 60 + "]" * 60,
+    "[" * 4000 + "]" * 4000,
     "[" + "1," * 20000 + "1]",
-    '["' + "y" * 2000 + '"]', '"unfinished', "[1,", "{", "1.2.3", "--1", "1e", "0b12",
-)  # fmt: skip
+    '["' + "y" * 2000 + '"]',
+    '"unfinished',
+    "[1,",
+    "{",
+    "1.2.3",
+    "--1",
+    "1e",
+    "0b12",
+)
 
 VALUES = NUMBERS + WORDS + ODD
 
@@ -47,7 +133,10 @@ def vehicles() -> tuple[str, ...]:
     package = resources.files("sunspin")
     template = package.joinpath("template", "vehicle.toml").read_text("utf-8")
     opened = re.sub(r"^# (?=\[|[a-zA-Z_]+ = )", "", template, flags=re.MULTILINE)
-    built_in = [package.joinpath("cases", name, "vehicle.toml").read_text("utf-8") for name in ("philae", "skcube")]
+    built_in = [
+        package.joinpath("cases", name, "vehicle.toml").read_text("utf-8")
+        for name in ("philae", "skcube")
+    ]
     return template, template, template, opened, *built_in
 
 
@@ -74,7 +163,11 @@ def _assignments(text: str) -> list[re.Match]:
 def _value(text: str, rng: np.random.Generator) -> str:
     """Another value for a key."""
     found = _pick(rng, _assignments(text) or [re.match("", text)])
-    return text[: found.start()] + f"{found.group(1) if found.lastindex else 'x'} = {_pick(rng, VALUES)} " + text[found.end() :]
+    return (
+        text[: found.start()]
+        + f"{found.group(1) if found.lastindex else 'x'} = {_pick(rng, VALUES)} "
+        + text[found.end() :]
+    )
 
 
 def _number(text: str, rng: np.random.Generator) -> str:
@@ -104,9 +197,24 @@ def _line_twice(text: str, rng: np.random.Generator) -> str:
 def _line_new(text: str, rng: np.random.Generator) -> str:
     lines = text.splitlines(keepends=True)
     known = [found.group(1) for found in _assignments(text)] or ["x"]
-    new = _pick(rng, [f"{_pick(rng, known)} = {_pick(rng, VALUES)}\n", "[[panel]]\n", "[body]\n", "[a.b.c]\n", "[[wheel]]\n",
-    "x.y = 1\n",
-                      "[gyro]\n", "[antenna]\n", "[[leg]]\n", "[telemetry.columns]\n", "=\n", "\x00\n", "\ufeff\n"])  # fmt: skip
+    new = _pick(
+        rng,
+        [
+            f"{_pick(rng, known)} = {_pick(rng, VALUES)}\n",
+            "[[panel]]\n",
+            "[body]\n",
+            "[a.b.c]\n",
+            "[[wheel]]\n",
+            "x.y = 1\n",
+            "[gyro]\n",
+            "[antenna]\n",
+            "[[leg]]\n",
+            "[telemetry.columns]\n",
+            "=\n",
+            "\x00\n",
+            "\ufeff\n",
+        ],
+    )
     at = int(rng.integers(len(lines) + 1))
     return "".join([*lines[:at], new, *lines[at:]])
 
@@ -118,12 +226,26 @@ def _table_moved(text: str, rng: np.random.Generator) -> str:
     return "".join(parts)
 
 
-EDITS = (_value, _value, _value, _number, _number, _number, _word, _line_gone, _line_twice, _line_new, _table_moved)
+EDITS = (
+    _value,
+    _value,
+    _value,
+    _number,
+    _number,
+    _number,
+    _word,
+    _line_gone,
+    _line_twice,
+    _line_new,
+    _table_moved,
+)
 
 AXES = ("[1, 0, 0]", "[0, 1, 0]", "[0, 0, 1]", "[0.6, 0.8, 0]", "[0, 0.6, 0.8]", "[-0.6, 0, 0.8]")
 
 
-def _many(head: str, line: Callable[[int], str], n: int, keep_panels: bool = True) -> Callable[[str], str]:
+def _many(
+    head: str, line: Callable[[int], str], n: int, keep_panels: bool = True
+) -> Callable[[str], str]:
     def bomb(text: str) -> str:
         if not keep_panels:
             text = "name = 'many'\n[telemetry]\ntime_column = 'time_utc'\n"
@@ -155,7 +277,9 @@ BOMBS: tuple[Callable[[str], str], ...] = (
     lambda text: text.replace("\n", "\r"),
     lambda text: "\n" * 900_000,
     lambda text: text + "[[sun_rule]]\nall_dark = ['+X']\nreason = 'r'\n" * 5000,
-    lambda text: text + "\n[telemetry.columns]\n" + "".join(f"'c{i}' = 'x'\n" for i in range(30000)),
+    lambda text: (
+        text + "\n[telemetry.columns]\n" + "".join(f"'c{i}' = 'x'\n" for i in range(30000))
+    ),
 )
 
 
@@ -167,27 +291,49 @@ def table(content: bytes, rng: np.random.Generator) -> bytes:
         if len(content.splitlines()) < 4:
             break
         try:
-            content = _pick(rng, CELLS)(content, rng) if rng.random() < 0.75 else _pick(rng, BYTES)(content, rng)
+            content = (
+                _pick(rng, CELLS)(content, rng)
+                if rng.random() < 0.75
+                else _pick(rng, BYTES)(content, rng)
+            )
         except (IndexError, ValueError):  # rows of unequal length, or none
             break
     return content
 
 
 TIMES = (
-    b"2016-12-31T23:59:60Z", b"1961-04-12T06:07:00Z", b"0001-01-01T00:00:00+23:59", b"9999-12-31T23:59:59Z", b"2026-001T00:00:00Z",
-    b"2026-W01-4T00:00:00Z", b"20260101T000000Z", b"2026-01-01T24:00:00Z", b"2026-01-01T00:00:00+25:00", b"2026-01-01 00:00:00 CET",
-    b"01.01.2026 00:00:00", b"01/02/2026 12:00:00 AM", b"1767225600", b"1767225600000", b"46023.5", b"NaT",
+    b"2016-12-31T23:59:60Z",
+    b"1961-04-12T06:07:00Z",
+    b"0001-01-01T00:00:00+23:59",
+    b"9999-12-31T23:59:59Z",
+    b"2026-001T00:00:00Z",
+    b"2026-W01-4T00:00:00Z",
+    b"20260101T000000Z",
+    b"2026-01-01T24:00:00Z",
+    b"2026-01-01T00:00:00+25:00",
+    b"2026-01-01 00:00:00 CET",
+    b"01.01.2026 00:00:00",
+    b"01/02/2026 12:00:00 AM",
+    b"1767225600",
+    b"1767225600000",
+    b"46023.5",
+    b"NaT",
     b"-2026-01-01T00:00:00Z",
-)  # fmt: skip
+)
 """Forms that the first column of a row may have, right and wrong ones."""
 
 
-def _columns(content: bytes, cell: Callable[[int, bytes], bytes], other: bytes | None = None) -> bytes:
+def _columns(
+    content: bytes, cell: Callable[[int, bytes], bytes], other: bytes | None = None
+) -> bytes:
     """The table with `cell` of its number and itself in the first column of each sample, and `other` in the rest of its cells."""
     lines = content.splitlines()
     head = next((i for i, line in enumerate(lines) if not line.startswith(b"#")), 0) + 1
     rows = [line.split(b",") for line in lines[head:]]
-    made = [b",".join([cell(k, row[0]), *(row[1:] if other is None else [other] * (len(row) - 1))]) for k, row in enumerate(rows)]
+    made = [
+        b",".join([cell(k, row[0]), *(row[1:] if other is None else [other] * (len(row) - 1))])
+        for k, row in enumerate(rows)
+    ]
     return b"\n".join([*lines[:head], *made]) + b"\n"
 
 
@@ -204,7 +350,12 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
     lambda content: b"," * 3_000_000,
     lambda content: b"time_utc,px\n" + b"x" * 3_000_000,
     lambda content: b"time_utc," + b",".join(b"c%d" % i for i in range(200_000)) + b"\n1\n",
-    lambda content: b"time_utc," + b",".join(b"c%d" % i for i in range(3000)) + b"\n" + (b"1," * 3000 + b"1\n") * 40,
+    lambda content: (
+        b"time_utc,"
+        + b",".join(b"c%d" % i for i in range(3000))
+        + b"\n"
+        + (b"1," * 3000 + b"1\n") * 40
+    ),
     lambda content: b'"' + content,
     lambda content: content + b'"\n' * 1000,
     lambda content: _rows(content, 30_000),
@@ -225,20 +376,101 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
     lambda content: content.decode("utf-8", "replace").encode("cp500", "replace"),
     lambda content: b"".join(content.splitlines(keepends=True)[2:]),
     *(_form(time) for time in TIMES),
-    *(partial(_columns, cell=lambda _, cell: cell, other=value) for value in (b"0", b"1e-300", b"1e-20", b"1e29", b"1_0", b"")),
+    *(
+        partial(_columns, cell=lambda _, cell: cell, other=value)
+        for value in (b"0", b"1e-300", b"1e-20", b"1e29", b"1_0", b"")
+    ),
 )
 
 
-OPTION_NUMBERS = (*NUMBERS, "9" * 400, "-5", "7", "", " ", "1,", "0x10", "1_0", "\u0664", "1e5", "99999999999999999999", "20", "60")
+OPTION_NUMBERS = (
+    *NUMBERS,
+    "9" * 400,
+    "-5",
+    "7",
+    "",
+    " ",
+    "1,",
+    "0x10",
+    "1_0",
+    "\u0664",
+    "1e5",
+    "99999999999999999999",
+    "20",
+    "60",
+)
 TEXTS = (
-    "", " ", ",", ",,", "1,2", "1,2,3", "0,0,1", "0,0,0", "nan,0,0", "inf,0,1", "1e308,1e308,1e308", "1e6,0,0", "-1e6,1e6,0",
-    "1e5,0,0", "0.1,0,0.2",
-    "1e-300,0,0", "0:1:0.5", "0:1:0", "0:1:-1", "1:0:0.1", "0:1:1e-9", "0:1e12:1", "-0.1:0.1:0.1", "nan:1:1", "0:inf:1", "0:1:nan",
-    "1e-320:1e-320:1e-320", "-1e308:1e308:1e307", "0:1:1e-320", "1e300:1e300:1", "a", "\u202e", "\x1b[31m", "\n", "x" * 5000,
-    "\udcff\udcfe", "caf\u00e9", "\U0001f6f0", "%n%s", "{0}",
-    "--help", "-", "--", "philae", "skcube", "off", "held", "brake", "delay:1e308", "delay:nan", "delay:-1", "delay:",
-    "after_rest", "any",
-    "legs_down", "180", "1e9", "J2000", "LOCAL", "SUNSPIN_LOCAL", "ECLIPJ2000", "my LOCAL frame'", "2026-01-01",
+    "",
+    " ",
+    ",",
+    ",,",
+    "1,2",
+    "1,2,3",
+    "0,0,1",
+    "0,0,0",
+    "nan,0,0",
+    "inf,0,1",
+    "1e308,1e308,1e308",
+    "1e6,0,0",
+    "-1e6,1e6,0",
+    "1e5,0,0",
+    "0.1,0,0.2",
+    "1e-300,0,0",
+    "0:1:0.5",
+    "0:1:0",
+    "0:1:-1",
+    "1:0:0.1",
+    "0:1:1e-9",
+    "0:1e12:1",
+    "-0.1:0.1:0.1",
+    "nan:1:1",
+    "0:inf:1",
+    "0:1:nan",
+    "1e-320:1e-320:1e-320",
+    "-1e308:1e308:1e307",
+    "0:1:1e-320",
+    "1e300:1e300:1",
+    "a",
+    "\u202e",
+    "\x1b[31m",
+    "\n",
+    "x" * 5000,
+    "\udcff\udcfe",
+    "caf\u00e9",
+    "\U0001f6f0",
+    "%n%s",
+    "{0}",
+    "--help",
+    "-",
+    "--",
+    "philae",
+    "skcube",
+    "off",
+    "held",
+    "brake",
+    "delay:1e308",
+    "delay:nan",
+    "delay:-1",
+    "delay:",
+    "after_rest",
+    "any",
+    "legs_down",
+    "180",
+    "1e9",
+    "J2000",
+    "LOCAL",
+    "SUNSPIN_LOCAL",
+    "ECLIPJ2000",
+    "my LOCAL frame'",
+    "2026-01-01",
     "2026-01-01T00:00:00Z",
-    "0001-01-01T00:00:00+23:59", "9999-12-31T23:59:59", "1950-01-01", "coast", "hold", "emd", "E", "gyro", "panels",
-)  # fmt: skip
+    "0001-01-01T00:00:00+23:59",
+    "9999-12-31T23:59:59",
+    "1950-01-01",
+    "coast",
+    "hold",
+    "emd",
+    "E",
+    "gyro",
+    "panels",
+)

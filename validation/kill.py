@@ -38,27 +38,74 @@ class Target:
 
     def command(self, folder: Path, small: bool) -> list[str]:
         given = [*(self.small if small else self.full)]
-        if self.module != "sunspin.cli":  # a program of its own, which goes on from what is in its folder
+        if (
+            self.module != "sunspin.cli"
+        ):  # a program of its own, which goes on from what is in its folder
             return [sys.executable, "-m", self.module, str(folder / "out"), *given]
         store = ["--store", str(folder / "store")] if self.stored else []
-        return [sys.executable, "-m", self.module, self.name, *given, "--out", str(folder / "out"), *store]
+        return [
+            sys.executable,
+            "-m",
+            self.module,
+            self.name,
+            *given,
+            "--out",
+            str(folder / "out"),
+            *store,
+        ]
 
 
 SCAN = ("philae", str(TELEMETRY), "--from=90", "--to=2800", "--workers=2", "--lines=0")
 KNOWN = ("--prior=inertia=0", "--prior=friction=0", "--prior=wheel_speed=0")
 WINDOW = ("philae", *KNOWN, "--draws=1000", "--workers=2", "--from=100", "--to=1500")
 TARGETS = (
-    Target("scan", 0.3, (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
-           (*SCAN, "--omega-x=-0.5:1:0.05", "--omega-y=-0.5:1:0.05", "--omega-z=-0.3:0.3:0.04")),
-    Target("posterior", 0.2, (*WINDOW, "--prior=max_rate_rad_s=0.1"), (*WINDOW, "--prior=max_rate_rad_s=0.05")),
-    Target("calibrate", 0.1, ("--kind=known", "--twins=3", "--max-rate=0.1", "--samples=12", "--interval=30", "--workers=2"),
-           ("--kind=known", "--twins=2", "--max-rate=0.05", "--samples=12", "--interval=30", "--workers=2"),
-           module="validation.calibrate"),
-    Target("outcomes", 0.15, ("philae", "--runs=16000", "--workers=2"), ("philae", "--runs=5000", "--workers=2")),
-    Target("worth", 0.15, ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
-           ("--twins=10", "--coarser=8", "--workers=2", "--confidence=0.5")),
+    Target(
+        "scan",
+        0.3,
+        (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
+        (*SCAN, "--omega-x=-0.5:1:0.05", "--omega-y=-0.5:1:0.05", "--omega-z=-0.3:0.3:0.04"),
+    ),
+    Target(
+        "posterior",
+        0.2,
+        (*WINDOW, "--prior=max_rate_rad_s=0.1"),
+        (*WINDOW, "--prior=max_rate_rad_s=0.05"),
+    ),
+    Target(
+        "calibrate",
+        0.1,
+        (
+            "--kind=known",
+            "--twins=3",
+            "--max-rate=0.1",
+            "--samples=12",
+            "--interval=30",
+            "--workers=2",
+        ),
+        (
+            "--kind=known",
+            "--twins=2",
+            "--max-rate=0.05",
+            "--samples=12",
+            "--interval=30",
+            "--workers=2",
+        ),
+        module="validation.calibrate",
+    ),
+    Target(
+        "outcomes",
+        0.15,
+        ("philae", "--runs=16000", "--workers=2"),
+        ("philae", "--runs=5000", "--workers=2"),
+    ),
+    Target(
+        "worth",
+        0.15,
+        ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
+        ("--twins=10", "--coarser=8", "--workers=2", "--confidence=0.5"),
+    ),
     Target("reproduce", 0.1, ("--coarser=8",), ("--coarser=25",), stored=False),
-)  # fmt: skip
+)
 
 
 @dataclass
@@ -78,26 +125,40 @@ def environment() -> dict[str, str]:
 
 
 def start(command: list[str]) -> subprocess.Popen:
-    return subprocess.Popen(command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
+    return subprocess.Popen(
+        command,
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
 
 
 def halves(folder: Path) -> list[str]:
     """Files under their final names that are not whole; a store's lock is empty."""
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".") and path.name != LOCK]
+    files = [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.name.startswith(".") and path.name != LOCK
+    ]
     return [path.name for path in files if not is_whole(path)]
 
 
 def is_whole(path: Path) -> bool:
     """Whether a results file is complete, as far as its own form tells."""
     ends: dict[str, Callable[[bytes], bool]] = {
-        ".html": lambda data: data.rstrip().endswith(b"</html>"), ".svg": lambda data: data.rstrip().endswith(b"</svg>"),
-        ".png": lambda data: data.endswith(b"IEND\xaeB`\x82"), ".json": lambda data: json.loads(data) is not None,
-    }  # fmt: skip
+        ".html": lambda data: data.rstrip().endswith(b"</html>"),
+        ".svg": lambda data: data.rstrip().endswith(b"</svg>"),
+        ".png": lambda data: data.endswith(b"IEND\xaeB`\x82"),
+        ".json": lambda data: json.loads(data) is not None,
+    }
     try:
         if path.suffix == ".nc":
             content(path)
             return True
-        return ends[path.suffix](path.read_bytes()) if path.suffix in ends else path.stat().st_size > 0
+        return (
+            ends[path.suffix](path.read_bytes()) if path.suffix in ends else path.stat().st_size > 0
+        )
     except (OSError, ValueError, KeyError):
         return False
 
@@ -110,12 +171,21 @@ def content(path: Path) -> dict[str, Any]:
         groups = xr.open_groups(path, engine="h5netcdf", decode_timedelta=False)
         held: dict[str, Any] = {}
         for group, data in groups.items():
-            held |= {f"{group}:{name}": (v.dims, v.shape, str(v.dtype), _bits(v.values)) for name, v in data.variables.items()}
-            held[f"{group}:attrs"] = {key: str(value) for key, value in data.attrs.items() if key not in UNALIKE}
+            held |= {
+                f"{group}:{name}": (v.dims, v.shape, str(v.dtype), _bits(v.values))
+                for name, v in data.variables.items()
+            }
+            held[f"{group}:attrs"] = {
+                key: str(value) for key, value in data.attrs.items() if key not in UNALIKE
+            }
             data.close()
         return held
     told = json.loads(path.read_text("utf-8"))
-    return {key: value for key, value in told.items() if key not in UNALIKE} if isinstance(told, dict) else {"": told}
+    return (
+        {key: value for key, value in told.items() if key not in UNALIKE}
+        if isinstance(told, dict)
+        else {"": told}
+    )
 
 
 def _bits(values: np.ndarray) -> bytes:
@@ -127,7 +197,14 @@ def results(folder: Path) -> dict[str, Any]:
     return {str(path.relative_to(folder)): content(path) for path in files}
 
 
-def campaign(target: Target, kills: int, folder: Path, seed: int, small: bool = False, say: Callable[[str], None] = print) -> Told:
+def campaign(
+    target: Target,
+    kills: int,
+    folder: Path,
+    seed: int,
+    small: bool = False,
+    say: Callable[[str], None] = print,
+) -> Told:
     """Kill one target so many times; what was wrong."""
     told, draw = Told(target.name), random.Random(f"{seed} {target.name}")
     calm = folder / "calm"

@@ -22,8 +22,18 @@ def run(options: Any) -> int:
     total, wrong = sum(target.share for target in chosen), 0
     for target in chosen:
         with tempfile.TemporaryDirectory(prefix="validation-") as folder:
-            told = campaign(target, max(1, round(options.n * target.share / total)), Path(folder), options.seed, options.small)
+            told = campaign(
+                target,
+                max(1, round(options.n * target.share / total)),
+                Path(folder),
+                options.seed,
+                options.small,
+            )
         ended = f"{told.after_files} of them with results in place; {told.runs_through} runs got through"
-        print(f"{told.name}: {told.kills} kills, {ended}; " + ("; ".join(told.wrong) or "all bits as undisturbed"), flush=True)
+        print(
+            f"{told.name}: {told.kills} kills, {ended}; "
+            + ("; ".join(told.wrong) or "all bits as undisturbed"),
+            flush=True,
+        )
         wrong += bool(told.wrong)
     return 1 if wrong else 0

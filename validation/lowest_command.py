@@ -13,17 +13,37 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 EXTRAS = ("parquet", "spice", "test", "bench")
-QUICK = ("tests/test_vehicle.py", "tests/telemetry", "tests/base/test_tables.py", "tests/dynamics/test_propagate.py",
-         "tests/dynamics/test_impact.py", "tests/estimate/test_metrics.py", "tests/compute/test_store.py",
-         "tests/estimate/test_scan.py", "tests/output/test_export.py", "tests/cli/test_cli.py")  # fmt: skip
+QUICK = (
+    "tests/test_vehicle.py",
+    "tests/telemetry",
+    "tests/base/test_tables.py",
+    "tests/dynamics/test_propagate.py",
+    "tests/dynamics/test_impact.py",
+    "tests/estimate/test_metrics.py",
+    "tests/compute/test_store.py",
+    "tests/estimate/test_scan.py",
+    "tests/output/test_export.py",
+    "tests/cli/test_cli.py",
+)
 
-OLD_AGE = ("-W", "ignore::DeprecationWarning", "-W", "ignore::PendingDeprecationWarning", "-W", "ignore::FutureWarning")
+OLD_AGE = (
+    "-W",
+    "ignore::DeprecationWarning",
+    "-W",
+    "ignore::PendingDeprecationWarning",
+    "-W",
+    "ignore::FutureWarning",
+)
 """What old libraries say of the newest ones below them; any other warning is an error here as well."""
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--folder", type=Path, help="where the environment is made; default: a temporary folder")
-    parser.add_argument("--only-install", action="store_true", help="make the environment and print what is in it")
+    parser.add_argument(
+        "--folder", type=Path, help="where the environment is made; default: a temporary folder"
+    )
+    parser.add_argument(
+        "--only-install", action="store_true", help="make the environment and print what is in it"
+    )
     parser.add_argument("tests", nargs="*", default=list(QUICK), help="what pytest runs there")
 
 

@@ -18,16 +18,36 @@ LIMIT_S = 400.0
 """A mutant whose tests take longer counts as seen: it hangs."""
 
 MODULES = {
-    "dynamics/gyrostat.py": ("tests/dynamics/test_propagate.py", "tests/dynamics/test_torques.py", "tests/dynamics/test_impact.py",
-                             "tests/test_properties.py", "tests/dynamics/test_ensemble.py",
-                             "tests/dynamics/test_ensemble_outputs.py", "tests/test_golden.py"),
+    "dynamics/gyrostat.py": (
+        "tests/dynamics/test_propagate.py",
+        "tests/dynamics/test_torques.py",
+        "tests/dynamics/test_impact.py",
+        "tests/test_properties.py",
+        "tests/dynamics/test_ensemble.py",
+        "tests/dynamics/test_ensemble_outputs.py",
+        "tests/test_golden.py",
+    ),
     "estimate/scan/histogram.py": ("tests/estimate/test_histogram.py",),
     "telemetry/sun.py": ("tests/telemetry/test_sun.py", "tests/telemetry/test_sun_statistics.py"),
-}  # fmt: skip
+}
 """File of the package -> the tests that are to see its mutants, quick ones first."""
 
-ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr}
-COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
+ARITHMETIC = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+}
+COMPARED = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+}
 
 
 @dataclass(frozen=True)
@@ -51,7 +71,9 @@ def mutants(file: str, text: str) -> Iterator[Mutant]:
         node, change = list(_places(changed))[number]
         before = ast.unparse(node)
         change()
-        yield Mutant(file, number, node.lineno, before, ast.unparse(node), ast.unparse(changed) + "\n")
+        yield Mutant(
+            file, number, node.lineno, before, ast.unparse(node), ast.unparse(changed) + "\n"
+        )
 
 
 def _places(tree: ast.Module):
@@ -63,11 +85,25 @@ def _places(tree: ast.Module):
             yield node, lambda node=node: node.ops.__setitem__(0, COMPARED[type(node.ops[0])]())
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
             yield node, lambda node=node: setattr(node, "op", ast.UAdd())
-        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Invert):  # what was left out is taken instead
-            yield node, lambda node=node: setattr(node, "operand", ast.UnaryOp(ast.Invert(), node.operand))
+        elif isinstance(node, ast.UnaryOp) and isinstance(
+            node.op, ast.Invert
+        ):  # what was left out is taken instead
+            yield (
+                node,
+                lambda node=node: setattr(node, "operand", ast.UnaryOp(ast.Invert(), node.operand)),
+            )
         elif isinstance(node, ast.BoolOp):
-            yield node, lambda node=node: setattr(node, "op", ast.Or() if isinstance(node.op, ast.And) else ast.And())
-        elif isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+            yield (
+                node,
+                lambda node=node: setattr(
+                    node, "op", ast.Or() if isinstance(node.op, ast.And) else ast.And()
+                ),
+            )
+        elif (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, int | float)
+            and not isinstance(node.value, bool)
+        ):
             yield node, lambda node=node: setattr(node, "value", node.value + 1)
 
 
@@ -90,10 +126,27 @@ def is_seen(mutant: Mutant, home: Path) -> bool:
     target = source / "sunspin" / mutant.file
     whole = target.read_text("utf-8")
     target.write_text(mutant.text, "utf-8")
-    environment = os.environ | {"PYTHONPATH": str(source), "SUNSPIN_CACHE": str(home / "kernels"), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", "-p", "no:cacheprovider", *MODULES[mutant.file]]
+    environment = os.environ | {
+        "PYTHONPATH": str(source),
+        "SUNSPIN_CACHE": str(home / "kernels"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-x",
+        "-m",
+        "not slow",
+        "-p",
+        "no:cacheprovider",
+        *MODULES[mutant.file],
+    ]
     try:
-        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, timeout=LIMIT_S)
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, timeout=LIMIT_S
+        )
     except subprocess.TimeoutExpired:
         return True
     finally:

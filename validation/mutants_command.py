@@ -25,8 +25,14 @@ def run(options: Any) -> int:
             for mutant in chosen:
                 if not is_seen(mutant, Path(home)):
                     unseen.append(mutant)
-                    print(f"{file}, line {mutant.line}: survived: {mutant.before}  ->  {mutant.after}", flush=True)
+                    print(
+                        f"{file}, line {mutant.line}: survived: {mutant.before}  ->  {mutant.after}",
+                        flush=True,
+                    )
         took = time.monotonic() - begun
-        print(f"{file}: {len(chosen)} mutants, {len(chosen) - len(unseen)} seen, {len(unseen)} survived, {took:.0f} s", flush=True)
+        print(
+            f"{file}: {len(chosen)} mutants, {len(chosen) - len(unseen)} seen, {len(unseen)} survived, {took:.0f} s",
+            flush=True,
+        )
         survivors += len(unseen)
     return 1 if survivors else 0

@@ -28,11 +28,23 @@ CHANGE, STRONG = np.radians(1.0), np.radians(3.0)
 """rad/s by which a torque or a step changes the rate over a pass, and a strong torque."""
 
 KINDS = {
-    "right model": 24, "steady torque": 12, "step of the rate": 12, "jitter": 12, "columns exchanged": 12, "stop and go": 12,
-    "prior given back": 12, "strong torque in the body": 12, "strong torque in space": 12, "slews": 12, "time tags": 12,
-    "few samples": 40, "few samples, bad readings": 40, "slow": 12, "60 s apart": 12,
+    "right model": 24,
+    "steady torque": 12,
+    "step of the rate": 12,
+    "jitter": 12,
+    "columns exchanged": 12,
+    "stop and go": 12,
+    "prior given back": 12,
+    "strong torque in the body": 12,
+    "strong torque in space": 12,
+    "slews": 12,
+    "time tags": 12,
+    "few samples": 40,
+    "few samples, bad readings": 40,
+    "slow": 12,
+    "60 s apart": 12,
     "even, sampled as jitter": 12,
-}  # fmt: skip
+}
 """Kind of pass -> how many."""
 
 Push = Callable[[float, np.ndarray], np.ndarray]
@@ -53,7 +65,9 @@ def unit(rng: np.random.Generator) -> np.ndarray:
     return v / np.linalg.norm(v)
 
 
-def spin(omega: np.ndarray, t_s: np.ndarray, push: Push | None = None) -> tuple[np.ndarray, np.ndarray]:
+def spin(
+    omega: np.ndarray, t_s: np.ndarray, push: Push | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n, 3) and attitudes (n, 3, 3) of the body with `MOMENTS` at times (n)."""
 
     def change(w: np.ndarray, t: float, attitude: np.ndarray) -> np.ndarray:
@@ -75,37 +89,64 @@ def spin(omega: np.ndarray, t_s: np.ndarray, push: Push | None = None) -> tuple[
     return np.array(rates), np.array(attitudes)
 
 
-def seen(normals: np.ndarray, omega: np.ndarray, attitude: np.ndarray, t_s: np.ndarray, noise: float, rng: np.random.Generator,
-         gyro: bool = False, max_rate_rad_s: float = 0.15) -> Made:  # fmt: skip
+def seen(
+    normals: np.ndarray,
+    omega: np.ndarray,
+    attitude: np.ndarray,
+    t_s: np.ndarray,
+    noise: float,
+    rng: np.random.Generator,
+    gyro: bool = False,
+    max_rate_rad_s: float = 0.15,
+) -> Made:
     """What panels, and a gyro, see of a motion."""
     names = NAMES if len(normals) == len(NAMES) else tuple(f"p{i}" for i in range(len(normals)))
     panels = tuple(Panel(name, normal, 1.0) for name, normal in zip(names, normals, strict=True))
-    vehicle = Vehicle("simulated", inertia_kg_m2=np.diag(MOMENTS), gain_unit="W", panels=panels,
-                      telemetry=TelemetryForm(noise=noise), sensors=Sensors(gyro=GYRO) if gyro else Sensors())  # fmt: skip
+    vehicle = Vehicle(
+        "simulated",
+        inertia_kg_m2=np.diag(MOMENTS),
+        gain_unit="W",
+        panels=panels,
+        telemetry=TelemetryForm(noise=noise),
+        sensors=Sensors(gyro=GYRO) if gyro else Sensors(),
+    )
     light = np.maximum((attitude @ unit(rng)) @ normals.T, 0.0)
     power = np.maximum(light + noise * rng.normal(size=light.shape), 0.0)
-    data = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t_s), dtype=np.uint8))}
+    data = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(t_s), dtype=np.uint8)),
+    }
     if gyro:
         read = omega * (1 + GYRO.scale_sigma * rng.normal()) + GYRO.zero_sigma * rng.normal(size=3)
         data["gyro_B"] = (("time", "axis"), read + GYRO.noise_rad_s * rng.normal(size=omega.shape))
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    return Made(vehicle, xr.Dataset(data, {"time": t_s, "panel": list(names)}, attrs), omega, max_rate_rad_s)
+    return Made(
+        vehicle, xr.Dataset(data, {"time": t_s, "panel": list(names)}, attrs), omega, max_rate_rad_s
+    )
 
 
 def instants(rng: np.random.Generator, count: int, interval_s: float) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(interval_s * rng.uniform(0.8, 1.2, count - 1))])
 
 
-def tumbling(rng: np.random.Generator, push: Callable[[np.random.Generator, float], Push] | None = None,
-             deg_s: tuple[float, float] = (0.5, 4.0), apart_s: tuple[float, float] = (5.0, 15.0)) -> Made:  # fmt: skip
+def tumbling(
+    rng: np.random.Generator,
+    push: Callable[[np.random.Generator, float], Push] | None = None,
+    deg_s: tuple[float, float] = (0.5, 4.0),
+    apart_s: tuple[float, float] = (5.0, 15.0),
+) -> Made:
     """Six faces, 25 to 40 samples so far apart, so fast, noise of 0.5 to 3 %; a gyro on one in four."""
     t = instants(rng, int(rng.integers(25, 41)), rng.uniform(*apart_s))
     start = np.radians(rng.uniform(*deg_s)) * unit(rng)
     noise, gyro = 10 ** rng.uniform(-2.3, -1.5), bool(rng.random() < 0.25)
-    return seen(FACES, *spin(start, t, None if push is None else push(rng, t[-1])), t, noise, rng, gyro)
+    return seen(
+        FACES, *spin(start, t, None if push is None else push(rng, t[-1])), t, noise, rng, gyro
+    )
 
 
-def steady(rng: np.random.Generator, span_s: float, change: float = CHANGE, in_body: bool | None = None) -> Push:
+def steady(
+    rng: np.random.Generator, span_s: float, change: float = CHANGE, in_body: bool | None = None
+) -> Push:
     """A torque that changes the rate by `change`, fixed in the body or in space."""
     size = change / span_s * unit(rng)
     in_body = rng.random() < 0.5 if in_body is None else in_body
@@ -130,28 +171,59 @@ def badly_timed(made: Made, rng: np.random.Generator) -> Made:
     """The same with every time tag off by a second or two at random, in whole seconds."""
     t = made.telemetry["time"].values
     tags = np.round(t + rng.uniform(0.5, 2.0) * rng.normal(size=len(t)))
-    return made._replace(telemetry=made.telemetry.assign_coords(time=np.maximum.accumulate(tags + 1e-3 * np.arange(len(t)))))
+    return made._replace(
+        telemetry=made.telemetry.assign_coords(
+            time=np.maximum.accumulate(tags + 1e-3 * np.arange(len(t)))
+        )
+    )
 
 
 def given_back(rng: np.random.Generator) -> Made:
     """A few samples of much noise close together, and a largest rate that is told and below what they could show."""
     t = instants(rng, int(rng.integers(4, 8)), rng.uniform(5.0, 12.0))
     limit = np.radians(rng.uniform(0.2, 0.6))
-    return seen(FACES, *spin(rng.uniform(0.0, 0.9) * limit * unit(rng), t), t, rng.uniform(0.15, 0.4), rng, False, limit)
+    return seen(
+        FACES,
+        *spin(rng.uniform(0.0, 0.9) * limit * unit(rng), t),
+        t,
+        rng.uniform(0.15, 0.4),
+        rng,
+        False,
+        limit,
+    )
 
 
 def jitter(rng: np.random.Generator) -> Made:
     """Nine panels of much noise, samples 30 to 120 s apart, and wheels that swing the body to and fro within 20 s."""
     normals = np.array([unit(rng) for _ in range(9)])
     t = instants(rng, int(rng.integers(8, 13)), rng.uniform(30.0, 120.0))
-    pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(size=(int(t[-1]) + 2, 3))  # white, one a second
+    pushes = 10 ** rng.uniform(-3.0, -2.3) * rng.normal(
+        size=(int(t[-1]) + 2, 3)
+    )  # white, one a second
     drag = 0.05  # 1/s, so that the rates stay as small as those of a body under control
     rates = np.zeros_like(pushes)
     for k in range(1, len(pushes)):
         rates[k] = (1 - drag) * rates[k - 1] + pushes[k]
-    attitude = np.array(list(accumulate(rates, lambda one, rate: Rotation.from_rotvec(-rate).as_matrix() @ one, initial=np.eye(3))))
+    attitude = np.array(
+        list(
+            accumulate(
+                rates,
+                lambda one, rate: Rotation.from_rotvec(-rate).as_matrix() @ one,
+                initial=np.eye(3),
+            )
+        )
+    )
     at = t.astype(int)
-    return seen(normals, rates[at], attitude[at], at.astype(float), rng.uniform(0.05, 0.3), rng, False, np.radians(3.0))
+    return seen(
+        normals,
+        rates[at],
+        attitude[at],
+        at.astype(float),
+        rng.uniform(0.05, 0.3),
+        rng,
+        False,
+        np.radians(3.0),
+    )
 
 
 def even(rng: np.random.Generator) -> Made:
@@ -180,11 +252,16 @@ def few(rng: np.random.Generator) -> Made:
     data = made.telemetry.drop_vars("power_W").assign(
         sun_sensor_B=(("time", "axis"), sun / np.linalg.norm(sun, axis=1, keepdims=True)),
         sun_sensor_cov_B=(("time", "axis", "axis2"), np.tile(sigma**2 * np.eye(3), (len(t), 1, 1))),
-    )  # fmt: skip
+    )
     if rng.random() < 0.5:
-        data["field_B"] = ("time", "axis"), attitude @ unit(rng) + 0.03 * rng.normal(size=(len(t), 3))
+        data["field_B"] = (
+            ("time", "axis"),
+            attitude @ unit(rng) + 0.03 * rng.normal(size=(len(t), 3)),
+        )
         part = Magnetometer(("x", "y", "z"), np.zeros(3), 0.03)
-        made = made._replace(vehicle=replace(made.vehicle, sensors=replace(made.vehicle.sensors, magnetometer=part)))
+        made = made._replace(
+            vehicle=replace(made.vehicle, sensors=replace(made.vehicle.sensors, magnetometer=part))
+        )
     return made._replace(telemetry=data)
 
 
@@ -211,22 +288,45 @@ def stop_and_go(rng: np.random.Generator) -> Made:
     attitude = [np.eye(3)]
     for rate in omega[:-1]:
         attitude.append(Rotation.from_rotvec(-rate).as_matrix() @ attitude[-1])
-    return seen(FACES, omega, np.array(attitude), t, rng.uniform(0.02, 0.1), rng, bool(rng.random() < 0.5))
+    return seen(
+        FACES, omega, np.array(attitude), t, rng.uniform(0.02, 0.1), rng, bool(rng.random() < 0.5)
+    )
 
 
 def make(kind: str, seed: int, i: int) -> Made:
     """Pass `i` of a kind; one whose columns are exchanged, or times are off, is that of the right model otherwise."""
-    of_others = {"columns exchanged": "right model", "time tags": "right model", "few samples, bad readings": "few samples"}
+    of_others = {
+        "columns exchanged": "right model",
+        "time tags": "right model",
+        "few samples, bad readings": "few samples",
+    }
     base = of_others.get(kind, kind)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i)))
+    rng = np.random.default_rng(
+        np.random.SeedSequence(seed, spawn_key=(list(KINDS).index(base), i))
+    )
     makers = {
-        "right model": tumbling, "steady torque": lambda r: tumbling(r, steady), "step of the rate": lambda r: tumbling(r, stepped),
-        "jitter": jitter, "stop and go": stop_and_go, "prior given back": given_back, "slews": lambda r: tumbling(r, slews),
-        "strong torque in the body": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=True)),
-        "strong torque in space": lambda r: tumbling(r, partial(steady, change=STRONG, in_body=False)),
-        "few samples": few, "even, sampled as jitter": even, "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
+        "right model": tumbling,
+        "steady torque": lambda r: tumbling(r, steady),
+        "step of the rate": lambda r: tumbling(r, stepped),
+        "jitter": jitter,
+        "stop and go": stop_and_go,
+        "prior given back": given_back,
+        "slews": lambda r: tumbling(r, slews),
+        "strong torque in the body": lambda r: tumbling(
+            r, partial(steady, change=STRONG, in_body=True)
+        ),
+        "strong torque in space": lambda r: tumbling(
+            r, partial(steady, change=STRONG, in_body=False)
+        ),
+        "few samples": few,
+        "even, sampled as jitter": even,
+        "slow": lambda r: tumbling(r, deg_s=(0.02, 0.3)),
         "60 s apart": lambda r: tumbling(r, deg_s=(2.0, 6.0), apart_s=(60.0, 60.0)),
-    }  # fmt: skip
+    }
     made = makers[base](rng)
-    spoilt = {"columns exchanged": exchanged, "time tags": badly_timed, "few samples, bad readings": misread}
+    spoilt = {
+        "columns exchanged": exchanged,
+        "time tags": badly_timed,
+        "few samples, bad readings": misread,
+    }
     return spoilt.get(kind, lambda made, _: made)(made, rng)

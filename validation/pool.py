@@ -90,7 +90,9 @@ class _Worker:
         context = mp.get_context("spawn")
         theirs, self.numbers = context.Pipe(duplex=False)
         self.pipe, back = context.Pipe(duplex=False)
-        self.process = context.Process(target=_serve, args=(suite, options, theirs, back), daemon=False)
+        self.process = context.Process(
+            target=_serve, args=(suite, options, theirs, back), daemon=False
+        )
         self.process.start()
         theirs.close()
         back.close()
@@ -118,7 +120,14 @@ class _Worker:
 
 
 def run(
-    suite: Callable[..., Any], n: int, *, first: int = 0, workers: int = 2, cpu_s: float = CPU_S, say: Any = None, **options: Any
+    suite: Callable[..., Any],
+    n: int,
+    *,
+    first: int = 0,
+    workers: int = 2,
+    cpu_s: float = CPU_S,
+    say: Any = None,
+    **options: Any,
 ) -> Report:
     """All cases first .. first + n - 1 of a suite; `say` (a function of text) hears of findings as they come."""
     report, todo, begun = Report(n), iter(range(first, first + n)), time.monotonic()

@@ -72,7 +72,10 @@ def cases(seed: int = 0) -> Iterator[Case]:
     yield Case(seed, 2, 17, 30.0, 0.45, 0.03, 1.15)
     for i in range(3, CASES):
         rng = np.random.default_rng([seed, i])
-        samples, interval = int(rng.integers(SAMPLES[0], SAMPLES[1] + 1)), round(rng.uniform(*INTERVALS_S), 1)
+        samples, interval = (
+            int(rng.integers(SAMPLES[0], SAMPLES[1] + 1)),
+            round(rng.uniform(*INTERVALS_S), 1),
+        )
         fastest = min(MAX_RATES[1], MOST_TURNS * 2 * np.pi / interval)
         limit = round(rng.uniform(MAX_RATES[0], fastest), 3)
         yield Case(seed, i, samples, interval, limit, round(rng.uniform(*NOISES), 4), STATED[i % 3])
@@ -81,33 +84,59 @@ def cases(seed: int = 0) -> Iterator[Case]:
 def simulated(case: Case) -> tuple[xr.Dataset, np.ndarray, float]:
     """Telemetry in the form of `read_telemetry`, the rate at the first sample (3), rad/s, and the true noise in W."""
     rng = np.random.default_rng([case.seed, case.number, 1])
-    philae = tomllib.loads(files("sunspin").joinpath("cases/philae/vehicle.toml").read_text("utf-8"))
-    wheel, spin_down = philae["wheel"][0], {k: v["value"] for k, v in philae["wheel"][0]["friction"]["spin_down"].items()}
+    philae = tomllib.loads(
+        files("sunspin").joinpath("cases/philae/vehicle.toml").read_text("utf-8")
+    )
+    wheel, spin_down = (
+        philae["wheel"][0],
+        {k: v["value"] for k, v in philae["wheel"][0]["friction"]["spin_down"].items()},
+    )
     inertia = np.array(philae["body"]["inertia_kg_m2"]["value"])
     inertia[np.diag_indices(3)] *= 1 + MOMENTS * rng.standard_normal(3)
-    own, speed = wheel["inertia_kg_m2"]["value"], wheel["speed_rad_s"]["value"] * (1 + SPEED * rng.standard_normal())
-    dry = spin_down["c2_per_s"] * spin_down["c3_rad_s"] * own * np.exp(FRICTION * rng.standard_normal())
+    own, speed = (
+        wheel["inertia_kg_m2"]["value"],
+        wheel["speed_rad_s"]["value"] * (1 + SPEED * rng.standard_normal()),
+    )
+    dry = (
+        spin_down["c2_per_s"]
+        * spin_down["c3_rad_s"]
+        * own
+        * np.exp(FRICTION * rng.standard_normal())
+    )
     viscous = -spin_down["c2_per_s"] * own * np.exp(FRICTION * rng.standard_normal())
     way, sun = (x / np.linalg.norm(x) for x in rng.standard_normal((2, 3)))
     size = case.max_rate * rng.random() ** (1 / 3)
     omega = way * (case.rate if np.isfinite(case.rate) else size)
     t = case.interval_s * np.arange(case.samples)
-    seen = directions(inertia, np.array(wheel["axis_B"]["value"]), own, (dry, viscous), (omega, sun, speed), t)
+    seen = directions(
+        inertia, np.array(wheel["axis_B"]["value"]), own, (dry, viscous), (omega, sun, speed), t
+    )
     normals = np.array([panel["normal_B"]["value"] for panel in philae["panel"]])
     cells = np.array([panel["cells"]["value"] for panel in philae["panel"]])
     noise = case.noise * FULL_W
     power = FULL_W * cells / cells.max() * np.maximum(seen @ normals.T, 0.0)
     power = np.maximum(power + noise * rng.standard_normal(power.shape), 0.0)
     names = [panel["name"] for panel in philae["panel"]]
-    data = {"power_W": (("time", "panel"), power, {"units": "W"}), "flag": ("time", np.zeros(len(t), np.uint8))}
+    data = {
+        "power_W": (("time", "panel"), power, {"units": "W"}),
+        "flag": ("time", np.zeros(len(t), np.uint8)),
+    }
     attrs = {"epoch_utc": "2014-11-12T15:34:04Z", "synthetic": 1, "quantity": "power_W"}
-    return xr.Dataset(data, {"time": ("time", t, {"units": "s"}), "panel": names}, attrs), omega, noise
+    return (
+        xr.Dataset(data, {"time": ("time", t, {"units": "s"}), "panel": names}, attrs),
+        omega,
+        noise,
+    )
 
 
 def directions(
-    inertia: np.ndarray, axis: np.ndarray, own: float, friction: tuple[float, float],
-    start: tuple[np.ndarray, np.ndarray, float], t: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+    inertia: np.ndarray,
+    axis: np.ndarray,
+    own: float,
+    friction: tuple[float, float],
+    start: tuple[np.ndarray, np.ndarray, float],
+    t: np.ndarray,
+) -> np.ndarray:
     """Sun (n, 3) in the body at times `t` (n) of a gyrostat whose wheel coasts and, once it stands, turns with the body.
 
     `own`: the wheel's moment, `friction`: dry (N m) and viscous (N m s), `start`: rate, Sun, the wheel's speed at ``t[0]``. Total
@@ -129,7 +158,9 @@ def directions(
     stands.terminal = True  # ty: ignore[unresolved-attribute]
     y = np.concatenate([inertia @ omega + own * speed * axis, sun, [own * (speed + axis @ omega)]])
     options = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-12}
-    first = solve_ivp(turning, (t[0], t[-1] + 1e-9), y, t_eval=t, events=stands, args=(True,), **options)
+    first = solve_ivp(
+        turning, (t[0], t[-1] + 1e-9), y, t_eval=t, events=stands, args=(True,), **options
+    )
     seen = first.y[3:6].T
     if len(seen) < len(t):
         rest = t[len(seen) :]
@@ -146,19 +177,31 @@ def run(case: Case, store: Path | None = None) -> dict[str, Any]:
     vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, noise=case.stated * noise))
     row, began = asdict(case) | {"omega_B": omega.tolist()}, time.process_time()
     try:
-        tree = posterior(vehicle, telemetry, {"max_rate_rad_s": case.max_rate}, 0, workers=1, store=store)
+        tree = posterior(
+            vehicle, telemetry, {"max_rate_rad_s": case.max_rate}, 0, workers=1, store=store
+        )
     except SunspinError as error:
-        return row | {"word": "refused", "verdict": str(error), "listed": False, "processor_s": time.process_time() - began}
+        return row | {
+            "word": "refused",
+            "verdict": str(error),
+            "listed": False,
+            "processor_s": time.process_time() - began,
+        }
     modes = tree["modes"]
     off, spread = omega - modes["omega_B"].values, modes["omega_cov_B"].values + 1e-14 * np.eye(3)
     far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
     nearest = int(np.argmin(far))
     return row | {
-        "word": tree.attrs["verdict_word"], "verdict": tree.attrs["verdict"], "listed": far[nearest] < NEAR_SIGMAS,
-        "far_sigmas": far[nearest], "weight": float(modes["weight"].values[nearest]), "regions": len(far),
-        "noise_sigmas": tree.attrs["noise_sigmas"], "p": tree.attrs["p_value"],
+        "word": tree.attrs["verdict_word"],
+        "verdict": tree.attrs["verdict"],
+        "listed": far[nearest] < NEAR_SIGMAS,
+        "far_sigmas": far[nearest],
+        "weight": float(modes["weight"].values[nearest]),
+        "regions": len(far),
+        "noise_sigmas": tree.attrs["noise_sigmas"],
+        "p": tree.attrs["p_value"],
         "processor_s": time.process_time() - began,
-    }  # fmt: skip
+    }
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -174,16 +217,23 @@ def table(rows: list[dict[str, Any]]) -> str:
         )
     took, words = [row["processor_s"] for row in rows], [row["word"] for row in rows]
     counts = ", ".join(f"{words.count(word)} {word}" for word in sorted(set(words)))
-    lines.append(f"{sum(row['listed'] for row in rows)} of {len(rows)} truths in the list; {counts}; processor time: median "
-                 f"{np.median(took):.0f} s, longest {max(took):.0f} s")  # fmt: skip
+    lines.append(
+        f"{sum(row['listed'] for row in rows)} of {len(rows)} truths in the list; {counts}; processor time: median "
+        f"{np.median(took):.0f} s, longest {max(took):.0f} s"
+    )
     return "\n".join(lines)
 
 
 def passed(rows: list[dict[str, Any]]) -> bool:
     """Whether the rows of a whole seed are what the posterior has to give."""
     took = [row["processor_s"] for row in rows]
-    lost, refused = sum(not row["listed"] for row in rows), sum(row["word"] == "not explained" for row in rows)
-    return bool(lost <= LOST and not refused and np.median(took) <= MEDIAN_S and max(took) <= LIMIT_S)
+    lost, refused = (
+        sum(not row["listed"] for row in rows),
+        sum(row["word"] == "not explained" for row in rows),
+    )
+    return bool(
+        lost <= LOST and not refused and np.median(took) <= MEDIAN_S and max(took) <= LIMIT_S
+    )
 
 
 def limited(case: Case, limit_s: float) -> dict[str, Any]:
@@ -202,16 +252,29 @@ def limited(case: Case, limit_s: float) -> dict[str, Any]:
         row = json.loads(here.recv())
     except EOFError:
         omega = simulated(case)[1].tolist()
-        row = asdict(case) | {"omega_B": omega, "word": "did not end", "verdict": "", "listed": False, "processor_s": limit_s}
+        row = asdict(case) | {
+            "omega_B": omega,
+            "word": "did not end",
+            "verdict": "",
+            "listed": False,
+            "processor_s": limit_s,
+        }
     process.join()
     return row
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", type=Path, help="where rows are kept: the same command goes on where it stopped")
+    parser.add_argument(
+        "out", type=Path, help="where rows are kept: the same command goes on where it stopped"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--case", type=int, action="append", help="repeatable; all unless given")
-    parser.add_argument("--limit", type=float, default=LIMIT_S, help="processor time of a case in s, after which it is ended")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=LIMIT_S,
+        help="processor time of a case in s, after which it is ended",
+    )
 
 
 def command(options: argparse.Namespace) -> int:
@@ -220,7 +283,9 @@ def command(options: argparse.Namespace) -> int:
     rows = []
     for case in cases(options.seed):
         if options.case is None or case.number in options.case:
-            rows.append(kept(folder / f"{case.number:02d}.json", partial(limited, case, options.limit)))
+            rows.append(
+                kept(folder / f"{case.number:02d}.json", partial(limited, case, options.limit))
+            )
             print(case.number, rows[-1]["word"], f"{rows[-1]['processor_s']:.0f} s", flush=True)
     print(table(rows))
     return int(not passed(rows))

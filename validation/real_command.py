@@ -51,21 +51,27 @@ class Compared(NamedTuple):
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--data", type=Path, default=os.environ.get("SUNSPIN_DATA"), help="folder of docs/data.md")
+    parser.add_argument(
+        "--data", type=Path, default=os.environ.get("SUNSPIN_DATA"), help="folder of docs/data.md"
+    )
     parser.add_argument("--page", type=Path, default=PAGE, help="where the page is written")
 
 
 def run(options: Any) -> int:
     """Write the page; one if the data are not there."""
     if options.data is None or not (Path(options.data) / "skcube" / "skcube_adcs.csv").is_file():
-        print("no skcube/skcube_adcs.csv: name the folder with --data or SUNSPIN_DATA (docs/data.md says what is in it)")
+        print(
+            "no skcube/skcube_adcs.csv: name the folder with --data or SUNSPIN_DATA (docs/data.md says what is in it)"
+        )
         return 1
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(Path(options.data) / "skcube" / "skcube_adcs.csv", craft)
     gyros = of_other_days(craft, data)
     found = {}
     for name, without in SIDES.items():
-        found[name] = compared(craft, data, ss.rates(craft, data.drop_vars(without), workers=worker_count(None)), gyros)
+        found[name] = compared(
+            craft, data, ss.rates(craft, data.drop_vars(without), workers=worker_count(None)), gyros
+        )
         print(f"{name}: {len(found[name])} passes", flush=True)
     options.page.write_text(page(found, gyros), "utf-8")
     print(f"written: {options.page}")
@@ -83,7 +89,9 @@ def of_other_days(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
     return found
 
 
-def compared(craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]) -> list[Compared]:
+def compared(
+    craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dict[str, Gyro]
+) -> list[Compared]:
     """Each pass of a result against the gyro's counts at the same samples."""
     gyro = craft.sensors.gyro
     assert gyro is not None
@@ -98,12 +106,21 @@ def compared(craft: ss.Vehicle, data: xr.Dataset, result: xr.Dataset, gyros: dic
             own = gyros[utc[:10]]
             read = own.scale * (counts[known] - own.zero)
             miss = (np.degrees(result["omega_B"].values[known]) - read).mean(axis=0)
-            gyro_sigma = np.hypot(own.scale * own.zero_sigma, read.mean(axis=0) * own.scale_sigma / own.scale)
-        rows.append(Compared(
-            utc[:16].replace("T", " "), int(at.sum()), bool(result["time"].values[at][0] > FREE_S),
-            str(result["why_not_decided"].values[k]) or "decided", np.degrees(result["omega_mean_B"].values[k, 0]),
-            np.degrees(result["omega_sigma_all_B"].values[k]), miss, gyro_sigma,
-        ))  # fmt: skip
+            gyro_sigma = np.hypot(
+                own.scale * own.zero_sigma, read.mean(axis=0) * own.scale_sigma / own.scale
+            )
+        rows.append(
+            Compared(
+                utc[:16].replace("T", " "),
+                int(at.sum()),
+                bool(result["time"].values[at][0] > FREE_S),
+                str(result["why_not_decided"].values[k]) or "decided",
+                np.degrees(result["omega_mean_B"].values[k, 0]),
+                np.degrees(result["omega_sigma_all_B"].values[k]),
+                miss,
+                gyro_sigma,
+            )
+        )
     return rows
 
 
@@ -121,17 +138,25 @@ def figures(rows: list[Compared]) -> str:
         low, high = np.quantile(inside[drawn].mean(axis=1), [0.05, 0.95])
         shares.append(f"{inside.mean():.0%} ({low:.0%} to {high:.0%})")
     decided = sum(row.status == "decided" for row in rows)
-    sigma, miss = (np.median(np.abs([getattr(row, name) for row in rows])) for name in ("sigma", "miss"))
+    sigma, miss = (
+        np.median(np.abs([getattr(row, name) for row in rows])) for name in ("sigma", "miss")
+    )
     rms = np.sqrt((pull**2).mean())
     return f"{len(rows)} | {decided} | {' | '.join(shares)} | {rms:.2f} | {pull.max():.1f} | {sigma:.2f} | {miss:.2f}"
 
 
-SHORT = ("| given | passes | with gyro | decided | in 1 sigma (68 %) | in 2 sigma (95 %) | rms pull | largest "
-         "| median sigma, deg/s | median miss, deg/s |")  # fmt: skip
+SHORT = (
+    "| given | passes | with gyro | decided | in 1 sigma (68 %) | in 2 sigma (95 %) | rms pull | largest "
+    "| median sigma, deg/s | median miss, deg/s |"
+)
 ALL = "| began (UTC) | samples | coils | status | rate, deg/s | one sigma | off by, deg/s | largest pull |"
 
-KINDS = {"free, decided": (True, True), "free, not decided": (True, False), "coils driven, decided": (False, True),
-         "coils driven, not decided": (False, False)}  # fmt: skip
+KINDS = {
+    "free, decided": (True, True),
+    "free, not decided": (True, False),
+    "coils driven, decided": (False, True),
+    "coils driven, not decided": (False, False),
+}
 
 
 def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
@@ -143,15 +168,25 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
             lines.append(f"| {name} | {kind} | {figures(own)} |")
     lines += [GYRO, "| day left out | scale, deg/s per count | zero, counts |", "|---|---|---|"]
     for day, own in gyros.items():
-        zero = ", ".join(f"{z:.0f} +- {s:.0f}" for z, s in zip(own.zero, own.zero_sigma, strict=True))
+        zero = ", ".join(
+            f"{z:.0f} +- {s:.0f}" for z, s in zip(own.zero, own.zero_sigma, strict=True)
+        )
         lines.append(f"| {day} | {own.scale:.4f} +- {own.scale_sigma:.4f} | {zero} |")
     for name, rows in found.items():
         lines += [f"\n## All passes: {name}\n", ALL, "|---" * ALL.count(" |") + "|"]
         for row in sorted(rows, key=lambda row: -np.nan_to_num(np.abs(row.pull).max(), nan=-1.0)):
-            rate, sigma, miss = (", ".join(f"{v:.2f}" for v in part) for part in (row.rate, row.sigma, row.miss))
-            told = (miss, f"{np.abs(row.pull).max():.1f}") if np.isfinite(row.miss).all() else ("no gyro in this file", "")
+            rate, sigma, miss = (
+                ", ".join(f"{v:.2f}" for v in part) for part in (row.rate, row.sigma, row.miss)
+            )
+            told = (
+                (miss, f"{np.abs(row.pull).max():.1f}")
+                if np.isfinite(row.miss).all()
+                else ("no gyro in this file", "")
+            )
             coils = "off" if row.free else "driven"
-            lines.append(f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(told)} |")
+            lines.append(
+                f"| {row.utc} | {row.samples} | {coils} | {row.status} | {rate} | {sigma} | {' | '.join(told)} |"
+            )
     return "\n".join(lines) + "\n"
 
 

@@ -56,7 +56,11 @@ def digest(*arrays: Any) -> str:
     found = hashlib.sha256()
     for array in map(np.asarray, arrays):
         found.update(f"{array.dtype} {array.shape} ".encode())
-        found.update(array.astype("U").tobytes() if array.dtype == object else np.ascontiguousarray(array).tobytes())
+        found.update(
+            array.astype("U").tobytes()
+            if array.dtype == object
+            else np.ascontiguousarray(array).tobytes()
+        )
     return found.hexdigest()[:16]
 
 
@@ -75,10 +79,19 @@ def body(n_wheels: int) -> ss.Vehicle:
     rng = np.random.default_rng(n_wheels)
     axes = rng.normal(size=(n_wheels, 3))
     wheels = [
-        ss.Wheel(f"w{i}", axis / np.linalg.norm(axis), 0.0002, 20.0, ss.Friction(2e-6 * (i + 1), 1e-7))
+        ss.Wheel(
+            f"w{i}", axis / np.linalg.norm(axis), 0.0002, 20.0, ss.Friction(2e-6 * (i + 1), 1e-7)
+        )
         for i, axis in enumerate(axes)
     ]
-    faces = {"px": [1, 0, 0], "mx": [-1, 0, 0], "py": [0, 1, 0], "my": [0, -1, 0], "pz": [0, 0, 1], "mz": [0, 0, -1]}
+    faces = {
+        "px": [1, 0, 0],
+        "mx": [-1, 0, 0],
+        "py": [0, 1, 0],
+        "my": [0, -1, 0],
+        "pz": [0, 0, 1],
+        "mz": [0, 0, -1],
+    }
     panels = [ss.Panel(name, normal, 2.0) for name, normal in faces.items()]
     inertia = np.diag([0.011, 0.014, 0.018]) + 0.0004 * (np.ones((3, 3)) - np.eye(3))
     return ss.Vehicle("box", inertia, 3.0, panels=panels, wheels=wheels, gain_unit="W")
@@ -89,13 +102,23 @@ def kernels() -> dict[str, Any]:
     found, axis = {}, np.linspace(-0.3, 0.3, 7)
     for n in range(3):
         vehicle, speeds = body(n), [20.0] * n
-        run = ss.propagate(vehicle, [0.1, -0.05, 0.02], SUN, speeds or None, np.arange(0.0, 601.0, 60.0))
+        run = ss.propagate(
+            vehicle, [0.1, -0.05, 0.02], SUN, speeds or None, np.arange(0.0, 601.0, 60.0)
+        )
         found[f"propagate, {n} wheels"] = of_dataset(run)
-        found[f"scan, {n} wheels"] = of_dataset(ss.scan(vehicle, [0.2, 0.5, 0.9], SUN, axis, axis, axis, speeds or None, 600.0))
-        found[f"E, {n} wheels"] = of_dataset(ss.scan(vehicle, run[["sun_B"]], SUN, axis, axis, axis, speeds or None))
+        found[f"scan, {n} wheels"] = of_dataset(
+            ss.scan(vehicle, [0.2, 0.5, 0.9], SUN, axis, axis, axis, speeds or None, 600.0)
+        )
+        found[f"E, {n} wheels"] = of_dataset(
+            ss.scan(vehicle, run[["sun_B"]], SUN, axis, axis, axis, speeds or None)
+        )
     philae = ss.load_vehicle("philae")
-    found["scan, Philae"] = of_dataset(ss.scan(philae, [0.2, 0.5, 0.9], SUN, axis, axis, axis, 865.0, 2700.0))
-    found["outcomes, Philae"] = of_dataset(ss.outcomes(philae, [[0.1, -0.05, 0.02], [0.2, 0.1, 0.0]], "off", 400, 3))
+    found["scan, Philae"] = of_dataset(
+        ss.scan(philae, [0.2, 0.5, 0.9], SUN, axis, axis, axis, 865.0, 2700.0)
+    )
+    found["outcomes, Philae"] = of_dataset(
+        ss.outcomes(philae, [[0.1, -0.05, 0.02], [0.2, 0.1, 0.0]], "off", 400, 3)
+    )
     return found
 
 
@@ -113,7 +136,12 @@ def telemetry(seed: int, n: int = 12) -> tuple[ss.Vehicle, xr.Dataset]:
     vehicle = body(0)
     t = 20.0 * np.arange(n) + rng.uniform(-3, 3, n)
     sun = rng.normal(size=3)
-    truth = {"omega_B": rng.uniform(-0.06, 0.06, 3), "sun_B": sun / np.linalg.norm(sun), "t_s": t - t[0], "noise": 0.02}
+    truth = {
+        "omega_B": rng.uniform(-0.06, 0.06, 3),
+        "sun_B": sun / np.linalg.norm(sun),
+        "t_s": t - t[0],
+        "noise": 0.02,
+    }
     return vehicle, ss.twin(vehicle, truth, seed=seed)
 
 
@@ -139,7 +167,10 @@ def study(coarser: int) -> dict[str, Any]:
         summary = json.loads((Path(home) / "out" / "summary.json").read_text("utf-8"))
         files = sorted(path.name for path in (Path(home) / "out").iterdir())
     found: dict[str, Any] = {f"row {row['id']}": row for row in summary["figures"]}
-    found |= {f"summary {key}": summary.get(key) for key in ("headline", "conclusions", "score", "chain", "synthetic_telemetry")}
+    found |= {
+        f"summary {key}": summary.get(key)
+        for key in ("headline", "conclusions", "score", "chain", "synthetic_telemetry")
+    }
     return found | {"files of reproduce": files}
 
 
@@ -154,10 +185,16 @@ def face() -> dict[str, Any]:
     for name in sorted(ss.__all__):
         value = getattr(ss, name)
         is_error = inspect.isclass(value) and issubclass(value, Exception)
-        found[f"ss.{name}"] = str(inspect.signature(value)) if callable(value) and not is_error else type(value).__name__
+        found[f"ss.{name}"] = (
+            str(inspect.signature(value))
+            if callable(value) and not is_error
+            else type(value).__name__
+        )
     for name in COMMANDS:
         command = cli.get_command(click.Context(cli), name)
-        found[f"help {name}"] = command.get_help(click.Context(command, info_name=name)) if command else None
+        found[f"help {name}"] = (
+            command.get_help(click.Context(command, info_name=name)) if command else None
+        )
     for line in REFUSED:
         said = io.StringIO()
         sys.argv = ["sunspin", *line.split()]
@@ -178,8 +215,12 @@ def without_places(value: Any) -> Any:
 
 
 PARTS: dict[str, Callable[[int], dict[str, Any]]] = {
-    "kernels": lambda _: kernels(), "golden": lambda _: golden(), "face": lambda _: face(), "estimates": estimates, "study": study,
-}  # fmt: skip
+    "kernels": lambda _: kernels(),
+    "golden": lambda _: golden(),
+    "face": lambda _: face(),
+    "estimates": estimates,
+    "study": study,
+}
 """Name of a part -> its results, of a number: which pass, or how coarse a study."""
 
 

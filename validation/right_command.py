@@ -29,12 +29,22 @@ PARTS = ("vector", "gyro", "field", "turn", "mean", "stations", "backward", "clo
 """What half of the files have: other sensors; panels read in turn, or averaged; repeats of a second station, newest rows first, a
 clock on board that begins at nothing."""
 
-ACCUSED = ("CHECK THE WIRING", "look at its zero", "does not see what they see", "SEEM LATE", "NO motion fits")
+ACCUSED = (
+    "CHECK THE WIRING",
+    "look at its zero",
+    "does not see what they see",
+    "SEEM LATE",
+    "NO motion fits",
+)
 """What the verdict of `rates` says only where something is wrong."""
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", type=Path, help="where files and rows are kept: the same command goes on where it stopped")
+    parser.add_argument(
+        "out",
+        type=Path,
+        help="where files and rows are kept: the same command goes on where it stopped",
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--files", type=int, default=100, help="through `check`")
     parser.add_argument("--rates", type=int, default=30, help="of these through `rates` too")
@@ -46,11 +56,19 @@ def run(options: Any) -> int:
     accused = {"check": 0, "rates": 0}
     for i in range(options.files):
         for what in ("check", "rates") if i < options.rates else ("check",):
-            found = kept(folder / f"{what}-{i:03d}.json", partial(judge, folder / f"{i:03d}", options.seed, i, what))
+            found = kept(
+                folder / f"{what}-{i:03d}.json",
+                partial(judge, folder / f"{i:03d}", options.seed, i, what),
+            )
             if found["accused"]:
                 accused[what] += 1
-                print(f"{what} of file {i} ({found['form']}): {'; '.join(found['accused'])}", flush=True)
-    print(f"check accuses {accused['check']} of {options.files} right files, rates {accused['rates']} of {options.rates}")
+                print(
+                    f"{what} of file {i} ({found['form']}): {'; '.join(found['accused'])}",
+                    flush=True,
+                )
+    print(
+        f"check accuses {accused['check']} of {options.files} right files, rates {accused['rates']} of {options.rates}"
+    )
     return int(accused["check"] * 100 > options.files or accused["rates"] * 100 > options.rates)
 
 
@@ -63,15 +81,28 @@ def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
     if what == "rates":
         return {"form": form, "accused": [words for words in ACCUSED if words in told["verdict"]]}
     about = told["telemetry"]
-    kinds = ("wrong_units", "wrong_axes", "dead_panels", "missing_sensors", *(() if about["made_by"] else ("impossible",)))
-    return {"form": form, "accused": [f"{kind}: {about[kind]}" for kind in kinds if about.get(kind)]}
+    kinds = (
+        "wrong_units",
+        "wrong_axes",
+        "dead_panels",
+        "missing_sensors",
+        *(() if about["made_by"] else ("impossible",)),
+    )
+    return {
+        "form": form,
+        "accused": [f"{kind}: {about[kind]}" for kind in kinds if about.get(kind)],
+    }
 
 
 def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     """A vehicle file and JSON lines that are right, and what is in them."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     some = {name: bool(rng.random() < 0.5) for name in PARTS}
-    normals = FACES if rng.random() < 0.6 else np.vstack([FACES[:5], [unit(rng) for _ in range(rng.integers(1, 4))]])
+    normals = (
+        FACES
+        if rng.random() < 0.6
+        else np.vstack([FACES[:5], [unit(rng) for _ in range(rng.integers(1, 4))]])
+    )
     names = [*NAMES, "p6", "p7", "p8"][: len(normals)]
     offset = np.round(rng.uniform(0, 2, len(normals)), 1) * some["turn"]
     averaged = round(float(rng.uniform(0.5, 2.0)), 1) * some["mean"]
@@ -80,41 +111,84 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     craft = parse_vehicle(text, "right")
     n, apart = int(rng.integers(15, 41)), rng.uniform(5, 15)
     t = np.round(np.cumsum(apart * rng.uniform(0.8, 1.2, n)), 2)
-    run = ss.propagate(craft, np.radians(10 ** rng.uniform(-0.5, 0.5)) * unit(rng), unit(rng), None, t)
+    run = ss.propagate(
+        craft, np.radians(10 ** rng.uniform(-0.5, 0.5)) * unit(rng), unit(rng), None, t
+    )
     omega, sun = run["omega_B"].values, run["sun_B"].values
     places = np.linspace(-0.5, 0.5, 21)
-    light = [[ss.panel_power(craft, seen_turned(sun, (late + averaged * place) * omega))[:, k] for place in places]
-             for k, late in enumerate(offset)]  # fmt: skip
+    light = [
+        [
+            ss.panel_power(craft, seen_turned(sun, (late + averaged * place) * omega))[:, k]
+            for place in places
+        ]
+        for k, late in enumerate(offset)
+    ]
     power = 7 * (np.mean(light, axis=1).T / 7 + 0.02 * rng.normal(size=(n, len(names))))
-    rows = [{"rx": START_UNIX_S + 1000 + s + rng.uniform(0, 1), "station": "A", "time": s if some["clocks"] else START_UNIX_S + s}
-            | {f"i.{name}": round(float(p), 4) for name, p in zip(names, each, strict=True)}
-            for s, each in zip(t.tolist(), power, strict=True)]  # fmt: skip
-    field = Rotation.from_quat(run["B_from_N"].values).apply(unit(rng)) + 0.03 * rng.normal(size=(n, 3))
+    rows = [
+        {
+            "rx": START_UNIX_S + 1000 + s + rng.uniform(0, 1),
+            "station": "A",
+            "time": s if some["clocks"] else START_UNIX_S + s,
+        }
+        | {f"i.{name}": round(float(p), 4) for name, p in zip(names, each, strict=True)}
+        for s, each in zip(t.tolist(), power, strict=True)
+    ]
+    field = Rotation.from_quat(run["B_from_N"].values).apply(unit(rng)) + 0.03 * rng.normal(
+        size=(n, 3)
+    )
     gyro = np.degrees(omega + 1e-3 * rng.normal(size=3) + 1e-3 * rng.normal(size=(n, 3)))
     vector = 400 * (sun + 0.02 * rng.normal(size=(n, 3)))
     for name, value in (("vector", vector), ("gyro", gyro), ("field", field)):
         for row, each in zip(rows, value, strict=True):
             row |= {name: [round(float(x), 5) for x in each]} if some[name] else {}
     if some["stations"]:
-        rows += [row | {"station": "B", "rx": row["rx"] + 0.5} for row in rows[:: int(rng.integers(2, 5))]]
+        rows += [
+            row | {"station": "B", "rx": row["rx"] + 0.5}
+            for row in rows[:: int(rng.integers(2, 5))]
+        ]
     rows = rows[::-1] if some["backward"] else rows
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "vehicle.toml").write_text(text, "utf-8")
-    (folder / "telemetry.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
-    return folder / "vehicle.toml", folder / "telemetry.jsonl", ", ".join(name for name, there in some.items() if there)
+    (folder / "telemetry.jsonl").write_text(
+        "".join(json.dumps(row) + "\n" for row in rows), "utf-8"
+    )
+    return (
+        folder / "vehicle.toml",
+        folder / "telemetry.jsonl",
+        ", ".join(name for name, there in some.items() if there),
+    )
 
 
-def _vehicle(some: dict[str, bool], names: list[str], normals: np.ndarray, offset: np.ndarray, averaged: float,
-             moments: np.ndarray) -> str:  # fmt: skip
+def _vehicle(
+    some: dict[str, bool],
+    names: list[str],
+    normals: np.ndarray,
+    offset: np.ndarray,
+    averaged: float,
+    moments: np.ndarray,
+) -> str:
     lines = ['name = "right"', "[body]", f"inertia_kg_m2 = {np.diag(moments).tolist()}"]
     for name, normal in zip(names, normals, strict=True):
         lines += ["[[panel]]", f'name = "{name}"', f"normal_B = {normal.tolist()}", "gain_W = 7"]
-    lines += ["[telemetry]", 'time_column = "time"', 'bad_rows = "flag"', "noise = 0.14", f"averaged_s = {averaged}"]
-    clocks = ['time_format = "elapsed"', 'receive_time_column = "rx"', 'receive_time_format = "unix"']
+    lines += [
+        "[telemetry]",
+        'time_column = "time"',
+        'bad_rows = "flag"',
+        "noise = 0.14",
+        f"averaged_s = {averaged}",
+    ]
+    clocks = [
+        'time_format = "elapsed"',
+        'receive_time_column = "rx"',
+        'receive_time_format = "unix"',
+    ]
     lines += clocks if some["clocks"] else ['time_format = "unix"']
     lines += ["[telemetry.columns]", *(f'"{name}" = "i.{name}"' for name in names)]
     if some["turn"]:
-        lines += ["[telemetry.offset_s]", *(f'"{name}" = {late}' for name, late in zip(names, offset, strict=True))]
+        lines += [
+            "[telemetry.offset_s]",
+            *(f'"{name}" = {late}' for name, late in zip(names, offset, strict=True)),
+        ]
 
     def columns(name: str) -> str:
         return f'columns = ["{name}.0", "{name}.1", "{name}.2"]'
@@ -122,8 +196,13 @@ def _vehicle(some: dict[str, bool], names: list[str], normals: np.ndarray, offse
     if some["vector"]:
         lines += ["[sun_vector]", columns("vector"), "sigma_rad = 0.02"]
     if some["gyro"]:
-        lines += ["[gyro]", columns("gyro"), "scale_rad_s = 0.0174533", "noise_rad_s = 1e-3",
-                  "zero = { value = [0, 0, 0], sigma = 0.06 }"]  # fmt: skip
+        lines += [
+            "[gyro]",
+            columns("gyro"),
+            "scale_rad_s = 0.0174533",
+            "noise_rad_s = 1e-3",
+            "zero = { value = [0, 0, 0], sigma = 0.06 }",
+        ]
     if some["field"]:
         lines += ["[magnetometer]", columns("field"), "noise = 0.03"]
     lines += ["[disturbance]", "max_rate_rad_s = 0.1"]

@@ -24,7 +24,14 @@ from sunspin.cli.check import check
 from sunspin.cli.rates import rates
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
-FACES = {"+X": (1, 0, 0), "-X": (-1, 0, 0), "+Y": (0, 1, 0), "-Y": (0, -1, 0), "+Z": (0, 0, 1), "-Z": (0, 0, -1)}
+FACES = {
+    "+X": (1, 0, 0),
+    "-X": (-1, 0, 0),
+    "+Y": (0, 1, 0),
+    "-Y": (0, -1, 0),
+    "+Z": (0, 0, 1),
+    "-Z": (0, 0, -1),
+}
 SUN_NOISE = 0.01
 """Noise of a coarse Sun sensor over its full reading."""
 
@@ -74,7 +81,9 @@ class Case(NamedTuple):
 
 def cases(seed: int, count: int, whole: bool | None = None) -> list[Case]:
     """Cases drawn from a seed; `whole`: all over a whole orbit (true), all shorter (false), or half of each."""
-    return [_case(seed, number, number % 2 == 0 if whole is None else whole) for number in range(count)]
+    return [
+        _case(seed, number, number % 2 == 0 if whole is None else whole) for number in range(count)
+    ]
 
 
 def _case(seed: int, number: int, whole: bool) -> Case:
@@ -89,10 +98,21 @@ def _case(seed: int, number: int, whole: bool) -> Case:
         turned = np.rint(Rotation.create_group("O").as_matrix()[rng.integers(1, 24)]).astype(int)
     zero = 10 ** rng.uniform(np.log10(0.3), np.log10(5)) * unit(rng)
     return Case(
-        seed, number, float(speed * rng.choice([-1, 1])), int(rng.integers(3)), float(rng.uniform(0, 1.5)), names,
-        tuple(map(tuple, turned.tolist())), tuple(zero.tolist()), bool(rng.random() < 0.7), float(rng.uniform(0.3, 1.9)),
-        bool(rng.random() < 0.85), float(rng.uniform(0.1, 0.3)), step, max(76, int(span / step)),
-    )  # fmt: skip
+        seed,
+        number,
+        float(speed * rng.choice([-1, 1])),
+        int(rng.integers(3)),
+        float(rng.uniform(0, 1.5)),
+        names,
+        tuple(map(tuple, turned.tolist())),
+        tuple(zero.tolist()),
+        bool(rng.random() < 0.7),
+        float(rng.uniform(0.3, 1.9)),
+        bool(rng.random() < 0.85),
+        float(rng.uniform(0.1, 0.3)),
+        step,
+        max(76, int(span / step)),
+    )
 
 
 def unit(rng: np.random.Generator) -> np.ndarray:
@@ -114,7 +134,9 @@ def elements(rng: np.random.Generator, start: datetime) -> tuple[str, str]:
     inclination, node, perigee, anomaly = rng.uniform([40, 0, 0, 0], [99, 360, 360, 360])
     epoch = start - timedelta(days=float(rng.uniform(0, 3)))
     day = (epoch - datetime(epoch.year, 1, 1)).total_seconds() / 86400 + 1
-    first = f"1 99999U 25001A   {epoch.year % 100:02d}{day:012.8f}  .00001000  00000-0  50000-4 0  999"
+    first = (
+        f"1 99999U 25001A   {epoch.year % 100:02d}{day:012.8f}  .00001000  00000-0  50000-4 0  999"
+    )
     shape = f"{int(rng.uniform(2e3, 2e4)):07d} {perigee:8.4f} {anomaly:8.4f} {rng.uniform(15.0, 15.6):11.8f}"
     second = f"2 99999 {inclination:8.4f} {node:8.4f} {shape}    1"
     return summed(first), summed(second)
@@ -129,20 +151,32 @@ def with_node_turned(second: str, by_deg: float) -> str:
     return summed(f"{second[:17]}{(float(second[17:25]) + by_deg) % 360:8.4f}{second[25:68]}")
 
 
-def along_orbit(two_lines: tuple[str, str], start: datetime, t_s: np.ndarray, ahead_s: float) -> Sky:
+def along_orbit(
+    two_lines: tuple[str, str], start: datetime, t_s: np.ndarray, ahead_s: float
+) -> Sky:
     """Of a satellite so many s ahead of its elements, at s after the start."""
     knots = np.arange(-20.0, t_s[-1] + 40.0, 10.0)
     day, fraction = jday(start.year, start.month, start.day, start.hour, start.minute, start.second)
-    error, place, _ = Satrec.twoline2rv(*two_lines).sgp4_array(np.full(len(knots), day), fraction + (knots + ahead_s) / 86400)
+    error, place, _ = Satrec.twoline2rv(*two_lines).sgp4_array(
+        np.full(len(knots), day), fraction + (knots + ahead_s) / 86400
+    )
     if error.any():
         raise ValueError("SGP4 does not propagate these elements")
     sidereal = erfa.gmst82(day, fraction + knots / 86400)
     radius = np.linalg.norm(place, axis=1)
     theta, phi = np.arccos(place[:, 2] / radius), np.arctan2(place[:, 1], place[:, 0])
-    up, south, east = (part[0] for part in ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), start))
+    up, south, east = (
+        part[0]
+        for part in ppigrf.igrf_gc(radius, np.degrees(theta), np.degrees(phi - sidereal), start)
+    )
     level = up * np.sin(theta) + south * np.cos(theta)
-    field = np.column_stack([level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi),
-                             up * np.cos(theta) - south * np.sin(theta)])  # fmt: skip
+    field = np.column_stack(
+        [
+            level * np.cos(phi) - east * np.sin(phi),
+            level * np.sin(phi) + east * np.cos(phi),
+            up * np.cos(theta) - south * np.sin(theta),
+        ]
+    )
     earth = erfa.epv00(day, fraction)[0]["p"]
     sun = erfa.pnm06a(day, fraction) @ -earth
     sun = np.tile(sun / np.linalg.norm(sun), (len(t_s), 1))
@@ -171,9 +205,13 @@ def spin(case: Case, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndar
     across = spin_rate * ratio * np.tan(nutation)  # L/It sin(nutation)
     rates = (own * tilt).apply([0, 0, about_momentum])
     rates = (rates + [0, 0, about_axis]) * stretched[:, None]
-    assert np.allclose(np.linalg.norm(rates[:, :2], axis=1), abs(across) * stretched, rtol=1e-9, atol=0)
+    assert np.allclose(
+        np.linalg.norm(rates[:, :2], axis=1), abs(across) * stretched, rtol=1e-9, atol=0
+    )
     permuted = np.roll(np.eye(3), case.axis - 2, axis=0)  # the axis of the spin is that of the case
-    body = (own * tilt * momentum * Rotation.random(random_state=int(rng.integers(2**31)))).as_matrix()
+    body = (
+        own * tilt * momentum * Rotation.random(random_state=int(rng.integers(2**31)))
+    ).as_matrix()
     return rates @ permuted.T, permuted @ body
 
 
@@ -190,15 +228,25 @@ def earth_light(sky: Sky, body: np.ndarray, normals: np.ndarray, albedo: float) 
         side /= np.linalg.norm(side)
         azimuth = 2 * np.pi * np.arange(around) / around
         flat = np.cos(azimuth)[:, None] * side + np.sin(azimuth)[:, None] * np.cross(up, side)
-        ground = (np.cos(psi)[:, None, None] * up + np.sin(psi)[:, None, None] * flat).reshape(-1, 3)
+        ground = (np.cos(psi)[:, None, None] * up + np.sin(psi)[:, None, None] * flat).reshape(
+            -1, 3
+        )
         ring = np.cos(psi - edge / rings / 2) - np.cos(psi + edge / rings / 2)
         area = np.repeat(2 * np.pi / around * EARTH_KM**2 * ring, around)
         ray = EARTH_KM * ground - place
         distance = np.linalg.norm(ray, axis=1)
         ray /= distance[:, None]
-        sent = np.maximum(ground @ sun, 0) * np.maximum(-(ray * ground).sum(axis=1), 0) * area / distance**2 / np.pi
+        sent = (
+            np.maximum(ground @ sun, 0)
+            * np.maximum(-(ray * ground).sum(axis=1), 0)
+            * area
+            / distance**2
+            / np.pi
+        )
         light[k] = np.maximum(normals @ (body[k] @ ray.T), 0) @ sent
-    full = (EARTH_KM / np.linalg.norm(sky.place_km, axis=1).mean()) ** 2  # of a Lambert sphere of albedo one, right above
+    full = (
+        EARTH_KM / np.linalg.norm(sky.place_km, axis=1).mean()
+    ) ** 2  # of a Lambert sphere of albedo one, right above
     return albedo / full * light
 
 
@@ -229,17 +277,35 @@ def make(case: Case, folder: Path) -> dict[str, Any]:
     reading = inside @ np.array(case.turned, dtype=float).T
     folder.mkdir(parents=True, exist_ok=True)
     header = ",".join(["time", *(f"i{name}" for name in case.faces), "mx", "my", "mz"])
-    rows = [f"{(start + timedelta(seconds=t)).isoformat(timespec='milliseconds')}Z,"
-            + ",".join(f"{x:.5f}" for x in i) + "," + ",".join(f"{x:.0f}" for x in b)
-            for t, i, b in zip(t_s.tolist(), current, reading, strict=True)]  # fmt: skip
+    rows = [
+        f"{(start + timedelta(seconds=t)).isoformat(timespec='milliseconds')}Z,"
+        + ",".join(f"{x:.5f}" for x in i)
+        + ","
+        + ",".join(f"{x:.0f}" for x in b)
+        for t, i, b in zip(t_s.tolist(), current, reading, strict=True)
+    ]
     (folder / "telemetry.csv").write_text("\n".join([header, *rows]) + "\n", "utf-8")
-    stated = np.array(case.turned) @ zero + ZERO_OFF * USUAL_NT * rng.normal(size=3) if case.zero_known else np.zeros(3)
+    stated = (
+        np.array(case.turned) @ zero + ZERO_OFF * USUAL_NT * rng.normal(size=3)
+        if case.zero_known
+        else np.zeros(3)
+    )
     open_nT = USUAL_NT * (ZERO_OFF if case.zero_known else ZERO_OPEN)
     (folder / "vehicle.toml").write_text(_vehicle(case, stated, open_nT), "utf-8")
-    for name, by_deg in (("right", 0.0), ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG)):
-        (folder / f"{name}.tle").write_text(f"SPINNER\n{two_lines[0]}\n{with_node_turned(two_lines[1], by_deg)}\n", "utf-8")
-    return {"t_s": t_s.tolist(), "rates_deg_s": np.degrees(rates).tolist(), "lit": float(sky.lit.mean()),
-            "matrix": (np.array(case.turned) @ bent).tolist(), "zero_nT": (np.array(case.turned) @ zero).tolist()}  # fmt: skip
+    for name, by_deg in (
+        ("right", 0.0),
+        ("wrong", WRONG_NODE_DEG if rng.random() < 0.5 else -WRONG_NODE_DEG),
+    ):
+        (folder / f"{name}.tle").write_text(
+            f"SPINNER\n{two_lines[0]}\n{with_node_turned(two_lines[1], by_deg)}\n", "utf-8"
+        )
+    return {
+        "t_s": t_s.tolist(),
+        "rates_deg_s": np.degrees(rates).tolist(),
+        "lit": float(sky.lit.mean()),
+        "matrix": (np.array(case.turned) @ bent).tolist(),
+        "zero_nT": (np.array(case.turned) @ zero).tolist(),
+    }
 
 
 def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
@@ -247,15 +313,35 @@ def _vehicle(case: Case, zero_nT: np.ndarray, open_nT: float) -> str:
     if case.inertia_known:
         moments = np.full(3, 0.03)
         moments[case.axis] *= case.moments
-        lines += ["[body]", f"inertia_kg_m2 = {{ value = {np.round(np.diag(moments), 5).tolist()}, sigma = 0.001 }}"]
+        lines += [
+            "[body]",
+            f"inertia_kg_m2 = {{ value = {np.round(np.diag(moments), 5).tolist()}, sigma = 0.001 }}",
+        ]
     for name in case.faces:
-        lines += ["[[panel]]", f'name = "{name}"', f"normal_B = {list(FACES[name])}", f"gain_A = {GAIN_A}"]
-    lines += ["[telemetry]", 'quantity = "current_A"', 'time_column = "time"', f"noise = {SUN_NOISE * GAIN_A}"]
+        lines += [
+            "[[panel]]",
+            f'name = "{name}"',
+            f"normal_B = {list(FACES[name])}",
+            f"gain_A = {GAIN_A}",
+        ]
+    lines += [
+        "[telemetry]",
+        'quantity = "current_A"',
+        'time_column = "time"',
+        f"noise = {SUN_NOISE * GAIN_A}",
+    ]
     lines += ["[telemetry.columns]"]
     lines += [f'"{name}" = "i{name}"' for name in case.faces]
     zero = ", ".join(f"{x:.0f}" for x in zero_nT)
-    lines += ["[magnetometer]", 'columns = ["mx", "my", "mz"]', f"noise = {FIELD_NOISE_NT}", "scale_T = 1e-9",
-              f"zero = {{ value = [{zero}], sigma = {open_nT:.0f} }}", "[disturbance]", "max_rate_rad_s = 1.2"]  # fmt: skip
+    lines += [
+        "[magnetometer]",
+        'columns = ["mx", "my", "mz"]',
+        f"noise = {FIELD_NOISE_NT}",
+        "scale_T = 1e-9",
+        f"zero = {{ value = [{zero}], sigma = {open_nT:.0f} }}",
+        "[disturbance]",
+        "max_rate_rad_s = 1.2",
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -272,36 +358,61 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
     began = time.process_time()
     done = CliRunner().invoke({"check": check, "rates": rates}[command], arguments)
     row: dict[str, Any] = case._asdict() | {
-        "what": what, "turns": case.turns, "whole": case.whole_orbit, "processor_s": time.process_time() - began,
-        "lit": truth["lit"], "exit_code": done.exit_code,
+        "what": what,
+        "turns": case.turns,
+        "whole": case.whole_orbit,
+        "processor_s": time.process_time() - began,
+        "lit": truth["lit"],
+        "exit_code": done.exit_code,
         "defect": done.exception is not None and not isinstance(done.exception, SystemExit),
-    }  # fmt: skip
+    }
     if done.exit_code:
         return row | {"error": (done.stderr or repr(done.exception))[-300:]}
     said = json.loads(done.stdout)
     if "orbit" in said:
         row |= {"orbit": {key: said["orbit"][key] for key in ORBIT_KEYS if key in said["orbit"]}}
     if command == "rates":
-        row |= {"verdict": said["verdict"], "passes": [_pass(case, truth, one) for one in said["passes"]]}
+        row |= {
+            "verdict": said["verdict"],
+            "passes": [_pass(case, truth, one) for one in said["passes"]],
+        }
     return row
 
 
-ORBIT_KEYS = ("verdict", "better_copies", "copies_expected_better_by_chance", "node_turn_times", "samples", "field_residual_T",
-              "sun_field_residual_rad", "sign_turned", "turned_axes")  # fmt: skip
+ORBIT_KEYS = (
+    "verdict",
+    "better_copies",
+    "copies_expected_better_by_chance",
+    "node_turn_times",
+    "samples",
+    "field_residual_T",
+    "sun_field_residual_rad",
+    "sign_turned",
+    "turned_axes",
+)
 
 
 def _pass(case: Case, truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
     """A pass of `rates` compared with the truth at the instant for which it states its rates, deg/s."""
     true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - said["at_s"]).argmin()]
     best = said["modes"][0]
-    omega, sigma = (np.array([best[f"{name}_{axis}_deg_s"] for axis in "xyz"]) for name in ("omega", "sigma"))
+    omega, sigma = (
+        np.array([best[f"{name}_{axis}_deg_s"] for axis in "xyz"]) for name in ("omega", "sigma")
+    )
     off = omega - true
     return {
-        "turns": abs(case.spin_deg_s) * (said["end_s"] - said["start_s"]) / 360, "decided": said["decided"],
-        "why_not": said["why_not_decided"], "samples": said["samples"], "omega": omega.tolist(), "true": true.tolist(),
-        "off": float(off[case.axis]), "sigma": float(sigma[case.axis]), "off_all": off.tolist(), "sigma_all": sigma.tolist(),
+        "turns": abs(case.spin_deg_s) * (said["end_s"] - said["start_s"]) / 360,
+        "decided": said["decided"],
+        "why_not": said["why_not_decided"],
+        "samples": said["samples"],
+        "omega": omega.tolist(),
+        "true": true.tolist(),
+        "off": float(off[case.axis]),
+        "sigma": float(sigma[case.axis]),
+        "off_all": off.tolist(),
+        "sigma_all": sigma.tolist(),
         "wrong": bool((np.abs(off) > np.maximum(WRONG_SIGMAS * sigma, WRONG_DEG_S)).any()),
-    }  # fmt: skip
+    }
 
 
 WRONG_SIGMAS, WRONG_DEG_S = 5.0, 0.1
@@ -321,17 +432,56 @@ def table(rows: list[dict[str, Any]]) -> str:
             some = [row for row in rows if row["what"] == f"{command} {which}"]
             found = [row for row in some if (row["samples"] * row["step_s"] > SHORT_S) is long]
             said = [row["orbit"]["verdict"] for row in found if "orbit" in row]
-            counts = ", ".join(f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused"))
-            lines += [f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"] if found else []
-    named = [(row, bool(row["orbit"]["turned_axes"])) for row in rows if row["what"] == "check right" and "orbit" in row]
-    turned, others = ([said for row, said in named if _is_turned(row) is kind] for kind in (True, False))
-    lines.append(f"turned axes: named in {sum(turned)} of {len(turned)} files, and in {sum(others)} of {len(others)} others")
+            counts = ", ".join(
+                f"{said.count(one)} {one}" for one in ("fits", "undecided", "refused")
+            )
+            lines += (
+                [
+                    f"{which} elements, files of {'more' if long else 'less'} than 10 minutes: {counts}"
+                ]
+                if found
+                else []
+            )
+    named = [
+        (row, bool(row["orbit"]["turned_axes"]))
+        for row in rows
+        if row["what"] == "check right" and "orbit" in row
+    ]
+    turned, others = (
+        [said for row, said in named if _is_turned(row) is kind] for kind in (True, False)
+    )
+    lines.append(
+        f"turned axes: named in {sum(turned)} of {len(turned)} files, and in {sum(others)} of {len(others)} others"
+    )
     for which in ("none", "right"):
         for inertia in (True, False):
-            some = [row for row in rows if row["what"] == f"rates {which}" and row["inertia_known"] is inertia]
-            parts = [one for row in some if not _is_turned(row) for one in row.get("passes", ()) if one["turns"] >= FEWEST_TURNS]
-            lines += [_line(f"rates, elements {which}, moments {'stated' if inertia else 'not stated'}", parts)] if parts else []
-    times = [row["processor_s"] for row in rows if row["what"].startswith("rates") and row["samples"] == 5600]
+            some = [
+                row
+                for row in rows
+                if row["what"] == f"rates {which}" and row["inertia_known"] is inertia
+            ]
+            parts = [
+                one
+                for row in some
+                if not _is_turned(row)
+                for one in row.get("passes", ())
+                if one["turns"] >= FEWEST_TURNS
+            ]
+            lines += (
+                [
+                    _line(
+                        f"rates, elements {which}, moments {'stated' if inertia else 'not stated'}",
+                        parts,
+                    )
+                ]
+                if parts
+                else []
+            )
+    times = [
+        row["processor_s"]
+        for row in rows
+        if row["what"].startswith("rates") and row["samples"] == 5600
+    ]
     lines += [f"processor, 5,600 samples: at most {max(times):.0f} s"] if times else []
     return "\n".join(lines)
 

@@ -19,12 +19,16 @@ class Suite:
 
     last: object = ""
 
-    def __init__(self, seed: int = 0, memory: int | None = MORE_MEMORY, only: str | None = None) -> None:
+    def __init__(
+        self, seed: int = 0, memory: int | None = MORE_MEMORY, only: str | None = None
+    ) -> None:
         self.seed, self.memory, self.only = seed, memory, only
 
     def __enter__(self) -> Self:
         self.stack = ExitStack()
-        self.home = Path(self.stack.enter_context(tempfile.TemporaryDirectory(prefix="validation-")))
+        self.home = Path(
+            self.stack.enter_context(tempfile.TemporaryDirectory(prefix="validation-"))
+        )
         self.stack.callback(os.chdir, os.getcwd())
         self.prepare()
         if self.memory is not None:

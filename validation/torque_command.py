@@ -27,8 +27,14 @@ from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle, load_vehicle
 from validation.calibrate import prior_truth
 
-LEVELS = {"0": (0.0, 0.0), "1e-4": (1e-4, 0.0), "1e-3": (1e-3, 0.0), "3e-3": (3e-3, 0.0), "1e-2": (1e-2, 0.0),
-          "inertia": (0.0, 0.05)}  # fmt: skip
+LEVELS = {
+    "0": (0.0, 0.0),
+    "1e-4": (1e-4, 0.0),
+    "1e-3": (1e-3, 0.0),
+    "3e-3": (3e-3, 0.0),
+    "1e-2": (1e-2, 0.0),
+    "inertia": (0.0, 0.05),
+}
 """Name -> rad/s by which the torque changes the rate over the window, and part by which moments are off beside what is stated."""
 
 TWINS = 40
@@ -38,26 +44,48 @@ WRONG_SIGMAS = 5.0
 SAMPLES, INTERVALS_S, TURN = 20, (10.0, 60.0), 2.5
 """Samples, the range of their intervals (log-uniform), and the most that a body turns in one (rad)."""
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 
-BOX = Vehicle("box", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=[Panel(name, n, 1.0) for name, n in FACES.items()],
-              telemetry=TelemetryForm(quantity="current_A", noise=0.02))  # fmt: skip
+BOX = Vehicle(
+    "box",
+    inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
+    panels=[Panel(name, n, 1.0) for name, n in FACES.items()],
+    telemetry=TelemetryForm(quantity="current_A", noise=0.02),
+)
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("out", type=Path, help="where rows are kept: the same command goes on where it stopped")
+    parser.add_argument(
+        "out", type=Path, help="where rows are kept: the same command goes on where it stopped"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--twins", type=int, default=TWINS, help="of each level")
-    parser.add_argument("--level", choices=LEVELS, action="append", help="repeatable; all unless given")
-    parser.add_argument("--vehicle", help="a vehicle file or the name of one, instead of the box; 16 samples 20 s apart then")
-    parser.add_argument("--without", action="store_true", help="leave the unknown torque out of the posterior")
+    parser.add_argument(
+        "--level", choices=LEVELS, action="append", help="repeatable; all unless given"
+    )
+    parser.add_argument(
+        "--vehicle",
+        help="a vehicle file or the name of one, instead of the box; 16 samples 20 s apart then",
+    )
+    parser.add_argument(
+        "--without", action="store_true", help="leave the unknown torque out of the posterior"
+    )
 
 
 def run(options: Any) -> int:
     """Print the table; one if more than one twin of forty, or of a hundred in all, is confident and wrong."""
     craft = load_vehicle(options.vehicle) if options.vehicle else BOX
-    folder = rows_folder(options.out / f"torque-{craft.name}-{options.seed}{'-without' if options.without else ''}")
+    folder = rows_folder(
+        options.out / f"torque-{craft.name}-{options.seed}{'-without' if options.without else ''}"
+    )
     rows: dict[str, list[dict[str, Any]]] = {}
     for level in options.level or LEVELS:
         for i in range(options.first, options.first + options.twins):
@@ -65,7 +93,10 @@ def run(options: Any) -> int:
             rows.setdefault(level, []).append(kept(folder / f"{level}-{i:03d}.json", one))
             print(level, i, rows[level][-1]["word"], flush=True)
     print(table(rows))
-    wrong, made = [sum(row["wrong"] for row in each) for each in rows.values()], [len(each) for each in rows.values()]
+    wrong, made = (
+        [sum(row["wrong"] for row in each) for each in rows.values()],
+        [len(each) for each in rows.values()],
+    )
     too_many = any(n > max(1, of // 40) for n, of in zip(wrong, made, strict=True))
     return int(too_many or sum(wrong) > max(1, sum(made) // 100))
 
@@ -79,7 +110,9 @@ class Made(NamedTuple):
 def make(craft: Vehicle, level: str, seed: int, i: int) -> Made:
     """Telemetry of a twin, its rate at the first sample (3) rad/s, and the priors that the posterior is told."""
     change, off = LEVELS[level]
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, list(LEVELS).index(level))))
+    rng = np.random.default_rng(
+        np.random.SeedSequence(seed, spawn_key=(i, list(LEVELS).index(level)))
+    )
     own = craft is BOX
     interval, n = (float(np.exp(rng.uniform(*np.log(INTERVALS_S)))), SAMPLES) if own else (20.0, 16)
     t = interval * np.arange(n) + np.concatenate([[0.0], rng.uniform(-1, 1, n - 1)]) * interval / 4
@@ -94,9 +127,18 @@ def make(craft: Vehicle, level: str, seed: int, i: int) -> Made:
     pull = rng.standard_normal(3)
     pull *= change / (t[-1] - t[0]) * np.trace(moments) / 3 / np.linalg.norm(pull)
     steady = Steady(np.stack([pull, np.zeros(3)][:: 1 if i % 2 == 0 else -1]))
-    told = Truth(truth.omega[0], truth.sun[0], t, unknown.wheel_speeds(truth.u)[0], scale=scale, noise=craft.require_noise(),
-                 torques=[steady] if change else [])  # fmt: skip
-    return Made(synthetic_telemetry(body, told, seed=int(rng.integers(2**31))), truth.omega[0], priors)
+    told = Truth(
+        truth.omega[0],
+        truth.sun[0],
+        t,
+        unknown.wheel_speeds(truth.u)[0],
+        scale=scale,
+        noise=craft.require_noise(),
+        torques=[steady] if change else [],
+    )
+    return Made(
+        synthetic_telemetry(body, told, seed=int(rng.integers(2**31))), truth.omega[0], priors
+    )
 
 
 def judge(craft: Vehicle, level: str, seed: int, i: int, torque: bool) -> dict[str, Any]:
@@ -114,19 +156,39 @@ def judge(craft: Vehicle, level: str, seed: int, i: int, torque: bool) -> dict[s
     word = tree.attrs["verdict_word"]
     confident = word in ("unique", "aliases")
     return {
-        "word": word, "verdict": tree.attrs["verdict"], "unique": word == "unique", "far": far[:5], "regions": int(told.sum()),
-        "pull": float((np.abs(off[0]) / np.sqrt(np.diag(spread[0]))).max()), "level": float(chi2.cdf(min(far) ** 2, 3)),
-        "wrong": bool(confident and min(f for f, t in zip(far, told, strict=True) if t) > WRONG_SIGMAS),
-        "sigma": float(np.sqrt(np.trace(spread[0]) / 3)), "error": float(np.linalg.norm(off[0])), "p": tree.attrs["p_value"],
-        "noise_sigmas": tree.attrs["noise_sigmas"], "pareto_k": tree.attrs["pareto_k"],
-        "hypotheses": tree.attrs.get("hypotheses", ""), "processor_s": time.process_time() - began,
-    }  # fmt: skip
+        "word": word,
+        "verdict": tree.attrs["verdict"],
+        "unique": word == "unique",
+        "far": far[:5],
+        "regions": int(told.sum()),
+        "pull": float((np.abs(off[0]) / np.sqrt(np.diag(spread[0]))).max()),
+        "level": float(chi2.cdf(min(far) ** 2, 3)),
+        "wrong": bool(
+            confident and min(f for f, t in zip(far, told, strict=True) if t) > WRONG_SIGMAS
+        ),
+        "sigma": float(np.sqrt(np.trace(spread[0]) / 3)),
+        "error": float(np.linalg.norm(off[0])),
+        "p": tree.attrs["p_value"],
+        "noise_sigmas": tree.attrs["noise_sigmas"],
+        "pareto_k": tree.attrs["pareto_k"],
+        "hypotheses": tree.attrs.get("hypotheses", ""),
+        "processor_s": time.process_time() - began,
+    }
 
 
 def table(rows: dict[str, list[dict[str, Any]]]) -> str:
     """Both error rates by level, coverage and width."""
-    heads = ("level", "twins", "unique", "confident, beyond 5 sigma", "of unique in 50 % / 90 %", "not explained", "not sure",
-             "sigma of unique, median, rad/s", "processor time, median, s")  # fmt: skip
+    heads = (
+        "level",
+        "twins",
+        "unique",
+        "confident, beyond 5 sigma",
+        "of unique in 50 % / 90 %",
+        "not explained",
+        "not sure",
+        "sigma of unique, median, rad/s",
+        "processor time, median, s",
+    )
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for level, each in rows.items():
         sure = [row for row in each if row["unique"]]
@@ -135,8 +197,15 @@ def table(rows: dict[str, list[dict[str, Any]]]) -> str:
         width = f"{np.median([row['sigma'] for row in sure]):.2g}" if sure else "-"
         spent = [row["processor_s"] for row in each if "processor_s" in row]
         cells = (
-            level, len(each), len(sure), sum(row["wrong"] for row in each), f"{inside[0]} / {inside[1]} of {len(sure)}",
-            words.count("not explained"), words.count("not sure"), width, f"{np.median(spent):.0f}" if spent else "-",
-        )  # fmt: skip
+            level,
+            len(each),
+            len(sure),
+            sum(row["wrong"] for row in each),
+            f"{inside[0]} / {inside[1]} of {len(sure)}",
+            words.count("not explained"),
+            words.count("not sure"),
+            width,
+            f"{np.median(spent):.0f}" if spent else "-",
+        )
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)

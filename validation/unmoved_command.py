@@ -22,11 +22,23 @@ PARTS = ("kernels", "golden", "face", "estimates", "study")
 
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("commit", help="the state to compare with, as git names it")
-    parser.add_argument("--now", metavar="COMMIT", help="another state in the place of the present one")
-    parser.add_argument("--part", choices=PARTS, action="append", help="repeatable; all unless given")
-    parser.add_argument("--passes", type=int, default=20, help="simulated passes, each with rates and a posterior")
-    parser.add_argument("--coarser", type=int, default=3, help="every n-th grid point of the Philae study's scan")
-    parser.add_argument("--keep", type=Path, help="folder that keeps what a state gave: the same command goes on where it stopped")
+    parser.add_argument(
+        "--now", metavar="COMMIT", help="another state in the place of the present one"
+    )
+    parser.add_argument(
+        "--part", choices=PARTS, action="append", help="repeatable; all unless given"
+    )
+    parser.add_argument(
+        "--passes", type=int, default=20, help="simulated passes, each with rates and a posterior"
+    )
+    parser.add_argument(
+        "--coarser", type=int, default=3, help="every n-th grid point of the Philae study's scan"
+    )
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        help="folder that keeps what a state gave: the same command goes on where it stopped",
+    )
 
 
 def run(options: Any) -> int:
@@ -38,7 +50,9 @@ def run(options: Any) -> int:
         before, now = (_results(commit, wanted, folder) for commit in (options.commit, options.now))
     different = [name for name in sorted(before | now) if before.get(name) != now.get(name)]
     for name in different:
-        print(f"{name}\n  {options.commit}: {_short(before.get(name))}\n  {options.now or 'now'}: {_short(now.get(name))}")
+        print(
+            f"{name}\n  {options.commit}: {_short(before.get(name))}\n  {options.now or 'now'}: {_short(now.get(name))}"
+        )
     print(f"{len(before | now)} results compared with {options.commit}: {len(different)} differ")
     return 1 if different else 0
 
@@ -60,14 +74,18 @@ def _sources(commit: str | None) -> Any:
         yield ROOT
         return
     with tempfile.TemporaryDirectory(prefix="unmoved-") as home:
-        archive = subprocess.run(["git", "archive", commit], cwd=ROOT, capture_output=True, check=True).stdout
+        archive = subprocess.run(
+            ["git", "archive", commit], cwd=ROOT, capture_output=True, check=True
+        ).stdout
         subprocess.run(["tar", "-x", "-C", home], input=archive, check=True)
         yield Path(home)
 
 
 def _fingerprint(folder: Path) -> str:
     found = hashlib.sha256()
-    for file in sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
+    for file in sorted(
+        path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts
+    ):
         found.update(str(file.relative_to(folder)).encode() + file.read_bytes())
     return found.hexdigest()[:12]
 

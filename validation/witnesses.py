@@ -44,30 +44,56 @@ class Row(NamedTuple):
 
 
 def basilisk() -> Iterator[Row]:
-    run = ss.propagate(Vehicle("hub", np.diag([500.0, 200.0, 300.0])), [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
+    run = ss.propagate(
+        Vehicle("hub", np.diag([500.0, 200.0, 300.0])),
+        [0.5, -0.4, 0.7],
+        [1, 0, 0],
+        None,
+        [0.0, 10.0],
+    )
     mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
-    yield Row("Basilisk, published", "attitude (MRP) after 10 s", float(np.abs(mrp - BASILISK_MRP).max()), 5e-10)
+    yield Row(
+        "Basilisk, published",
+        "attitude (MRP) after 10 s",
+        float(np.abs(mrp - BASILISK_MRP).max()),
+        5e-10,
+    )
 
 
 def free_rigid_body() -> Iterator[Row]:
     """Euler's case by Jacobi's functions, both kinds of motion, 200 turns, with phase (Landau and Lifshitz 1, section 37)."""
     moments = np.array([0.7, 1.0, 1.6])  # increasing
     t = np.linspace(0, 1300.0, 400)
-    for name, omega in (("about the short axis", (0.2, 0.3, 1.0)), ("about the long axis", (1.0, 0.3, 0.1))):
+    for name, omega in (
+        ("about the short axis", (0.2, 0.3, 1.0)),
+        ("about the long axis", (1.0, 0.3, 0.1)),
+    ):
         expected = euler(moments, np.array(omega), t)
         run = ss.propagate(Vehicle("free", np.diag(moments)), omega, SUN, None, t)
         error = np.abs(run["omega_B"].values - expected).max() / np.linalg.norm(omega)
-        yield Row("Jacobi's elliptic functions (SciPy)", f"free body {name}, rates with phase, 1300 s", float(error), 1e-10)
+        yield Row(
+            "Jacobi's elliptic functions (SciPy)",
+            f"free body {name}, rates with phase, 1300 s",
+            float(error),
+            1e-10,
+        )
         sized = 100.0 * np.diag(moments), np.tile(omega, (1, 1)).astype(float)
         rows = k.Rows(sized[1], SUN[None], np.zeros((1, 0)))
         end = k.run_rows(Vehicle("free", sized[0]), rows, t[1:], direction_error=1e-9).omega_B[0]
         error = np.abs(end - expected[1:]).max() / np.linalg.norm(omega)
-        yield Row("Jacobi's elliptic functions (SciPy)", f"the ensemble kernel, the same {name}", float(error), 1e-8)
+        yield Row(
+            "Jacobi's elliptic functions (SciPy)",
+            f"the ensemble kernel, the same {name}",
+            float(error),
+            1e-8,
+        )
 
 
 def euler(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Rates (n, 3) of a free body with increasing principal moments, from `omega` at t = 0."""
-    if (moments * omega) @ (moments * omega) < moments[1] * (moments @ omega**2):  # the other kind: the axes turned round
+    if (moments * omega) @ (moments * omega) < moments[1] * (
+        moments @ omega**2
+    ):  # the other kind: the axes turned round
         return _polhode(moments[::-1], omega[::-1] * [1, -1, 1], t)[:, ::-1] * [1, -1, 1]
     return _polhode(moments, omega, t)
 
@@ -90,12 +116,18 @@ def gyrostat() -> Iterator[Row]:
     """An axisymmetric body with a coasting wheel on its axis: a closed form at any time, through the wheel's stop."""
     moment, axial, inertia, begin = 13.0, 16.5, 0.0058, 865.0
     friction = Friction(1e-3, 2.7e-6)
-    vehicle = Vehicle("axisymmetric", np.diag([moment, moment, axial]), wheels=[Wheel("w", [0, 0, 1], inertia, begin, friction)])
+    vehicle = Vehicle(
+        "axisymmetric",
+        np.diag([moment, moment, axial]),
+        wheels=[Wheel("w", [0, 0, 1], inertia, begin, friction)],
+    )
     omega = np.array([-0.2, 0.1, 0.05])
     t = np.linspace(0, 3600.0, 241)
     run = ss.propagate(vehicle, omega, SUN, begin, t)
     H = np.array([moment, moment, axial]) * omega + [0, 0, inertia * begin]
-    turned = Rotation.from_rotvec(H / moment * t[:, None])  # fixed in space H is an axis about which the symmetry axis goes round
+    turned = Rotation.from_rotvec(
+        H / moment * t[:, None]
+    )  # fixed in space H is an axis about which the symmetry axis goes round
     z_N = turned.apply([0.0, 0.0, 1.0])
     error = float(np.abs(run["sun_B"].values[:, 2] - z_N @ SUN).max())
     yield Row("closed form", "axisymmetric gyrostat, Sun's height with phase, 1 h", error, 1e-9)
@@ -106,7 +138,12 @@ def gyrostat() -> Iterator[Row]:
     error = float(np.abs(run["wheel_speed_rad_s"].values[:, 0] - speed).max() / begin)
     yield Row("closed form", "wheel spin-down on a free body, 1 h", error, 1e-10)
     stop = tau * np.log1p(begin / dry)
-    yield Row("closed form", "instant at which the wheel stops", float(abs(run["event_time_s"].values[0] - stop) / stop), 1e-11)
+    yield Row(
+        "closed form",
+        "instant at which the wheel stops",
+        float(abs(run["event_time_s"].values[0] - stop) / stop),
+        1e-11,
+    )
     axial_rate = omega[2] + inertia * (begin - speed) / axial
     error = float(np.abs(run["omega_B"].values[:, 2] - axial_rate).max() / 0.3)
     yield Row("closed form", "axial rate of the body meanwhile", error, 1e-10)
@@ -122,7 +159,9 @@ def paper_equations() -> Iterator[Row]:
     def slipping(_t: float, y: np.ndarray) -> np.ndarray:
         omega, W, r = y[:3], y[3], y[4:]
         torque = -np.sign(W) * (friction.coulomb_N_m + friction.viscous_N_m_s * abs(W))
-        rate = -inverse @ (np.cross(omega, theta @ omega) + axis * torque + np.cross(omega, J * axis * W))
+        rate = -inverse @ (
+            np.cross(omega, theta @ omega) + axis * torque + np.cross(omega, J * axis * W)
+        )
         return np.concatenate([rate, [torque / J - axis @ rate], -np.cross(omega, r)])
 
     def stuck(_t: float, y: np.ndarray) -> np.ndarray:
@@ -136,14 +175,18 @@ def paper_equations() -> Iterator[Row]:
     options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
     omega = [-0.1, 0.2, 0.0]
     first = solve_ivp(slipping, (0, 2700), [*omega, 865.0, *SUN], events=stops, **options)
-    second = solve_ivp(stuck, (first.t[-1], 2700), [*first.y[:3, -1], 0.0, *first.y[4:, -1]], **options)
+    second = solve_ivp(
+        stuck, (first.t[-1], 2700), [*first.y[:3, -1], 0.0, *first.y[4:, -1]], **options
+    )
     vehicle = Vehicle("philae", theta, 97.63, wheels=[Wheel("w", axis, J, 865.0, friction)])
     run = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
     error = float(abs(run["event_time_s"].values[0] / first.t[-1] - 1))
     yield Row("DOP853 (SciPy), paper's equations", "instant of the stop", error, 1e-11)
     error = float(np.abs(run["sun_B"].values[-1] - second.y[4:, -1]).max())
     yield Row("DOP853 (SciPy), paper's equations", "Sun after 45 min", error, 1e-8)
-    rate = np.abs(run["omega_B"].values[-1] - second.y[:3, -1]).max() / np.linalg.norm(second.y[:3, -1])
+    rate = np.abs(run["omega_B"].values[-1] - second.y[:3, -1]).max() / np.linalg.norm(
+        second.y[:3, -1]
+    )
     yield Row("DOP853 (SciPy), paper's equations", "rates after 45 min", float(rate), 1e-8)
 
 
@@ -152,27 +195,51 @@ def transport() -> Iterator[Row]:
     rng = np.random.default_rng(0)
     worst = {"linprog": 0.0, "pot": 0.0, "sorted": 0.0}
     for n, m in ((5, 9), (15, 40), (30, 11)):
-        (a, wa), (b, wb) = ((rng.uniform(-1, 1, size), rng.uniform(0.1, 1, size)) for size in (n, m))
+        (a, wa), (b, wb) = (
+            (rng.uniform(-1, 1, size), rng.uniform(0.1, 1, size)) for size in (n, m)
+        )
         ours = ss.emd(a, b, wa, wb)
-        worst["linprog"] = max(worst["linprog"], abs(ours - _cheapest(a, b, wa / wa.sum(), wb / wb.sum())))
+        worst["linprog"] = max(
+            worst["linprog"], abs(ours - _cheapest(a, b, wa / wa.sum(), wb / wb.sum()))
+        )
         if (pot := _pot(a, b, wa, wb)) is not None:
             worst["pot"] = max(worst["pot"], abs(ours - pot))
         x, y = rng.uniform(-1, 1, (2, n))
-        worst["sorted"] = max(worst["sorted"], abs(ss.emd(x, y) - np.abs(np.sort(x) - np.sort(y)).mean() / 2))
+        worst["sorted"] = max(
+            worst["sorted"], abs(ss.emd(x, y) - np.abs(np.sort(x) - np.sort(y)).mean() / 2)
+        )
     yield Row("linear programme (HiGHS)", "EMD as the cheapest transport", worst["linprog"], 1e-9)
     if _pot(a, b, wa, wb) is not None:
         yield Row("POT, emd2_1d", "EMD, weighted samples", worst["pot"], 1e-14)
     yield Row("closed form", "EMD of equal numbers: sorted differences", worst["sorted"], 1e-14)
-    vehicle, target, omega = Vehicle("free", np.diag([0.7, 1.0, 1.6])), rng.uniform(-1, 1, 20), np.array([0.2, 0.3, 0.6])
+    vehicle, target, omega = (
+        Vehicle("free", np.diag([0.7, 1.0, 1.6])),
+        rng.uniform(-1, 1, 20),
+        np.array([0.2, 0.3, 0.6]),
+    )
     ours = ss.scan(vehicle, target, SUN, *omega[:, None], None, 900.0, mask=None).item()
-    track = ss.propagate(vehicle, omega, SUN, None, np.linspace(0, 900, 90_001), rtol=1e-9)["sun_B"].values[:, 2]
+    track = ss.propagate(vehicle, omega, SUN, None, np.linspace(0, 900, 90_001), rtol=1e-9)[
+        "sun_B"
+    ].values[:, 2]
     error = abs(ours - wasserstein_distance(track, target) / 2)
-    yield Row("SciPy, wasserstein_distance", "EMD of a scan, of a sampled track of the reference", error, 1e-3)
+    yield Row(
+        "SciPy, wasserstein_distance",
+        "EMD of a scan, of a sampled track of the reference",
+        error,
+        1e-3,
+    )
 
 
 def _cheapest(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float:
-    leaves, arrives = np.kron(np.eye(len(a)), np.ones(len(b))), np.kron(np.ones(len(a)), np.eye(len(b)))
-    plan = linprog(np.abs(a[:, None] - b).ravel() / 2, A_eq=np.vstack([leaves, arrives]), b_eq=np.concatenate([wa, wb]))
+    leaves, arrives = (
+        np.kron(np.eye(len(a)), np.ones(len(b))),
+        np.kron(np.ones(len(a)), np.eye(len(b))),
+    )
+    plan = linprog(
+        np.abs(a[:, None] - b).ravel() / 2,
+        A_eq=np.vstack([leaves, arrives]),
+        b_eq=np.concatenate([wa, wb]),
+    )
     return float(plan.fun)
 
 
@@ -192,14 +259,26 @@ def return_trips() -> Iterator[Row]:
     omega = np.array([-0.2, 0.05, 0.02])
     there = ss.propagate(vehicle, omega, SUN, 865.0, [0.0, 2700.0])
     end = there.isel(time=-1)
-    back = ss.propagate(vehicle, end["omega_B"], end["sun_B"], 0.0, [2700.0, 0.0], stopped_at_s=float(there["event_time_s"][0]))
+    back = ss.propagate(
+        vehicle,
+        end["omega_B"],
+        end["sun_B"],
+        0.0,
+        [2700.0, 0.0],
+        stopped_at_s=float(there["event_time_s"][0]),
+    )
     error = float(np.abs(back["sun_B"].values[-1] - SUN).max())
     yield Row("itself, backward", "Sun after 45 min there and back, through the stop", error, 1e-9)
     rows = k.Rows(omega[None], SUN[None], np.array([[865.0]]))
     far = k.run_rows(vehicle, rows, 2000.0, direction_error=1e-9)
     turned = k.Rows(far.omega_B[:, 0], far.sun_B[:, 0], far.wheel_speed_rad_s[:, 0])
     home = k.run_rows(vehicle, turned, -2000.0, direction_error=1e-9)
-    yield Row("itself, backward", "the ensemble kernel, 2000 s there and back", float(np.abs(home.sun_B[0, 0] - SUN).max()), 1e-8)
+    yield Row(
+        "itself, backward",
+        "the ensemble kernel, 2000 s there and back",
+        float(np.abs(home.sun_B[0, 0] - SUN).max()),
+        1e-8,
+    )
 
 
 WITNESSES = (basilisk, free_rigid_body, gyrostat, paper_equations, transport, return_trips)
@@ -208,4 +287,6 @@ WITNESSES = (basilisk, free_rigid_body, gyrostat, paper_equations, transport, re
 def table(rows: list[Row]) -> str:
     """The comparisons as a table in Markdown."""
     lines = ["| witness | what | difference | digits |", "|---|---|---|---|"]
-    return "\n".join(lines + [f"| {r.witness} | {r.what} | {r.error:.1e} | {r.digits:.1f} |" for r in rows])
+    return "\n".join(
+        lines + [f"| {r.witness} | {r.what} | {r.error:.1e} | {r.digits:.1f} |" for r in rows]
+    )

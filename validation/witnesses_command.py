@@ -13,7 +13,12 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: Any) -> int:
-    rows = [row for witness in WITNESSES if options.only in (None, witness.__name__) for row in witness()]
+    rows = [
+        row
+        for witness in WITNESSES
+        if options.only in (None, witness.__name__)
+        for row in witness()
+    ]
     print(table(rows))
     failed = [row for row in rows if not row.holds]
     for row in failed:

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from sunspin.base.lazy import import_after
 
-if TYPE_CHECKING:  # what type checkers and editors see; test_house_rules.py compares it with the names below
+if (
+    TYPE_CHECKING
+):  # what type checkers and editors see; test_house_rules.py compares it with the names below
     from sunspin.telemetry.case import Case as Case, load_case as load_case
     from sunspin.base.errors import (
         InputError as InputError,

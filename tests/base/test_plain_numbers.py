@@ -23,7 +23,14 @@ SCRIPTS = (0x660, 0x6F0, 0x966, 0xFF10, 0x1D7CE)
 def plain(rng: np.random.Generator) -> str:
     """A plain decimal, in one of the ways in which people write it."""
     size = f"{rng.uniform(0, 100):.{rng.integers(0, 9)}f}"
-    forms = (size, size + "e-3", size + "E+2", str(rng.integers(0, 10**6)), f"{rng.integers(0, 9)}.", f".{rng.integers(0, 99)}")
+    forms = (
+        size,
+        size + "e-3",
+        size + "E+2",
+        str(rng.integers(0, 10**6)),
+        f"{rng.integers(0, 9)}.",
+        f".{rng.integers(0, 99)}",
+    )
     return str(rng.choice(["", "", "-", "+"])) + str(rng.choice(np.array(forms, dtype=object)))
 
 
@@ -32,11 +39,28 @@ def strange(text: str, rng: np.random.Generator) -> str:
     digits = [i for i, c in enumerate(text) if c.isdigit()]
     at, zero = int(rng.choice(digits)), int(rng.choice(SCRIPTS))
     forms = (
-        text[: at + 1] + "_0" + text[at + 1 :], text[:at] + chr(zero + int(text[at])) + text[at + 1 :],
-        text[: at + 1] + " 1" + text[at + 1 :], text.replace("-", "\u2212") if "-" in text else f"\u2212{text}", f"0x{digits[0]}f",
-        *("inf", "-inf", "nan", "Infinity", "1e400", "--1", "1e", "e5", "1.2.3", "True", "", " ", f"{text} W"),
+        text[: at + 1] + "_0" + text[at + 1 :],
+        text[:at] + chr(zero + int(text[at])) + text[at + 1 :],
+        text[: at + 1] + " 1" + text[at + 1 :],
+        text.replace("-", "\u2212") if "-" in text else f"\u2212{text}",
+        f"0x{digits[0]}f",
+        *(
+            "inf",
+            "-inf",
+            "nan",
+            "Infinity",
+            "1e400",
+            "--1",
+            "1e",
+            "e5",
+            "1.2.3",
+            "True",
+            "",
+            " ",
+            f"{text} W",
+        ),
         *(f"\u00a0{text}", f"{text}j"),
-    )  # fmt: skip
+    )
     return str(rng.choice(np.array(forms, dtype=object)))
 
 
@@ -88,7 +112,10 @@ def test_a_cell_in_another_form_is_no_reading(seed, tmp_path):
     cells[row][column] = strange(cells[row][column], rng)
     data = read(tmp_path, cells)
     seen = np.column_stack([data["power_W"].values, data["gyro_B"].values])
-    assert np.isnan(seen[row, column - 1]) and np.isfinite(np.delete(seen.ravel(), 5 * row + column - 1)).all()
+    assert (
+        np.isnan(seen[row, column - 1])
+        and np.isfinite(np.delete(seen.ravel(), 5 * row + column - 1)).all()
+    )
     assert bool(data["flag"].values[row]) == (column < 3)
     cells[0][0] = strange("10", rng)
     with pytest.raises(TelemetryError, match="line 2, column 't'"):
@@ -101,40 +128,68 @@ def test_how_a_file_writes_its_numbers_is_said_in_its_own_sentence(column, tmp_p
     rows = [[str(10 * i), "0.5", "0.25", "0.1", "0.2", "0.3"] for i in range(3)]
 
     def changed(cells, mark="\t"):
-        return read(tmp_path, [[*row[:column], cell, *row[column + 1 :]] for row, cell in zip(rows, cells, strict=True)], mark)
+        return read(
+            tmp_path,
+            [
+                [*row[:column], cell, *row[column + 1 :]]
+                for row, cell in zip(rows, cells, strict=True)
+            ],
+            mark,
+        )
 
     name = ["t", "a", "b", "gx"][column]
     for cell in ("0,5", "-,5", "1,5e-3"):
-        with pytest.raises(TelemetryError, match=rf"line 3, column '{name}': the number has a decimal comma .*{cell}.*point"):
+        with pytest.raises(
+            TelemetryError,
+            match=rf"line 3, column '{name}': the number has a decimal comma .*{cell}.*point",
+        ):
             changed(["1", cell, "0.5"])
     for cell in ("1_000", "\u0663", "0x10", "0.5 W", "1 e5"):
-        with pytest.raises(TelemetryError, match=rf"line 2, column '{name}': no cell of this column is a number \(found {cell}"):
+        with pytest.raises(
+            TelemetryError,
+            match=rf"line 2, column '{name}': no cell of this column is a number \(found {cell}",
+        ):
             changed([cell] * 3)
         changed([cell, "0.5", cell])  # one number is enough for the others to be damaged
     for cell in ("", "nan", "N/A", "--", "off"):
         changed([cell] * 3)  # a sensor that is off
-    assert changed(["0,5", "1,5e-1", "2"], ";")["power_W"].values[1, 0] == (0.15 if column == 1 else 0.5)
+    assert changed(["0,5", "1,5e-1", "2"], ";")["power_W"].values[1, 0] == (
+        0.15 if column == 1 else 0.5
+    )
 
 
 @pytest.mark.parametrize("seed", range(16))
 def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
     rng = np.random.default_rng(seed)
     good = plain(rng)
-    while not (odd := strange(good, rng)) or odd != odd.strip() or odd in ("True", "nan", "inf", "-inf"):
+    while (
+        not (odd := strange(good, rng))
+        or odd != odd.strip()
+        or odd in ("True", "nan", "inf", "-inf")
+    ):
         pass
     assert values.numbers(f"1,{good}", "--omega") == [1, float(good)]
-    for wrong in (lambda: values.numbers(f"1,{odd}", "--omega"), lambda: _seconds(odd),
-                  lambda: values.period(f"{odd}+-1@10", None), lambda: values.prior(f"inertia={odd}"),
-                  lambda: values.grid(f"0:1:{odd}", "--omega-x"), lambda: values.times(odd, None)):  # fmt: skip
+    for wrong in (
+        lambda: values.numbers(f"1,{odd}", "--omega"),
+        lambda: _seconds(odd),
+        lambda: values.period(f"{odd}+-1@10", None),
+        lambda: values.prior(f"inertia={odd}"),
+        lambda: values.grid(f"0:1:{odd}", "--omega-x"),
+        lambda: values.times(odd, None),
+    ):
         with pytest.raises(InputError):
             wrong()
 
 
-@pytest.mark.parametrize("value", ["1_000", "0x10", "0o7", "0b1", "inf", "-nan", "[1, 1_0]", "[[1, 0, 0], [0, 0x1, 0]]"])
+@pytest.mark.parametrize(
+    "value", ["1_000", "0x10", "0o7", "0b1", "inf", "-nan", "[1, 1_0]", "[[1, 0, 0], [0, 0x1, 0]]"]
+)
 def test_a_change_is_written_in_plain_decimals(value):
     with pytest.raises(InputError, match="not a finite number such as"):
         changes_of([f"body.mass_kg={value}"])
-    assert changes_of(["a=-1.5e-3", "b=[1, +2.5, 3e2]", 'c=["a_b", "0x1"]', "d=_x", "e=inverse"])[1].value == [1, 2.5, 300.0]
+    assert changes_of(["a=-1.5e-3", "b=[1, +2.5, 3e2]", 'c=["a_b", "0x1"]', "d=_x", "e=inverse"])[
+        1
+    ].value == [1, 2.5, 300.0]
 
 
 LINES = """1 25544U 98067A   26001.50000000  .00001000  00000-0  10000-3 0  9990
@@ -167,7 +222,14 @@ def one_pair_of_lines(rng):
         assert str(error).isprintable()
     else:
         assert "\n".join(found.given).isascii()
-        for field in (lines[1][8:16], lines[1][17:25], lines[1][34:42], lines[1][43:51], lines[1][52:63], lines[0][20:32]):
+        for field in (
+            lines[1][8:16],
+            lines[1][17:25],
+            lines[1][34:42],
+            lines[1][43:51],
+            lines[1][52:63],
+            lines[0][20:32],
+        ):
             assert re.fullmatch(r" *\d+\.\d+", field)
 
 
@@ -177,19 +239,33 @@ def test_an_angle_with_a_gap_in_it_is_no_angle():
         parse_elements(f"{first}\n{summed(second.replace(' 51.6400', '5 1.6400'))}", "x")
 
 
-ROWS = [f"2026-01-01T00:{m:02d}:00Z,{7000 * math.cos(m / 16):.6f},{7000 * math.sin(m / 16):.6f},0" for m in range(20)]
+ROWS = [
+    f"2026-01-01T00:{m:02d}:00Z,{7000 * math.cos(m / 16):.6f},{7000 * math.sin(m / 16):.6f},0"
+    for m in range(20)
+]
 
 
 @pytest.mark.parametrize("cell", ["1_0", "\u0663", "inf", "nan", "", "0x10", "1 0", "x"])
 def test_a_coordinate_in_another_form_is_refused(cell, tmp_path):
     def ephemeris(rows):
         path = tmp_path / "e.csv"
-        path.write_text("# frame: J2000\ntime_utc,x_km,y_km,z_km\n" + "\n".join(rows) + "\n", "utf-8")
+        path.write_text(
+            "# frame: J2000\ntime_utc,x_km,y_km,z_km\n" + "\n".join(rows) + "\n", "utf-8"
+        )
         return read_ephemeris(path)
 
     assert ephemeris(ROWS)
     with pytest.raises(InputError, match="coordinate of the ephemeris"):
         ephemeris([*ROWS[:9], ROWS[9].rpartition(",")[0] + f",{cell}", *ROWS[10:]])
-    for time in ("now", "today", "NaT", "2026", "2026-000T00:00:00", "2026-999T00:00:00", "\u0662026-01-01", "9" * 30):
+    for time in (
+        "now",
+        "today",
+        "NaT",
+        "2026",
+        "2026-000T00:00:00",
+        "2026-999T00:00:00",
+        "\u0662026-01-01",
+        "9" * 30,
+    ):
         with pytest.raises(InputError, match="time"):
             ephemeris([*ROWS[:9], time + "," + ROWS[9].partition(",")[2], *ROWS[10:]])

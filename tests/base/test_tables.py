@@ -51,11 +51,15 @@ def frame(when):
 TIMES = {
     "elapsed": [10.0, 20.5, 31.25],
     "unix": [1767225610.0, 1767225620.5, 1767225631.25],
-    "utc": pd.to_datetime(["2026-01-01T00:00:10", "2026-01-01T00:00:20.5", "2026-01-01T00:00:31.25"], format="ISO8601"),
+    "utc": pd.to_datetime(
+        ["2026-01-01T00:00:10", "2026-01-01T00:00:20.5", "2026-01-01T00:00:31.25"], format="ISO8601"
+    ),
 }
 
 
-@pytest.mark.evidence("read_telemetry", "verified", "the same samples as CSV, Parquet and NetCDF, with three clocks")
+@pytest.mark.evidence(
+    "read_telemetry", "verified", "the same samples as CSV, Parquet and NetCDF, with three clocks"
+)
 @pytest.mark.parametrize("form", TIMES)
 @pytest.mark.parametrize("kind", ["csv", "parquet", "nc"])
 def test_every_kind_of_file_and_clock_reads_alike(form, kind, tmp_path):
@@ -66,9 +70,10 @@ def test_every_kind_of_file_and_clock_reads_alike(form, kind, tmp_path):
         pytest.importorskip("pyarrow")
         table.to_parquet(path)
     else:
-        xr.Dataset({name: ("when", table[name].values) for name in ("pa", "pb")}, {"when": table["when"].values}).to_netcdf(
-            path, engine="h5netcdf"
-        )
+        xr.Dataset(
+            {name: ("when", table[name].values) for name in ("pa", "pb")},
+            {"when": table["when"].values},
+        ).to_netcdf(path, engine="h5netcdf")
     data = ss.read_telemetry(path, parse_vehicle(VEHICLE.format(form=form), "v"))
     assert data["time"].values == pytest.approx([10.0, 20.5, 31.25], abs=1e-6)
     assert data["power_W"].values.tolist() == [[0.5, 0.1], [0.25, 0.2], [0.125, 0.3]]
@@ -85,7 +90,12 @@ def test_damaged_files_are_a_sentence(content, tmp_path):
 
 def sensors_vehicle():
     text = VEHICLE.format(form="elapsed")
-    return parse_vehicle(text + SENSOR.format(name="p", normal=[1, 0, 0]) + SENSOR.format(name="m", normal=[-1, 0, 0]), "v")
+    return parse_vehicle(
+        text
+        + SENSOR.format(name="p", normal=[1, 0, 0])
+        + SENSOR.format(name="m", normal=[-1, 0, 0]),
+        "v",
+    )
 
 
 def sensor_file(path, rows):
@@ -95,11 +105,16 @@ def sensor_file(path, rows):
 
 
 def test_a_sun_sensor_reads_angles_from_its_normal(tmp_path):
-    path = sensor_file(tmp_path / "s.csv", [(0, 30, 0, 50, 0, 0, 0), (1, 0, 45, 50, 0, 0, 0), (2, 0, 0, 0, 0, 0, 0)])
+    path = sensor_file(
+        tmp_path / "s.csv",
+        [(0, 30, 0, 50, 0, 0, 0), (1, 0, 45, 50, 0, 0, 0), (2, 0, 0, 0, 0, 0, 0)],
+    )
     data = ss.read_telemetry(path, sensors_vehicle())
     sun = data["sun_sensor_B"].values
     assert sun[0] == pytest.approx([np.cos(np.pi / 6), 0.5, 0.0], abs=1e-9)
-    assert sun[1] == pytest.approx([np.sqrt(0.5), 0.0, np.sqrt(0.5)], abs=1e-9)  # y axis: x cross y = z
+    assert sun[1] == pytest.approx(
+        [np.sqrt(0.5), 0.0, np.sqrt(0.5)], abs=1e-9
+    )  # y axis: x cross y = z
     assert np.isnan(sun[2]).all()
     assert "power_W" not in data
 
@@ -108,31 +123,48 @@ TURNED = "y_turned_above = 45\ny_turned_scale = -0.0174532925199433\ny_turned_si
 
 
 def test_near_the_light_at_which_a_sensor_turns_both_readings_stand(tmp_path):
-    vehicle = parse_vehicle(VEHICLE.format(form="elapsed") + SENSOR.format(name="p", normal=[1, 0, 0]) + TURNED, "v")
-    path = sensor_file(tmp_path / "s.csv", [(k, 0, 30, light, 0, 0, 0) for k, light in enumerate((30, 43, 47, 60, 0))])
+    vehicle = parse_vehicle(
+        VEHICLE.format(form="elapsed") + SENSOR.format(name="p", normal=[1, 0, 0]) + TURNED, "v"
+    )
+    path = sensor_file(
+        tmp_path / "s.csv",
+        [(k, 0, 30, light, 0, 0, 0) for k, light in enumerate((30, 43, 47, 60, 0))],
+    )
     data = ss.read_telemetry(path, vehicle)
     up, down = [np.cos(np.pi / 6), 0.0, 0.5], [np.cos(np.pi / 6), 0.0, -0.5]
-    np.testing.assert_allclose(data["sun_sensor_B"].values, [up, up, down, down, [np.nan] * 3], atol=1e-9)
+    np.testing.assert_allclose(
+        data["sun_sensor_B"].values, [up, up, down, down, [np.nan] * 3], atol=1e-9
+    )
     other = data["sun_sensor_other_B"].values
     np.testing.assert_allclose(other[1:3], [down, up], atol=1e-9)
-    assert np.isnan(other[[0, 3, 4]]).all() and np.isnan(data["sun_sensor_other_cov_B"].values[0]).all()
+    assert (
+        np.isnan(other[[0, 3, 4]]).all()
+        and np.isnan(data["sun_sensor_other_cov_B"].values[0]).all()
+    )
     sun, _ = SunDirection.read(vehicle, data, "sun_sensor")
     cost = normal(sun, Seen(facing(np.tile(down, (1, 5, 1))), np.zeros((1, 5, 3))))[2][0]
-    assert cost[0] > 5 and cost[1:] == pytest.approx(np.zeros(4), abs=1e-9)  # the better of the two counts
+    assert cost[0] > 5 and cost[1:] == pytest.approx(
+        np.zeros(4), abs=1e-9
+    )  # the better of the two counts
 
 
 def test_sensors_that_contradict_each_other_give_no_direction(tmp_path):
-    data = ss.read_telemetry(sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)]), sensors_vehicle())
+    data = ss.read_telemetry(
+        sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)]), sensors_vehicle()
+    )
     assert AGREE > 0 and np.isnan(data["sun_sensor_B"].values).all()
 
 
-@pytest.mark.parametrize(("old", "new", "text"), [
-    ("x_axis_B = [0, 1, 0]", "x_axis_B = [1, 0, 0]", "right angles"),
-    ("x_sigma_rad = 0.02", "x_sigma_rad = 0", "must be positive"),
-    ('y_column = "yp"\n', "", "both y_column and y_scale"),
-    ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\ny_turned_sigma = 3", "no y_turned_above"),
-    ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\nlit = 3", "unknown key"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("x_axis_B = [0, 1, 0]", "x_axis_B = [1, 0, 0]", "right angles"),
+        ("x_sigma_rad = 0.02", "x_sigma_rad = 0", "must be positive"),
+        ('y_column = "yp"\n', "", "both y_column and y_scale"),
+        ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\ny_turned_sigma = 3", "no y_turned_above"),
+        ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\nlit = 3", "unknown key"),
+    ],
+)
 def test_a_wrong_sensor_table_is_a_sentence(old, new, text):
     sensor = SENSOR.format(name="p", normal=[1, 0, 0]).replace(old, new)
     with pytest.raises(ss.VehicleError, match=text):

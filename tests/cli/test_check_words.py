@@ -15,13 +15,23 @@ from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle
 from validation.border import sunspin
 
-FACES = {"+X": [1, 0, 0], "-X": [-1, 0, 0], "+Y": [0, 1, 0], "-Y": [0, -1, 0], "+Z": [0, 0, 1], "-Z": [0, 0, -1]}
+FACES = {
+    "+X": [1, 0, 0],
+    "-X": [-1, 0, 0],
+    "+Y": [0, 1, 0],
+    "-Y": [0, -1, 0],
+    "+Z": [0, 0, 1],
+    "-Z": [0, 0, -1],
+}
 
 
 def satellite(each: int, scale: float = 1.0) -> str:
     """So many panels on each of six faces, read in W."""
     names = {f"{face}{k}": normal for face, normal in FACES.items() for k in range(each)}
-    panels = "".join(f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_W = 2.0\n' for name, normal in names.items())
+    panels = "".join(
+        f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_W = 2.0\n'
+        for name, normal in names.items()
+    )
     columns = "".join(f'"{name}" = "{name}"\n' for name in names)
     return f'name = "v"\n{panels}[telemetry]\nscale = {scale}\nnoise = 0.01\n[telemetry.columns]\n{columns}'
 
@@ -40,46 +50,75 @@ def test_panels_of_one_face_count_as_one(each):
 
     sun, power = readings(each)
     samples = telemetry_dataset(craft, np.arange(len(sun)), power, sun, "2026-01-01T00:00:00Z", {})
-    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.01}))
+    lit = _lit(
+        craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.01})
+    )
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
 
 
 def test_noise_lights_no_face():
     craft = parse_vehicle(satellite(1), "v.toml")
     dark = np.abs(0.05 * np.random.default_rng(0).normal(size=(40, 6)))
-    samples = telemetry_dataset(craft, np.arange(40), dark, np.eye(3)[np.zeros(40, int)], "2026-01-01T00:00:00Z", {})
-    lit = _lit(craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.05}))
+    samples = telemetry_dataset(
+        craft, np.arange(40), dark, np.eye(3)[np.zeros(40, int)], "2026-01-01T00:00:00Z", {}
+    )
+    lit = _lit(
+        craft, samples, SimpleNamespace(attrs={"albedo": 0.01, "full_sun": 1.0, "noise": 0.05})
+    )
     assert np.count_nonzero(lit) <= 3  # at two hundredths of full Sun, 0.04 W, nearly all were
 
 
 @pytest.mark.parametrize("count", [1, SETS, SETS + 1, 500])
 def test_the_most_frequent_sets_are_named_and_the_others_counted(count):
     seen = {f"set {k}": k + 1 for k in range(count)}
-    (line,) = health_lines({"impossible": seen, "explanations": [], "noise_probability": {"set 0": 0.0}})
-    assert len(line) < 400 and f"set {count - 1} ({count})" in line and "probability of at most 0" not in line
+    (line,) = health_lines(
+        {"impossible": seen, "explanations": [], "noise_probability": {"set 0": 0.0}}
+    )
+    assert (
+        len(line) < 400
+        and f"set {count - 1} ({count})" in line
+        and "probability of at most 0" not in line
+    )
     assert (f"and {count - SETS} other sets" in line) == (count > SETS)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_in_a_wrong_unit_nothing_is_said_of_directions_gains_and_faces(scale, tmp_path, monkeypatch):
+def test_in_a_wrong_unit_nothing_is_said_of_directions_gains_and_faces(
+    scale, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     craft = satellite(2, scale)
     (tmp_path / "v.toml").write_text(craft)
     names = [line.split('"')[1] for line in craft.splitlines() if line.startswith('"')]
-    rows = [f"2026-01-01T00:{k // 6:02d}:{k % 6}0Z," + ",".join(f"{x:.4f}" for x in row) for k, row in enumerate(readings(2)[1])]
+    rows = [
+        f"2026-01-01T00:{k // 6:02d}:{k % 6}0Z," + ",".join(f"{x:.4f}" for x in row)
+        for k, row in enumerate(readings(2)[1])
+    ]
     (tmp_path / "t.csv").write_text("\n".join([",".join(["time", *names]), *rows]))
     said = sunspin("check", "v.toml", "t.csv").out
     words = ("reconstructed", "gains", "faces lit", "cannot light")
     assert ("WRONG UNIT" in said) == (scale != 1.0) == ("say nothing while" in said)
-    assert scale == 1.0 or not any(word in said.replace("directions, gains and lit faces say", "") for word in words)
+    assert scale == 1.0 or not any(
+        word in said.replace("directions, gains and lit faces say", "") for word in words
+    )
     assert scale != 1.0 or ("reconstructed" in said and "faces lit:" in said)
     if scale != 1.0:
-        assert json.loads(sunspin("check", "v.toml", "t.csv", "--json").out)["telemetry"]["panels_misread"]
+        assert json.loads(sunspin("check", "v.toml", "t.csv", "--json").out)["telemetry"][
+            "panels_misread"
+        ]
 
 
 def test_a_stretch_is_chosen_alike_by_rates_posterior_and_scan():
-    samples = xr.Dataset(coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"})
-    assert instants_of(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and instants_of(samples, None, None) == (None, None)
-    assert between(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [60.0, 120.0, 180.0]
+    samples = xr.Dataset(
+        coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"}
+    )
+    assert instants_of(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and instants_of(
+        samples, None, None
+    ) == (None, None)
+    assert between(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [
+        60.0,
+        120.0,
+        180.0,
+    ]
     with pytest.raises(InputError, match="--from takes s from the epoch, or UTC"):
         instants_of(samples, "soon", None)

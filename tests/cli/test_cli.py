@@ -61,10 +61,14 @@ def test_help_does_not_import_the_heavy_libraries():
 def test_what_init_writes_works_at_once(start):
     text = sunspin("check", start / "vehicle.toml", start / "telemetry.csv").out
     assert "40 synthetic samples" in text
-    done = sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out", "--json")
+    done = sunspin(
+        "sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out", "--json"
+    )
     summary = json.loads(done.out)
     assert summary["reconstructed"] == 37 and summary["synthetic_telemetry"] is True
-    assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= {path.name for path in (start / "out").iterdir()}
+    assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= {
+        path.name for path in (start / "out").iterdir()
+    }
     assert (start / "out" / "sun.csv").read_text().startswith("# synthetic")
     with xr.open_dataset(start / "out" / "sun.nc", engine="h5netcdf") as data:
         assert data["sun_B"].sizes == {"time": 40, "axis": 3}
@@ -84,17 +88,38 @@ def test_results_of_something_else_are_not_overwritten(start, tmp_path):
     assert "not empty" in done.err
     assert [path.name for path in keep.iterdir()] == ["thesis.txt"]
     sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out")
-    assert "results of" in sunspin(
-        "simulate", "philae", "--omega=0,0,0", "--sun=0,0,1", "--duration=1", "--out", start / "out", code=2
-    ).err  # fmt: skip
+    assert (
+        "results of"
+        in sunspin(
+            "simulate",
+            "philae",
+            "--omega=0,0,0",
+            "--sun=0,0,1",
+            "--duration=1",
+            "--out",
+            start / "out",
+            code=2,
+        ).err
+    )
 
 
 @pytest.mark.evidence("simulate", "validated", "the paper: the wheel stops after about 42 min")
 def test_simulate_and_its_events(tmp_path):
     done = sunspin(
-        "simulate", "philae", "--omega", "0,0,0", "--sun", "0.1959,0.5690,0.7986", "--duration", 2700, "--step", 60,
-        "--json", "--out", tmp_path / "run",
-    )  # fmt: skip
+        "simulate",
+        "philae",
+        "--omega",
+        "0,0,0",
+        "--sun",
+        "0.1959,0.5690,0.7986",
+        "--duration",
+        2700,
+        "--step",
+        60,
+        "--json",
+        "--out",
+        tmp_path / "run",
+    )
     events = json.loads(done.out)["events"]
     assert events[0]["what"] == "stops" and abs(events[0]["t_s"] / 60 - 42.0) < 0.05
     with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
@@ -103,11 +128,28 @@ def test_simulate_and_its_events(tmp_path):
 
 def test_scan_of_the_start_files(start):
     done = sunspin(
-        "scan", start / "vehicle.toml", start / "telemetry.csv", "--metric", "E", "--to", 160, "--omega-x", "0:0.04:0.01",
-        "--omega-y", "-0.05:-0.01:0.01", "--omega-z", "0.03:0.07:0.01", "--lines", 0, "--json", "--quiet",
-    )  # fmt: skip
+        "scan",
+        start / "vehicle.toml",
+        start / "telemetry.csv",
+        "--metric",
+        "E",
+        "--to",
+        160,
+        "--omega-x",
+        "0:0.04:0.01",
+        "--omega-y",
+        "-0.05:-0.01:0.01",
+        "--omega-z",
+        "0.03:0.07:0.01",
+        "--lines",
+        0,
+        "--json",
+        "--quiet",
+    )
     best = json.loads(done.out)["best_omega_B"]
-    assert best == pytest.approx([0.02, -0.03, 0.05], abs=1e-9)  # the rate with which the samples were made
+    assert best == pytest.approx(
+        [0.02, -0.03, 0.05], abs=1e-9
+    )  # the rate with which the samples were made
 
 
 @pytest.mark.parametrize(
@@ -138,10 +180,17 @@ def test_rates_say_without_a_terminal_that_their_work_has_begun_unless_quiet(sta
     from sunspin.estimate.rates import estimate
 
     said = []
-    monkeypatch.setattr(estimate, "load", lambda body: said.append(sys.stderr.buffer.getvalue().decode()))
+    monkeypatch.setattr(
+        estimate, "load", lambda body: said.append(sys.stderr.buffer.getvalue().decode())
+    )
     monkeypatch.setattr(estimate, "_searched", Mock(side_effect=InputError("no further")))
     files = start / "vehicle.toml", start / "telemetry.csv"
     sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, code=2)
-    assert said == ["sunspin: rates: 40 samples in 1 pass; the search takes up to 2.1 minutes of one core\n"]
-    assert sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, "--quiet", code=2).err == "sunspin: error: no further\n"
+    assert said == [
+        "sunspin: rates: 40 samples in 1 pass; the search takes up to 2.1 minutes of one core\n"
+    ]
+    assert (
+        sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, "--quiet", code=2).err
+        == "sunspin: error: no further\n"
+    )
     assert sunspin("rates", *files, "--from", 1e6, code=2).err.count("\n") == 1

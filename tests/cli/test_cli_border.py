@@ -47,11 +47,20 @@ def refused(outcome, *words):
 @pytest.mark.parametrize(
     ("read", "text"),
     [
-        (lambda: values.instant("yesterday", "--from", "2026-01-01T00:00:00Z"), "--from takes s from the epoch, or UTC"),
+        (
+            lambda: values.instant("yesterday", "--from", "2026-01-01T00:00:00Z"),
+            "--from takes s from the epoch, or UTC",
+        ),
         (lambda: values.times("soon", None), "--predict takes s from the epoch, or UTC"),
         (lambda: values.period("13+-1@noon", None), "--period takes s from the epoch, or UTC"),
-        (lambda: values.prior("inertia"), r"takes a number \(found nothing\); for example --prior inertia=0.1"),
-        (lambda: values.observation("gyro", "0,1,2", 3), r"5 numbers .*\(found 0,1,2\); for example --gyro 0.1,0,-0.2,1,0.5"),
+        (
+            lambda: values.prior("inertia"),
+            r"takes a number \(found nothing\); for example --prior inertia=0.1",
+        ),
+        (
+            lambda: values.observation("gyro", "0,1,2", 3),
+            r"5 numbers .*\(found 0,1,2\); for example --gyro 0.1,0,-0.2,1,0.5",
+        ),
     ],
 )
 def test_what_an_option_takes_is_said_in_its_own_form(read, text):
@@ -63,16 +72,26 @@ def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
     refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
     refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
     refused(sunspin("sun", "philae", "philae", "--noise=nan"), "is not a number such as -1.5e-3")
-    refused(sunspin("sun", "philae", "philae", "--noise=1e300"), "--noise must be a finite number between")
+    refused(
+        sunspin("sun", "philae", "philae", "--noise=1e300"),
+        "--noise must be a finite number between",
+    )
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "the value is empty")
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
 
 
-@pytest.mark.parametrize(("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)])
+@pytest.mark.parametrize(
+    ("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)]
+)
 def test_output_that_is_closed_or_full(tmp_path, closed, said):
     shell = f'"{sys.executable}" -m sunspin.cli'
-    for words, code in ((f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0), (f"check nowhere.toml {closed}", 2)):
-        done = subprocess.run(["/bin/sh", "-c", f"{shell} {words}"], capture_output=True, text=True, timeout=60)
+    for words, code in (
+        (f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0),
+        (f"check nowhere.toml {closed}", 2),
+    ):
+        done = subprocess.run(
+            ["/bin/sh", "-c", f"{shell} {words}"], capture_output=True, text=True, timeout=60
+        )
         assert done.returncode == code and bool(done.stdout) is (code == 0 and closed == "2>&-")
         assert "Traceback" not in done.stderr and "defect" not in done.stderr
         assert (done.stderr.count("\n") == 1) is (said and code == 2)
@@ -80,8 +99,16 @@ def test_output_that_is_closed_or_full(tmp_path, closed, said):
 
 def test_an_error_that_cannot_be_written_leaves_its_exit_code():
     shell = f'"{sys.executable}" -m sunspin.cli'
-    for words, full, code in (("check nowhere.toml", "2>/dev/full", 2), ("--version", ">/dev/full 2>/dev/full", 2)):
-        done = subprocess.run(["/bin/sh", "-c", f"{shell} {words} {full}"], capture_output=True, text=True, timeout=120)
+    for words, full, code in (
+        ("check nowhere.toml", "2>/dev/full", 2),
+        ("--version", ">/dev/full 2>/dev/full", 2),
+    ):
+        done = subprocess.run(
+            ["/bin/sh", "-c", f"{shell} {words} {full}"],
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
         assert done.returncode == code and not done.stderr
 
 
@@ -116,7 +143,11 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     assert "1  flagged: negative" in sunspin("check", vehicle, telemetry)[1]
     telemetry.write_text("\n".join([*rows[:20], *rows[9:12], *rows[20:]]) + "\n")
     said = sunspin("check", vehicle, telemetry)[1]
-    assert "3  repeats merged" in said and "flagged: time_not_increasing" not in said and "14 s apart at least" in said
+    assert (
+        "3  repeats merged" in said
+        and "flagged: time_not_increasing" not in said
+        and "14 s apart at least" in said
+    )
     again = [rows[9].rsplit(",", 1)[0] + ",0.77"]
     telemetry.write_text("\n".join([*rows[:20], *again, *rows[20:]]) + "\n")
     assert "1  flagged: time_not_increasing" in sunspin("check", vehicle, telemetry)[1]
@@ -126,7 +157,11 @@ def test_a_pass_or_a_stretch_of_time_that_is_not_there_is_a_sentence(sunspin, tm
     sunspin("init", tmp_path / "mine")
     files = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
     refused(sunspin("rates", *files, "--pass", "5"), "no such pass (found 5)", "passes 0 to 0")
-    refused(sunspin("rates", *files, "--from", "2030-01-01T00:00"), "no samples lie between", "2026-01-01T00:12:58Z")
+    refused(
+        sunspin("rates", *files, "--from", "2030-01-01T00:00"),
+        "no samples lie between",
+        "2026-01-01T00:12:58Z",
+    )
     refused(sunspin("rates", *files, "--to", "noon:"), "ISO-8601", "noon:")
 
 
@@ -136,7 +171,10 @@ def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunsp
     text = vehicle.read_text().replace('# epoch_utc = "2026-01-01', 'epoch_utc = "2025-12-31')
     vehicle.write_text(text)
     said = sunspin("check", vehicle, telemetry)[1]
-    assert "from 2026-01-01T00:00:00Z" in said and "times are counted from 2025-12-31T00:00:00Z, 86400 s before" in said
+    assert (
+        "from 2026-01-01T00:00:00Z" in said
+        and "times are counted from 2025-12-31T00:00:00Z, 86400 s before" in said
+    )
 
 
 def test_quiet_says_nothing(sunspin, tmp_path):
@@ -176,7 +214,12 @@ def test_a_folder_of_other_results_is_refused_before_the_work(sunspin, tmp_path,
 
 def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
     for duration in (10, 20):
-        assert sunspin("simulate", "philae", *START, f"--duration={duration}", "--out", tmp_path / "run")[0] == 0
+        assert (
+            sunspin(
+                "simulate", "philae", *START, f"--duration={duration}", "--out", tmp_path / "run"
+            )[0]
+            == 0
+        )
     import xarray as xr
 
     with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
@@ -200,7 +243,9 @@ def test_simulate_refuses(sunspin, arguments, words):
 
 def test_the_last_time_is_the_duration(sunspin):
     for duration, step in ((10, 3), (-10, 3), (0.3, 0.1), (0, 1)):
-        code, out, _ = sunspin("simulate", "philae", *START, f"--duration={duration}", f"--step={step}", "--json")
+        code, out, _ = sunspin(
+            "simulate", "philae", *START, f"--duration={duration}", f"--step={step}", "--json"
+        )
         assert code == 0 and json.loads(out)["t_s"] == pytest.approx(duration, abs=1e-12)
 
 
@@ -213,7 +258,9 @@ def test_a_reader_that_goes_away_is_no_error():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "kind", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long)]
+)
 def test_interruption_is_one_sentence_and_130(kind, tmp_path):
     """Also where somebody ends the process or closes its terminal; its copies end with it."""
     out = tmp_path / "out"
@@ -223,7 +270,9 @@ def test_interruption_is_one_sentence_and_130(kind, tmp_path):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, preexec_fn=heed_interrupts, start_new_session=True, **pipes)
     try:
-        while not out.exists() and process.poll() is None:  # the marker is written when the work begins
+        while (
+            not out.exists() and process.poll() is None
+        ):  # the marker is written when the work begins
             time.sleep(0.05)
         process.send_signal(kind)
         printed, complaint = process.communicate(timeout=120)
@@ -237,7 +286,9 @@ def test_interruption_is_one_sentence_and_130(kind, tmp_path):
 
 
 @pytest.mark.parametrize("stopped", [True, False])
-def test_a_library_that_stumbles_over_an_interruption_is_no_fault_of_ours(sunspin, monkeypatch, stopped):
+def test_a_library_that_stumbles_over_an_interruption_is_no_fault_of_ours(
+    sunspin, monkeypatch, stopped
+):
     """Ctrl-C in the middle of an import may be caught there, and end in another error."""
 
     def stumble(**_):
@@ -251,14 +302,20 @@ def test_a_library_that_stumbles_over_an_interruption_is_no_fault_of_ours(sunspi
     monkeypatch.setattr(cli, "_STOPPED", threading.Event())
     monkeypatch.setattr(cli.cli, "main", stumble)
     code, _, said = sunspin()
-    assert (code, "interrupted" in said, "defect" in said) == ((130, True, False) if stopped else (1, False, True))
+    assert (code, "interrupted" in said, "defect" in said) == (
+        (130, True, False) if stopped else (1, False, True)
+    )
 
 
 def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
     vehicle, table = tmp_path / "vehicle.toml", tmp_path / "telemetry.csv"
     cli.cli.main(["init", str(tmp_path), "--quiet"], standalone_mode=False)
     refused(sunspin("check", table, vehicle), "telemetry.csv", "comes first")
-    refused(sunspin("check", vehicle, vehicle), "this is a vehicle's file and not telemetry", "a table of samples")
+    refused(
+        sunspin("check", vehicle, vehicle),
+        "this is a vehicle's file and not telemetry",
+        "a table of samples",
+    )
 
 
 def test_a_grid_without_its_step_is_told_its_form(sunspin):
@@ -267,7 +324,12 @@ def test_a_grid_without_its_step_is_told_its_form(sunspin):
 
 
 def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):
-    refused(sunspin("posterior", "philae", "--phase", "descnt"), "no such phase (found descnt)", "descent", "first_rebound")
+    refused(
+        sunspin("posterior", "philae", "--phase", "descnt"),
+        "no such phase (found descnt)",
+        "descent",
+        "first_rebound",
+    )
 
 
 NO_TEXT = (click.types.BoolParamType, click.types.Choice)
@@ -288,7 +350,11 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     count = 0
     for name, command, parameter in takers():
-        before = [empty if one is parameter else "philae" for one in command.params if isinstance(one, click.Argument)]
+        before = [
+            empty if one is parameter else "philae"
+            for one in command.params
+            if isinstance(one, click.Argument)
+        ]
         option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0], empty]
         outcome = sunspin(name, *before, *option)
         refused(outcome, f"Invalid value for '{option[0] if option else ''}", "the value is empty")
@@ -300,7 +366,16 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
 def test_without_a_folder_for_caches_the_output_is_ours_alone(home, tmp_path):
     """The integrator's library warned of its own cache on standard output, where --json is read."""
     places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}
-    command = [sys.executable, "-m", "sunspin.cli", "simulate", "philae", *START, "--duration=10", "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "sunspin.cli",
+        "simulate",
+        "philae",
+        *START,
+        "--duration=10",
+        "--json",
+    ]
     done = subprocess.run(command, env={**os.environ, **places}, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "") and json.loads(done.stdout)["t_s"] == 10
 
@@ -308,19 +383,29 @@ def test_without_a_folder_for_caches_the_output_is_ours_alone(home, tmp_path):
 @pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])
 def test_a_name_that_a_terminal_cannot_show_is_escaped(encoding, tmp_path):
     command = [sys.executable, "-m", "sunspin.cli", "init", str(tmp_path / "caf\u00e9\u2603")]
-    done = subprocess.run(command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True)
+    done = subprocess.run(
+        command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     assert ("caf\u00e9\u2603" if encoding == "utf-8" else "\\u2603") in done.stdout.decode(encoding)
 
 
-@pytest.mark.parametrize("command", [("simulate", "philae", *START, "--duration=5"), ("init",), ("sun", "philae", "philae")])
+@pytest.mark.parametrize(
+    "command",
+    [("simulate", "philae", *START, "--duration=5"), ("init",), ("sun", "philae", "philae")],
+)
 def test_a_folder_in_thousands_of_others_is_refused(command, sunspin, undrawn):
     """They are made from within, each by a call in the call before, of which Python allows a thousand."""
-    refused(sunspin(*command, *(["--out"] if len(command) > 1 else []), "d/" * 1500 + "x"), "no folder can have this name")
+    refused(
+        sunspin(*command, *(["--out"] if len(command) > 1 else []), "d/" * 1500 + "x"),
+        "no folder can have this name",
+    )
 
 
 def test_no_name_with_a_nul_in_it_is_a_folder_of_results():
-    with pytest.raises(OutputError, match="results cannot be written here .no folder can have this name."):
+    with pytest.raises(
+        OutputError, match="results cannot be written here .no folder can have this name."
+    ):
         results_folder("a\0b", "sun")
 
 
@@ -328,5 +413,7 @@ def test_no_name_with_a_nul_in_it_is_a_folder_of_results():
 def test_exports_to_a_folder_whose_name_is_not_utf8(form, sunspin, tmp_path, undrawn):
     assert sunspin("simulate", "philae", *START, "--duration=5", "--out", tmp_path / "run")[0] == 0
     place = tmp_path / os.fsdecode(b"caf\xe9")
-    code, _, err = sunspin("export", tmp_path / "run", "--format", form, "--epoch=2026-01-01T00:00:00Z", "--out", place)
+    code, _, err = sunspin(
+        "export", tmp_path / "run", "--format", form, "--epoch=2026-01-01T00:00:00Z", "--out", place
+    )
     assert (code, err) == (0, "") and len(list(place.glob("[a-z]*"))) == 1

@@ -11,17 +11,41 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 def test_philae_to_files(tmp_path):
     out = tmp_path / "out"
-    done = sunspin("outcomes", "philae", "--runs", 60, "--strategy", "off", "--strategy", "delay:600", "--out", out, "--json")
+    done = sunspin(
+        "outcomes",
+        "philae",
+        "--runs",
+        60,
+        "--strategy",
+        "off",
+        "--strategy",
+        "delay:600",
+        "--out",
+        out,
+        "--json",
+    )
     told = json.loads(done.out)
     assert set(told["strategies"]) == {"off", "delay:600"} and told["not_told"] == ""
-    assert {f"outcomes-{name}.nc" for name in ("off", "delay-600")} < {path.name for path in out.iterdir()}
+    assert {f"outcomes-{name}.nc" for name in ("off", "delay-600")} < {
+        path.name for path in out.iterdir()
+    }
     with xr.open_dataset(out / "strategies.nc", engine="h5netcdf") as table:
         value = table["value"].sel(strategy="off", quantity="touch_leg").item()
     assert value == told["strategies"]["off"]["touch_leg"]["value"]
 
 
 def test_the_collision_against_the_trajectory_and_the_best_delay():
-    done = sunspin("outcomes", "philae", "--runs", 200, "--strategy", "off", "--condition", "--best-delay", "--json")
+    done = sunspin(
+        "outcomes",
+        "philae",
+        "--runs",
+        200,
+        "--strategy",
+        "off",
+        "--condition",
+        "--best-delay",
+        "--json",
+    )
     told = json.loads(done.out)
     assert abs(told["collision"]["facts"]["speed_before"] - 0.304) < 1e-4
     assert {line["name"] for line in told["collision"]["table"]} >= {"as drawn", "13 s before"}
@@ -31,29 +55,63 @@ def test_the_collision_against_the_trajectory_and_the_best_delay():
 def test_a_vehicle_without_legs_and_hull(tmp_path):
     sunspin("init", tmp_path / "mine")
     given = ("--omega", "0.1,0,0.2", "--sun", "0,0,1", "--after", 100, "--runs", 20)
-    done = sunspin("outcomes", tmp_path / "mine" / "vehicle.toml", *given, "--collision-speed", 0.1, "--store", tmp_path / "rows")
+    done = sunspin(
+        "outcomes",
+        tmp_path / "mine" / "vehicle.toml",
+        *given,
+        "--collision-speed",
+        0.1,
+        "--store",
+        tmp_path / "rows",
+    )
     assert "r_z below -0.5" in done.out and "Without a hull and legs" in done.out
     assert (tmp_path / "rows" / "held").is_dir()
 
 
-WHEELS, TIPS = {"wx": [1, 0, 0], "wz": [0, 0, 1]}, {"a": [1, 0, -0.6], "b": [-0.5, 0.9, -0.6], "c": [-0.5, -0.9, -0.6]}
+WHEELS, TIPS = (
+    {"wx": [1, 0, 0], "wz": [0, 0, 1]},
+    {"a": [1, 0, -0.6], "b": [-0.5, 0.9, -0.6], "c": [-0.5, -0.9, -0.6]},
+)
 FRICTION = "{ coulomb_N_m = 2e-3, viscous_N_m_s = 1e-5 }"
-LANDER = "\n".join([
-    'name = "two wheels and legs"\n[body]\nmass_kg = 60\ninertia_kg_m2 = [[12, 0, 0], [0, 14, 0], [0, 0, 10]]',
-    *(f'[[wheel]]\nname = "{name}"\naxis_B = {axis}\ninertia_kg_m2 = 0.02\nspeed_rad_s = 300\nfriction = {FRICTION}'
-      for name, axis in WHEELS.items()),
-    *(f'[[leg]]\nname = "{name}"\ntip_B_m = {tip}' for name, tip in TIPS.items()),
-])  # fmt: skip
+LANDER = "\n".join(
+    [
+        'name = "two wheels and legs"\n[body]\nmass_kg = 60\ninertia_kg_m2 = [[12, 0, 0], [0, 14, 0], [0, 0, 10]]',
+        *(
+            f'[[wheel]]\nname = "{name}"\naxis_B = {axis}\ninertia_kg_m2 = 0.02\nspeed_rad_s = 300\nfriction = {FRICTION}'
+            for name, axis in WHEELS.items()
+        ),
+        *(f'[[leg]]\nname = "{name}"\ntip_B_m = {tip}' for name, tip in TIPS.items()),
+    ]
+)
 
 
 def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_told(tmp_path):
     """No rate before or after a collision that there is not, no panel that touches; and delays end before the landing."""
     (tmp_path / "lander.toml").write_text(LANDER)
-    given = ("--omega", "0.05,0,0.1", "--sun", "0,0,1", "--after", 600, "--collision-speed", 0, "--runs", 40, "--strategy", "held")
+    given = (
+        "--omega",
+        "0.05,0,0.1",
+        "--sun",
+        "0,0,1",
+        "--after",
+        600,
+        "--collision-speed",
+        0,
+        "--runs",
+        40,
+        "--strategy",
+        "held",
+    )
     done = sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay")
     assert "There is no collision" in done.out and "before the collision" not in done.out
-    assert "a leg touches first: 1.0000" in done.out and "a panel touches" not in done.out and "the bare body" not in done.out
-    told = json.loads(sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay", "--json").out)
+    assert (
+        "a leg touches first: 1.0000" in done.out
+        and "a panel touches" not in done.out
+        and "the bare body" not in done.out
+    )
+    told = json.loads(
+        sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay", "--json").out
+    )
     assert max(told["best_delay"]["as_good_s"]) < 600
 
 
@@ -77,7 +135,10 @@ def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
     from sunspin.landing.scenario import case_scenario
     from sunspin.telemetry.case import load_case
 
-    folder, wanted = load_case("philae").folder, ("--runs", 20, "--strategy", "off", "--json", "--out")
+    folder, wanted = (
+        load_case("philae").folder,
+        ("--runs", 20, "--strategy", "off", "--json", "--out"),
+    )
     for name in ("vehicle.toml", "timeline.toml"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
 
@@ -89,18 +150,38 @@ def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
     own = vars(case_scenario(load_case("philae")))
     text = (tmp_path / "timeline.toml").read_text("utf-8")
     assert '"2014-11-12T16:20:00"' in text
-    (tmp_path / "timeline.toml").write_text(text.replace('"2014-11-12T16:20:00"', '"2014-11-12T16:30:00"'), "utf-8")
+    (tmp_path / "timeline.toml").write_text(
+        text.replace('"2014-11-12T16:20:00"', '"2014-11-12T16:30:00"'), "utf-8"
+    )
     later = scenario(tmp_path / "vehicle.toml", "later")
-    assert (later["before_s"] - own["before_s"], later["after_s"] - own["after_s"]) == pytest.approx((600, -600), abs=1e-6)
-    for damaged in ("event = 3", "epoch_utc = 3\nevent = 3", text.replace("utc = ", "utc = [") + "]", "", "\0"):
+    assert (
+        later["before_s"] - own["before_s"],
+        later["after_s"] - own["after_s"],
+    ) == pytest.approx((600, -600), abs=1e-6)
+    for damaged in (
+        "event = 3",
+        "epoch_utc = 3\nevent = 3",
+        text.replace("utc = ", "utc = [") + "]",
+        "",
+        "\0",
+    ):
         (tmp_path / "timeline.toml").write_text(damaged, "utf-8")
-        assert "timeline.toml" in sunspin("outcomes", tmp_path / "vehicle.toml", *wanted, tmp_path / "never", code=2).err
+        assert (
+            "timeline.toml"
+            in sunspin(
+                "outcomes", tmp_path / "vehicle.toml", *wanted, tmp_path / "never", code=2
+            ).err
+        )
 
 
 def test_times_of_another_vehicle_come_from_its_timeline(tmp_path):
     sunspin("init", tmp_path / "mine")
     event = '[[event]]\nname = "{}"\nutc = "2026-01-01T00:0{}:00Z"\nsource = "ours"\n'
-    text = 'epoch_utc = "2026-01-01T00:00:00Z"\n' + event.format("collision", 1) + event.format("second_touchdown", 5)
+    text = (
+        'epoch_utc = "2026-01-01T00:00:00Z"\n'
+        + event.format("collision", 1)
+        + event.format("second_touchdown", 5)
+    )
     (tmp_path / "mine" / "timeline.toml").write_text(text, "utf-8")
     given = ("--omega", "0.1,0,0.2", "--sun", "0,0,1", "--runs", 20, "--collision-speed", 0)
     sunspin("outcomes", tmp_path / "mine" / "vehicle.toml", *given, "--out", tmp_path / "out")

@@ -10,8 +10,12 @@ import pytest
 def program(**environment: str) -> str:
     code = "from sunspin.cli import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", code], env=os.environ | environment, capture_output=True, text=True, timeout=60
-    )  # fmt: skip
+        [sys.executable, "-c", code],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     return done.stdout
 
 
@@ -21,7 +25,11 @@ def test_completion_is_offered_for_each_shell(shell):
     assert "_SUNSPIN_COMPLETE" in text
 
 
-@pytest.mark.parametrize(("words", "expected"), [("sunspin sim", "simulate"), ("sunspin export --format a", "aem-xml")])
+@pytest.mark.parametrize(
+    ("words", "expected"), [("sunspin sim", "simulate"), ("sunspin export --format a", "aem-xml")]
+)
 def test_completion_knows_commands_and_choices(words, expected):
-    text = program(_SUNSPIN_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1))
+    text = program(
+        _SUNSPIN_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1)
+    )
     assert expected in text

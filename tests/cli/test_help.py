@@ -21,7 +21,12 @@ ELSEWHERE = {
     "posterior": "minutes; it has tests of its own",
     "report": "needs the results of another command; it has tests of its own",
 }
-SMALLER = {"--runs": "100", "--omega-x": "-0.1:0.1:0.1", "--omega-y": "-0.1:0.1:0.1", "--omega-z": "-0.1:0.1:0.1"}
+SMALLER = {
+    "--runs": "100",
+    "--omega-x": "-0.1:0.1:0.1",
+    "--omega-y": "-0.1:0.1:0.1",
+    "--omega-z": "-0.1:0.1:0.1",
+}
 """Options that say how much is computed, and what stands in their place when an example is run: the same lines are printed."""
 
 
@@ -29,7 +34,9 @@ def examples(name: str) -> list[list[str]]:
     """The words of each example of a command's help."""
     command = cli.get_command(click.Context(cli), name)
     text = re.split(r"Examples?\b", command.help or "")[-1]
-    return [shlex.split(line)[1:] for line in text.splitlines() if line.strip().startswith("sunspin ")]
+    return [
+        shlex.split(line)[1:] for line in text.splitlines() if line.strip().startswith("sunspin ")
+    ]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -44,9 +51,17 @@ def test_examples_are_understood(name):
 
 def smaller(words: list[str]) -> list[str]:
     """An example as it stands but for its size, whichever way an option is joined to its value; grids are always given."""
-    words = [part for word in words for part in (word.split("=", 1) if word.split("=")[0] in SMALLER else [word])]
+    words = [
+        part
+        for word in words
+        for part in (word.split("=", 1) if word.split("=")[0] in SMALLER else [word])
+    ]
     words = [SMALLER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
-    grids = [f"{option}={SMALLER[option]}" for option in SMALLER if option != "--runs" and option not in words]
+    grids = [
+        f"{option}={SMALLER[option]}"
+        for option in SMALLER
+        if option != "--runs" and option not in words
+    ]
     return words + (grids if words[0] == "scan" else [])
 
 
@@ -64,7 +79,11 @@ def test_examples_run_in_the_folder_that_init_makes(name, undrawn, tmp_path, mon
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_says_what_it_does(name):
     command = cli.get_command(click.Context(cli), name)
-    assert not [option.name for option in command.params if isinstance(option, click.Option) and not option.help]
+    assert not [
+        option.name
+        for option in command.params
+        if isinstance(option, click.Option) and not option.help
+    ]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -33,21 +33,35 @@ def said(*words: str, command: str = "check") -> str:
 def test_wrong_elements_are_one_sentence(satellite):
     (satellite / "bad.tle").write_text(TLE.replace("9999", "9990"), "utf-8")
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle")
-    assert text.startswith("bad.tle, line 1: the checksum of the line is 9, but its last character says '0';")
-    assert said("vehicle.toml", "telemetry.csv", "--omm", "none.xml").startswith("none.xml: the file of elements cannot be read")
-    assert said("vehicle.toml", "--tle", "my.tle") == "elements are compared with telemetry; give TELEMETRY too"
-    assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith("a shift along the track needs elements")
+    assert text.startswith(
+        "bad.tle, line 1: the checksum of the line is 9, but its last character says '0';"
+    )
+    assert said("vehicle.toml", "telemetry.csv", "--omm", "none.xml").startswith(
+        "none.xml: the file of elements cannot be read"
+    )
+    assert (
+        said("vehicle.toml", "--tle", "my.tle")
+        == "elements are compared with telemetry; give TELEMETRY too"
+    )
+    assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith(
+        "a shift along the track needs elements"
+    )
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle", command="rates")
     assert text.startswith("bad.tle, line 1: the checksum")
     text = said("vehicle.toml", "telemetry.csv", "--tle", "my.tle", "--no-orbit", command="rates")
     assert text.startswith("--no-orbit says not to use an orbit")
 
 
-def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(satellite, monkeypatch):
+def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(
+    satellite, monkeypatch
+):
     monkeypatch.setattr(orbit_check, "COPIES", 10)
     words = ["check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"]
     done = CliRunner().invoke(cli, words, catch_exceptions=False)
-    assert "Orbit of satellite 25544: the telemetry cannot tell these elements from others" in done.output
+    assert (
+        "Orbit of satellite 25544: the telemetry cannot tell these elements from others"
+        in done.output
+    )
     text = (satellite / "vehicle.toml").read_text("utf-8")
     for mark in ("[orbit]", "tle =", "shift_s =", "clock_s ="):
         text = text.replace(f"# {mark}", mark)

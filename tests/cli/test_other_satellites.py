@@ -23,7 +23,9 @@ MAKERS = {
     "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=20),
     "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng, n=24),
     "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng, n=20),
-    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(folder, rng, n=20, form="netcdf", speed=False),
+    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(
+        folder, rng, n=20, form="netcdf", speed=False
+    ),
 }
 
 
@@ -49,7 +51,10 @@ def fine_or_a_sentence(arguments, told):
     code, out, err = sunspin(*arguments)
     assert code in (0, 2), (told, err)
     if code == 2:
-        assert err.startswith("sunspin: error: ") and err.count("\n") == 1 and len(err) < 1500, (told, err)
+        assert err.startswith("sunspin: error: ") and err.count("\n") == 1 and len(err) < 1500, (
+            told,
+            err,
+        )
         assert "Traceback" not in err and out == "", (told, err)
     return code
 
@@ -58,21 +63,33 @@ LONG = ("four faces, Unix ms, counts", "wheel, MET, Parquet", "wheel, MET, NetCD
 """What is theirs alone has quick tests elsewhere: tables in tests/measure, wheels and mirror images in tests/infer."""
 
 
-@pytest.mark.parametrize("maker", [pytest.param(m, marks=[pytest.mark.slow] if m in LONG else []) for m in MAKERS])
+@pytest.mark.parametrize(
+    "maker", [pytest.param(m, marks=[pytest.mark.slow] if m in LONG else []) for m in MAKERS]
+)
 def test_every_command_on_another_satellite(maker, tmp_path):
     craft = MAKERS[maker](tmp_path, np.random.default_rng(3))
     files = craft.vehicle, craft.telemetry
     assert "samples" in fine(sunspin("check", *files))
     fine(sunspin("sun", *files, "--out", tmp_path / "sun"))
-    about = json.loads(fine(sunspin("rates", *files, "--max-rate", 5, "--json", "--out", tmp_path / "rates")))
+    about = json.loads(
+        fine(sunspin("rates", *files, "--max-rate", 5, "--json", "--out", tmp_path / "rates"))
+    )
     assert sum(about["samples"].values()) == len(craft.truth["time"])
     with xr.open_dataset(tmp_path / "rates" / "rates.nc", engine="h5netcdf") as result:
         result = result.load()
     times = result["time"].values - result["sample"].values[0]
     for k in range(result.sizes["pass_id"]):
         at = (result["pass_of"] == k).values
-        truth = np.stack([np.interp(times[at], craft.truth["time"], craft.truth["omega_B"][:, j]) for j in range(3)], axis=1)
-        miss = np.linalg.norm(np.degrees(result["omega_mean_B"].values[k] - truth.mean(axis=0)), axis=1)
+        truth = np.stack(
+            [
+                np.interp(times[at], craft.truth["time"], craft.truth["omega_B"][:, j])
+                for j in range(3)
+            ],
+            axis=1,
+        )
+        miss = np.linalg.norm(
+            np.degrees(result["omega_mean_B"].values[k] - truth.mean(axis=0)), axis=1
+        )
         assert np.nanmin(miss) < 0.25, "no mode is near the truth"  # deg/s; they turn at 1 to 3
     for form in ("aem", "aem-xml", "netcdf", "ck", "parquet"):
         fine(sunspin("export", tmp_path / "rates", "--format", form, "--out", tmp_path / form))
@@ -84,10 +101,18 @@ def test_every_command_on_another_satellite(maker, tmp_path):
 @pytest.mark.slow
 def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
     craft = satellites.four_faces(tmp_path, np.random.default_rng(1), n=30)
-    about = json.loads(fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json")))
+    about = json.loads(
+        fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json"))
+    )
     first, second = about["passes"][0]["modes"][:2]
-    assert first["weight"] == pytest.approx(0.5, abs=0.02) and second["weight"] == pytest.approx(0.5, abs=0.02)
-    mirror = np.array(first["omega_deg_s"]) * [-1, -1, 1]  # the Sun's height above these faces is told but for its sign
+    assert first["weight"] == pytest.approx(0.5, abs=0.02) and second["weight"] == pytest.approx(
+        0.5, abs=0.02
+    )
+    mirror = np.array(first["omega_deg_s"]) * [
+        -1,
+        -1,
+        1,
+    ]  # the Sun's height above these faces is told but for its sign
     np.testing.assert_allclose(second["omega_deg_s"], mirror, atol=0.05)
 
 
@@ -102,13 +127,18 @@ def campaign(folder, makers, copies, seed, commands):
             original = getattr(craft, which).read_bytes()
             kinds = BYTES + (CELLS if getattr(craft, which).suffix == ".csv" else ())
             for i in range(copies):
-                rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(m, which == "vehicle", i)))
+                rng = np.random.default_rng(
+                    np.random.SeedSequence(seed, spawn_key=(m, which == "vehicle", i))
+                )
                 kind = kinds[i % len(kinds)]
                 bad = home / f"bad{getattr(craft, which).suffix}"
                 bad.write_bytes(kind(original, rng))
                 files = (craft.vehicle, bad) if which == "telemetry" else (bad, craft.telemetry)
                 for command in commands:
-                    code = fine_or_a_sentence([*command.split(), *files], f"{maker}, {which}, {kind.__name__}, copy {i}, {command}")
+                    code = fine_or_a_sentence(
+                        [*command.split(), *files],
+                        f"{maker}, {which}, {kind.__name__}, copy {i}, {command}",
+                    )
                     count, refused = count + 1, refused + (code == 2)
     return count, refused
 
@@ -125,7 +155,9 @@ SMALL = {
 @pytest.mark.parametrize("copies", [6, pytest.param(16, marks=pytest.mark.long)])
 def test_corrupted_files_give_a_sentence_and_never_a_traceback(copies, tmp_path):
     count, refused = campaign(tmp_path, SMALL, copies, 1, ("check", "sun"))
-    assert 0.3 * count < refused < count  # the campaign does corrupt, and does not refuse what can be read
+    assert (
+        0.3 * count < refused < count
+    )  # the campaign does corrupt, and does not refuse what can be read
 
 
 @pytest.mark.slow
@@ -146,14 +178,20 @@ def test_rates_of_more_corrupted_files(tmp_path):
 @pytest.mark.long
 def test_corrupted_results_are_refused_by_export(tmp_path):
     craft = satellites.six_faces(tmp_path, np.random.default_rng(0), n=10)
-    fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--out", tmp_path / "rates"))
+    fine(
+        sunspin(
+            "rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--out", tmp_path / "rates"
+        )
+    )
     original = (tmp_path / "rates" / "rates.nc").read_bytes()
     refused = 0
     for i, kind in enumerate(BYTES):
         bad = tmp_path / f"bad{i}"
         bad.mkdir()
         (bad / "rates.nc").write_bytes(kind(original, np.random.default_rng(i)))
-        refused += fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], kind.__name__) == 2
+        refused += (
+            fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], kind.__name__) == 2
+        )
     assert refused > 3
 
 

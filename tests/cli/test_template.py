@@ -38,7 +38,10 @@ def test_what_is_commented_out_is_valid_too():
 
 
 def test_the_spin_down_example_is_valid():
-    spin_down = "".join(f"{line}\n" for line in re.findall(r"^#   (\[wheel\.friction.*|c\d_.*)$", TEXT, re.MULTILINE))
+    spin_down = "".join(
+        f"{line}\n"
+        for line in re.findall(r"^#   (\[wheel\.friction.*|c\d_.*)$", TEXT, re.MULTILINE)
+    )
     body = re.sub(r"\[wheel\.friction\]\n.*\n.*\n", lambda _: spin_down, TEXT)
     friction = parse_vehicle(body, "template").wheels[0].friction
     assert friction.coulomb_N_m == pytest.approx(4.643e-4 * 388.9 * 3.0e-5)
@@ -47,7 +50,15 @@ def test_the_spin_down_example_is_valid():
 @pytest.mark.parametrize("law", ["wall", "tilted"])
 def test_other_laws_of_the_panels_are_valid(law):
     lines = TEXT[TEXT.index(f"#   [panel_response.{law}]") :].splitlines()
-    taken = [lines[0], *(line for line in takewhile(lambda line: line.startswith("#   ") and "[" not in line[:5], lines[1:]))]
+    taken = [
+        lines[0],
+        *(
+            line
+            for line in takewhile(
+                lambda line: line.startswith("#   ") and "[" not in line[:5], lines[1:]
+            )
+        ),
+    ]
     opened = TEXT + "\n" + "\n".join(line.removeprefix("#   ") for line in taken)
     given = parse_vehicle(opened, "template")
     assert given.response_in() != parse_vehicle(TEXT, "template").response_in()
@@ -62,15 +73,21 @@ def test_the_example_shows_a_birth_certificate():
 def test_rates_of_the_example_are_those_it_was_made_with():
     """All samples within their errors; the page docs/cubesat.md, which every run follows, compares verdict, mean and first rate."""
     craft = parse_vehicle(TEXT, "template")
-    with resources.as_file(resources.files("sunspin").joinpath("template", "telemetry.csv")) as path:
+    with resources.as_file(
+        resources.files("sunspin").joinpath("template", "telemetry.csv")
+    ) as path:
         result = ss.rates(craft, ss.read_telemetry(path, craft))
-    assert result.attrs["wheels"].startswith("coasting") and "NO motion" not in result.attrs["verdict"]
+    assert (
+        result.attrs["wheels"].startswith("coasting") and "NO motion" not in result.attrs["verdict"]
+    )
     sun = np.array([0.5, 0.4, 0.768])
     start = [0.02, -0.03, 0.05], sun / np.linalg.norm(sun)
     truth = ss.propagate(craft, *start, 300.0, result["time"].values)["omega_B"].values
     sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
     error = result["omega_B"].values - truth
-    assert np.abs(error).max() < 1e-3  # rad/s: the example has noise, but panels whose gains are known exactly
+    assert (
+        np.abs(error).max() < 1e-3
+    )  # rad/s: the example has noise, but panels whose gains are known exactly
     assert np.mean((error / sigma) ** 2) < 2.5
 
 
@@ -79,6 +96,11 @@ def test_the_samples_are_those_of_a_twin():
     folder = resources.files("sunspin").joinpath("template")
     vehicle = parse_vehicle(TEXT, "template")
     read = ss.read_telemetry(folder.joinpath("telemetry.csv"), vehicle)
-    truth = {"omega_B": [0.02, -0.03, 0.05], "sun_B": [0.5, 0.4, 0.768], "t_s": read.time.values, "scale": 0.775}
+    truth = {
+        "omega_B": [0.02, -0.03, 0.05],
+        "sun_B": [0.5, 0.4, 0.768],
+        "t_s": read.time.values,
+        "scale": 0.775,
+    }
     made = ss.twin(vehicle, truth, seed=1)
     assert np.abs(read.power_W.values - made.power_W.values).max() <= 0.000501

@@ -19,7 +19,9 @@ import sunspin as ss
 from rowsets import ELSEWHERE, Waves, heed_interrupts
 from sunspin.compute.rows import ensemble
 
-distributed = pytest.importorskip("distributed", reason='needs Dask: pip install "sunspin[cluster]"')
+distributed = pytest.importorskip(
+    "distributed", reason='needs Dask: pip install "sunspin[cluster]"'
+)
 
 from sunspin.compute import cluster as dask  # noqa: E402
 
@@ -34,16 +36,24 @@ def same(a, b=WHOLE) -> bool:
 @pytest.fixture(scope="module")
 def client():
     """Two worker processes, as scheduler="local" starts them."""
-    with dask.local_cluster(2) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+    with (
+        dask.local_cluster(2) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
         yield client
 
 
-@pytest.mark.evidence("ensemble", "verified", "the same rows on two processes of a Dask cluster, bit by bit")
+@pytest.mark.evidence(
+    "ensemble", "verified", "the same rows on two processes of a Dask cluster, bit by bit"
+)
 def test_a_cluster_changes_no_bit(client):
     for chunk in (1000, 33):
         assert same(ensemble(ROWS, scheduler=client, chunk=chunk))
     index = [17, 5, 998]
-    assert same(ensemble(ROWS, scheduler=client, index=index, chunk=2), {name: a[index] for name, a in WHOLE.items()})
+    assert same(
+        ensemble(ROWS, scheduler=client, index=index, chunk=2),
+        {name: a[index] for name, a in WHOLE.items()},
+    )
     assert same(ensemble(ROWS, scheduler=client.scheduler.address))
     assert client.status == "running"  # what was not opened here is not closed here
 
@@ -51,12 +61,21 @@ def test_a_cluster_changes_no_bit(client):
 def test_local_starts_processes_and_ends_them():
     before = set(threading.enumerate())
     assert same(ensemble(ROWS, scheduler="local", workers=2, chunk=50))
-    assert not [thread for thread in set(threading.enumerate()) - before if thread.name.startswith("sunspin")]
+    assert not [
+        thread
+        for thread in set(threading.enumerate()) - before
+        if thread.name.startswith("sunspin")
+    ]
 
 
 def test_nothing_listens_to_the_outside(client):
     pids = {os.getpid(), *client.run(os.getpid).values()}
-    inodes = {os.readlink(f"/proc/{pid}/fd/{fd}") for pid in pids for fd in os.listdir(f"/proc/{pid}/fd") if is_socket(pid, fd)}
+    inodes = {
+        os.readlink(f"/proc/{pid}/fd/{fd}")
+        for pid in pids
+        for fd in os.listdir(f"/proc/{pid}/fd")
+        if is_socket(pid, fd)
+    }
     addresses = []
     for table in ("tcp", "tcp6"):
         with open(f"/proc/net/{table}") as file:
@@ -105,7 +124,9 @@ def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypa
     """The result is here and its state is not asked for yet: Dask's own executor takes the state that follows for the outcome."""
     gather, states = distributed.Client._gather, []
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
 
@@ -113,7 +134,9 @@ def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypa
             result = await gather(self, futures, **options)
             if not states:
                 (task,) = futures
-                (holder,) = (worker for worker in cluster.workers.values() if task.key in worker.data)
+                (holder,) = (
+                    worker for worker in cluster.workers.values() if task.key in worker.data
+                )
                 await holder.close()
                 until = time.monotonic() + LONGEST_NEWS_S
                 while task.status == "finished" and time.monotonic() < until:
@@ -122,7 +145,9 @@ def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypa
             return result
 
         monkeypatch.setattr(distributed.Client, "_gather", die_after)
-        rows = Waves(n_rows=1000, seconds_per_row=2e-3)  # longer than the news of a loss takes, on a busy machine too
+        rows = Waves(
+            n_rows=1000, seconds_per_row=2e-3
+        )  # longer than the news of a loss takes, on a busy machine too
         assert same(ensemble(rows, scheduler=client, chunk=500))
     assert states == ["lost"]
 
@@ -141,7 +166,9 @@ def test_few_chunks_are_in_flight(client, monkeypatch):
     assert len(most) == 100 and max(most) <= 4 * 2
 
 
-@pytest.mark.evidence("ensemble", "verified", "the same rows by an executor of processes, bit by bit")
+@pytest.mark.evidence(
+    "ensemble", "verified", "the same rows by an executor of processes, bit by bit"
+)
 def test_any_executor_changes_no_bit_and_stays_open():
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert same(ensemble(ROWS, scheduler=pool, chunk=33))
@@ -180,7 +207,10 @@ def test_what_is_no_scheduler_is_refused(scheduler):
 
 def test_an_address_that_does_not_answer_is_refused_soon(monkeypatch, client):
     monkeypatch.setattr(dask, "CONNECT_S", 0.5)
-    with socket.create_server(("127.0.0.1", 0)) as deaf, socket.create_server(("127.0.0.1", 0)) as gone:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as deaf,
+        socket.create_server(("127.0.0.1", 0)) as gone,
+    ):
         ports = deaf.getsockname()[1], gone.getsockname()[1]
         gone.close()
         worker = next(iter(client.scheduler_info()["workers"]))
@@ -201,7 +231,10 @@ def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
 
 def test_workers_print_nothing_of_their_own(capfd):
     """As the heartbeat of a worker whose scheduler has just closed: it would stand beside the sentence of an interruption."""
-    with dask.local_cluster(1) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+    with (
+        dask.local_cluster(1) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
         client.run(lambda: logging.getLogger("distributed.worker").error("no scheduler answers"))
     assert capfd.readouterr().err == ""
 
@@ -227,9 +260,13 @@ def test_an_interruption_ends_the_cluster_in_good_order(tmp_path):
     script.write_text(SCRIPT)
     process = subprocess.Popen(
         [sys.executable, str(script), str(log), str(store)],
-        env=ELSEWHERE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env=ELSEWHERE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
         preexec_fn=heed_interrupts,
-    )  # fmt: skip
+    )
     try:
         while process.poll() is None and not (log.exists() and log.read_text().count("\n") > 100):
             time.sleep(0.02)

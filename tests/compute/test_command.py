@@ -27,7 +27,10 @@ def test_a_row_is_made_once_and_a_failed_one_leaves_nothing(tmp_path):
         raise InputError("no such motion")
 
     folder = rows_folder(tmp_path / "a" / "b")
-    assert kept(folder / "0.json", make) == kept(folder / "0.json", make) == {"x": 0.1 + 0.2} and len(made) == 1
+    assert (
+        kept(folder / "0.json", make) == kept(folder / "0.json", make) == {"x": 0.1 + 0.2}
+        and len(made) == 1
+    )
     with pytest.raises(InputError, match="no such motion"):
         kept(folder / "1.json", fails)
     assert [path.name for path in folder.iterdir()] == ["0.json"]
@@ -42,9 +45,14 @@ def test_a_damaged_row_is_named_and_not_used(tmp_path):
 
 def test_what_a_killed_run_had_begun_is_removed_and_what_lives_is_not(tmp_path):
     for process in (999999999, 1):  # none, and one that runs
-        (tmp_path / f".sunspin-{process}.parts").write_text(f".sunspin-{process}-{'a' * 16}.part\n", "utf-8")
+        (tmp_path / f".sunspin-{process}.parts").write_text(
+            f".sunspin-{process}-{'a' * 16}.part\n", "utf-8"
+        )
         (tmp_path / f".sunspin-{process}-{'a' * 16}.part").write_text("{", "utf-8")
-    assert {path.name for path in rows_folder(tmp_path).iterdir()} == {".sunspin-1.parts", f".sunspin-1-{'a' * 16}.part"}
+    assert {path.name for path in rows_folder(tmp_path).iterdir()} == {
+        ".sunspin-1.parts",
+        f".sunspin-1-{'a' * 16}.part",
+    }
 
 
 @pytest.fixture(scope="module")
@@ -61,15 +69,22 @@ def files(tmp_path_factory):
 @pytest.mark.parametrize(
     ("main", "arguments"),
     [
-        (contributions.main, ["{folder}/none.nc"]), (contributions.main, ["{folder}/bad.nc"]),
-        (contributions.main, ["{folder}/other.nc"]), (contributions.main, ["{folder}/short.nc", "--vehicle", "{folder}/none.toml"]),
-        (calibrate.main, ["{folder}/bad.nc/x", "--twins", "1"]), (calibrate.main, ["{folder}/x", "--vehicle", "none.toml"]),
+        (contributions.main, ["{folder}/none.nc"]),
+        (contributions.main, ["{folder}/bad.nc"]),
+        (contributions.main, ["{folder}/other.nc"]),
+        (contributions.main, ["{folder}/short.nc", "--vehicle", "{folder}/none.toml"]),
+        (calibrate.main, ["{folder}/bad.nc/x", "--twins", "1"]),
+        (calibrate.main, ["{folder}/x", "--vehicle", "none.toml"]),
         (sampling.main, ["{folder}/bad.nc/x", "--twins", "0", "--periods", "30"]),
         (twin.main, ["{folder}/bad.nc/x.csv", "--seed", "1"]),
     ],
-)  # fmt: skip
+)
 def test_errors_are_one_sentence(files, capsys, main, arguments, monkeypatch):
-    monkeypatch.setattr(sampling, "widths", lambda *_, **__: sampling.Widths(*[sampling.np.ones((9, 13, 1))] * 2, {}, {}))
+    monkeypatch.setattr(
+        sampling,
+        "widths",
+        lambda *_, **__: sampling.Widths(*[sampling.np.ones((9, 13, 1))] * 2, {}, {}),
+    )
     assert main([text.format(folder=files) for text in arguments]) == 2
     said = capsys.readouterr().err.strip()
     assert said and "\n" not in said and "Traceback" not in said
@@ -87,5 +102,8 @@ def test_contributions_of_another_telemetry_are_refused(tmp_path, capsys):
     tree, _ = philae_draws(3)
     tree.attrs["samples"] = 7
     path = write_netcdf(tmp_path / "posterior.nc", tree)
-    assert contributions.main([str(path)]) == 2 and "not that of the posterior" in capsys.readouterr().err
+    assert (
+        contributions.main([str(path)]) == 2
+        and "not that of the posterior" in capsys.readouterr().err
+    )
     assert json.loads(tree.attrs["priors_given"]) == AS_DRAWN

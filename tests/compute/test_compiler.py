@@ -18,7 +18,9 @@ def two():
 """
 
 
-@pytest.mark.parametrize(("keep", "after"), [("compiled_with(called)", 21), ("njit(cache=True)", 2)])
+@pytest.mark.parametrize(
+    ("keep", "after"), [("compiled_with(called)", 21), ("njit(cache=True)", 2)]
+)
 def test_what_is_kept_knows_the_files_that_it_calls(keep, after, tmp_path, monkeypatch):
     """And numba alone does not."""
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -38,10 +38,19 @@ copies.at_once([lambda: note("fourth"), lambda: note("fifth")])
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are copied on Linux alone")
 def test_work_is_shared_with_a_copy_and_done_here_where_that_fails_or_is_not_safe(tmp_path):
-    done = subprocess.run([sys.executable, "-W", "error", "-c", WORK, str(tmp_path)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", WORK, str(tmp_path)], capture_output=True, text=True
+    )
     assert done.returncode == 0 and not done.stdout + done.stderr
     where = {file.name: file.read_text() for file in tmp_path.iterdir()}
-    expected = {"first": "True", "second": "False", "third": "True", "again": "True", "fourth": "True", "fifth": "True"}
+    expected = {
+        "first": "True",
+        "second": "False",
+        "third": "True",
+        "again": "True",
+        "fourth": "True",
+        "fifth": "True",
+    }
     assert where == expected
 
 

@@ -20,10 +20,14 @@ ROWS = Waves()
 
 
 def same(a, b) -> bool:
-    return set(a) == set(b) and all(a[name].tobytes() == b[name].tobytes() and a[name].dtype == b[name].dtype for name in a)
+    return set(a) == set(b) and all(
+        a[name].tobytes() == b[name].tobytes() and a[name].dtype == b[name].dtype for name in a
+    )
 
 
-@pytest.mark.evidence("ensemble", "verified", "all rows at once, for any chunk and number of threads")
+@pytest.mark.evidence(
+    "ensemble", "verified", "all rows at once, for any chunk and number of threads"
+)
 @pytest.mark.parametrize("workers", [1, 2, 5])
 @pytest.mark.parametrize("chunk", [1, 7, 333, 5000])
 def test_the_cut_changes_no_bit(workers, chunk):
@@ -31,7 +35,8 @@ def test_the_cut_changes_no_bit(workers, chunk):
 
 
 @pytest.mark.parametrize(
-    ("rows", "workers", "chunk", "most"), [(1000, 4, 8192, 250), (1000, 1, 8192, 1000), (100, 8, 50, 50), (90, 8, 8192, 64)]
+    ("rows", "workers", "chunk", "most"),
+    [(1000, 4, 8192, 250), (1000, 1, 8192, 1000), (100, 8, 50, 50), (90, 8, 8192, 64)],
 )
 def test_no_worker_is_left_without_work_for_want_of_chunks(rows, workers, chunk, most):
     sizes = []
@@ -48,7 +53,10 @@ def test_no_worker_is_left_without_work_for_want_of_chunks(rows, workers, chunk,
 def test_rows_alone_are_the_rows_of_the_whole():
     whole = ensemble(ROWS)
     for index in (999, [3], [17, 5, 5, 998], np.arange(0, 1000, 3, dtype=np.uint16), []):
-        wanted = {name: values[np.atleast_1d(np.asarray(index, dtype=int))] for name, values in whole.items()}
+        wanted = {
+            name: values[np.atleast_1d(np.asarray(index, dtype=int))]
+            for name, values in whole.items()
+        }
         assert same(ensemble(ROWS, index=index, chunk=2), wanted)
 
 
@@ -174,10 +182,17 @@ def test_a_vehicle_travels_bit_by_bit(name):
     vehicle = ss.load_vehicle(name)
     other = pickle.loads(pickle.dumps(vehicle))
     assert other.panel_normals_B.tobytes() == vehicle.panel_normals_B.tobytes()
-    assert (other.facts, other.telemetry, other.sun_rules) == (vehicle.facts, vehicle.telemetry, vehicle.sun_rules)
+    assert (other.facts, other.telemetry, other.sun_rules) == (
+        vehicle.facts,
+        vehicle.telemetry,
+        vehicle.sun_rules,
+    )
     for mine, theirs in zip(vehicle.wheels, other.wheels, strict=True):
         assert mine.axis_B.tobytes() == theirs.axis_B.tobytes()
-        assert (mine.friction, mine.alternative_frictions) == (theirs.friction, theirs.alternative_frictions)
+        assert (mine.friction, mine.alternative_frictions) == (
+            theirs.friction,
+            theirs.alternative_frictions,
+        )
     with pytest.raises(ValueError, match="read-only"):
         other.panels[0].normal_B[0] = 1.0
     with pytest.raises(TypeError):

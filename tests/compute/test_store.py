@@ -31,7 +31,10 @@ def same(a, b=WHOLE) -> bool:
 def tree(folder: Path) -> dict[str, str]:
     """Every file under a folder with its content's hash."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
 
 
 def refused(folder: Path, *words: str, rows: Waves = ROWS) -> None:
@@ -89,7 +92,10 @@ def crash_at(monkeypatch, step: int) -> None:
     monkeypatch.setattr(disk, "_write_whole", write)
 
 
-@pytest.mark.parametrize("steps", [[0, 4, 14, 17, 21, 28, 35, 42, 50, 51], pytest.param(range(52), marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "steps",
+    [[0, 4, 14, 17, 21, 28, 35, 42, 50, 51], pytest.param(range(52), marks=pytest.mark.long)],
+)
 def test_a_run_that_ends_at_any_step_of_writing_is_resumed(steps, tmp_path):
     """Five files make the store, then four per chunk of which there are three: 17 files, 51 steps."""
     rows = Waves(n_rows=30)
@@ -117,15 +123,23 @@ ensemble(Waves(n_rows=int(sys.argv[2]), seconds_per_row=0.004), store=sys.argv[1
 
 
 @pytest.mark.evidence("ensemble", "verified", "a run that was never stopped")
-@pytest.mark.parametrize(("n_rows", "least"), [(350, 2), pytest.param(900, 4, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("n_rows", "least"), [(350, 2), pytest.param(900, 4, marks=pytest.mark.long)]
+)
 def test_a_run_killed_again_and_again_ends_with_the_same_bits(n_rows, least, tmp_path):
     """SIGKILL at random moments, a little later when the run got nowhere, until a run gets through."""
     draw, kills, folder = random.Random(4), 0, tmp_path / "store"
     while True:
-        process = subprocess.Popen([sys.executable, "-c", KILLED, str(folder), str(n_rows)], env=ELSEWHERE)
+        process = subprocess.Popen(
+            [sys.executable, "-c", KILLED, str(folder), str(n_rows)], env=ELSEWHERE
+        )
         before = len(list(folder.glob("done/c/*")))
         deadline = time.monotonic() + 20
-        while process.poll() is None and len(list(folder.glob("done/c/*"))) < before + 12 and time.monotonic() < deadline:
+        while (
+            process.poll() is None
+            and len(list(folder.glob("done/c/*"))) < before + 12
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.01)
         time.sleep(draw.uniform(0, 0.05))
         process.kill()
@@ -164,7 +178,13 @@ def test_damaged_metadata_are_refused(complete, name):
     for size in (0, 1, len(text) // 2, len(text) - 2):
         (complete / name).write_bytes(text[:size])
         refused(complete, "damaged")
-    for damage in (b"[]", b"{}", b"null", b"\xff\xfe", text.replace(b"float64", b"float32").replace(b"uint8", b"int16")):
+    for damage in (
+        b"[]",
+        b"{}",
+        b"null",
+        b"\xff\xfe",
+        text.replace(b"float64", b"float32").replace(b"uint8", b"int16"),
+    ):
         if damage != text:
             (complete / name).write_bytes(damage)
             refused(complete, "damaged")
@@ -211,7 +231,9 @@ def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monke
     def full(target, data, write=disk._write_whole):
         if target.parent.parent.name == "done" and target.name == "4":
             with monkeypatch.context() as inner:
-                inner.setattr(os, "fsync", refuse)  # as a disk without room does, half of the bytes being there
+                inner.setattr(
+                    os, "fsync", refuse
+                )  # as a disk without room does, half of the bytes being there
                 return write(target, data)
         write(target, data)
 
@@ -229,13 +251,27 @@ def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monke
 def test_only_files_of_the_store_are_swept(complete):
     """What a killed run left beside its chunks goes; what anybody else put there stays, whatever it is called."""
     (complete / "done" / "c" / "0").unlink()
-    left = [disk.temporary(complete / name) for name in ("zarr.json", "height/zarr.json", "path/c/3/0/0", "done/c/0")]
-    theirs = [complete / place / name for place in ("", "height", "path/c", "done/c")
-              for name in (".thesis.part", ".sunspin-store-thesis.part", ".zarr.json.part", ".0.part", "a.part")]  # fmt: skip
+    left = [
+        disk.temporary(complete / name)
+        for name in ("zarr.json", "height/zarr.json", "path/c/3/0/0", "done/c/0")
+    ]
+    theirs = [
+        complete / place / name
+        for place in ("", "height", "path/c", "done/c")
+        for name in (
+            ".thesis.part",
+            ".sunspin-store-thesis.part",
+            ".zarr.json.part",
+            ".0.part",
+            "a.part",
+        )
+    ]
     for path in (*left, *theirs):
         path.write_bytes(b"x")
     assert same(ensemble(ROWS, store=complete))
-    assert not [path for path in left if path.exists()] and all(path.read_bytes() == b"x" for path in theirs)
+    assert not [path for path in left if path.exists()] and all(
+        path.read_bytes() == b"x" for path in theirs
+    )
 
 
 def test_chunks_on_disk_are_not_more_than_a_folder_bears(tmp_path, monkeypatch):

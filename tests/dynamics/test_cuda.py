@@ -18,7 +18,9 @@ from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.rows import EmdRows, Start, TrackRows
 
 HAS_NUMBA_CUDA = importlib.util.find_spec("numba_cuda") is not None
-needs_numba_cuda = pytest.mark.skipif(not HAS_NUMBA_CUDA, reason='numba-cuda is not installed (pip install "sunspin[gpu]")')
+needs_numba_cuda = pytest.mark.skipif(
+    not HAS_NUMBA_CUDA, reason='numba-cuda is not installed (pip install "sunspin[gpu]")'
+)
 PHILAE = ss.load_vehicle("philae")
 
 
@@ -29,8 +31,10 @@ def simulated(tmp_path_factory):
     program = Path(cuda_cases.__file__)
     done = subprocess.run(
         [sys.executable, "-W", "error", str(program), str(path)],
-        env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}, capture_output=True, text=True,
-    )  # fmt: skip
+        env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     with np.load(path) as found:
         return dict(found)
@@ -45,7 +49,11 @@ def assert_agrees(name, found):
         seen = expected.hist.sum(axis=1)
         assert np.all(seen > 1.0)
         assert np.abs(found["hist"].sum(axis=1) / seen - 1).max() < 1e-3
-        emd = np.abs(np.cumsum(found["hist"] - expected.hist, axis=1)).sum(axis=1) / seen / expected.hist.shape[1]
+        emd = (
+            np.abs(np.cumsum(found["hist"] - expected.hist, axis=1)).sum(axis=1)
+            / seen
+            / expected.hist.shape[1]
+        )
         assert emd.max() < 2e-3
         assert np.abs(found["evenness"] - expected.evenness).max() < 1e-3
     elif not expected.outcome.any():
@@ -57,7 +65,14 @@ def assert_agrees(name, found):
 @needs_numba_cuda
 @pytest.mark.parametrize("name", cuda_cases.CASES)
 def test_the_simulator_agrees_with_the_processor(name, simulated):
-    assert_agrees(name, {key.split("/")[1]: value for key, value in simulated.items() if key.startswith(f"{name}/")})
+    assert_agrees(
+        name,
+        {
+            key.split("/")[1]: value
+            for key, value in simulated.items()
+            if key.startswith(f"{name}/")
+        },
+    )
 
 
 @pytest.mark.evidence("scan", "verified", "the same motions on the processor (on an NVIDIA GPU)")
@@ -70,11 +85,15 @@ def test_a_gpu_agrees_with_the_processor(name):
     assert_agrees(name, vars(cuda_cases.run_case(name, "cuda")))
 
 
-@pytest.mark.evidence("posterior", "verified", "its likelihoods by the GPU's text in numba's simulator")
+@pytest.mark.evidence(
+    "posterior", "verified", "its likelihoods by the GPU's text in numba's simulator"
+)
 @needs_numba_cuda
 def test_a_posterior_has_the_same_likelihoods_by_the_simulator(simulated):
     found, expected = simulated["log_likelihoods"], cuda_cases.log_likelihoods("cpu")
-    assert np.isfinite(expected).all() and abs(expected[0] - expected[1]) > 1  # control: not any motion
+    assert (
+        np.isfinite(expected).all() and abs(expected[0] - expected[1]) > 1
+    )  # control: not any motion
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
 
 
@@ -122,12 +141,24 @@ def assert_compiles(structure, monkeypatch):
     if not nvvm.is_available():
         pytest.skip("NVVM is not installed (package nvidia-cuda-nvcc-cu12, or a CUDA toolkit)")
     # functions called by the kernel are compiled for the GPU at hand, whatever the kernel is compiled for
-    monkeypatch.setattr(dispatcher, "get_current_device", lambda: SimpleNamespace(compute_capability=(9, 0)))
+    monkeypatch.setattr(
+        dispatcher, "get_current_device", lambda: SimpleNamespace(compute_capability=(9, 0))
+    )
     real, single, whole = numba.float64, numba.float32, numba.int64
     signature = (
-        real[:, ::1], whole[::1], whole[::1], real[:, :, ::1], single[::1], whole[::1], real[::1], whole[::1],
-        single[:, ::1], real[:, :, ::1], whole[::1], real[::1],
-    )  # fmt: skip
+        real[:, ::1],
+        whole[::1],
+        whole[::1],
+        real[:, :, ::1],
+        single[::1],
+        whole[::1],
+        real[::1],
+        whole[::1],
+        single[:, ::1],
+        real[:, :, ::1],
+        whole[::1],
+        real[::1],
+    )
     text, _ = compile_ptx(cuda.cuda_kernel(structure).run.py_func, signature, cc=(9, 0))
     assert ".target sm_90" in text and ".visible .entry" in text
     assert "fma.rn.f64" in text
@@ -160,7 +191,10 @@ def run_on(device):
 
 def test_without_numba_cuda_the_refusal_says_what_to_install(monkeypatch):
     monkeypatch.setattr(cuda.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ss.InputError, match=r'needs numba-cuda, which is not installed.*pip install "sunspin\[gpu\]"'):
+    with pytest.raises(
+        ss.InputError,
+        match=r'needs numba-cuda, which is not installed.*pip install "sunspin\[gpu\]"',
+    ):
         run_on("cuda")
 
 
@@ -183,22 +217,37 @@ def test_other_devices_are_refused():
 
 @pytest.mark.long
 def test_the_command_line_refuses_in_one_sentence_before_it_writes_anything(tmp_path):
-    subprocess.run([sys.executable, "-m", "sunspin.cli", "init", tmp_path / "mine"], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "sunspin.cli", "init", tmp_path / "mine"],
+        check=True,
+        capture_output=True,
+    )
     grid = [part for axis in "xyz" for part in (f"--omega-{axis}", "0.1,0.2")]
     options = [*grid, "--device", "cuda", "--store", "rows"]
     done = subprocess.run(
         [sys.executable, "-m", "sunspin.cli", "scan", "vehicle.toml", "telemetry.csv", *options],
-        cwd=tmp_path / "mine", env=os.environ | {"CUDA_VISIBLE_DEVICES": "-1"}, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=tmp_path / "mine",
+        env=os.environ | {"CUDA_VISIBLE_DEVICES": "-1"},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 2, done.stderr
-    assert 'pip install "sunspin[gpu]"' in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert (
+        'pip install "sunspin[gpu]"' in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    )
     assert not (tmp_path / "mine" / "rows").exists()
 
 
 def test_the_identity_of_rows_tells_the_device():
     start = Start.on_grid(PHILAE, [np.zeros(1)] * 3, [0, 0, 1], 0.0)
-    emd = [EmdRows(PHILAE, start, [0.5], None, 10.0, device=device).identity() for device in ("cpu", "cuda")]
+    emd = [
+        EmdRows(PHILAE, start, [0.5], None, 10.0, device=device).identity()
+        for device in ("cpu", "cuda")
+    ]
     assert [identity["device"] for identity in emd] == ["cpu", "cuda"]
     measured = np.array([[0.0, 0.0, 1.0]])
-    track = [TrackRows(PHILAE, start, measured, np.array([1.0]), device=device).identity() for device in ("cpu", "cuda")]
+    track = [
+        TrackRows(PHILAE, start, measured, np.array([1.0]), device=device).identity()
+        for device in ("cpu", "cuda")
+    ]
     assert track[0] != track[1]

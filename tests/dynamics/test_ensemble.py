@@ -16,20 +16,26 @@ from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 def rows_of(omega, speeds) -> k.Rows:
     n = len(omega)
-    return k.Rows(np.asarray(omega, float), np.tile(FIRST_SUN, (n, 1)), np.tile(np.atleast_1d(speeds), (n, 1)))
+    return k.Rows(
+        np.asarray(omega, float), np.tile(FIRST_SUN, (n, 1)), np.tile(np.atleast_1d(speeds), (n, 1))
+    )
 
 
 def reference(vehicle, rows, duration, **options):
     ends = []
     for omega, sun, speeds in zip(rows.omega_B, rows.sun_B, rows.wheel_speed_rad_s, strict=True):
-        run = ss.propagate(vehicle, omega, sun, speeds if len(speeds) else None, [0.0, duration], **options)
+        run = ss.propagate(
+            vehicle, omega, sun, speeds if len(speeds) else None, [0.0, duration], **options
+        )
         ends.append(run["sun_B"].values[-1])
     return np.array(ends)
 
 
 def philae_rows(n=40, seed=1):
     rng = np.random.default_rng(seed)
-    return rows_of(np.column_stack([rng.uniform(-0.5, 1, (n, 2)), rng.uniform(-0.3, 0.3, n)]), 865.0)
+    return rows_of(
+        np.column_stack([rng.uniform(-0.5, 1, (n, 2)), rng.uniform(-0.3, 0.3, n)]), 865.0
+    )
 
 
 @pytest.mark.parametrize("wanted", [1e-2, 1e-4, 1e-6])
@@ -61,7 +67,9 @@ def test_a_wheel_that_is_held_and_let_go_again_and_again(wanted):
     """It may break away just at its limit, turn for a moment only, and stop within the same step."""
     vehicle = philae_body()
     (wheel,) = vehicle.wheels
-    vehicle = replace(vehicle, wheels=(wheel, replace(wheel, name="across", axis_B=[1.0, 0.0, 0.0])))
+    vehicle = replace(
+        vehicle, wheels=(wheel, replace(wheel, name="across", axis_B=[1.0, 0.0, 0.0]))
+    )
     rows = rows_of(HARD, [865.0, -605.5])
     result = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
     assert np.all(result.outcome == k.Outcome.FINE)
@@ -130,7 +138,10 @@ def test_bits_of_a_distribution_do_not_depend_on_neighbours_that_change_the_meth
     shuffled = k.run_rows(vehicle, rows.take(order), 2700.0, **options)
     assert np.array_equal(together.hist[order], shuffled.hist)
     for i in (int(np.flatnonzero(together.method == name)[0]) for name in ("series", "split")):
-        assert np.array_equal(together.hist[i], k.run_rows(vehicle, rows.take(np.array([i])), 2700.0, **options).hist[0])
+        assert np.array_equal(
+            together.hist[i],
+            k.run_rows(vehicle, rows.take(np.array([i])), 2700.0, **options).hist[0],
+        )
 
 
 @pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long)])
@@ -138,14 +149,22 @@ def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
     """Strongly unequal moments, oblique wheels that stop or not, slow and fast rows: EMD by SciPy, no mask."""
     rng = np.random.default_rng(200 + n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
-    rows = rows_of(rng.normal(size=(6, 3)) * np.geomspace(0.02, 2.0, 6)[:, None], rng.uniform(-20, 20, n_wheels))
+    rows = rows_of(
+        rng.normal(size=(6, 3)) * np.geomspace(0.02, 2.0, 6)[:, None],
+        rng.uniform(-20, 20, n_wheels),
+    )
     result = k.run_rows(vehicle, rows, 600.0, emd_error=1e-3, bins=256)
     centres = (np.arange(256 * 8) + 0.5) / (128 * 8) - 1
     for i in range(len(rows)):
         speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
-        track = ss.propagate(vehicle, rows.omega_B[i], FIRST_SUN, speeds, np.linspace(0, 600, 20_001), rtol=1e-9)
+        track = ss.propagate(
+            vehicle, rows.omega_B[i], FIRST_SUN, speeds, np.linspace(0, 600, 20_001), rtol=1e-9
+        )
         z = track["sun_B"].values[:, 2]
-        assert wasserstein_distance(centres, z, np.repeat(result.hist[i], 8).astype(float)) / 2 < 1.5e-3
+        assert (
+            wasserstein_distance(centres, z, np.repeat(result.hist[i], 8).astype(float)) / 2
+            < 1.5e-3
+        )
 
 
 def test_a_histogram_is_time_and_both_ways_alike():
@@ -160,7 +179,12 @@ def test_a_histogram_is_time_and_both_ways_alike():
 
 def test_errors_that_cannot_be_asked_for_are_refused():
     vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
-    for options in ({"direction_error": 0.0}, {"direction_error": 1e-16}, {"direction_error": np.nan}, {"emd_error": 1e-9}):
+    for options in (
+        {"direction_error": 0.0},
+        {"direction_error": 1e-16},
+        {"direction_error": np.nan},
+        {"emd_error": 1e-9},
+    ):
         with pytest.raises(ss.InputError, match="must be at least"):
             k.run_rows(vehicle, rows, 10.0, bins=8, **options)
     with pytest.raises(ss.InputError, match="found both"):

@@ -67,7 +67,9 @@ def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
 @pytest.mark.long
 def test_a_kernel_is_never_compiled_where_it_runs(short_kernels):
     """What was compiled in the process would give other last bits than what is loaded: the first run unlike the next."""
-    vehicle = random_vehicle(np.random.default_rng(10), 1)  # of a kind that no other test of this file has loaded
+    vehicle = random_vehicle(
+        np.random.default_rng(10), 1
+    )  # of a kind that no other test of this file has loaded
     rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 1)))
     k.run_rows(vehicle, rows, 1.0, direction_error=1e-2)
     stats = ahead.ready_kernel(k.structure_of(vehicle, None, 0)).run.stats
@@ -84,7 +86,9 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("first", ["dynamics.ensemble", "estimate.scan.rows", "estimate.posterior.cells"])
+@pytest.mark.parametrize(
+    "first", ["dynamics.ensemble", "estimate.scan.rows", "estimate.posterior.cells"]
+)
 def test_the_compiler_is_the_same_whatever_is_imported_first(first):
     """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
     assert target_after(f"sunspin.{first}") == target_after("sunspin.compute.compiler") != ""
@@ -99,4 +103,6 @@ def target_after(module: str) -> str:
 def test_numba_is_taken_from_where_it_is_set_up():
     for path in (Path(k.__file__).parents[2]).rglob("*.py"):
         if path.name != "compiler.py":
-            assert not re.search(r"^(import numba|from numba import .*njit)", path.read_text("utf-8"), re.MULTILINE), path
+            assert not re.search(
+                r"^(import numba|from numba import .*njit)", path.read_text("utf-8"), re.MULTILINE
+            ), path

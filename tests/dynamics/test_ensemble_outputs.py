@@ -15,7 +15,9 @@ TIMES = np.array([100.0, 900.0, 1800.0])
 def rows_for(vehicle, n=5, seed=2, speed=None):
     rng = np.random.default_rng(seed)
     speeds = np.array([speed or wheel.speed_rad_s for wheel in vehicle.wheels])
-    return k.Rows(rng.uniform(-0.3, 0.3, (n, 3)), np.tile(FIRST_SUN, (n, 1)), np.tile(speeds, (n, 1)))
+    return k.Rows(
+        rng.uniform(-0.3, 0.3, (n, 3)), np.tile(FIRST_SUN, (n, 1)), np.tile(speeds, (n, 1))
+    )
 
 
 def variants(vehicle, n, seed=3):
@@ -28,11 +30,15 @@ def variants(vehicle, n, seed=3):
             replace(
                 wheel,
                 inertia_kg_m2=wheel.inertia_kg_m2 * rng.uniform(0.9, 1.1),
-                friction=ss.Friction(wheel.friction.coulomb_N_m * rng.uniform(0.5, 2), wheel.friction.viscous_N_m_s),
+                friction=ss.Friction(
+                    wheel.friction.coulomb_N_m * rng.uniform(0.5, 2), wheel.friction.viscous_N_m_s
+                ),
             )
             for wheel in vehicle.wheels
         )
-        found.append(replace(vehicle, inertia_kg_m2=stretch @ vehicle.inertia_kg_m2 @ stretch, wheels=wheels))
+        found.append(
+            replace(vehicle, inertia_kg_m2=stretch @ vehicle.inertia_kg_m2 @ stretch, wheels=wheels)
+        )
     return found
 
 
@@ -40,15 +46,23 @@ def variants(vehicle, n, seed=3):
 @pytest.mark.parametrize("n_wheels", [0, 1, 2])
 def test_rates_and_wheel_speeds_are_those_of_the_reference(n_wheels, mode):
     """Wheels of 40 rad/s stop, and are stuck, before the last instant."""
-    vehicle = philae_body() if n_wheels == 1 else random_vehicle(np.random.default_rng(5), n_wheels, dry=1e-3)
+    vehicle = (
+        philae_body()
+        if n_wheels == 1
+        else random_vehicle(np.random.default_rng(5), n_wheels, dry=1e-3)
+    )
     rows = rows_for(vehicle, speed=40.0)
     run = k.run_rows(vehicle, rows, TIMES, wheel_mode=mode, direction_error=1e-9)
     assert n_wheels == 0 or mode == "hold" or np.any(run.wheel_speed_rad_s[:, -1] == 0)
     for i in range(len(rows)):
         speeds = rows.wheel_speed_rad_s[i] if n_wheels else None
-        exact = ss.propagate(vehicle, rows.omega_B[i], rows.sun_B[i], speeds, [0.0, *TIMES], wheel_mode=mode)
+        exact = ss.propagate(
+            vehicle, rows.omega_B[i], rows.sun_B[i], speeds, [0.0, *TIMES], wheel_mode=mode
+        )
         np.testing.assert_allclose(run.omega_B[i], exact["omega_B"].values[1:], atol=1e-7)
-        np.testing.assert_allclose(run.wheel_speed_rad_s[i], exact["wheel_speed_rad_s"].values[1:], atol=1e-6)
+        np.testing.assert_allclose(
+            run.wheel_speed_rad_s[i], exact["wheel_speed_rad_s"].values[1:], atol=1e-6
+        )
         np.testing.assert_allclose(run.momentum_B[i], exact["momentum_B"].values[1:], atol=1e-7)
 
 
@@ -60,7 +74,9 @@ def test_a_row_with_numbers_of_its_own_moves_like_a_vehicle_with_these():
     run = k.run_rows(vehicle, rows, 2700.0, direction_error=1e-6)
     for i, craft in enumerate(crafts):
         one = np.array([i])
-        alone = k.run_rows(craft, replace(rows.take(one), bodies=None), 2700.0, direction_error=1e-6)
+        alone = k.run_rows(
+            craft, replace(rows.take(one), bodies=None), 2700.0, direction_error=1e-6
+        )
         np.testing.assert_array_equal(run.track[i], alone.track[0])
     same = k.run_rows(vehicle, replace(rows, bodies=None), 2700.0, direction_error=1e-6)
     assert np.all(np.linalg.norm(run.sun_B - same.sun_B, axis=-1) > 1e-3)
@@ -74,7 +90,9 @@ def test_histograms_of_rows_with_numbers_of_their_own():
     order = k.run_rows(vehicle, rows.take(np.array([2, 0])), 2700.0, emd_error=1e-3, bins=80)
     np.testing.assert_array_equal(order.hist, run.hist[[2, 0]])
     for i, craft in enumerate(crafts):
-        alone = k.run_rows(craft, replace(rows.take(np.array([i])), bodies=None), 2700.0, emd_error=1e-3, bins=80)
+        alone = k.run_rows(
+            craft, replace(rows.take(np.array([i])), bodies=None), 2700.0, emd_error=1e-3, bins=80
+        )
         assert np.abs(np.cumsum(run.hist[i] - alone.hist[0])).mean() / 2700 < 1e-3
 
 
@@ -83,5 +101,7 @@ def test_a_wheel_without_friction_among_wheels_with_it_is_not_held_at_rest():
     bodies = k.Bodies.of(vehicle, 2)
     bodies = replace(bodies, coulomb_N_m=np.array([[0.0], [1e-3]]), viscous_N_m_s=np.zeros((2, 1)))
     still = k.Rows(np.full((2, 3), 0.05), np.tile(FIRST_SUN, (2, 1)), np.zeros((2, 1)), bodies)
-    speeds = k.run_rows(vehicle, still, np.array([50.0, 100.0]), direction_error=1e-8).wheel_speed_rad_s
+    speeds = k.run_rows(
+        vehicle, still, np.array([50.0, 100.0]), direction_error=1e-8
+    ).wheel_speed_rad_s
     assert np.all(speeds[0] != 0) and np.all(speeds[1] == 0)

@@ -16,7 +16,9 @@ def published_curve(t):
     return c1 * np.exp(c2 * t) + c3
 
 
-@pytest.mark.evidence("fit_spin_down", "validated", "coefficients and friction of the paper, section 2.2")
+@pytest.mark.evidence(
+    "fit_spin_down", "validated", "coefficients and friction of the paper, section 2.2"
+)
 @pytest.mark.parametrize("t0", [0.0, 700.0])
 def test_the_published_curve_gives_back_its_coefficients(t0, reached):
     t = t0 + np.arange(0.0, 1800.0, 30.0)
@@ -32,24 +34,36 @@ def test_the_published_curve_gives_back_its_coefficients(t0, reached):
 def test_the_wheel_runs_42_minutes_and_longer_with_the_rounded_pair():
     wheel = ss.load_vehicle("philae").wheels[0]
     assert spin_down_time(wheel.friction, J, 865.0) == pytest.approx(2521.4, abs=0.1)
-    assert spin_down_time(wheel.alternative_frictions["printed"], J, -865.0) == pytest.approx(2595.3, abs=0.1)
+    assert spin_down_time(wheel.alternative_frictions["printed"], J, -865.0) == pytest.approx(
+        2595.3, abs=0.1
+    )
     c1, c2, c3 = PUBLISHED
-    assert spin_down_time(wheel.friction, J, published_curve(0.0)) == pytest.approx(np.log(-c3 / c1) / c2, rel=1e-12)
+    assert spin_down_time(wheel.friction, J, published_curve(0.0)) == pytest.approx(
+        np.log(-c3 / c1) / c2, rel=1e-12
+    )
 
 
 def test_limits_of_the_friction_law():
     assert spin_down_time(Friction(0.0, 1e-6), J, 10.0) == np.inf
     assert spin_down_time(Friction(1e-3, 0.0), J, 865.0) == pytest.approx(J * 865 / 1e-3)
-    assert spin_down_time(Friction(1e-3, 1e-12), J, 865.0) == pytest.approx(J * 865 / 1e-3, rel=1e-6)
+    assert spin_down_time(Friction(1e-3, 1e-12), J, 865.0) == pytest.approx(
+        J * 865 / 1e-3, rel=1e-6
+    )
     assert spin_down_time(Friction(1e-3, 1e-6), J, 0.0) == 0.0
 
 
-@pytest.mark.evidence("fit_spin_down", "verified", "the propagator against the closed form of the time to stop")
+@pytest.mark.evidence(
+    "fit_spin_down", "verified", "the propagator against the closed form of the time to stop"
+)
 def test_a_very_heavy_body_lets_the_wheel_run_as_long_as_a_fixed_one():
     friction = Friction(1e-3, 2e-6)
-    vehicle = Vehicle("rock", np.eye(3) * 1e7, 1e6, wheels=[Wheel("w", [0, 0, 1], J, 300.0, friction)])
+    vehicle = Vehicle(
+        "rock", np.eye(3) * 1e7, 1e6, wheels=[Wheel("w", [0, 0, 1], J, 300.0, friction)]
+    )
     run = ss.propagate(vehicle, [0, 0, 0], [1, 0, 0], 300.0, [0.0, 3000.0])
-    assert run["event_time_s"].values[0] == pytest.approx(spin_down_time(friction, J, 300.0), rel=1e-7)
+    assert run["event_time_s"].values[0] == pytest.approx(
+        spin_down_time(friction, J, 300.0), rel=1e-7
+    )
 
 
 @pytest.mark.evidence("fit_spin_down", "verified", "scatter of 60 fits of noisy curves")
@@ -60,7 +74,9 @@ def test_the_covariance_is_the_scatter_of_repeated_fits(reached):
     scatter = np.std([[f.c1_rad_s, f.c2_per_s, f.c3_rad_s] for f in fits], axis=0)
     claimed = np.sqrt(np.mean([np.diag(f.covariance) for f in fits], axis=0))
     reached("scatter over stated error", scatter / claimed)
-    assert np.all(np.abs(np.log(scatter / claimed)) < np.log(1.4))  # 60 fits fix a width to about 9 %
+    assert np.all(
+        np.abs(np.log(scatter / claimed)) < np.log(1.4)
+    )  # 60 fits fix a width to about 9 %
 
 
 def test_the_error_of_the_curve_does_not_depend_on_when_time_began():
@@ -77,7 +93,10 @@ def test_the_error_of_the_curve_does_not_depend_on_when_time_began():
 
 def test_a_wheel_that_turns_backward_has_the_same_friction():
     t = np.arange(0.0, 1500.0, 50.0)
-    forward, backward = fit_spin_down(t, published_curve(t), J), fit_spin_down(t, -published_curve(t), J)
+    forward, backward = (
+        fit_spin_down(t, published_curve(t), J),
+        fit_spin_down(t, -published_curve(t), J),
+    )
     assert backward.friction == forward.friction
 
 

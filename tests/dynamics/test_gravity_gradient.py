@@ -25,7 +25,16 @@ TIMES = np.linspace(0.0, 12 * 2 * np.pi / LIBRATION, 901)
 
 
 def propagated() -> np.ndarray:
-    run = ss.propagate(BODY, OMEGA, SUN, None, TIMES, environment=ORBIT, torques=["gravity_gradient"], B_from_N=START.as_quat())
+    run = ss.propagate(
+        BODY,
+        OMEGA,
+        SUN,
+        None,
+        TIMES,
+        environment=ORBIT,
+        torques=["gravity_gradient"],
+        B_from_N=START.as_quat(),
+    )
     return run["nadir_B"].values
 
 
@@ -37,10 +46,16 @@ def in_the_kernel() -> np.ndarray:
 
 
 def stepped_by_rates() -> np.ndarray:
-    body, attitude, omega = Body.of(BODY, acting=acting(["gravity_gradient"], ORBIT)), START.as_matrix()[None], OMEGA[None]
+    body, attitude, omega = (
+        Body.of(BODY, acting=acting(["gravity_gradient"], ORBIT)),
+        START.as_matrix()[None],
+        OMEGA[None],
+    )
     seen = [attitude[0] @ ORBIT.at(0.0).nadir_N[0]]
     for t, t_next in zip(TIMES[:-1], TIMES[1:], strict=True):
-        made, omega = step(body, omega, np.array([t_next - t]), body.seen(FREE, attitude, np.array([t])))
+        made, omega = step(
+            body, omega, np.array([t_next - t]), body.seen(FREE, attitude, np.array([t]))
+        )
         attitude = made @ attitude
         seen.append(attitude[0] @ ORBIT.at(t_next).nadir_N[0])
     return np.array(seen)
@@ -48,13 +63,21 @@ def stepped_by_rates() -> np.ndarray:
 
 def moved_by_the_posterior() -> np.ndarray:
     """Begun an orbit late, on a clock that counts from there: the model's Sun of a body at the first sample, without a turn."""
-    unknown = under(model(BODY, {"inertia": 0.0}, 1.0)[0], acting(["gravity_gradient"], ORBIT, 2 * np.pi / N))
+    unknown = under(
+        model(BODY, {"inertia": 0.0}, 1.0)[0], acting(["gravity_gradient"], ORBIT, 2 * np.pi / N)
+    )
     rows = unknown.rows(State(OMEGA[None], SUN[None], np.zeros((1, len(unknown.unknowns)))))
-    return np.vstack([START.apply([[0, 0, 1]]), unknown.run(rows, TIMES[1:], 1e-6).carried[0, :, :3]])
+    return np.vstack(
+        [START.apply([[0, 0, 1]]), unknown.run(rows, TIMES[1:], 1e-6).carried[0, :, :3]]
+    )
 
 
-@pytest.mark.evidence("propagate", "verified", "closed form of a small libration under gravity gradient")
-@pytest.mark.parametrize("moved", [propagated, in_the_kernel, stepped_by_rates, moved_by_the_posterior])
+@pytest.mark.evidence(
+    "propagate", "verified", "closed form of a small libration under gravity gradient"
+)
+@pytest.mark.parametrize(
+    "moved", [propagated, in_the_kernel, stepped_by_rates, moved_by_the_posterior]
+)
 def test_a_body_librates_about_the_nadir_at_the_rate_of_the_closed_form(moved, reached):
     nadir = moved()
     angle = np.arctan2(nadir[:, 0], nadir[:, 2])
@@ -81,15 +104,31 @@ def test_a_tumbling_body_moves_as_scipy_says_and_keeps_jacobis_integral(t_end):
         return np.concatenate([change, -np.cross(omega - orbit, nadir), -np.cross(omega, orbit)])
 
     here = TILTED.at(0.0)
-    begin = np.concatenate([RATE, ATTITUDE.apply(here.nadir_N[0]), ATTITUDE.apply(here.nadir_turn_N[0])])
-    expected = solve_ivp(slope, (0.0, t_end), begin, method="DOP853", rtol=1e-12, atol=1e-15).y[:, -1]
-    run = ss.propagate(TUMBLER, RATE, ATTITUDE.apply([0, 0, 1]), None, [0.0, t_end / 2, t_end], environment=TILTED,
-                       torques=["gravity_gradient"], B_from_N=ATTITUDE.as_quat())  # fmt: skip
+    begin = np.concatenate(
+        [RATE, ATTITUDE.apply(here.nadir_N[0]), ATTITUDE.apply(here.nadir_turn_N[0])]
+    )
+    expected = solve_ivp(slope, (0.0, t_end), begin, method="DOP853", rtol=1e-12, atol=1e-15).y[
+        :, -1
+    ]
+    run = ss.propagate(
+        TUMBLER,
+        RATE,
+        ATTITUDE.apply([0, 0, 1]),
+        None,
+        [0.0, t_end / 2, t_end],
+        environment=TILTED,
+        torques=["gravity_gradient"],
+        B_from_N=ATTITUDE.as_quat(),
+    )
     np.testing.assert_allclose(run["omega_B"].values[-1], expected[:3], atol=1e-11)
     np.testing.assert_allclose(run["nadir_B"].values[-1], expected[3:6], atol=1e-8)
     omega, nadir = run["omega_B"].values, run["nadir_B"].values
     orbit = Rotation.from_quat(run["B_from_N"].values).apply(here.nadir_turn_N[0])
-    energy = ((omega / 2 - orbit) @ TENSOR * omega).sum(axis=1) + 1.5 * N**2 * (nadir @ TENSOR * nadir).sum(axis=1)
+    energy = ((omega / 2 - orbit) @ TENSOR * omega).sum(axis=1) + 1.5 * N**2 * (
+        nadir @ TENSOR * nadir
+    ).sum(axis=1)
     np.testing.assert_allclose(energy, energy[0], rtol=1e-11)
     momentum = np.linalg.norm(run["momentum_B"].values, axis=1)
-    assert np.ptp(momentum) > 1e-3 * momentum[0]  # the control: without the torque this would be kept
+    assert (
+        np.ptp(momentum) > 1e-3 * momentum[0]
+    )  # the control: without the torque this would be kept

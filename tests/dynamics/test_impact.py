@@ -13,7 +13,9 @@ from vehicles import philae_body, random_vehicle
 
 
 def energy(vehicle, omega, speeds, velocity):
-    return g.kinetic_energy(vehicle, omega, speeds) + vehicle.mass_kg * (velocity**2).sum(axis=-1) / 2
+    return (
+        g.kinetic_energy(vehicle, omega, speeds) + vehicle.mass_kg * (velocity**2).sum(axis=-1) / 2
+    )
 
 
 def blow(seed: int, n_wheels: int, mode="coast"):
@@ -48,7 +50,9 @@ def test_momentum_about_the_contact_point_is_conserved(seed, n_wheels, mode):
     def about_contact(omega, speeds, velocity):
         return g.total_momentum(vehicle, omega, speeds) - np.cross(tip, vehicle.mass_kg * velocity)
 
-    then = about_contact(*(after[key].values for key in ("omega_B", "wheel_speed_rad_s", "velocity_B")))
+    then = about_contact(
+        *(after[key].values for key in ("omega_B", "wheel_speed_rad_s", "velocity_B"))
+    )
     np.testing.assert_allclose(then, about_contact(omega, speeds, velocity), rtol=1e-10, atol=1e-10)
     change = vehicle.mass_kg * (after["velocity_B"].values - velocity)
     np.testing.assert_allclose(after["impulse_B"].values, change, rtol=1e-10, atol=1e-12)
@@ -86,7 +90,12 @@ def test_a_held_wheel_keeps_its_speed_and_its_motor_may_do_work():
     velocity = rng.normal(size=(500, 3)) * 0.15
     after = ss.impact(vehicle, omega, 865.0, velocity, tip, wheel_mode="hold")
     assert np.all(after["wheel_speed_rad_s"].values == 865.0)
-    work = energy(vehicle, after["omega_B"].values, after["wheel_speed_rad_s"].values, after["velocity_B"].values)
+    work = energy(
+        vehicle,
+        after["omega_B"].values,
+        after["wheel_speed_rad_s"].values,
+        after["velocity_B"].values,
+    )
     work = work - energy(vehicle, omega, np.full((500, 1), 865.0), velocity)
     assert work.max() > 0 > work.min()
 
@@ -97,11 +106,17 @@ def test_turning_vehicle_and_blow_together_turns_the_result(seed, n_wheels):
     vehicle, (omega, speeds, velocity), tip, after = blow(seed, n_wheels)
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     wheels = [Wheel(w.name, turn @ w.axis_B, w.inertia_kg_m2) for w in vehicle.wheels]
-    turned = Vehicle("turned", turn @ vehicle.inertia_kg_m2 @ turn.T, vehicle.mass_kg, wheels=wheels)
+    turned = Vehicle(
+        "turned", turn @ vehicle.inertia_kg_m2 @ turn.T, vehicle.mass_kg, wheels=wheels
+    )
     other = ss.impact(turned, turn @ omega, speeds, turn @ velocity, turn @ tip)
     for key in ("omega_B", "velocity_B", "impulse_B"):
-        np.testing.assert_allclose(other[key].values, turn @ after[key].values, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(other["wheel_speed_rad_s"].values, after["wheel_speed_rad_s"].values, rtol=1e-9)
+        np.testing.assert_allclose(
+            other[key].values, turn @ after[key].values, rtol=1e-9, atol=1e-10
+        )
+    np.testing.assert_allclose(
+        other["wheel_speed_rad_s"].values, after["wheel_speed_rad_s"].values, rtol=1e-9
+    )
 
 
 @pytest.mark.evidence("impact", "verified", "a blow worked out by hand")
@@ -121,7 +136,9 @@ def test_a_rod_that_lands_on_one_end():
 
 def test_a_central_blow_stops_the_fall_and_turns_nothing():
     after = ss.impact(philae_body(), [0, 0, 0], 865.0, [0, 0, -0.3], [0.0, 0.0, -0.4])
-    np.testing.assert_allclose(after["impulse_B"].values, [0, 0, 97.63 * 0.3], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        after["impulse_B"].values, [0, 0, 97.63 * 0.3], rtol=1e-12, atol=1e-12
+    )
     np.testing.assert_allclose(after["omega_B"].values, 0.0, atol=1e-15)
     np.testing.assert_allclose(after["velocity_B"].values, 0.0, atol=1e-15)
 
@@ -134,11 +151,15 @@ def test_many_blows_at_once_are_the_same_blows_one_by_one():
     together = ss.impact(vehicle, omega, speeds, velocity, legs)
     assert together["omega_B"].dims == ("run", "axis") and together["omega_B"].shape == (6, 3)
     flat = ss.impact(vehicle, omega, speeds[:, 0], velocity, legs)
-    np.testing.assert_array_equal(flat["wheel_speed_rad_s"].values, together["wheel_speed_rad_s"].values)
+    np.testing.assert_array_equal(
+        flat["wheel_speed_rad_s"].values, together["wheel_speed_rad_s"].values
+    )
     for i in range(6):
         alone = ss.impact(vehicle, omega[i], speeds[i], velocity[i], vehicle.legs[legs[i]].name)
         for key in alone:
-            np.testing.assert_allclose(together[key].values[i], alone[key].values, rtol=1e-12, atol=1e-14)
+            np.testing.assert_allclose(
+                together[key].values[i], alone[key].values, rtol=1e-12, atol=1e-14
+            )
 
 
 def test_a_single_state_against_many_legs():
@@ -171,7 +192,12 @@ def test_the_arguments_are_left_alone():
     ],
 )
 def test_bad_arguments_are_named(change, text):
-    arguments = {"omega_B": [0, 0, 0], "wheel_speed_rad_s": 0.0, "velocity_B": [0, 0, -1], "leg": "1"} | change
+    arguments = {
+        "omega_B": [0, 0, 0],
+        "wheel_speed_rad_s": 0.0,
+        "velocity_B": [0, 0, -1],
+        "leg": "1",
+    } | change
     with pytest.raises(ss.InputError, match=text):
         ss.impact(ss.load_vehicle("philae"), **arguments)
 

@@ -20,7 +20,9 @@ def paper_equations(vehicle: Vehicle):
     def slipping(_t, y):
         omega, W, r = y[:3], y[3], y[4:]
         M = -np.sign(W) * (f.coulomb_N_m + f.viscous_N_m_s * abs(W))
-        acceleration = -inverse @ (np.cross(omega, theta @ omega) + u * M + np.cross(omega, J * u * W))
+        acceleration = -inverse @ (
+            np.cross(omega, theta @ omega) + u * M + np.cross(omega, J * u * W)
+        )
         return np.concatenate([acceleration, [M / J - u @ acceleration], -np.cross(omega, r)])
 
     def stuck(_t, y):
@@ -31,12 +33,20 @@ def paper_equations(vehicle: Vehicle):
     return slipping, stuck
 
 
-@pytest.mark.evidence("propagate", "validated", "SciPy's DOP853 on the equations as printed in the paper, rtol 1e-12")
+@pytest.mark.evidence(
+    "propagate", "validated", "SciPy's DOP853 on the equations as printed in the paper, rtol 1e-12"
+)
 @pytest.mark.parametrize(
     ("omega", "speed", "end"),
-    [((-0.1, 0.2, 0.0), 80.0, 500.0), pytest.param((-0.1, 0.2, 0.0), 865.0, 2700.0, marks=pytest.mark.long),
-     *(pytest.param(omega, 865.0, 2700.0, marks=pytest.mark.slow) for omega in ((0.1, 0.0, 0.0), (0.5, 0.3, 0.14)))],
-)  # fmt: skip
+    [
+        ((-0.1, 0.2, 0.0), 80.0, 500.0),
+        pytest.param((-0.1, 0.2, 0.0), 865.0, 2700.0, marks=pytest.mark.long),
+        *(
+            pytest.param(omega, 865.0, 2700.0, marks=pytest.mark.slow)
+            for omega in ((0.1, 0.0, 0.0), (0.5, 0.3, 0.14))
+        ),
+    ],
+)
 def test_philae_through_the_wheel_stop_agrees_with_dop853(omega, speed, end, reached):
     vehicle = philae_body()
     slipping, stuck = paper_equations(vehicle)
@@ -76,9 +86,19 @@ def test_forward_and_back_through_the_stop_is_a_round_trip(reached):
     there = ss.propagate(vehicle, [-0.2, 0.05, 0.02], FIRST_SUN, 865.0, t)
     end = there.isel(time=-1)
     back = ss.propagate(
-        vehicle, end["omega_B"], end["sun_B"], 0.0, t[::-1], stopped_at_s=float(there["event_time_s"][0])
+        vehicle,
+        end["omega_B"],
+        end["sun_B"],
+        0.0,
+        t[::-1],
+        stopped_at_s=float(there["event_time_s"][0]),
     )
-    reached("difference of the Sun's direction", np.abs(back["sun_B"].values[::-1] - there["sun_B"].values), "", 1e-9)
+    reached(
+        "difference of the Sun's direction",
+        np.abs(back["sun_B"].values[::-1] - there["sun_B"].values),
+        "",
+        1e-9,
+    )
     np.testing.assert_allclose(back["sun_B"].values[::-1], there["sun_B"].values, atol=1e-9)
     np.testing.assert_allclose(back["wheel_speed_rad_s"].values[-1], [865.0], rtol=1e-9)
 
@@ -88,7 +108,9 @@ def test_a_stuck_wheel_has_no_known_past():
         ss.propagate(philae_body(), [0.1, 0, 0.3], FIRST_SUN, 0.0, [0.0, -100.0])
 
 
-@pytest.mark.evidence("propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction")
+@pytest.mark.evidence(
+    "propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction"
+)
 @pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long), 3])
 def test_invariants_hold_to_1e_12(n_wheels, reached):
     rng = np.random.default_rng(n_wheels)
@@ -110,14 +132,23 @@ def test_invariants_hold_to_1e_12(n_wheels, reached):
 def test_friction_never_creates_energy():
     rng = np.random.default_rng(5)
     vehicle = random_vehicle(rng, 2, dry=0.02, viscous=1e-3)
-    run = ss.propagate(vehicle, [0.8, -0.5, 1.1], FIRST_SUN, [12.0, -8.0], np.linspace(0, 200, 2001))
+    run = ss.propagate(
+        vehicle, [0.8, -0.5, 1.1], FIRST_SUN, [12.0, -8.0], np.linspace(0, 200, 2001)
+    )
     energy = g.kinetic_energy(vehicle, run["omega_B"].values, run["wheel_speed_rad_s"].values)
     assert run.sizes["event"] > 0
     assert np.all(np.diff(energy) <= 1e-12 * energy[0])
 
 
 def test_a_motor_holds_the_wheel():
-    run = ss.propagate(philae_body(), [0.3, -0.2, 0.1], FIRST_SUN, 865.0, np.linspace(0, 600, 61), wheel_mode="hold")
+    run = ss.propagate(
+        philae_body(),
+        [0.3, -0.2, 0.1],
+        FIRST_SUN,
+        865.0,
+        np.linspace(0, 600, 61),
+        wheel_mode="hold",
+    )
     assert np.all(run["wheel_speed_rad_s"].values == 865.0)
     omega = run["omega_B"].values
     theta = philae_body().inertia_kg_m2
@@ -128,12 +159,19 @@ def test_a_motor_holds_the_wheel():
 def test_schedule_equals_the_runs_chained_by_hand():
     vehicle = philae_body()
     whole = ss.propagate(
-        vehicle, [0.1, 0.05, 0], FIRST_SUN, 865.0, [0, 300.0, 900.0], wheel_mode=[(0, "hold"), (300.0, "coast")]
+        vehicle,
+        [0.1, 0.05, 0],
+        FIRST_SUN,
+        865.0,
+        [0, 300.0, 900.0],
+        wheel_mode=[(0, "hold"), (300.0, "coast")],
     )
     held = ss.propagate(vehicle, [0.1, 0.05, 0], FIRST_SUN, 865.0, [0, 300.0], wheel_mode="hold")
     then = ss.propagate(vehicle, held["omega_B"][-1], held["sun_B"][-1], 865.0, [300.0, 900.0])
     np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-11)
-    np.testing.assert_allclose(whole["wheel_speed_rad_s"][-1], then["wheel_speed_rad_s"][-1], rtol=1e-12)
+    np.testing.assert_allclose(
+        whole["wheel_speed_rad_s"][-1], then["wheel_speed_rad_s"][-1], rtol=1e-12
+    )
 
 
 @pytest.mark.evidence("propagate", "verified", "closed form of the axisymmetric gyrostat")
@@ -148,23 +186,37 @@ def test_axisymmetric_body_with_a_coasting_wheel_has_a_closed_form(reached):
     size = np.linalg.norm(H[0])
     theta, alpha = np.arccos(H[:, 2] / size), np.arccos(np.einsum("ij,ij->i", H, r) / size)
     assert np.ptp(theta) < 1e-11
-    phase = np.arccos((r[0, 2] - np.cos(theta[0]) * np.cos(alpha[0])) / (np.sin(theta[0]) * np.sin(alpha[0])))
+    phase = np.arccos(
+        (r[0, 2] - np.cos(theta[0]) * np.cos(alpha[0])) / (np.sin(theta[0]) * np.sin(alpha[0]))
+    )
     rate = size / 13.0
     candidates = [
-        np.cos(theta[0]) * np.cos(alpha[0]) + np.sin(theta[0]) * np.sin(alpha[0]) * np.cos(rate * t + sign * phase)
+        np.cos(theta[0]) * np.cos(alpha[0])
+        + np.sin(theta[0]) * np.sin(alpha[0]) * np.cos(rate * t + sign * phase)
         for sign in (1, -1)
     ]
-    reached("difference of r_z", min(np.abs(r[:, 2] - expected).max() for expected in candidates), "", 1e-9)
+    reached(
+        "difference of r_z",
+        min(np.abs(r[:, 2] - expected).max() for expected in candidates),
+        "",
+        1e-9,
+    )
     assert min(np.abs(r[:, 2] - expected).max() for expected in candidates) < 1e-9
 
 
-@pytest.mark.evidence("propagate", "validated", "attitude after 10 s published with Basilisk's unit test of its spacecraft module")
+@pytest.mark.evidence(
+    "propagate",
+    "validated",
+    "attitude after 10 s published with Basilisk's unit test of its spacecraft module",
+)
 def test_torque_free_attitude_published_with_basilisk(reached):
     """Unit-test values of Basilisk's spacecraft module: MRP of B relative to N after 10 s."""
     vehicle = Vehicle("hub", np.diag([500.0, 200.0, 300.0]))
     run = ss.propagate(vehicle, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
     mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
-    reached("difference of the MRP", np.abs(mrp - [0.373034285, -0.00239564413, 0.208570797]), "", 1e-9)
+    reached(
+        "difference of the MRP", np.abs(mrp - [0.373034285, -0.00239564413, 0.208570797]), "", 1e-9
+    )
     np.testing.assert_allclose(mrp, [0.373034285, -0.00239564413, 0.208570797], atol=1e-9)
 
 
@@ -174,14 +226,17 @@ def test_turning_the_axes_turns_the_result():
     turn = Rotation.random(rng=rng)
     R = turn.as_matrix()
     wheels = [
-        Wheel(w.name, R @ w.axis_B, w.inertia_kg_m2, w.speed_rad_s, w.friction) for w in vehicle.wheels
+        Wheel(w.name, R @ w.axis_B, w.inertia_kg_m2, w.speed_rad_s, w.friction)
+        for w in vehicle.wheels
     ]
     turned = Vehicle("turned", R @ vehicle.inertia_kg_m2 @ R.T, wheels=wheels)
     omega, t = np.array([0.4, -0.7, 0.2]), np.linspace(0, 60, 7)
     a = ss.propagate(vehicle, omega, FIRST_SUN, [9.0, -5.0], t)
     b = ss.propagate(turned, R @ omega, R @ FIRST_SUN, [9.0, -5.0], t)
     np.testing.assert_allclose(b["sun_B"].values, turn.apply(a["sun_B"].values), atol=1e-9)
-    np.testing.assert_allclose(b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values, atol=1e-8)
+    np.testing.assert_allclose(
+        b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values, atol=1e-8
+    )
 
 
 @pytest.mark.parametrize(
@@ -197,7 +252,12 @@ def test_turning_the_axes_turns_the_result():
     ],
 )
 def test_bad_arguments_are_named(change, message):
-    arguments = {"omega_B": [0.1, 0, 0], "sun_B": FIRST_SUN, "wheel_speed_rad_s": 865.0, "t_s": [0.0, 1.0]} | change
+    arguments = {
+        "omega_B": [0.1, 0, 0],
+        "sun_B": FIRST_SUN,
+        "wheel_speed_rad_s": 865.0,
+        "t_s": [0.0, 1.0],
+    } | change
     with pytest.raises(ss.MotionError, match=message):
         ss.propagate(philae_body(), **arguments)
 

@@ -31,8 +31,11 @@ class Pull:
 
     def __call__(self, omega_B, directions_B, t_s, parameters):
         nadir, (strength, damping, growth) = directions_B["nadir"], parameters
-        return [-strength * nadir[1] - damping * omega_B[0] + growth * t_s, strength * nadir[0] - damping * omega_B[1],
-                -damping * omega_B[2]]  # fmt: skip
+        return [
+            -strength * nadir[1] - damping * omega_B[0] + growth * t_s,
+            strength * nadir[0] - damping * omega_B[1],
+            -damping * omega_B[2],
+        ]
 
     def values(self, bodies, here):
         return np.broadcast_to([self.strength, 2e-3, 2e-6], (*bodies.inertia_kg_m2.shape[:-2], 3))
@@ -42,10 +45,15 @@ class Pull:
 
 
 BODY = Vehicle(
-    "body", [[1.0, 0.02, 0.0], [0.02, 1.3, 0.01], [0.0, 0.01, 0.8]],
+    "body",
+    [[1.0, 0.02, 0.0], [0.02, 1.3, 0.01], [0.0, 0.01, 0.8]],
     wheels=[Wheel("w", [0.0, 0.6, 0.8], 0.02, 3.0, Friction(1e-4, 1e-4))],
-)  # fmt: skip
-OMEGA, SPEED, ATTITUDE = np.array([0.03, -0.02, 0.05]), 3.0, Rotation.from_euler("xyz", [0.4, -0.3, 1.1])
+)
+OMEGA, SPEED, ATTITUDE = (
+    np.array([0.03, -0.02, 0.05]),
+    3.0,
+    Rotation.from_euler("xyz", [0.4, -0.3, 1.1]),
+)
 SUN = ATTITUDE.apply([0.0, 0.0, 1.0])
 
 
@@ -63,7 +71,9 @@ def by_scipy(t_end: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         momentum = inertia @ omega + j * speed * axis
         change = inverse @ (torque - np.cross(omega, momentum) - friction * axis)
         spun = friction / j - axis @ change
-        cross = np.array([[0, omega[2], -omega[1]], [-omega[2], 0, omega[0]], [omega[1], -omega[0], 0]])
+        cross = np.array(
+            [[0, omega[2], -omega[1]], [-omega[2], 0, omega[0]], [omega[1], -omega[0], 0]]
+        )
         return np.concatenate([change, [spun], (cross @ matrix).ravel()])
 
     begin = np.concatenate([OMEGA, [SPEED], ATTITUDE.as_matrix().ravel()])
@@ -82,9 +92,13 @@ def test_the_reference_moves_as_scipy_does_forward_and_backward(t_end):
     omega, speed, matrix = by_scipy(t_end)
     np.testing.assert_allclose(run["omega_B"].values[-1], omega, atol=1e-10)
     np.testing.assert_allclose(run["wheel_speed_rad_s"].values[-1], [speed], atol=1e-8)
-    np.testing.assert_allclose(Rotation.from_quat(run["B_from_N"].values[-1]).as_matrix(), matrix, atol=1e-9)
+    np.testing.assert_allclose(
+        Rotation.from_quat(run["B_from_N"].values[-1]).as_matrix(), matrix, atol=1e-9
+    )
     np.testing.assert_allclose(run["sun_B"].values[-1], matrix @ [0, 0, 1], atol=1e-9)
-    np.testing.assert_allclose(run["nadir_B"].values[-1], matrix @ ORBIT.at(t_end).nadir_N[0], atol=1e-9)
+    np.testing.assert_allclose(
+        run["nadir_B"].values[-1], matrix @ ORBIT.at(t_end).nadir_N[0], atol=1e-9
+    )
     assert run.attrs["frame_N"] == ORBIT.frame_N
 
 
@@ -99,7 +113,14 @@ def test_the_kernel_moves_as_the_reference_does_through_the_stop_of_the_wheel(wa
     times = np.array([100.0, 900.0])
     run = run_once([START_S, *(START_S + times)], wheel_mode=mode)
     assert list(run["event_what"].values) == (["stops"] if mode == "coast" else [])
-    result = k.run_rows(BODY, rows_of(), times, direction_error=wanted, wheel_mode=mode, acting=acting([Pull()], ORBIT, START_S))
+    result = k.run_rows(
+        BODY,
+        rows_of(),
+        times,
+        direction_error=wanted,
+        wheel_mode=mode,
+        acting=acting([Pull()], ORBIT, START_S),
+    )
     assert result.outcome[0] == k.Outcome.FINE
     for name in ("sun_B", "omega_B", "wheel_speed_rad_s", "momentum_B"):
         np.testing.assert_allclose(getattr(result, name)[0], run[name].values[1:], atol=wanted)
@@ -107,10 +128,16 @@ def test_the_kernel_moves_as_the_reference_does_through_the_stop_of_the_wheel(wa
 
 
 def test_the_kernel_comes_back():
-    there = k.run_rows(BODY, rows_of(), 60.0, direction_error=1e-9, acting=acting([Pull()], ORBIT, START_S))
+    there = k.run_rows(
+        BODY, rows_of(), 60.0, direction_error=1e-9, acting=acting([Pull()], ORBIT, START_S)
+    )
     attitude = run_once([START_S, START_S + 60.0])["B_from_N"].values[-1:]
-    rows = k.Rows(there.omega_B[:, 0], there.sun_B[:, 0], there.wheel_speed_rad_s[:, 0], B_from_N=attitude)
-    home = k.run_rows(BODY, rows, -60.0, direction_error=1e-9, acting=acting([Pull()], ORBIT, START_S + 60.0))
+    rows = k.Rows(
+        there.omega_B[:, 0], there.sun_B[:, 0], there.wheel_speed_rad_s[:, 0], B_from_N=attitude
+    )
+    home = k.run_rows(
+        BODY, rows, -60.0, direction_error=1e-9, acting=acting([Pull()], ORBIT, START_S + 60.0)
+    )
     np.testing.assert_allclose(home.omega_B[0, 0], OMEGA, atol=1e-9)
     np.testing.assert_allclose(home.sun_B[0, 0], SUN, atol=1e-8)
 
@@ -118,7 +145,10 @@ def test_the_kernel_comes_back():
 def test_a_torque_is_refused_without_the_environment_that_it_needs():
     with pytest.raises(ss.MotionError, match="the torque 'pull' needs an environment; give one"):
         run_once([0.0, 1.0], environment=None, B_from_N=None)
-    with pytest.raises(ss.MotionError, match="the torque 'pull' needs the nadir, which the environment does not know"):
+    with pytest.raises(
+        ss.MotionError,
+        match="the torque 'pull' needs the nadir, which the environment does not know",
+    ):
         run_once([0.0, 1.0], environment=unknown())
     with pytest.raises(ss.MotionError, match="no such torque .found magic."):
         run_once([0.0, 1.0], torques=["magic"])
@@ -127,7 +157,10 @@ def test_a_torque_is_refused_without_the_environment_that_it_needs():
 
 
 def test_an_attitude_and_a_sun_that_contradict_each_other_are_refused():
-    with pytest.raises(ss.MotionError, match="sun_B is not where B_from_N shows the environment's Sun .found 0.49 rad away"):
+    with pytest.raises(
+        ss.MotionError,
+        match="sun_B is not where B_from_N shows the environment's Sun .found 0.49 rad away",
+    ):
         run_once([0.0, 1.0], B_from_N=[0.0, 0.0, 0.0, 1.0])
     with pytest.raises(ss.MotionError, match="B_from_N must be a unit quaternion"):
         run_once([0.0, 1.0], B_from_N=[0.0, 0.0, 1.0])
@@ -136,50 +169,92 @@ def test_an_attitude_and_a_sun_that_contradict_each_other_are_refused():
 
 
 def test_the_split_method_refuses_torques_and_rows_need_their_attitude():
-    with pytest.raises(ss.InputError, match="the split method keeps the momentum, which torques change .found pull.; run by"):
+    with pytest.raises(
+        ss.InputError,
+        match="the split method keeps the momentum, which torques change .found pull.; run by",
+    ):
         k.structure_of(BODY, None, 8, "split", torques=(Pull(),))
-    with pytest.raises(ss.InputError, match="torques that depend on directions need the attitude of each row; give B_from_N"):
-        k.run_rows(BODY, k.Rows(OMEGA[None], SUN[None], np.array([[SPEED]])), 1.0, acting=acting([Pull()], ORBIT))
+    with pytest.raises(
+        ss.InputError,
+        match="torques that depend on directions need the attitude of each row; give B_from_N",
+    ):
+        k.run_rows(
+            BODY,
+            k.Rows(OMEGA[None], SUN[None], np.array([[SPEED]])),
+            1.0,
+            acting=acting([Pull()], ORBIT),
+        )
 
 
 def test_a_scan_runs_under_torques():
     times = START_S + np.array([20.0, 40.0])
-    track = run_once([START_S, *times])["sun_B"].isel(time=[1, 2]).assign_coords(time=[20.0, 40.0]).to_dataset()
+    track = (
+        run_once([START_S, *times])["sun_B"]
+        .isel(time=[1, 2])
+        .assign_coords(time=[20.0, 40.0])
+        .to_dataset()
+    )
     grid = [[rate, rate + 0.02] for rate in OMEGA]
-    found = ss.scan(BODY, track, SUN, *grid, SPEED, direction_error=1e-8, environment=ORBIT, torques=[Pull()],
-                    B_from_N=ATTITUDE.as_quat(), start_s=START_S)  # fmt: skip
+    found = ss.scan(
+        BODY,
+        track,
+        SUN,
+        *grid,
+        SPEED,
+        direction_error=1e-8,
+        environment=ORBIT,
+        torques=[Pull()],
+        B_from_N=ATTITUDE.as_quat(),
+        start_s=START_S,
+    )
     assert found.values[0, 0, 0] < 1e-12 < found.values.ravel()[1:].min()
     other = ss.scan(BODY, track, SUN, *grid, SPEED, direction_error=1e-8)
     assert other.values[0, 0, 0] > 1e-7  # the control: without the torque it is another motion
 
 
 def test_distributions_under_torques_run_by_series():
-    result = k.run_rows(BODY, rows_of(3), 300.0, emd_error=1e-3, bins=32, acting=acting([Pull()], ORBIT, START_S))
+    result = k.run_rows(
+        BODY, rows_of(3), 300.0, emd_error=1e-3, bins=32, acting=acting([Pull()], ORBIT, START_S)
+    )
     assert set(result.method) == {"series"}
     z = run_once(START_S + np.linspace(0.0, 300.0, 40001))["sun_B"].values[:, 2]
     expected = np.histogram(z, 32, (-1, 1))[0] / len(z)
     assert np.abs(np.cumsum(result.hist[0] / 300.0 - expected)).max() < 2e-3
 
 
-def steady_by_scipy(inertia: np.ndarray, torques: np.ndarray, t_end: float) -> tuple[np.ndarray, np.ndarray]:
+def steady_by_scipy(
+    inertia: np.ndarray, torques: np.ndarray, t_end: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Rate and direction to the Sun under a torque in body axes and one in space (2, 3), from Euler's equations typed here."""
 
     def slope(t, y):
         omega, matrix = y[:3], y[3:].reshape(3, 3)  # B from N, N being B at the start
         torque = torques[0] + matrix @ torques[1]
         turned = [-np.cross(omega, column) for column in matrix.T]
-        return [*np.linalg.solve(inertia, torque - np.cross(omega, inertia @ omega)), *np.ravel(np.transpose(turned))]
+        return [
+            *np.linalg.solve(inertia, torque - np.cross(omega, inertia @ omega)),
+            *np.ravel(np.transpose(turned)),
+        ]
 
-    end = solve_ivp(slope, (0, t_end), [*OMEGA, *np.eye(3).ravel()], method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    end = solve_ivp(
+        slope, (0, t_end), [*OMEGA, *np.eye(3).ravel()], method="DOP853", rtol=1e-11, atol=1e-12
+    ).y[:, -1]
     return end[:3], end[3:].reshape(3, 3) @ SUN
 
 
-@pytest.mark.evidence("propagate", "verified", "steady torques in body axes and in space against SciPy's integrator")
+@pytest.mark.evidence(
+    "propagate", "verified", "steady torques in body axes and in space against SciPy's integrator"
+)
 def test_steady_torques_in_body_axes_and_in_space_turn_a_body_as_eulers_equations_say():
     body, t = Vehicle("box", np.diag([0.010, 0.012, 0.008])), [150.0, 300.0]
     torques = 0.01 * np.array([[1e-4, -2e-4, 1e-4], [2e-4, 1e-4, -1e-4]])
     cases = np.stack([torques * [[1], [0]], torques * [[0], [1]], torques])
-    rows = k.Rows(np.tile(OMEGA, (3, 1)), np.tile(SUN, (3, 1)), np.zeros((3, 0)), replace(Bodies.of(body, 3), steady_N_m=cases))
+    rows = k.Rows(
+        np.tile(OMEGA, (3, 1)),
+        np.tile(SUN, (3, 1)),
+        np.zeros((3, 0)),
+        replace(Bodies.of(body, 3), steady_N_m=cases),
+    )
     run = k.run_rows(body, rows, t, direction_error=1e-8, acting=Acting((Steady(),)))
     for i, case in enumerate(cases):
         omega, sun = steady_by_scipy(np.array(body.inertia_kg_m2), case, t[-1])
@@ -187,4 +262,6 @@ def test_steady_torques_in_body_axes_and_in_space_turn_a_body_as_eulers_equation
         for found in (run.sun_B[i, -1], reference["sun_B"].values[-1]):
             np.testing.assert_allclose(found, sun, atol=1e-7)
         np.testing.assert_allclose(run.omega_B[i, -1], omega, atol=1e-9)
-    assert np.linalg.norm(run.sun_B[0, -1] - run.sun_B[1, -1]) > 0.1  # the control: the two kinds are not the same
+    assert (
+        np.linalg.norm(run.sun_B[0, -1] - run.sun_B[1, -1]) > 0.1
+    )  # the control: the two kinds are not the same

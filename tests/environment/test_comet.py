@@ -10,9 +10,17 @@ LANDING_S = 469_078_511.0
 
 def test_the_pole_is_z_and_the_meridian_turns_as_published():
     right_ascension, declination = np.radians(comet.POLE_DEG)
-    pole = [np.cos(declination) * np.cos(right_ascension), np.cos(declination) * np.sin(right_ascension), np.sin(declination)]
+    pole = [
+        np.cos(declination) * np.cos(right_ascension),
+        np.cos(declination) * np.sin(right_ascension),
+        np.sin(declination),
+    ]
     np.testing.assert_allclose(comet.comet_from_J2000(LANDING_S) @ pole, [0, 0, 1], atol=1e-12)
-    node = [-np.sin(right_ascension), np.cos(right_ascension), 0.0]  # where the comet's equator rises through that of J2000
+    node = [
+        -np.sin(right_ascension),
+        np.cos(right_ascension),
+        0.0,
+    ]  # where the comet's equator rises through that of J2000
     seen = comet.comet_from_J2000(0.0) @ node
     assert np.degrees(np.arctan2(-seen[1], seen[0])) == pytest.approx(comet.MERIDIAN_DEG)
     assert 24 * 360 / comet.DEG_PER_DAY == pytest.approx(12.404, abs=1e-3)
@@ -20,8 +28,13 @@ def test_the_pole_is_z_and_the_meridian_turns_as_published():
 
 def test_a_velocity_in_space_is_the_change_of_the_position_there():
     state = np.array([2123.0, -959.0, 497.0, 0.24, 0.11, -0.2])
-    there = [comet.comet_from_J2000(LANDING_S + dt).T @ (state[:3] + dt * state[3:]) for dt in (-1.0, 1.0)]
-    np.testing.assert_allclose(comet.velocity_J2000(LANDING_S, state), (there[1] - there[0]) / 2, atol=1e-7)
+    there = [
+        comet.comet_from_J2000(LANDING_S + dt).T @ (state[:3] + dt * state[3:])
+        for dt in (-1.0, 1.0)
+    ]
+    np.testing.assert_allclose(
+        comet.velocity_J2000(LANDING_S, state), (there[1] - there[0]) / 2, atol=1e-7
+    )
     assert np.linalg.norm(np.cross(comet.SPIN_COMET, state[:3])) == pytest.approx(0.33, abs=0.01)
 
 
@@ -39,7 +52,9 @@ def test_the_sun_stands_over_the_landing_and_gravity_points_down(data_dir):
         assert np.degrees(np.arcsin(sun[2])) == pytest.approx(37.2, abs=0.3)
         assert sun @ state[:3] > 0.5 * np.linalg.norm(state[:3])
     fixed = states[2, 3:] - states[1, 3:]
-    space = comet.comet_from_J2000(times[1]) @ np.subtract(*(comet.velocity_J2000(times[k], states[k]) for k in (2, 1)))
+    space = comet.comet_from_J2000(times[1]) @ np.subtract(
+        *(comet.velocity_J2000(times[k], states[k]) for k in (2, 1))
+    )
     down = -states[1, :3] / np.linalg.norm(states[1, :3])
     away = [np.degrees(np.arccos(x @ down / np.linalg.norm(x))) for x in (fixed, space)]
     assert away[1] < 6 < 15 < away[0]

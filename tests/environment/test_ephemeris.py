@@ -34,10 +34,18 @@ def states(step: float, count: int, frame: str = "J2000") -> tuple[list[datetime
     return [BEGIN + timedelta(seconds=float(s)) for s in t], np.concatenate(both, axis=1)
 
 
-def oem(frame: str = "EME2000", scale: str = "UTC", step: float = 60.0, count: int = 130, ahead: float = 0.0) -> str:
+def oem(
+    frame: str = "EME2000",
+    scale: str = "UTC",
+    step: float = 60.0,
+    count: int = 130,
+    ahead: float = 0.0,
+) -> str:
     times, rows = states(step, count, "J2000" if frame == "EME2000" else frame)
-    lines = [f"{(time + timedelta(seconds=ahead)).isoformat()} {' '.join(f'{x:.9f}' for x in row)}"
-             for time, row in zip(times, rows, strict=True)]  # fmt: skip
+    lines = [
+        f"{(time + timedelta(seconds=ahead)).isoformat()} {' '.join(f'{x:.9f}' for x in row)}"
+        for time, row in zip(times, rows, strict=True)
+    ]
     first, last = lines[0].split()[0], lines[-1].split()[0]
     return f"""CCSDS_OEM_VERS = 2.0
 CREATION_DATE = 2017-08-25T00:00:00
@@ -60,7 +68,11 @@ def off_m(ephemeris) -> float:
     """The largest distance (m) from SGP4 at the telemetry's times."""
     known = in_orbit(parse_elements(VZLUSAT, "case"), EPOCH, T)
     found = in_orbit((ephemeris,), EPOCH, T)
-    return float(np.linalg.norm(found.states(found.instants(T))[0] - known.states(known.instants(T))[0], axis=1).max())
+    return float(
+        np.linalg.norm(
+            found.states(found.instants(T))[0] - known.states(known.instants(T))[0], axis=1
+        ).max()
+    )
 
 
 @pytest.fixture
@@ -72,10 +84,15 @@ def put(tmp_path):
     return write
 
 
-@pytest.mark.parametrize(("frame", "scale", "step", "ahead"), [("EME2000", "UTC", 60.0, 0.0), ("TEME", "TAI", 180.0, 37.0)])
+@pytest.mark.parametrize(
+    ("frame", "scale", "step", "ahead"),
+    [("EME2000", "UTC", 60.0, 0.0), ("TEME", "TAI", 180.0, 37.0)],
+)
 def test_an_oem_is_the_orbit_to_ten_metres(put, frame, scale, step, ahead):
     (ephemeris,) = read_orbit(put(oem(frame, scale, step, int(7800 / step), ahead)))
-    assert (ephemeris.name, ephemeris.number) == ("VZLUSAT-1", "2017-036AB") and off_m(ephemeris) < 10
+    assert (ephemeris.name, ephemeris.number) == ("VZLUSAT-1", "2017-036AB") and off_m(
+        ephemeris
+    ) < 10
     orbit = in_orbit((ephemeris,), EPOCH, T)
     assert orbit.shift_sigma_s == pytest.approx(0.3) and orbit.notes(T) == []
     assert 5600 < ephemeris.period_s < 5760 and orbit.at(T).lit.min() == 0
@@ -91,10 +108,16 @@ def test_an_oem_in_xml_is_read_as_others_write_it(put, tmp_path):
 
 def test_a_csv_says_its_frame(put):
     times, rows = states(60.0, 130, "ITRF")
-    body = "\n".join(f"{time.isoformat()}Z,{x:.6f},{y:.6f},{z:.6f}" for time, (x, y, z, *_) in zip(times, rows, strict=True))
+    body = "\n".join(
+        f"{time.isoformat()}Z,{x:.6f},{y:.6f},{z:.6f}"
+        for time, (x, y, z, *_) in zip(times, rows, strict=True)
+    )
     text = f"# frame: ITRF\ntime_utc,x_km,y_km,z_km\n{body}\n"
     assert off_m(read_orbit(put(text, "a.csv"))[0]) < 10
-    with pytest.raises(ss.InputError, match="a.csv: the ephemeris does not say its frame; add a first line such as `# frame"):
+    with pytest.raises(
+        ss.InputError,
+        match="a.csv: the ephemeris does not say its frame; add a first line such as `# frame",
+    ):
         read_orbit(put(text.split("\n", 1)[1], "a.csv"))
 
 
@@ -121,28 +144,40 @@ def test_beyond_its_table_an_orbit_goes_on_along_an_ellipse(put):
 
 
 WRONG = {
-    "the ephemeris does not cover the telemetry .found 2017-08-24T00:00:00Z to 2017-08-24T00:29:00Z, but not":
-        lambda: oem(count=30),
+    "the ephemeris does not cover the telemetry .found 2017-08-24T00:00:00Z to 2017-08-24T00:29:00Z, but not": lambda: (
+        oem(count=30)
+    ),
     "a position is not one of an orbit about the Earth .found 6.*e\\+06 km": lambda: _scaled(oem()),
     "the frame of the ephemeris is not known .found TOD.": lambda: oem().replace("EME2000", "TOD"),
     "the time system of the ephemeris is not known .found MRT.": lambda: oem(scale="MRT"),
-    "the positions of the OEM are not about the Earth .found MARS": lambda: oem().replace("NAME = EARTH", "NAME = MARS"),
+    "the positions of the OEM are not about the Earth .found MARS": lambda: oem().replace(
+        "NAME = EARTH", "NAME = MARS"
+    ),
     "the OEM lacks a key .found REF_FRAME.": lambda: oem().replace("REF_FRAME", "FRAME"),
-    "the velocities are not those of the positions: .* m/s off in the middle; check units and frame":
-        lambda: oem("ITRF").replace("REF_FRAME = ITRF", "REF_FRAME = GCRF").replace("EME2000", "GCRF"),
-    "the positions are 900 s apart, between which an orbit is known to .* m only": lambda: oem(step=900.0, count=30),
+    "the velocities are not those of the positions: .* m/s off in the middle; check units and frame": lambda: (
+        oem("ITRF").replace("REF_FRAME = ITRF", "REF_FRAME = GCRF").replace("EME2000", "GCRF")
+    ),
+    "the positions are 900 s apart, between which an orbit is known to .* m only": lambda: oem(
+        step=900.0, count=30
+    ),
     "the times of the ephemeris do not increase": lambda: oem().replace("T00:05:00 ", "T00:03:00 "),
     "the ephemeris has no 9 positions in a row": lambda: oem(count=5),
     "a coordinate of the ephemeris is no number": lambda: oem().replace(" -", " x", 1),
-    "line 16: a line of an OEM has a time, three coordinates": lambda: oem().replace("T00:02:00 ", "T00:02:00 1 "),
-}  # fmt: skip
+    "line 16: a line of an OEM has a time, three coordinates": lambda: oem().replace(
+        "T00:02:00 ", "T00:02:00 1 "
+    ),
+}
 
 
 def _scaled(text: str) -> str:
     """Positions in m where km are meant."""
     lines = [line.split() for line in text.splitlines()]
-    return "\n".join(" ".join([cells[0], *(str(1000 * float(x)) for x in cells[1:])]) if len(cells) == 7 and cells[0][:2] == "20"
-                     else " ".join(cells) for cells in lines)  # fmt: skip
+    return "\n".join(
+        " ".join([cells[0], *(str(1000 * float(x)) for x in cells[1:])])
+        if len(cells) == 7 and cells[0][:2] == "20"
+        else " ".join(cells)
+        for cells in lines
+    )
 
 
 @pytest.mark.parametrize("text", WRONG)

@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.environment.earth import EQUATOR_M, Instants, J2000_from_TEME, earth_from_J2000, sun_J2000_m
+from sunspin.environment.earth import (
+    EQUATOR_M,
+    Instants,
+    J2000_from_TEME,
+    earth_from_J2000,
+    sun_J2000_m,
+)
 from sunspin.environment.elements import nearest, parse_elements, read_elements
 from sunspin.environment.field import field_map
 from sunspin.environment.light import REFLECTIVITY, albedo_light, covered, lit
@@ -27,10 +33,25 @@ VZLUSAT = """VZLUSAT-1
 """
 EPOCH = "2017-08-24T00:00:00Z"
 
-ISS = {"OBJECT_NAME": "ISS (ZARYA)", "OBJECT_ID": "1998-067A", "EPOCH": "2024-03-01T12:00:00.000000", "MEAN_MOTION": 15.49,
-       "ECCENTRICITY": 0.0006, "INCLINATION": 51.64, "RA_OF_ASC_NODE": 120.0, "ARG_OF_PERICENTER": 30.0, "MEAN_ANOMALY": 40.0,
-       "EPHEMERIS_TYPE": 0, "CLASSIFICATION_TYPE": "U", "NORAD_CAT_ID": 25544, "ELEMENT_SET_NO": 999, "REV_AT_EPOCH": 44000,
-       "BSTAR": 0.0001, "MEAN_MOTION_DDOT": 0, "MEAN_MOTION_DOT": 0.0001}  # fmt: skip
+ISS = {
+    "OBJECT_NAME": "ISS (ZARYA)",
+    "OBJECT_ID": "1998-067A",
+    "EPOCH": "2024-03-01T12:00:00.000000",
+    "MEAN_MOTION": 15.49,
+    "ECCENTRICITY": 0.0006,
+    "INCLINATION": 51.64,
+    "RA_OF_ASC_NODE": 120.0,
+    "ARG_OF_PERICENTER": 30.0,
+    "MEAN_ANOMALY": 40.0,
+    "EPHEMERIS_TYPE": 0,
+    "CLASSIFICATION_TYPE": "U",
+    "NORAD_CAT_ID": 25544,
+    "ELEMENT_SET_NO": 999,
+    "REV_AT_EPOCH": 44000,
+    "BSTAR": 0.0001,
+    "MEAN_MOTION_DDOT": 0,
+    "MEAN_MOTION_DOT": 0.0001,
+}
 
 
 def test_sgp4_gives_the_published_verification_states():
@@ -43,7 +64,9 @@ def test_sgp4_gives_the_published_verification_states():
     assert len(table) > 10
     day, fraction = elements.epoch_jd
     place, speed = elements.states(np.full(len(table), day), fraction + table[:, 0] / 1440)
-    np.testing.assert_allclose(place / 1e3, table[:, 1:4], atol=2e-5)  # the date's last bit is 40 microseconds
+    np.testing.assert_allclose(
+        place / 1e3, table[:, 1:4], atol=2e-5
+    )  # the date's last bit is 40 microseconds
     np.testing.assert_allclose(speed / 1e3, table[:, 4:7], atol=2e-8)
 
 
@@ -52,16 +75,25 @@ def test_TEME_is_turned_to_J2000_as_published():
 
     The book's nutation is that of 1980; the one used here differs by 0.05 arcseconds, 2 m at that distance."""
     (elements,) = parse_elements(VANGUARD, "case")
-    when = Instants(np.array([elements.epoch_jd[0] + 3]), np.array([elements.epoch_jd[1]]), 64.184 / 86400)
+    when = Instants(
+        np.array([elements.epoch_jd[0] + 3]), np.array([elements.epoch_jd[1]]), 64.184 / 86400
+    )
     place, speed = elements.states(when.jd, when.fraction)
     np.testing.assert_allclose(place[0], [-9060473.73569, 4658709.52502, 813686.73153], atol=0.01)
     turn = J2000_from_TEME(when)[0]
-    np.testing.assert_allclose(turn @ place[0], [-9059941.3786, 4659697.2000, 813958.8875], atol=2.5)
-    np.testing.assert_allclose(turn @ speed[0], [-2233.348094, -4110.136162, -3157.394074], atol=2e-3)
+    np.testing.assert_allclose(
+        turn @ place[0], [-9059941.3786, 4659697.2000, 813958.8875], atol=2.5
+    )
+    np.testing.assert_allclose(
+        turn @ speed[0], [-2233.348094, -4110.136162, -3157.394074], atol=2e-3
+    )
 
 
 def test_sun_and_earth_fixed_axes_are_those_of_astropy():
-    coordinates, time = pytest.importorskip("astropy.coordinates"), pytest.importorskip("astropy.time")
+    coordinates, time = (
+        pytest.importorskip("astropy.coordinates"),
+        pytest.importorskip("astropy.time"),
+    )
     from astropy.utils import iers
 
     t = np.arange(0, 400) * 86400.0 + 1234.5
@@ -72,11 +104,18 @@ def test_sun_and_earth_fixed_axes_are_those_of_astropy():
         assert np.linalg.norm(sun_J2000_m(when) - theirs, axis=1).max() < 1e-8 * 1.5e11
         there, fixed = coordinates.ITRS(obstime=moments[:3]), np.empty((3, 3, 3))
         for k, axis in enumerate(np.eye(3)):
-            place = coordinates.CartesianRepresentation(*(7e6 * axis[:, None] * np.ones(3)), unit="m")
+            place = coordinates.CartesianRepresentation(
+                *(7e6 * axis[:, None] * np.ones(3)), unit="m"
+            )
             here = coordinates.GCRS(place, obstime=moments[:3])
             fixed[:, :, k] = here.transform_to(there).cartesian.xyz.to_value("m").T / 7e6
     # UT1 is 0.6 s off UTC then: 9 arcseconds
-    assert np.abs(earth_from_J2000(when.__class__(when.jd[:3], when.fraction[:3], when.tt_ahead)) - fixed).max() < 5e-5
+    assert (
+        np.abs(
+            earth_from_J2000(when.__class__(when.jd[:3], when.fraction[:3], when.tt_ahead)) - fixed
+        ).max()
+        < 5e-5
+    )
 
 
 def test_the_sun_as_the_almanac_gives_it():
@@ -104,7 +143,11 @@ tests of SatelliteToolbox.jl keep it (IGRF13_test_geocentric.txt). Up to 2015 IG
 
 
 @pytest.mark.parametrize(
-    "row", [pytest.param(row, marks=[pytest.mark.long] if k % 3 else []) for k, row in enumerate(IGRF_ROWS.split("\n")[1:-1])]
+    "row",
+    [
+        pytest.param(row, marks=[pytest.mark.long] if k % 3 else [])
+        for k, row in enumerate(IGRF_ROWS.split("\n")[1:-1])
+    ],
 )
 def test_the_field_is_the_published_one(row):
     year, radius, colatitude, longitude, *expected = map(float, row.split())
@@ -114,7 +157,9 @@ def test_the_field_is_the_published_one(row):
     east = np.array([-np.sin(phi), np.cos(phi), 0])
     found = 1e9 * field_map(jd, (1e3 * radius, 1e3 * radius)).at(1e3 * radius * up)
     # the map is that of the nearest of days a month apart
-    np.testing.assert_allclose([found @ np.cross(up, east), found @ east, -found @ up], expected, atol=6.0)
+    np.testing.assert_allclose(
+        [found @ np.cross(up, east), found @ east, -found @ up], expected, atol=6.0
+    )
 
 
 def test_the_map_of_the_field_is_IGRF_to_two_nanotesla():
@@ -128,20 +173,35 @@ def test_the_map_of_the_field_is_IGRF_to_two_nanotesla():
     up, south, east = (part[0] for part in ppigrf.igrf_gc(radius / 1e3, theta, phi, day))
     s, c, t = np.sin(np.radians(phi)), np.cos(np.radians(phi)), np.radians(theta)
     level = up * np.sin(t) + south * np.cos(t)
-    theirs = np.column_stack([level * c - east * s, level * s + east * c, up * np.cos(t) - south * np.sin(t)])
-    ours = field_map(jd, (6.7e6, 7.3e6)).at(radius[:, None] * np.column_stack([np.sin(t) * c, np.sin(t) * s, z]))
+    theirs = np.column_stack(
+        [level * c - east * s, level * s + east * c, up * np.cos(t) - south * np.sin(t)]
+    )
+    ours = field_map(jd, (6.7e6, 7.3e6)).at(
+        radius[:, None] * np.column_stack([np.sin(t) * c, np.sin(t) * s, z])
+    )
     assert np.abs(1e9 * ours - theirs).max() < 2.0
-    with pytest.raises(ss.InputError, match=r"the Earth's field is known from 1900 to 2030 \(IGRF-14\) .found a time in 2035."):
+    with pytest.raises(
+        ss.InputError,
+        match=r"the Earth's field is known from 1900 to 2030 \(IGRF-14\) .found a time in 2035.",
+    ):
         field_map(2464329.5, (7e6, 7e6))
 
 
 def test_the_sun_is_covered_as_discs_cover_each_other():
     apart = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 9.0])
     equal = covered(apart, np.ones(6), np.ones(6))
-    lens = [1.0] + [(2 * np.arccos(d / 2) - d / 2 * np.sqrt(4 - d * d)) / np.pi for d in apart[1:5]] + [0.0]
+    lens = (
+        [1.0]
+        + [(2 * np.arccos(d / 2) - d / 2 * np.sqrt(4 - d * d)) / np.pi for d in apart[1:5]]
+        + [0.0]
+    )
     np.testing.assert_allclose(equal, lens, atol=1e-12)
-    assert covered(np.array([1.0]), np.array([0.01]), np.array([1.0]))[0] == pytest.approx(0.5, abs=5e-3)  # a straight border
-    assert covered(np.array([0.1]), np.array([0.5]), np.array([0.2]))[0] == pytest.approx(0.16)  # an annular eclipse
+    assert covered(np.array([1.0]), np.array([0.01]), np.array([1.0]))[0] == pytest.approx(
+        0.5, abs=5e-3
+    )  # a straight border
+    assert covered(np.array([0.1]), np.array([0.5]), np.array([0.2]))[0] == pytest.approx(
+        0.16
+    )  # an annular eclipse
 
 
 def test_eclipse_lasts_as_long_as_the_shadow_is_wide():
@@ -161,7 +221,14 @@ def test_eclipse_lasts_as_long_as_the_shadow_is_wide():
 def test_the_shadow_is_as_flat_as_the_earth():
     """Two kilometres inside and outside the limb of WGS 84: the polar radius is 21.4 km shorter than that of the equator."""
     pole = 6_356_752.3
-    behind = np.array([[-1e5, 0, pole - 2e3], [-1e5, 0, pole + 2e3], [-1e5, EQUATOR_M - 2e3, 0], [-1e5, EQUATOR_M + 2e3, 0]])
+    behind = np.array(
+        [
+            [-1e5, 0, pole - 2e3],
+            [-1e5, 0, pole + 2e3],
+            [-1e5, EQUATOR_M - 2e3, 0],
+            [-1e5, EQUATOR_M + 2e3, 0],
+        ]
+    )
     assert lit(behind, np.array([[1.495978707e11, 0, 0]])).tolist() == [0, 1, 0, 1]
 
 
@@ -169,9 +236,15 @@ def test_light_of_the_full_earth_is_the_closed_form():
     """Far away over the noon point the Earth is a Lambert sphere at full phase: 2/3 albedo (R / d)^2."""
     d = 1e10
     light = albedo_light(np.array([[d, 0, 0]]), np.array([[1.5e13, 0, 0]]))[0]
-    np.testing.assert_allclose(light, [-2 / 3 * REFLECTIVITY * (EQUATOR_M / d) ** 2, 0, 0], rtol=2e-2, atol=1e-12)
-    near = albedo_light(EQUATOR_M * np.array([[1.0001, 0, 0], [-1.1, 0, 0]]), np.array([[1.5e13, 0, 0]] * 2))
-    assert -near[0, 0] == pytest.approx(REFLECTIVITY, rel=0.02)  # over the ground: a plane that fills half the sky
+    np.testing.assert_allclose(
+        light, [-2 / 3 * REFLECTIVITY * (EQUATOR_M / d) ** 2, 0, 0], rtol=2e-2, atol=1e-12
+    )
+    near = albedo_light(
+        EQUATOR_M * np.array([[1.0001, 0, 0], [-1.1, 0, 0]]), np.array([[1.5e13, 0, 0]] * 2)
+    )
+    assert -near[0, 0] == pytest.approx(
+        REFLECTIVITY, rel=0.02
+    )  # over the ground: a plane that fills half the sky
     assert np.array_equal(near[1], [0, 0, 0])
 
 
@@ -184,13 +257,21 @@ def test_surroundings_follow_the_orbit_with_their_errors():
     assert 0.6 < here.lit.mean() < 0.7  # 500 km high
     turned = np.diff(here.nadir_N, axis=0) / 20
     middle = (here.nadir_turn_N[1:] + here.nadir_turn_N[:-1]) / 2
-    np.testing.assert_allclose(np.cross(middle, (here.nadir_N[1:] + here.nadir_N[:-1]) / 2), turned, atol=2e-6)
-    assert np.degrees(here.nadir_sigma_rad).mean() == pytest.approx(np.hypot(10, 1) * 360 / 5680, rel=0.02)
+    np.testing.assert_allclose(
+        np.cross(middle, (here.nadir_N[1:] + here.nadir_N[:-1]) / 2), turned, atol=2e-6
+    )
+    assert np.degrees(here.nadir_sigma_rad).mean() == pytest.approx(
+        np.hypot(10, 1) * 360 / 5680, rel=0.02
+    )
     strength = np.linalg.norm(here.field_N, axis=1)
     assert 1.8e-5 < strength.min() < 2.5e-5 and 4e-5 < strength.max() < 5.5e-5
     assert np.all(here.field_sigma_T >= 1.5e-7) and here.field_sigma_T.max() < 3e-6
     border = np.flatnonzero(np.diff(here.lit))
-    assert len(border) and np.all(here.lit_sigma[border] + here.lit_sigma[border + 1] > 0.5) and np.median(here.lit_sigma) == 0
+    assert (
+        len(border)
+        and np.all(here.lit_sigma[border] + here.lit_sigma[border + 1] > 0.5)
+        and np.median(here.lit_sigma) == 0
+    )
     assert np.all(here.albedo_sigma >= 0.49 * np.linalg.norm(here.albedo_light_N, axis=1))
     moved = in_orbit(elements, EPOCH, t, shift_s=20, shift_sigma_s=10).at(t)
     np.testing.assert_allclose(moved.nadir_N[:-1], here.nadir_N[1:], atol=1e-6)
@@ -202,12 +283,17 @@ def test_a_shift_that_drifts_is_known_less_well_far_from_the_middle():
     elements = parse_elements(VZLUSAT, "case")
     t = 86400 * np.array([0.0, 1.0, 2.0])
     plain = in_orbit(elements, EPOCH, t, shift_s=-5.0, shift_sigma_s=10.0)
-    assert plain.drift_sigma_s_day == pytest.approx(np.hypot(0.2 + 0.02 * abs(elements[0].days_to(plain.middle_jd)), 1 / 3))
+    assert plain.drift_sigma_s_day == pytest.approx(
+        np.hypot(0.2 + 0.02 * abs(elements[0].days_to(plain.middle_jd)), 1 / 3)
+    )
     orbit = replace(plain, drift_s_day=20.0, drift_sigma_s_day=3.0)
     when = orbit.instants(t)
     np.testing.assert_allclose(orbit.ahead_s(when), [-25.0, -5.0, 15.0], atol=1e-4)
     np.testing.assert_allclose(orbit.ahead_sigma_s(when) ** 2, [110.0, 101.0, 110.0], rtol=1e-6)
-    at = [replace(plain, shift_s=shift).states(when)[0][k] for k, shift in enumerate((-25.0, -5.0, 15.0))]
+    at = [
+        replace(plain, shift_s=shift).states(when)[0][k]
+        for k, shift in enumerate((-25.0, -5.0, 15.0))
+    ]
     np.testing.assert_allclose(orbit.states(when)[0], at, atol=1.0)
     turning = 360 / 5680 * orbit.ahead_sigma_s(when)
     np.testing.assert_allclose(np.degrees(orbit.at(t).nadir_sigma_rad), turning, rtol=0.02)
@@ -220,10 +306,16 @@ def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
     sun = orbit.at(0.0).sun_N[0]
     t = np.array([0.0, 300.0, 600.0])
     calm = ss.propagate(cube, [0, 0, 0.01], sun, None, t, environment=orbit)
-    pulled = ss.propagate(cube, [0, 0, 0.01], sun, None, t, environment=orbit, torques=["gravity_gradient"])
+    pulled = ss.propagate(
+        cube, [0, 0, 0.01], sun, None, t, environment=orbit, torques=["gravity_gradient"]
+    )
     assert pulled.attrs["frame_N"] == "J2000"
     here = orbit.at(0.0)
-    torque = 3 * np.sum(here.nadir_turn_N[0] ** 2) * np.cross(here.nadir_N[0], cube.inertia_kg_m2 @ here.nadir_N[0])
+    torque = (
+        3
+        * np.sum(here.nadir_turn_N[0] ** 2)
+        * np.cross(here.nadir_N[0], cube.inertia_kg_m2 @ here.nadir_N[0])
+    )
     change = (pulled["momentum_B"] - calm["momentum_B"]).values[1]
     assert 0.2 < np.linalg.norm(change) / (300 * np.linalg.norm(torque)) < 1.5
     local = SunAlongZ.of(orbit)
@@ -231,7 +323,9 @@ def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
     there, turned = orbit.at(t), local.at(t)
     for name in ("field_N", "nadir_N", "albedo_light_N", "nadir_turn_N"):
         expected = (getattr(there, name) * there.sun_N).sum(axis=1)
-        np.testing.assert_allclose((getattr(turned, name) * turned.sun_N).sum(axis=1), expected, atol=1e-12)
+        np.testing.assert_allclose(
+            (getattr(turned, name) * turned.sun_N).sum(axis=1), expected, atol=1e-12
+        )
     assert local.frame_N == "sun_z_local"
 
 
@@ -239,10 +333,15 @@ def test_old_elements_are_warned_about_and_the_nearest_taken():
     far = parse_elements(VZLUSAT, "case")
     t = np.array([0.0, 6000.0])
     orbit = in_orbit(far, "2017-06-25T00:00:00Z", t)
-    assert orbit.notes(t) == ["the elements are 61 days from the telemetry: the place along the track is known to some 50 s"]
+    assert orbit.notes(t) == [
+        "the elements are 61 days from the telemetry: the place along the track is known to some 50 s"
+    ]
     (later,) = parse_elements(_line(VZLUSAT, "17236.90928386", "17240.90928386"), "case")
     both = parse_elements(_line(VZLUSAT, "17236.90928386", "17240.90928386") + VZLUSAT, "case")
-    assert both == (far[0], later) or [one.epoch_jd for one in both] == [far[0].epoch_jd, later.epoch_jd]
+    assert both == (far[0], later) or [one.epoch_jd for one in both] == [
+        far[0].epoch_jd,
+        later.epoch_jd,
+    ]
     assert nearest(both, sum(far[0].epoch_jd) + 1.9).epoch_jd == far[0].epoch_jd
     assert nearest(both, sum(far[0].epoch_jd) + 2.1).epoch_jd == later.epoch_jd
 
@@ -251,7 +350,13 @@ def _line(text: str, old: str, new: str) -> str:
     """Text in lines with their checksums made right again."""
     lines = [line.replace(old, new) for line in text.splitlines()]
     sums = [str(sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10) for line in lines]
-    return "\n".join(line[:68] + sum_ if len(line) == 69 else line for line, sum_ in zip(lines, sums, strict=True)) + "\n"
+    return (
+        "\n".join(
+            line[:68] + sum_ if len(line) == 69 else line
+            for line, sum_ in zip(lines, sums, strict=True)
+        )
+        + "\n"
+    )
 
 
 def _kvn(fields: dict) -> str:
@@ -265,7 +370,13 @@ def _xml(fields: dict) -> str:
 
 @pytest.mark.parametrize(
     "text",
-    [json.dumps([ISS]), json.dumps(ISS), ",".join(ISS) + "\n" + ",".join(map(str, ISS.values())) + "\n", _kvn(ISS), _xml(ISS)],
+    [
+        json.dumps([ISS]),
+        json.dumps(ISS),
+        ",".join(ISS) + "\n" + ",".join(map(str, ISS.values())) + "\n",
+        _kvn(ISS),
+        _xml(ISS),
+    ],
     ids=["list", "json", "csv", "kvn", "xml"],
 )
 def test_an_OMM_is_read_in_each_of_its_forms(text, tmp_path):
@@ -285,24 +396,54 @@ SWAPPED = "\n".join([VANGUARD.splitlines()[1], VANGUARD.splitlines()[0]])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (VANGUARD.replace("4753", "4754"), "case, line 1: the checksum of the line is 3, but its last character says '4';"),
-        (VANGUARD.replace("34.2682", "34.2672"), "case, line 2: the checksum of the line is 6, but its last character says '7'"),
-        (SWAPPED, "case, line 1: line 2 of the elements comes before line 1; exchange the two lines"),
-        (_line(VANGUARD, "2 00005", "2 00006"), "the two lines are of different satellites .found 00005 and 00006."),
-        (_line(VANGUARD, "00179.78", "00479.78"), "the epoch's day of the year must be from 1 to 366 .found 479.78"),
-        (_line(VANGUARD, "348.7242", "34x.7242"), "case, line 2: the columns are not those of a line of elements"),
+        (
+            VANGUARD.replace("4753", "4754"),
+            "case, line 1: the checksum of the line is 3, but its last character says '4';",
+        ),
+        (
+            VANGUARD.replace("34.2682", "34.2672"),
+            "case, line 2: the checksum of the line is 6, but its last character says '7'",
+        ),
+        (
+            SWAPPED,
+            "case, line 1: line 2 of the elements comes before line 1; exchange the two lines",
+        ),
+        (
+            _line(VANGUARD, "2 00005", "2 00006"),
+            "the two lines are of different satellites .found 00005 and 00006.",
+        ),
+        (
+            _line(VANGUARD, "00179.78", "00479.78"),
+            "the epoch's day of the year must be from 1 to 366 .found 479.78",
+        ),
+        (
+            _line(VANGUARD, "348.7242", "34x.7242"),
+            "case, line 2: the columns are not those of a line of elements",
+        ),
         (VANGUARD.splitlines()[0], "line 1 of the elements has no line 2"),
         (VANGUARD[:60], "a line of elements has 69 characters .found 60."),
-        (VANGUARD + VZLUSAT, "the file has elements of 2 satellites .found 5, 42790.; keep those of yours"),
+        (
+            VANGUARD + VZLUSAT,
+            "the file has elements of 2 satellites .found 5, 42790.; keep those of yours",
+        ),
         ("", "no orbital elements here; give two lines that begin with 1 and 2, or an OMM"),
         ("time,px\n1,2\n", "no orbital elements here"),
         ("{", "this is not valid JSON"),
         ("[1]", "the JSON is not an OMM"),
-        (json.dumps({key: value for key, value in ISS.items() if key != "BSTAR"}), "the OMM lacks a key .found BSTAR."),
+        (
+            json.dumps({key: value for key, value in ISS.items() if key != "BSTAR"}),
+            "the OMM lacks a key .found BSTAR.",
+        ),
         (json.dumps(ISS | {"ECCENTRICITY": "high"}), "ECCENTRICITY must be a number .found high."),
-        (json.dumps(ISS | {"EPOCH": "yesterday"}), "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0 .found yesterday."),
+        (
+            json.dumps(ISS | {"EPOCH": "yesterday"}),
+            "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0 .found yesterday.",
+        ),
         (json.dumps(ISS | {"MEAN_MOTION": 0}), "the elements are those of no orbit"),
-        (json.dumps(ISS | {"MEAN_ELEMENT_THEORY": "DSST"}), "the OMM's elements are not for SGP4 .found DSST."),
+        (
+            json.dumps(ISS | {"MEAN_ELEMENT_THEORY": "DSST"}),
+            "the OMM's elements are not for SGP4 .found DSST.",
+        ),
         ("<omm><a>", "this is not valid XML"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><omm/>', "the XML defines entities"),
     ],
@@ -315,5 +456,8 @@ def test_damaged_elements_are_refused_in_one_sentence(text, message):
 
 def test_elements_that_have_decayed_say_so():
     low = parse_elements(_line(VZLUSAT, "15.20921507", "16.40921507"), "case")
-    with pytest.raises(ss.InputError, match="case, line 3: these elements cannot be propagated to the telemetry: .*; give"):
+    with pytest.raises(
+        ss.InputError,
+        match="case, line 3: these elements cannot be propagated to the telemetry: .*; give",
+    ):
         in_orbit(low, "2019-08-24T00:00:00Z", [0.0]).at([0.0])

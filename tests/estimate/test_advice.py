@@ -39,18 +39,31 @@ from tle_twins import make as tle_twin
 from validation import spinners
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
-CUBE = Vehicle("cube", gain_unit="W", inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
-               panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)])  # fmt: skip
+CUBE = Vehicle(
+    "cube",
+    gain_unit="W",
+    inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
+    panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)],
+)
 SPHERE = replace(CUBE, inertia_kg_m2=np.eye(3))
 
 
 def seen(omega, t, seed: int = 1, noise: float = 0.01, body: Vehicle = CUBE) -> xr.Dataset:
     """Powers of a cube that turns freely."""
     run = ss.propagate(body, omega, [0.6, 0.0, 0.8], None, t)
-    power = ss.panel_power(CUBE, run["sun_B"].values) + noise * np.random.default_rng(seed).normal(size=(len(t), 6))
-    variables = {"power_W": (("time", "panel"), np.maximum(power, 0)), "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
-                 "omega": run["omega_B"]}  # fmt: skip
-    return xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
+    power = ss.panel_power(CUBE, run["sun_B"].values) + noise * np.random.default_rng(seed).normal(
+        size=(len(t), 6)
+    )
+    variables = {
+        "power_W": (("time", "panel"), np.maximum(power, 0)),
+        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+        "omega": run["omega_B"],
+    }
+    return xr.Dataset(
+        variables,
+        {"time": t, "panel": list("abcdef")},
+        {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1},
+    )
 
 
 def printed(pattern: str, text: str) -> float:
@@ -64,30 +77,49 @@ TIMES = np.cumsum(10 + 4 * np.random.default_rng(3).random(12))
 
 def test_give_more_effort():
     """A search cut short is complete with the effort that it names, and that is more than what was given."""
-    data, setting = seen([0.01, 0.012, -0.01], TIMES), {"max_rate_rad_s": 0.05, "acceleration_noise": 1e-5}
+    data, setting = (
+        seen([0.01, 0.012, -0.01], TIMES),
+        {"max_rate_rad_s": 0.05, "acceleration_noise": 1e-5},
+    )
     cut = ss.rates(CUBE, data, effort=1e-6, **setting)
     for text in (cut.attrs["verdict"], str(cut["why_not_decided"].values[0])):
         effort = printed(r"give more effort \(`--effort ([\d.e+]+)`\)", text)
         assert effort == 10.0
     assert not cut["search_complete"].values[0]
     done = ss.rates(CUBE, data, effort=effort, **setting)
-    assert done["search_complete"].values[0] and done["decided"].values[0] and "effort" not in done.attrs["verdict"]
+    assert (
+        done["search_complete"].values[0]
+        and done["decided"].values[0]
+        and "effort" not in done.attrs["verdict"]
+    )
     assert printed(r"--effort ([\d.e+]+)", more_effort(20.0)) == 200.0
 
 
 def test_give_a_smaller_largest_rate():
     """With the rate that the sentence names the grid of starts is fine; with one a little larger it is not."""
-    vehicle, data, _ = fast_twin(Kind(60.0, "long", False, "directions"), np.random.default_rng(5), samples=5)
+    vehicle, data, _ = fast_twin(
+        Kind(60.0, "long", False, "directions"), np.random.default_rng(5), samples=5
+    )
     from sunspin.estimate.rates.observe import observations
 
     o, motion = observations(vehicle, data)[0], Motion(Body.of(vehicle), 1e-5, 0.5)
-    limit = np.radians(printed(r"faster than ([\d.]+) deg/s, give it as `--max-rate`", slower(finest(o))))
-    assert coarse(o, motion, 1.0) and not coarse(o, motion, limit) and coarse(o, motion, 1.02 * limit)
+    limit = np.radians(
+        printed(r"faster than ([\d.]+) deg/s, give it as `--max-rate`", slower(finest(o)))
+    )
+    assert (
+        coarse(o, motion, 1.0) and not coarse(o, motion, limit) and coarse(o, motion, 1.02 * limit)
+    )
     result = ss.rates(vehicle, data, max_rate_rad_s=1.0, acceleration_noise=1e-5, effort=1e-9)
-    assert np.degrees(limit) == pytest.approx(printed(r"faster than ([\d.]+) deg/s, give it", result.attrs["verdict"]), rel=1e-3)
-    assert "may have been missed" in result.attrs["verdict"] and "coarse: if no rate" in str(result["why_not_decided"].values[0])
+    assert np.degrees(limit) == pytest.approx(
+        printed(r"faster than ([\d.]+) deg/s, give it", result.attrs["verdict"]), rel=1e-3
+    )
+    assert "may have been missed" in result.attrs["verdict"] and "coarse: if no rate" in str(
+        result["why_not_decided"].values[0]
+    )
     followed = ss.rates(vehicle, data, max_rate_rad_s=limit, acceleration_noise=1e-5, effort=1e-9)
-    assert "missed" not in followed.attrs["verdict"] and "coarse" not in str(followed["why_not_decided"].values[0])
+    assert "missed" not in followed.attrs["verdict"] and "coarse" not in str(
+        followed["why_not_decided"].values[0]
+    )
 
 
 @pytest.mark.long
@@ -100,7 +132,9 @@ def test_state_the_zero_of_a_magnetometer_with_a_sigma(tmp_path):
     written = (tmp_path / "vehicle.toml").read_text("utf-8")
     results = {}
     for sigma in ("", ", sigma = 10000"):
-        (tmp_path / "vehicle.toml").write_text(re.sub("zero = .*", f"zero = {{ value = [0, 0, 0]{sigma} }}", written), "utf-8")
+        (tmp_path / "vehicle.toml").write_text(
+            re.sub("zero = .*", f"zero = {{ value = [0, 0, 0]{sigma} }}", written), "utf-8"
+        )
         vehicle = ss.load_vehicle(tmp_path / "vehicle.toml")
         results[sigma] = ss.rates(vehicle, ss.read_telemetry(tmp_path / "telemetry.csv", vehicle))
     exact, open_zero = results.values()
@@ -115,14 +149,22 @@ def test_say_how_fast_a_wheel_turns(way):
     data = seen([0.01, 0.012, -0.01], TIMES)
     wheel = ss.Wheel("w", [0, 1, 0], 3e-6)
     silent = ss.rates(replace(CUBE, wheels=(wheel,)), data, max_rate_rad_s=0.05, effort=1e-6)
-    assert "give speed_rad_s or a speed_column, or leave out a wheel that stands" in silent.attrs["verdict"]
+    assert (
+        "give speed_rad_s or a speed_column, or leave out a wheel that stands"
+        in silent.attrs["verdict"]
+    )
     told = {
         "speed_rad_s": (replace(CUBE, wheels=(replace(wheel, speed_rad_s=0.01),)), data),
-        "speed_column": (replace(CUBE, wheels=(wheel,)), data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((12, 1))))),
+        "speed_column": (
+            replace(CUBE, wheels=(wheel,)),
+            data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((12, 1)))),
+        ),
         "left out": (CUBE, data),
     }[way]
     result = ss.rates(*told, max_rate_rad_s=0.05, acceleration_noise=1e-5)
-    assert result["decided"].values[0] and "WHEEL" not in result.attrs["verdict"], result["why_not_decided"].values
+    assert result["decided"].values[0] and "WHEEL" not in result.attrs["verdict"], result[
+        "why_not_decided"
+    ].values
 
 
 def test_leave_a_sensor_out():
@@ -130,27 +172,45 @@ def test_leave_a_sensor_out():
     from sunspin.cli.rates import UNUSED
 
     data = seen([0.01, 0.012, -0.01], TIMES)
-    gyro = data["omega"].values + np.radians([3.0, -2.0, 2.5]) + 1e-4 * np.random.default_rng(2).normal(size=(12, 3))
+    gyro = (
+        data["omega"].values
+        + np.radians([3.0, -2.0, 2.5])
+        + 1e-4 * np.random.default_rng(2).normal(size=(12, 3))
+    )
     data = data.assign(gyro_B=(("time", "axis"), gyro))
     vehicle = replace(CUBE, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
     bad = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
     assert not bad["decided"].values[0]
     found = re.search(r"`--without (\w+)` gives the rates of the others", bad.attrs["verdict"])
     assert found is not None, bad.attrs["verdict"]
-    good = ss.rates(vehicle, data.drop_vars(UNUSED[found[1]]), max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
+    good = ss.rates(
+        vehicle,
+        data.drop_vars(UNUSED[found[1]]),
+        max_rate_rad_s=0.1,
+        acceleration_noise=1e-5,
+        wirings=True,
+    )
     assert good["decided"].values[0] and "--without" not in good.attrs["verdict"]
-    assert np.abs(good["omega_mean_B"].values[0, 0] - data["omega"].values.mean(axis=0)).max() < np.radians(0.1)
+    assert np.abs(
+        good["omega_mean_B"].values[0, 0] - data["omega"].values.mean(axis=0)
+    ).max() < np.radians(0.1)
 
 
 @pytest.mark.long
 def test_state_that_sensors_are_late():
     data, run = late_twin("gyro", 5.3, np.random.default_rng(101))
     silent = ss.rates(craft("gyro", None), data, max_rate_rad_s=0.15)
-    line = re.search(r"state (sensors_late_s = \{[^}]*\}) under \[clock\] of the vehicle file", silent.attrs["verdict"])
+    line = re.search(
+        r"state (sensors_late_s = \{[^}]*\}) under \[clock\] of the vehicle file",
+        silent.attrs["verdict"],
+    )
     assert line is not None and "SEEM LATE" in silent.attrs["verdict"], silent.attrs["verdict"]
     clock = parse_vehicle(f'name = "a"\n[clock]\n{line[1]}\n', "a").sensors.clock
     stated = ss.rates(craft("gyro", clock), data, max_rate_rad_s=0.15)
-    assert "SEEM" not in stated.attrs["verdict"] and "late (vehicle file and data)" in stated.attrs["verdict"]
+    assert (
+        "SEEM" not in stated.attrs["verdict"]
+        and "late (vehicle file and data)" in stated.attrs["verdict"]
+    )
     assert abs(stated.attrs["sensors_late_s"] - 5.3) < 3.5 * stated.attrs["sensors_late_sigma_s"]
 
 
@@ -163,7 +223,9 @@ def test_torques_of_most_passes_are_not_stronger_than_in_the_rest_of_the_file():
     assert _models(passes(TORQUES_STRONGER, "as stated"), motion) == [TORQUES_STRONGER, "as stated"]
     for models in ((TORQUES_STRONGER,), (TORQUES_STRONGER, TORQUES_STRONGER, "as stated")):
         named = _models(passes(*models), motion)
-        assert named[0] == "unknown torques stronger than 2e-05 rad/s^1.5" and not any("rest" in name for name in named)
+        assert named[0] == "unknown torques stronger than 2e-05 rad/s^1.5" and not any(
+            "rest" in name for name in named
+        )
 
 
 def test_set_the_scale_that_check_names(tmp_path):
@@ -171,7 +233,9 @@ def test_set_the_scale_that_check_names(tmp_path):
     from sunspin.output.check.files import about_telemetry
 
     made = satellites.six_faces(tmp_path, np.random.default_rng(1))
-    made.vehicle.write_text(made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001"))
+    made.vehicle.write_text(
+        made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001")
+    )
 
     def wrong() -> list[str]:
         lines = about_telemetry(ss.load_vehicle(made.vehicle), made.telemetry, str(made.vehicle))[2]
@@ -192,15 +256,26 @@ def test_give_its_inertia():
     one, products of inertia included, it is, rightly."""
     vehicle, data, run, _ = orbit_twins.make(2, 12)
     taken_for_a_sphere = ss.rates(vehicle, data)
-    verdict, why = taken_for_a_sphere.attrs["verdict"], str(taken_for_a_sphere["why_not_decided"].values[0])
-    assert "GIVE ITS INERTIA" in verdict and "give its inertia" in why and not taken_for_a_sphere["decided"].values[0]
+    verdict, why = (
+        taken_for_a_sphere.attrs["verdict"],
+        str(taken_for_a_sphere["why_not_decided"].values[0]),
+    )
+    assert (
+        "GIVE ITS INERTIA" in verdict
+        and "give its inertia" in why
+        and not taken_for_a_sphere["decided"].values[0]
+    )
     rng = np.random.default_rng(np.random.SeedSequence(2, spawn_key=(12,)))
     _ = orbit_twins.Orbit.drawn(rng), orbit_twins.Ground.drawn(rng)
     body, _ = orbit_twins.drawn_body(rng)
     known = ss.rates(replace(vehicle, inertia_kg_m2=body.inertia), data)
-    assert "INERTIA" not in known.attrs["verdict"] and known["decided"].values[0], known["why_not_decided"].values
+    assert "INERTIA" not in known.attrs["verdict"] and known["decided"].values[0], known[
+        "why_not_decided"
+    ].values
     truth = run["omega_B"].sel(time=known["time"].values).values
-    off = (known["omega_mean_B"].values[0, 0] - truth.mean(axis=0)) / known["omega_sigma_all_B"].values[0]
+    off = (known["omega_mean_B"].values[0, 0] - truth.mean(axis=0)) / known[
+        "omega_sigma_all_B"
+    ].values[0]
     assert np.abs(off).max() < 4
 
 
@@ -210,22 +285,37 @@ def test_a_body_that_is_decided_is_not_asked_for_its_inertia(monkeypatch):
     data = seen([0.01, 0.012, -0.01], TIMES, body=SPHERE)
     result = ss.rates(replace(SPHERE, inertia_kg_m2=None), data, max_rate_rad_s=0.05)
     asked = "GIVE ITS INERTIA" in result.attrs["verdict"]
-    assert result.attrs["acceleration_noise"] < HIGHER_NOISES[0] and bool(result["decided"].values[0]) is not asked
+    assert (
+        result.attrs["acceleration_noise"] < HIGHER_NOISES[0]
+        and bool(result["decided"].values[0]) is not asked
+    )
 
 
 def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
-    return in_orbit(parse_elements("\n".join(given), "twin"), data.attrs["epoch_utc"], data["time"].values, **options)
+    return in_orbit(
+        parse_elements("\n".join(given), "twin"),
+        data.attrs["epoch_utc"],
+        data["time"].values,
+        **options,
+    )
 
 
 def test_turn_the_matrix_round(monkeypatch):
     monkeypatch.setattr(orbit_check, "COPIES", 10)
     vehicle, data, given, about = tle_twin(1, 1)
-    orbit, wrong = in_an_orbit(data, given, shift_sigma_s=about["sigma_s"]), data.assign(field_B=-data["field_B"])
+    orbit, wrong = (
+        in_an_orbit(data, given, shift_sigma_s=about["sigma_s"]),
+        data.assign(field_B=-data["field_B"]),
+    )
     _, _, words = judged_orbit(orbit, vehicle, wrong)
     assert "WITH THE OPPOSITE SIGN: turn its `matrix` round" in words
     part = vehicle.sensors.magnetometer
-    turned = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix)))
-    used, _, words = judged_orbit(orbit, turned, wrong.assign(field_B=-wrong["field_B"]))  # as its columns are read now
+    turned = replace(
+        vehicle, sensors=replace(vehicle.sensors, magnetometer=replace(part, matrix=-part.matrix))
+    )
+    used, _, words = judged_orbit(
+        orbit, turned, wrong.assign(field_B=-wrong["field_B"])
+    )  # as its columns are read now
     assert used is not None and "SIGN" not in words
 
 
@@ -234,7 +324,9 @@ def test_widen_the_shift(monkeypatch):
     vehicle, data, given, about = tle_twin(1, 1)
     found = {}
     for sigma in (abs(about["ahead_s"]) / 6, abs(about["ahead_s"])):
-        found[sigma] = about_orbit_lines(vehicle, data, in_an_orbit(data, given, shift_sigma_s=sigma, shift_s=0.0))
+        found[sigma] = about_orbit_lines(
+            vehicle, data, in_an_orbit(data, given, shift_sigma_s=sigma, shift_s=0.0)
+        )
     narrow, wide = found.values()
     assert any("widen --tle-shift-sigma" in line for line in narrow), narrow
     assert not any("widen" in line for line in wide) and "fit" in wide[0], wide
@@ -252,8 +344,16 @@ def test_more_draws_tell_what_periods_decide(monkeypatch):
     decided = {}
     for count in (4000, 32000):
         tree, _ = philae_draws(count, 0.01)
-        monkeypatch.setattr(of_draws, "periods_of", lambda *_, n=count: np.stack([np.linspace(10, 20, n)] * 3, axis=1))
+        monkeypatch.setattr(
+            of_draws,
+            "periods_of",
+            lambda *_, n=count: np.stack([np.linspace(10, 20, n)] * 3, axis=1),
+        )
         of_draws.with_periods(ss.load_vehicle("philae"), tree, [Period(0.0, 14.0, 0.05)])
         decided[count] = of_draws.period_sentences(tree["period"].to_dataset())
     few, many = decided.values()
-    assert "ask for more --draws" in few[0] and len(many) == 2 and "with periods the angular speed" in many[1]
+    assert (
+        "ask for more --draws" in few[0]
+        and len(many) == 2
+        and "with periods the angular speed" in many[1]
+    )

@@ -38,11 +38,15 @@ def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
     monkeypatch.setattr(calibrate, "check_orbit", lambda *_: start)
     elements = parse_elements("\n".join(twin.elements), "twin")
     time = twin.telemetry["time"].values
-    orbit = in_orbit(elements, twin.telemetry.attrs["epoch_utc"], time, shift_sigma_s=twin.shift_sigma_s)
+    orbit = in_orbit(
+        elements, twin.telemetry.attrs["epoch_utc"], time, shift_sigma_s=twin.shift_sigma_s
+    )
     return ss.calibrate_sensors(twin.vehicle, twin.telemetry, orbit)
 
 
-@pytest.mark.evidence("calibrate_sensors", "modelled", "sensors off by known amounts in an orbit, and sound ones")
+@pytest.mark.evidence(
+    "calibrate_sensors", "modelled", "sensors off by known amounts in an orbit, and sound ones"
+)
 @pytest.mark.long
 @pytest.mark.parametrize("off", [1.0, 0.0])
 def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
@@ -50,26 +54,39 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
     found = calibrated(twin, monkeypatch)
     z = deviations(twin, found)
     kinds = {name.split(".")[0] for name in z}
-    assert kinds == {"panel", "magnetometer", "sun_sensor"} and "magnetometer.matrix" in z and "magnetometer.zero" in z
+    assert (
+        kinds == {"panel", "magnetometer", "sun_sensor"}
+        and "magnetometer.matrix" in z
+        and "magnetometer.zero" in z
+    )
     every = np.abs(np.concatenate(list(z.values())))
     assert np.sqrt((every**2).mean()) < 1.5 and every.max() < 4
     zero = found.isel(quantity=found["key"].values == "magnetometer.zero")
     assert np.all(zero["sigma"].values < 400) and (found["moved"].values.mean() > 0.6) == bool(off)
-    assert found.attrs["field_residual_after_T"] < 3.5e-7 and " samples of twin.csv, 2021-03-" in found.attrs["source"]
+    assert (
+        found.attrs["field_residual_after_T"] < 3.5e-7
+        and " samples of twin.csv, 2021-03-" in found.attrs["source"]
+    )
     text = str(found.sunspin.summary())
     assert "magnetometer.zero = [" in text and "Shift along the track" in text
 
 
-@pytest.mark.evidence("calibrate_sensors", "modelled", "a magnetometer off by a known zero, scale and matrix")
+@pytest.mark.evidence(
+    "calibrate_sensors", "modelled", "a magnetometer off by a known zero, scale and matrix"
+)
 def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
     """Its y is reversed, so a zero that the reversed column has is that of the other sign."""
     twin = make(1, 0, gyro=False)
     part = replace(twin.vehicle.sensors.magnetometer, columns=("x", "-y", "z"))
-    twin = twin._replace(truth=twin.truth | {"magnetometer.zero": twin.truth["magnetometer.zero"] * part.sign})
+    twin = twin._replace(
+        truth=twin.truth | {"magnetometer.zero": twin.truth["magnetometer.zero"] * part.sign}
+    )
     sensors = replace(twin.vehicle.sensors, sun_sensors=(), magnetometer=part)
     data = twin.telemetry.drop_vars(["power_W", "panel", "sun_sensor_angle", "sun_sensor_y_turned"])
     data = data.isel(time=slice(None, None, 3))
-    found = calibrated(twin._replace(vehicle=replace(twin.vehicle, sensors=sensors), telemetry=data), monkeypatch)
+    found = calibrated(
+        twin._replace(vehicle=replace(twin.vehicle, sensors=sensors), telemetry=data), monkeypatch
+    )
     z = deviations(twin, found)
     assert set(z) == {"magnetometer.zero", "magnetometer.matrix", "magnetometer.scale_T"}
     assert np.abs(np.concatenate(list(z.values()))).max() < 4
@@ -81,17 +98,38 @@ def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch
 def test_a_fit_that_the_check_has_made_is_not_made_again(monkeypatch):
     twin = few()
     sigma = np.full(44, 1e-3)
-    made = Calibration(np.append(np.zeros(12), [7.0, 0.5, *np.zeros(30)]), np.diag(sigma**2), np.diag(sigma**2), np.eye(44), 3e-5,
-                       3e4, 6, 3e-7, 1.0, 1.0, np.zeros(2), np.zeros(2), {"field": 80, "field and Sun": 60})  # fmt: skip
-    check = OrbitCheck(0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), made=made)
+    made = Calibration(
+        np.append(np.zeros(12), [7.0, 0.5, *np.zeros(30)]),
+        np.diag(sigma**2),
+        np.diag(sigma**2),
+        np.eye(44),
+        3e-5,
+        3e4,
+        6,
+        3e-7,
+        1.0,
+        1.0,
+        np.zeros(2),
+        np.zeros(2),
+        {"field": 80, "field and Sun": 60},
+    )
+    check = OrbitCheck(
+        0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), made=made
+    )
     monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
     monkeypatch.delattr(calibrate, "fit_in_orbit")
     data = twin.telemetry.drop_vars(["power_W", "panel"])
     elements = parse_elements("\n".join(twin.elements), "twin")
     orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=20.0)
     found = ss.calibrate_sensors(twin.vehicle, data, orbit)
-    assert (found.attrs["shift_s"], found.attrs["drift_s_day"], found.attrs["drift_sigma_s_day"]) == (7.0, 0.5, 1e-3)
-    assert "+7.0 +- 0.0 s in the middle of the file, drifting by +0.5 +- 0.0 s a day" in str(found.sunspin.summary())
+    assert (
+        found.attrs["shift_s"],
+        found.attrs["drift_s_day"],
+        found.attrs["drift_sigma_s_day"],
+    ) == (7.0, 0.5, 1e-3)
+    assert "+7.0 +- 0.0 s in the middle of the file, drifting by +0.5 +- 0.0 s a day" in str(
+        found.sunspin.summary()
+    )
 
 
 def test_passes_are_cut_into_pieces_where_they_are_few():
@@ -100,17 +138,28 @@ def test_passes_are_cut_into_pieces_where_they_are_few():
 
 
 def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
-    with pytest.raises(ss.InputError, match="the elements do not fit the telemetry, which cannot be calibrated with them"):
+    with pytest.raises(
+        ss.InputError,
+        match="the elements do not fit the telemetry, which cannot be calibrated with them",
+    ):
         calibrated(few(), monkeypatch, Verdict.REFUSED)
 
 
 def test_a_field_of_the_wrong_sign_is_not_calibrated(monkeypatch):
-    check = OrbitCheck(0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), sign_turned=True)
+    check = OrbitCheck(
+        0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), sign_turned=True
+    )
     monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
     twin = few()
     data = twin.telemetry.drop_vars(["power_W", "panel"])
-    orbit = in_orbit(parse_elements("\n".join(twin.elements), "twin"), data.attrs["epoch_utc"], data["time"].values)
-    with pytest.raises(ss.InputError, match="reads the field with the opposite sign.* turn its `matrix`"):
+    orbit = in_orbit(
+        parse_elements("\n".join(twin.elements), "twin"),
+        data.attrs["epoch_utc"],
+        data["time"].values,
+    )
+    with pytest.raises(
+        ss.InputError, match="reads the field with the opposite sign.* turn its `matrix`"
+    ):
         ss.calibrate_sensors(twin.vehicle, data, orbit)
 
 
@@ -121,7 +170,11 @@ def test_without_an_orbit_only_the_panels_are_calibrated():
     assert "not determined without an orbit" in found.attrs["notes"]
 
 
-@pytest.mark.evidence("calibrate_sensors", "modelled", "a gyro off by a known zero and scale beside rates found without it")
+@pytest.mark.evidence(
+    "calibrate_sensors",
+    "modelled",
+    "a gyro off by a known zero and scale beside rates found without it",
+)
 def test_a_gyro_is_calibrated_by_rates_found_without_it():
     rng = np.random.default_rng(1)
     off = []
@@ -133,10 +186,18 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
         read = 1.04 * rate + [0.01, -0.02, 0.005] + 5e-4 * rng.normal(size=rate.shape)
         t = np.arange(len(rate)) * 30.0
         found = xr.Dataset(
-            {"omega_B": (("time", "axis"), seen), "omega_cov_B": (("time", "a", "b"), np.tile(1e-6 * np.eye(3), (len(t), 1, 1))),
-             "pass_of": ("time", pass_of), "decided": ("pass_id", np.ones(passes, dtype=bool))}, {"time": t},
-        )  # fmt: skip
-        gyro, data = Gyro(("a", "b", "c"), 1.0, np.zeros(3), 5e-4), xr.Dataset({"gyro_B": (("time", "axis"), read)}, {"time": t})
+            {
+                "omega_B": (("time", "axis"), seen),
+                "omega_cov_B": (("time", "a", "b"), np.tile(1e-6 * np.eye(3), (len(t), 1, 1))),
+                "pass_of": ("time", pass_of),
+                "decided": ("pass_id", np.ones(passes, dtype=bool)),
+            },
+            {"time": t},
+        )
+        gyro, data = (
+            Gyro(("a", "b", "c"), 1.0, np.zeros(3), 5e-4),
+            xr.Dataset({"gyro_B": (("time", "axis"), read)}, {"time": t}),
+        )
         fit = fit_gyro(gyro, data, found)
         sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
         off.append((fit.values - [0.01, -0.02, 0.005, 1.04]) / sigma)
@@ -146,14 +207,23 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
 
 
 def test_the_keys_of_a_gyro_with_reversed_columns_read_it_as_the_fit_says():
-    gyro, read = Gyro(("-a", "b", "-c"), -0.5, [3, 1, 2], 5e-4), np.random.default_rng(1).normal(size=(20, 3))
+    gyro, read = (
+        Gyro(("-a", "b", "-c"), -0.5, [3, 1, 2], 5e-4),
+        np.random.default_rng(1).normal(size=(20, 3)),
+    )
     fit = GyroFit(np.array([0.01, -0.02, 0.005, 1.04]), np.eye(4), np.eye(4), np.ones(4), 20, 3)
     keys = {key.key: key.value for key in calibrate._gyro_keys(gyro, fit)}
     now = replace(gyro, zero=keys["zero"], scale_rad_s=float(keys["scale_rad_s"][0]))
-    np.testing.assert_allclose(now.seen(read)[1], (gyro.seen(read)[1] - fit.values[:3]) / fit.values[3], atol=1e-12)
+    np.testing.assert_allclose(
+        now.seen(read)[1], (gyro.seen(read)[1] - fit.values[:3]) / fit.values[3], atol=1e-12
+    )
 
 
-@pytest.mark.evidence("calibrate_sensors", "modelled", "a gyro off by a known zero and scale, from telemetry to the file's keys")
+@pytest.mark.evidence(
+    "calibrate_sensors",
+    "modelled",
+    "a gyro off by a known zero and scale, from telemetry to the file's keys",
+)
 @pytest.mark.long
 def test_a_gyro_is_calibrated_end_to_end():
     twin = make(1, 0)
@@ -161,10 +231,14 @@ def test_a_gyro_is_calibrated_end_to_end():
     data = twin.telemetry.isel(time=slice(0, begins[5])).drop_vars(["field_B"])
     found = ss.calibrate_sensors(twin.vehicle, data)
     z = deviations(twin, found)
-    assert {"gyro.zero", "gyro.scale_rad_s"} <= set(z) and "passes that are decided without it" in found.attrs["notes"]
+    assert {"gyro.zero", "gyro.scale_rad_s"} <= set(
+        z
+    ) and "passes that are decided without it" in found.attrs["notes"]
     assert np.abs([*z["gyro.zero"], *z["gyro.scale_rad_s"]]).max() < 4
     gyro = found.isel(quantity=np.char.startswith(found["key"].values.astype(str), "gyro."))
-    assert np.all(gyro["sigma"].values < 0.5 * gyro["prior_sigma"].values) and np.all(gyro["written"].values)
+    assert np.all(gyro["sigma"].values < 0.5 * gyro["prior_sigma"].values) and np.all(
+        gyro["written"].values
+    )
 
 
 FILE = """# my satellite
@@ -188,8 +262,12 @@ noise_rad_s = 1
 
 def test_the_copy_keeps_order_and_comments():
     field = ("magnetometer",)
-    new = [NewValue(("panel", "+X"), "relative_gain", 6.5, 0.1, "s"), NewValue(field, "zero", [1.0, 2.0, 3.0], [0.1] * 3, "s"),
-           NewValue(field, "scale_T", 2e-9, 1e-11, "s"), NewValue(("gyro",), "scale_rad_s", 1.1, 0.01, "s")]  # fmt: skip
+    new = [
+        NewValue(("panel", "+X"), "relative_gain", 6.5, 0.1, "s"),
+        NewValue(field, "zero", [1.0, 2.0, 3.0], [0.1] * 3, "s"),
+        NewValue(field, "scale_T", 2e-9, 1e-11, "s"),
+        NewValue(("gyro",), "scale_rad_s", 1.1, 0.01, "s"),
+    ]
     text = rewritten(FILE, new)
     assert [line for line in text.splitlines() if line not in FILE.splitlines()] == [
         'relative_gain = {value = 6.5, sigma = 0.1, source = "s"}   # of the second batch',
@@ -197,7 +275,10 @@ def test_the_copy_keeps_order_and_comments():
         'scale_T = {value = 2e-09, sigma = 1e-11, source = "s"}',
         'scale_rad_s = {value = 1.1, sigma = 0.01, source = "s"}',
     ]
-    assert text.index("scale_T") < text.index("# noise = 5") and tomllib.loads(text)["gyro"]["scale_rad_s"]["value"] == 1.1
+    assert (
+        text.index("scale_T") < text.index("# noise = 5")
+        and tomllib.loads(text)["gyro"]["scale_rad_s"]["value"] == 1.1
+    )
     with pytest.raises(ss.VehicleError, match=r"the vehicle file has no table \[panel\.-X\]"):
         rewritten(FILE, [NewValue(("panel", "-X"), "gain_W", 1.0, 0.1, "s")])
 
@@ -207,18 +288,30 @@ def test_the_command_writes_a_copy_and_never_over_a_file(tmp_path, monkeypatch):
     runner = CliRunner()
     runner.invoke(cli, ["init", "."])
     before = (tmp_path / "vehicle.toml").read_text("utf-8")
-    done = runner.invoke(cli, ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", "new.toml"], catch_exceptions=False)
+    done = runner.invoke(
+        cli,
+        ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", "new.toml"],
+        catch_exceptions=False,
+    )
     assert done.exit_code == 0 and (tmp_path / "vehicle.toml").read_text("utf-8") == before
     new = (tmp_path / "new.toml").read_text("utf-8")
     assert {line for line in before.splitlines() if line.startswith("#")} <= set(new.splitlines())
     for out in ("new.toml", "vehicle.toml"):
-        with pytest.raises(SunspinError, match=f"{out}: this file is there already; choose another --out"):
-            runner.invoke(cli, ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", out], catch_exceptions=False)
+        with pytest.raises(
+            SunspinError, match=f"{out}: this file is there already; choose another --out"
+        ):
+            runner.invoke(
+                cli,
+                ["calibrate-sensors", "vehicle.toml", "telemetry.csv", "--out", out],
+                catch_exceptions=False,
+            )
     assert (tmp_path / "new.toml").read_text("utf-8") == new
 
 
 def test_a_calibrated_file_is_used(tmp_path):
-    text = FILE + """[telemetry]
+    text = (
+        FILE
+        + """[telemetry]
 time_column = "t"
 time_format = "unix"
 [[sun_sensor]]
@@ -234,7 +327,10 @@ y_bias_rad = -0.1
 x_sigma_rad = 0.02
 y_sigma_rad = 0.02
 """
-    text = text.replace("# noise = 5", "matrix = [[1, 0.1, 0], [0, 1, 0], [0, 0, 2]]").replace("[0, 0, 0]", "[1, 2, 3]")
+    )
+    text = text.replace("# noise = 5", "matrix = [[1, 0.1, 0], [0, 1, 0], [0, 0, 2]]").replace(
+        "[0, 0, 0]", "[1, 2, 3]"
+    )
     (tmp_path / "v.toml").write_text(text, "utf-8")
     (tmp_path / "t.csv").write_text("t,a,b,c,u,v\n0,11,12,13,5,-10\n1,1,2,4,5,-10\n", "utf-8")
     data = ss.read_telemetry(tmp_path / "t.csv", ss.load_vehicle(tmp_path / "v.toml"))

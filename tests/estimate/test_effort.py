@@ -15,7 +15,11 @@ from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
-SPHERE = Vehicle("sphere", gain_unit="W", panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)])
+SPHERE = Vehicle(
+    "sphere",
+    gain_unit="W",
+    panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)],
+)
 
 
 def test_what_is_spent_counts_in_all_that_it_is_part_of():
@@ -43,16 +47,31 @@ def test_an_effort_is_positive(given):
 @pytest.mark.parametrize("given", ["0", "nan", "-3"])
 def test_an_effort_on_the_command_line_is_positive(given):
     done = CliRunner().invoke(command, ["vehicle", "telemetry", "--effort", given])
-    assert isinstance(done.exception, ss.InputError) and "--effort must be a positive number or inf" in str(done.exception)
+    assert isinstance(
+        done.exception, ss.InputError
+    ) and "--effort must be a positive number or inf" in str(done.exception)
 
 
 def seen(n):
     """A sphere seen every 40 s, which leaves doubt about whole turns."""
     t = 40.0 * np.arange(n)
-    run = ss.propagate(Vehicle("truth", inertia_kg_m2=np.eye(3)), [0.004, -0.003, 0.012], [0.6, 0.0, 0.8], None, t)
-    power = np.maximum(ss.panel_power(SPHERE, run["sun_B"].values) + 0.02 * np.random.default_rng(1).normal(size=(n, 6)), 0)
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(n, dtype=np.uint8))}
-    return xr.Dataset(variables, {"time": t, "panel": list("abcdef")}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})
+    run = ss.propagate(
+        Vehicle("truth", inertia_kg_m2=np.eye(3)), [0.004, -0.003, 0.012], [0.6, 0.0, 0.8], None, t
+    )
+    power = np.maximum(
+        ss.panel_power(SPHERE, run["sun_B"].values)
+        + 0.02 * np.random.default_rng(1).normal(size=(n, 6)),
+        0,
+    )
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(n, dtype=np.uint8)),
+    }
+    return xr.Dataset(
+        variables,
+        {"time": t, "panel": list("abcdef")},
+        {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1},
+    )
 
 
 def test_a_search_that_may_not_go_on_ends_with_what_it_has():
@@ -70,7 +89,15 @@ def test_a_search_that_may_not_go_on_ends_with_what_it_has():
 def test_a_cut_search_is_never_decided():
     setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.06}
     usual, cut = (ss.rates(SPHERE, seen(4), effort=effort, **setting) for effort in (1.0, 1e-6))
-    assert usual.attrs["cut_passes"] == 0 and usual["search_complete"].all() and "CUT" not in usual.attrs["verdict"]
-    assert cut.attrs["cut_passes"] == 1 and not cut["search_complete"].any() and not cut["decided"].any()
+    assert (
+        usual.attrs["cut_passes"] == 0
+        and usual["search_complete"].all()
+        and "CUT" not in usual.attrs["verdict"]
+    )
+    assert (
+        cut.attrs["cut_passes"] == 1
+        and not cut["search_complete"].any()
+        and not cut["decided"].any()
+    )
     assert "CUT SHORT" in cut.attrs["verdict"] and cut.attrs["effort"] < usual.attrs["effort"]
     assert np.isfinite(cut["omega_mean_B"].values[:, 0]).all()

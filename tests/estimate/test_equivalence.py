@@ -34,8 +34,14 @@ X, Y, Z = (np.diag(1.0 - 2 * np.eye(3)[k]) for k in range(3))
 def body(normals=FACES, names=NAMES, gains=None, **more) -> Vehicle:
     """Panels in W on a body whose three moments differ by far more than their sigmas."""
     size = np.ones(len(names)) if gains is None else gains
-    panels = [Panel(name, np.array(n) / np.linalg.norm(n), float(g)) for name, n, g in zip(names, normals, size, strict=True)]
-    return Vehicle("body", **{"inertia_kg_m2": np.diag([0.04, 0.06, 0.08]), "gain_unit": "W", "panels": panels} | more)
+    panels = [
+        Panel(name, np.array(n) / np.linalg.norm(n), float(g))
+        for name, n, g in zip(names, normals, size, strict=True)
+    ]
+    return Vehicle(
+        "body",
+        **{"inertia_kg_m2": np.diag([0.04, 0.06, 0.08]), "gain_unit": "W", "panels": panels} | more,
+    )
 
 
 def lit(vehicle: Vehicle, **more) -> Observed:
@@ -56,14 +62,18 @@ def test_two_opposite_columns_exchanged_are_a_mirror_of_the_file_as_it_is_writte
     for a, b, mirror in ((0, 3, X), (1, 4, Y), (2, 5, Z)):
         (found,) = equivalence(lit(cube), AS_WRITTEN, exchange(cube, a, b))
         np.testing.assert_allclose(found, mirror, atol=1e-12)
-        np.testing.assert_allclose(rate_under(found, np.array([1.0, 2.0, 3.0])), -mirror @ [1.0, 2.0, 3.0], atol=1e-12)
+        np.testing.assert_allclose(
+            rate_under(found, np.array([1.0, 2.0, 3.0])), -mirror @ [1.0, 2.0, 3.0], atol=1e-12
+        )
     assert not len(equivalence(lit(cube), AS_WRITTEN, exchange(cube, 0, 1)))
 
 
 def test_exchanges_that_a_turn_about_a_corner_of_the_cube_maps_are_equivalent():
     """+x to +y to +z to +x: of a body whose moments are alike it leaves nothing to see; moments that differ tell."""
     cube, order = body(), [1, 2, 0, 4, 5, 3]
-    corner = Change("the panels of the body turned about a corner", columns=tuple(np.argsort(order)))
+    corner = Change(
+        "the panels of the body turned about a corner", columns=tuple(np.argsort(order))
+    )
     ball = replace(cube, inertia_kg_m2=0.05 * np.eye(3))
     (found,) = equivalence(lit(ball), AS_WRITTEN, corner)
     assert np.linalg.det(found) == pytest.approx(1.0) and np.trace(found) == pytest.approx(0.0)
@@ -95,18 +105,25 @@ def test_with_wings_the_columns_of_two_opposite_panels_alone_are_seen():
     assert both.what == f"{pair('+x', '-x')}, and {pair('wa', 'wb')}"
     np.testing.assert_allclose(matrix, X, atol=1e-12)
     wing = exchange(craft, 5, 6)
-    assert names(alike(lit(craft), wing, column_changes(craft, empty))) == {wing.what, pair("+x", "-x")}
+    assert names(alike(lit(craft), wing, column_changes(craft, empty))) == {
+        wing.what,
+        pair("+x", "-x"),
+    }
 
 
 def test_gains_count_within_their_sigmas_and_only_their_ratios_where_the_scale_is_free():
     def facts(sigma: float) -> dict[str, Fact]:
         return {f"panel.{name}.gain_W": Fact(1.0, sigma) for name in NAMES}
 
-    other = body(gains=[1, 1, 1, 1.1, 1, 1], facts=facts(0.01))  # seven sigmas of the difference, in two columns
+    other = body(
+        gains=[1, 1, 1, 1.1, 1, 1], facts=facts(0.01)
+    )  # seven sigmas of the difference, in two columns
     assert not len(equivalence(lit(other), AS_WRITTEN, exchange(other, 0, 3)))
     wide = replace(other, facts=facts(0.05))
     assert len(equivalence(lit(wide), AS_WRITTEN, exchange(wide, 0, 3))) == 1
-    three = body(gains=[1, 1, 1, 1.2, 1.2, 1.2], facts=facts(0.01))  # the opposite of each lit panel is brighter
+    three = body(
+        gains=[1, 1, 1, 1.2, 1.2, 1.2], facts=facts(0.01)
+    )  # the opposite of each lit panel is brighter
     observed = Observed(three, np.array([True, True, True, False, False, False]))
     opposite = Change("all columns exchanged", columns=(3, 4, 5, 0, 1, 2))
     assert not len(equivalence(observed, AS_WRITTEN, opposite))
@@ -117,14 +134,21 @@ def test_gains_count_within_their_sigmas_and_only_their_ratios_where_the_scale_i
 
 def test_moments_count_within_their_sigmas():
     """+x with +y exchanged is -x with -y exchanged seen in a mirror, if the moments about x and y are alike."""
-    near = body(inertia_kg_m2=np.diag([0.0600, 0.0606, 0.09]))  # a percent apart: as the sigma that is assumed
+    near = body(
+        inertia_kg_m2=np.diag([0.0600, 0.0606, 0.09])
+    )  # a percent apart: as the sigma that is assumed
     far = body(inertia_kg_m2=np.diag([0.060, 0.066, 0.09]))
     assert len(equivalence(lit(near), exchange(near, 0, 1), exchange(near, 3, 4))) == 1
     assert not len(equivalence(lit(far), exchange(far, 0, 1), exchange(far, 3, 4)))
     known = {"body.inertia_kg_m2": Fact(((0, 0, 0), (0, 0, 0), (0, 0, 0)), 0.003)}
-    assert len(equivalence(lit(replace(far, facts=known)), exchange(far, 0, 1), exchange(far, 3, 4))) == 1
+    assert (
+        len(equivalence(lit(replace(far, facts=known)), exchange(far, 0, 1), exchange(far, 3, 4)))
+        == 1
+    )
     product = body(inertia_kg_m2=np.array([[0.04, 0.006, 0], [0.006, 0.06, 0], [0, 0, 0.08]]))
-    assert not len(equivalence(lit(product), AS_WRITTEN, exchange(product, 0, 3)))  # a mirror reverses the product xy
+    assert not len(
+        equivalence(lit(product), AS_WRITTEN, exchange(product, 0, 3))
+    )  # a mirror reverses the product xy
     assert len(equivalence(lit(product), AS_WRITTEN, exchange(product, 2, 5))) == 1
 
 
@@ -149,38 +173,67 @@ def test_panels_in_a_plane_leave_its_mirror():
 
 def test_the_columns_of_a_half_turn_are_exchanged_together():
     """A wheel along z forbids the mirrors along x and y, and not the half turn about z, which exchanges both pairs of columns."""
-    sides = body(FACES[[0, 1, 3, 4, 2]], ("+x", "+y", "-x", "-y", "+z"), wheels=(Wheel("w", [0, 0, 1], 1e-4, 300.0),))
+    sides = body(
+        FACES[[0, 1, 3, 4, 2]],
+        ("+x", "+y", "-x", "-y", "+z"),
+        wheels=(Wheel("w", [0, 0, 1], 1e-4, 300.0),),
+    )
     empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 5)))})
     observed = lit(sides, momenta=np.full((1, 20, 3), [0.0, 0.0, 0.5]))
-    assert names(unseen_changes(observed, empty)) == {"panel +z looking the other way"}  # a mirror along the wheel's axis
-    assert not unseen_changes(replace(observed, momenta=np.full((1, 20, 3), [0.2, 0.3, 0.4])), empty)
-    six = body(wheels=sides.wheels, inertia_kg_m2=np.array([[0.04, 0.01, 0], [0.01, 0.06, 0], [0, 0, 0.08]]))
+    assert names(unseen_changes(observed, empty)) == {
+        "panel +z looking the other way"
+    }  # a mirror along the wheel's axis
+    assert not unseen_changes(
+        replace(observed, momenta=np.full((1, 20, 3), [0.2, 0.3, 0.4])), empty
+    )
+    six = body(
+        wheels=sides.wheels,
+        inertia_kg_m2=np.array([[0.04, 0.01, 0], [0.01, 0.06, 0], [0, 0, 0.08]]),
+    )
     empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 6)))})
-    both = next(one for one in symmetric_exchanges(six) if one.what == f"{pair('+x', '-x')}, and {pair('+y', '-y')}")
+    both = next(
+        one
+        for one in symmetric_exchanges(six)
+        if one.what == f"{pair('+x', '-x')}, and {pair('+y', '-y')}"
+    )
     (turn,) = equivalence(replace(lit(six), momenta=observed.momenta), AS_WRITTEN, both)
     np.testing.assert_allclose(turn, X @ Y, atol=1e-12)
-    assert names(unseen_changes(replace(lit(six), momenta=observed.momenta), empty)) == {pair("+z", "-z")}  # one mistake before two
+    assert names(unseen_changes(replace(lit(six), momenta=observed.momenta), empty)) == {
+        pair("+z", "-z")
+    }  # one mistake before two
 
 
 def test_a_motion_is_not_unique_if_its_symmetric_one_is_not_listed():
     """Sides only: the mirror along z changes no reading. With a panel on +z, lit or dark, the readings tell."""
-    ring, omega, sigma = body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y")), np.radians([1.0, -2.0, 3.0]), np.full((2, 3), 1e-3)
+    ring, omega, sigma = (
+        body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y")),
+        np.radians([1.0, -2.0, 3.0]),
+        np.full((2, 3), 1e-3),
+    )
     sun = np.array([[0.6, 0.7, 0.4], [-0.7, 0.6, 0.4], [-0.6, -0.7, 0.4], [0.7, -0.6, -0.4]])
     observed = lit(ring, sun_B=sun / np.linalg.norm(sun, axis=1)[:, None])
     mirrored = rate_under(Z, omega)
     assert _unlisted(observed, np.array([omega, np.full(3, np.nan)]), sigma, 0.01)
     assert not _unlisted(observed, np.array([omega, mirrored]), sigma, 0.01)
     top, low = body(FACES[:5], NAMES[:5]), sun * [1.0, 1.0, 0.25]
-    for suns, seen in ((sun, True), (low, False)):  # at most a tenth of full Sun on +z: not lit, and ten sigmas of noise
-        observed = Observed(top, np.array([True, True, seen, True, True]), sun_B=suns / np.linalg.norm(suns, axis=1)[:, None])
+    for suns, seen in (
+        (sun, True),
+        (low, False),
+    ):  # at most a tenth of full Sun on +z: not lit, and ten sigmas of noise
+        observed = Observed(
+            top,
+            np.array([True, True, seen, True, True]),
+            sun_B=suns / np.linalg.norm(suns, axis=1)[:, None],
+        )
         assert len(equivalence(observed, AS_WRITTEN, AS_WRITTEN)) == (1 if seen else 2)
         assert not _unlisted(observed, omega[None], sigma[:1], 0.01)
 
 
 SENSORS = Sensors(
-    gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3), magnetometer=Magnetometer(("u", "v", "w"), np.zeros(3), 0.02),
+    gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3),
+    magnetometer=Magnetometer(("u", "v", "w"), np.zeros(3), 0.02),
     attitude=Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +247,11 @@ def test_a_sensor_that_was_read_tells_unless_its_axes_are_mirrored_too(sensor, a
     axes = Change("other axes", axes={sensor: as_read})
     (found,) = equivalence(observed, axes, columns)
     np.testing.assert_allclose(found, X, atol=1e-12)
-    assert not len(equivalence(replace(observed, sensors=frozenset({sensor, "attitude_B_from_N"})), axes, columns))
+    assert not len(
+        equivalence(
+            replace(observed, sensors=frozenset({sensor, "attitude_B_from_N"})), axes, columns
+        )
+    )
 
 
 def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():
@@ -203,7 +260,9 @@ def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():
     observed = lit(craft, sensors=frozenset({"field_B"}))
     assert len(equivalence(observed, field, exchange(craft, 0, 3))) == 1
     assert not len(equivalence(replace(observed, in_orbit=True), field, exchange(craft, 0, 3)))
-    assert len(equivalence(lit(craft, in_orbit=True), AS_WRITTEN, exchange(craft, 0, 3))) == 1  # the Sun alone is one direction
+    assert (
+        len(equivalence(lit(craft, in_orbit=True), AS_WRITTEN, exchange(craft, 0, 3))) == 1
+    )  # the Sun alone is one direction
 
 
 @pytest.mark.parametrize(("shared", "count"), [(("x",), 2), (("x", "y", "z"), 8)])

@@ -19,8 +19,21 @@ def made() -> Calibration:
     model = half @ half.T
     wider = np.where(np.arange(19) % 2, 2.0, 0.5)
     values = 0.05 * rng.normal(size=19)
-    return Calibration(values, model, model * np.outer(wider, wider), np.eye(19), 3e-5, 600.0, 1, 1e-6, 1.0, 1.0,
-                       np.zeros(2), np.zeros(2), {"field": 300})  # fmt: skip
+    return Calibration(
+        values,
+        model,
+        model * np.outer(wider, wider),
+        np.eye(19),
+        3e-5,
+        600.0,
+        1,
+        1e-6,
+        1.0,
+        1.0,
+        np.zeros(2),
+        np.zeros(2),
+        {"field": 300},
+    )
 
 
 def numbers(one: Calibration) -> np.ndarray:
@@ -29,14 +42,27 @@ def numbers(one: Calibration) -> np.ndarray:
 
 def test_errors_are_those_of_the_fit_carried_to_matrix_zero_and_place():
     fit = made()
-    slope = np.stack([(numbers(replace(fit, values=fit.values + step)) - numbers(replace(fit, values=fit.values - step))) / 2e-6
-                      for step in 1e-6 * np.eye(19)], axis=1)  # fmt: skip
+    slope = np.stack(
+        [
+            (
+                numbers(replace(fit, values=fit.values + step))
+                - numbers(replace(fit, values=fit.values - step))
+            )
+            / 2e-6
+            for step in 1e-6 * np.eye(19)
+        ],
+        axis=1,
+    )
     found = _of_sensors(fit, fit.shift_s, fit.shift_sigma_s)
     expected = slope @ fit.covariance @ slope.T
     expected[12] /= fit.shift_sigma_s
     expected[:, 12] /= fit.shift_sigma_s
     size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found.errors.T @ found.errors / np.outer(size, size), expected / np.outer(size, size), atol=1e-6)
+    np.testing.assert_allclose(
+        found.errors.T @ found.errors / np.outer(size, size),
+        expected / np.outer(size, size),
+        atol=1e-6,
+    )
     np.testing.assert_array_equal(np.diag(fit.covariance) >= np.diag(fit.model), True)
     np.testing.assert_allclose(np.diag(fit.covariance)[1], 4 * np.diag(fit.model)[1], rtol=1e-9)
 
@@ -63,7 +89,9 @@ def test_a_reading_is_no_better_than_its_strength():
     errors = np.zeros((13, 13))
     errors[0, 0] = 1e-9  # of the matrix's first element
     vague = replace(calibration, errors=errors)
-    assert vague.sigma_T(1.2 * reading[:1], field[:1], np.zeros((1, 3)))[0] < 1.1 * noise  # it explains the strength along x
+    assert (
+        vague.sigma_T(1.2 * reading[:1], field[:1], np.zeros((1, 3)))[0] < 1.1 * noise
+    )  # it explains the strength along x
     errors = np.zeros((13, 13))
     errors[12, 12] = 1.0  # of the place, a sigma of which changes the strength by 7 uT
     far = replace(calibration, errors=errors)

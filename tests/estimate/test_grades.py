@@ -19,7 +19,10 @@ from vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
 GRID = [-0.1 + 0.015 * np.arange(25), 0.2 + 0.015 * np.arange(24), 0.06 + 0.015 * np.arange(11)]
-TARGETS = [np.random.default_rng(1).uniform(0.05, 1, 20), np.random.default_rng(2).uniform(-1, 1, 20)]
+TARGETS = [
+    np.random.default_rng(1).uniform(0.05, 1, 20),
+    np.random.default_rng(2).uniform(-1, 1, 20),
+]
 FACTORS = [1.1, 1.5]
 
 
@@ -47,7 +50,9 @@ def test_sets_are_those_of_the_scan_that_runs_each_motion(small, each_run, reach
         found = scanned(target, factors=FACTORS, thresholds=[limit])
         run = found["exact"].values
         assert 0.15 < run.mean() < 0.9 and found.min() == wanted.min()
-        assert np.array_equal(found.values[run], wanted.values[run]) and np.all(found["emd_bound"].values[run] == 0)
+        assert np.array_equal(found.values[run], wanted.values[run]) and np.all(
+            found["emd_bound"].values[run] == 0
+        )
         for factor in FACTORS:
             assert np.array_equal(near_minimum(found, factor), near_minimum(wanted, factor))
         assert np.array_equal(below(found, limit), below(wanted, limit))
@@ -75,7 +80,10 @@ def test_bits_hang_on_neither_order_workers_chunks_nor_resuming(small, tmp_path,
 
 def field(shape=(31, 30, 29), bumps=0.0):
     """A smooth function of the place in a grid, and noise in a corner of it; a share of bumps anywhere."""
-    rng, at = np.random.default_rng(3), np.stack(np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij"))
+    rng, at = (
+        np.random.default_rng(3),
+        np.stack(np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")),
+    )
     smooth = 0.05 + 0.1 * np.abs((at**2).sum(axis=0) - 0.8) + 0.02 * at[0]
     rough = np.where((at > 0.2).all(axis=0), rng.uniform(-0.02, 0.02, shape), 0)
     return smooth + rough + 0.03 * (rng.random(shape) < bumps)
@@ -135,33 +143,68 @@ def test_what_was_run_is_kept_and_told(small, tmp_path):
 
 @pytest.mark.parametrize(
     ("speed", "duration", "mode", "wanted"),
-    [(865, 2640, "coast", True), (865, 2640, "hold", False), (0, 2640, "coast", False), (865, 60, "coast", False),
-     (865, 6000, "coast", False)],
-)  # fmt: skip
+    [
+        (865, 2640, "coast", True),
+        (865, 2640, "hold", False),
+        (0, 2640, "coast", False),
+        (865, 60, "coast", False),
+        (865, 6000, "coast", False),
+    ],
+)
 def test_where_wheels_do_not_slow_down_each_motion_is_run(small, speed, duration, mode, wanted):
     start = Start.on_grid(PHILAE, GRID, FIRST_SUN, speed)
-    assert grades.applies(EmdRows(PHILAE, start, TARGETS[0], None, duration, wheel_mode=mode)) == wanted
+    assert (
+        grades.applies(EmdRows(PHILAE, start, TARGETS[0], None, duration, wheel_mode=mode))
+        == wanted
+    )
 
 
 def test_with_several_wheels_each_motion_is_run(small):
-    two = replace(PHILAE, wheels=[PHILAE.wheels[0], replace(PHILAE.wheels[0], name="other", axis_B=[1.0, 0.0, 0.0])])
+    two = replace(
+        PHILAE,
+        wheels=[PHILAE.wheels[0], replace(PHILAE.wheels[0], name="other", axis_B=[1.0, 0.0, 0.0])],
+    )
     start = Start.on_grid(two, GRID, FIRST_SUN, [865, 865])
     assert not grades.applies(EmdRows(two, start, TARGETS[0], None, 2640))
 
 
 def test_small_scans_run_each_motion_and_say_so():
     found = ss.scan(PHILAE, [0.5], FIRST_SUN, [0.1, 0.2], [0.1], [0.0], 865.0, 60.0, factors=[1.1])
-    assert found["exact"].all() and (found["emd_bound"] == 0).all() and found.attrs["factors"] == [1.1]
+    assert (
+        found["exact"].all() and (found["emd_bound"] == 0).all() and found.attrs["factors"] == [1.1]
+    )
 
 
-NO_LIMITS = (3, None, "1.1", ("x",), [None], [np.nan], [np.inf], [-1], [0], [[1.1, 1.2]], [[1.1], [1.2, 1.3]], {"a": 1}, [True],
-             [1.1, "x"], [1 + 1j], np.array([[1.1]]), np.array(1.1), [10**400], [b"2"], [object()])  # fmt: skip
+NO_LIMITS = (
+    3,
+    None,
+    "1.1",
+    ("x",),
+    [None],
+    [np.nan],
+    [np.inf],
+    [-1],
+    [0],
+    [[1.1, 1.2]],
+    [[1.1], [1.2, 1.3]],
+    {"a": 1},
+    [True],
+    [1.1, "x"],
+    [1 + 1j],
+    np.array([[1.1]]),
+    np.array(1.1),
+    [10**400],
+    [b"2"],
+    [object()],
+)
 
 
 @pytest.mark.parametrize("name", ["factors", "thresholds"])
 def test_what_are_no_limits_is_a_sentence(name):
     for given in NO_LIMITS:
-        with pytest.raises(InputError, match=r"(number above 1|positive number) \(found .*give a list of them"):
+        with pytest.raises(
+            InputError, match=r"(number above 1|positive number) \(found .*give a list of them"
+        ):
             ss.scan(PHILAE, [0.5], FIRST_SUN, [0.1], [0.1], [0.0], 865.0, 60.0, **{name: given})
 
 

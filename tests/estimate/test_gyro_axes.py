@@ -26,24 +26,57 @@ def odd(i: int, speed_rad_s: float) -> Odd:
     """Twelve panels somehow, a wheel that turns a rate round by 12 rad in an interval of 12 s at 300 rad/s, a gyro."""
     rng = np.random.default_rng(i)
     normals = rng.normal(size=(12, 3))
-    panels = tuple(Panel(f"p{k}", n / np.linalg.norm(n), rng.uniform(0.5, 1.5)) for k, n in enumerate(normals))
+    panels = tuple(
+        Panel(f"p{k}", n / np.linalg.norm(n), rng.uniform(0.5, 1.5)) for k, n in enumerate(normals)
+    )
     inertia = np.array([[0.9, 0.05, 0.02], [0.05, 1.2, -0.03], [0.02, -0.03, 1.5]])
-    gyro = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, 1e-3), scale_sigma=0.01)
-    craft = Vehicle("odd", inertia_kg_m2=inertia, gain_unit="W", panels=panels, telemetry=TelemetryForm(noise=0.02),
-                    wheels=(Wheel("w", AXIS, 0.004, speed_rad_s),), sensors=Sensors(gyro=gyro))  # fmt: skip
+    gyro = Gyro(
+        ("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, 1e-3), scale_sigma=0.01
+    )
+    craft = Vehicle(
+        "odd",
+        inertia_kg_m2=inertia,
+        gain_unit="W",
+        panels=panels,
+        telemetry=TelemetryForm(noise=0.02),
+        wheels=(Wheel("w", AXIS, 0.004, speed_rad_s),),
+        sensors=Sensors(gyro=gyro),
+    )
     t, omega, sun = np.arange(40) * 12.0, rng.normal(size=3), rng.normal(size=3)
-    run = ss.propagate(craft, np.radians(3.0) * omega / np.linalg.norm(omega), sun / np.linalg.norm(sun), [speed_rad_s], t)
-    power = np.maximum(ss.panel_power(craft, run["sun_B"].values) + 0.02 * rng.normal(size=(40, 12)), 0.0)
+    run = ss.propagate(
+        craft,
+        np.radians(3.0) * omega / np.linalg.norm(omega),
+        sun / np.linalg.norm(sun),
+        [speed_rad_s],
+        t,
+    )
+    power = np.maximum(
+        ss.panel_power(craft, run["sun_B"].values) + 0.02 * rng.normal(size=(40, 12)), 0.0
+    )
     rate = run["omega_B"].values
-    read = rate * (1 + 0.01 * rng.normal()) + 1e-3 * rng.normal(size=3) + 1e-3 * rng.normal(size=rate.shape)
-    data = {"power_W": (("time", "panel"), power), "gyro_B": (("time", "axis"), read), "flag": ("time", np.zeros(40, np.uint8))}
+    read = (
+        rate * (1 + 0.01 * rng.normal())
+        + 1e-3 * rng.normal(size=3)
+        + 1e-3 * rng.normal(size=rate.shape)
+    )
+    data = {
+        "power_W": (("time", "panel"), power),
+        "gyro_B": (("time", "axis"), read),
+        "flag": ("time", np.zeros(40, np.uint8)),
+    }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return Odd(craft, xr.Dataset(data, {"time": t, "panel": list(craft.panel_names)}, attrs), rate)
 
 
 @pytest.mark.parametrize(("count", "named"), [(2, 5), pytest.param(6, 12, marks=pytest.mark.long)])
-@pytest.mark.evidence("rates", "modelled", "one axis of a gyro reversed where a strong wheel turns the rate round between samples")
-def test_a_reversed_axis_is_named_although_a_wheel_turns_the_rate_round_between_samples(count, named):
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "one axis of a gyro reversed where a strong wheel turns the rate round between samples",
+)
+def test_a_reversed_axis_is_named_although_a_wheel_turns_the_rate_round_between_samples(
+    count, named
+):
     """Three axes of each satellite reversed; the right reading is never accused, and no other is named."""
     told = []
     for i in range(count):
@@ -52,6 +85,8 @@ def test_a_reversed_axis_is_named_although_a_wheel_turns_the_rate_round_between_
         for k in range(3):
             read = made.telemetry["gyro_B"].values * (1 - 2 * np.eye(3)[k])
             signs = ", ".join(f"{'-' if j == k else '+'}{axis}" for j, axis in enumerate("xyz"))
-            found = wrong_gyro_axes(made.vehicle, made.telemetry.assign(gyro_B=(("time", "axis"), read)))
+            found = wrong_gyro_axes(
+                made.vehicle, made.telemetry.assign(gyro_B=(("time", "axis"), read))
+            )
             told.append(None if found is None else f"({signs})" in found)
     assert False not in told and told.count(True) >= named

@@ -10,7 +10,9 @@ Z = (np.arange(400_000) + 0.5) / 200_000 - 1
 
 def area(hist, target, weights) -> float:
     """Half the integral of |C_r - C_n| over [-1, 1], by the midpoint rule."""
-    ours = np.interp(Z, np.linspace(-1, 1, BINS + 1), np.concatenate([[0.0], np.cumsum(hist)]) / hist.sum())
+    ours = np.interp(
+        Z, np.linspace(-1, 1, BINS + 1), np.concatenate([[0.0], np.cumsum(hist)]) / hist.sum()
+    )
     order = np.argsort(target)
     steps = np.concatenate([[0.0], np.cumsum(weights[order])]) / weights.sum()
     return float(np.abs(ours - steps[np.searchsorted(target[order], Z, side="right")]).mean())
@@ -38,7 +40,9 @@ def test_by_hand():
     width = 2 / BINS
     emd, _ = distances_to(hist, target_segments([1.0]))
     np.testing.assert_allclose(emd, [1 - width / 4, width / 4], rtol=0, atol=1e-14)
-    emd, _ = distances_to(hist, target_segments([-1 + width / 2]))  # the mass lies to both sides, a quarter of the bin away
+    emd, _ = distances_to(
+        hist, target_segments([-1 + width / 2])
+    )  # the mass lies to both sides, a quarter of the bin away
     assert emd[0] == pytest.approx(width / 8, abs=1e-14)
 
 

@@ -13,7 +13,14 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.philae.contributions import contributions, philae_extras, text
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 SUN = np.array([[0.48, 0.60, 0.64]])
 NOISE = 0.02
 
@@ -30,7 +37,9 @@ def told(vehicle: Vehicle, rate, t, priors) -> Information:
     return Information(unknown, exact_readings(unknown, state, t, NOISE), state)
 
 
-@pytest.mark.evidence("posterior", "verified", "the information that readings hold, against a closed form")
+@pytest.mark.evidence(
+    "posterior", "verified", "the information that readings hold, against a closed form"
+)
 def test_of_a_body_at_rest_it_is_that_of_the_closed_form():
     """About rest dr = r x omega t - and three lit faces measure r - so that information on omega is sum t^2 [r]^T [r] / sigma^2."""
     t = np.array([0.0, 3.0, 7.0, 8.0])
@@ -44,8 +53,12 @@ def test_of_a_body_at_rest_it_is_that_of_the_closed_form():
         total += 0.98 * jacobian.T @ jacobian / NOISE**2  # nearly all of a good reading's weight
     prior = np.diag([50.0**-2] * 3 + [1.0] * 2)
     expected, got = np.linalg.inv(total + prior)[:3, :3], found.covariance()[:3, :3]
-    assert np.allclose(tangent @ got @ tangent.T, tangent @ expected @ tangent.T, rtol=0.03, atol=1e-7)
-    assert SUN[0] @ got @ SUN[0] > 1e5 * np.trace(tangent @ got @ tangent.T)  # a turn about the Sun is not seen
+    assert np.allclose(
+        tangent @ got @ tangent.T, tangent @ expected @ tangent.T, rtol=0.03, atol=1e-7
+    )
+    assert SUN[0] @ got @ SUN[0] > 1e5 * np.trace(
+        tangent @ got @ tangent.T
+    )  # a turn about the Sun is not seen
 
 
 def test_less_is_never_more():
@@ -53,7 +66,12 @@ def test_less_is_never_more():
     found = told(cube((0.010, 0.012, 0.008)), [0.05, -0.08, 0.11], t, {})
     everything = found.covariance()
     every = np.arange(len(t))
-    for options in ({"samples": every[1:]}, {"samples": every[::2]}, {"panels": [0, 2, 4]}, {"noise": 2.0}):
+    for options in (
+        {"samples": every[1:]},
+        {"samples": every[::2]},
+        {"panels": [0, 2, 4]},
+        {"noise": 2.0},
+    ):
         assert rate_volume(found.covariance(**options)) > rate_volume(everything), options
     known = found.covariance(fixed=("inertia",))
     assert rate_volume(known) < 0.9 * rate_volume(everything)
@@ -66,7 +84,9 @@ def test_less_is_never_more():
 def test_the_volume_is_that_of_an_ellipsoid_which_holds_ninety_percent():
     draws = np.random.default_rng(0).standard_normal((200_000, 3)) * [1.0, 2.0, 0.5]
     radius = np.quantile(np.sum((draws / [1.0, 2.0, 0.5]) ** 2, axis=1), 0.9) ** 0.5
-    assert rate_volume(np.diag([1.0, 4.0, 0.25])) == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.02)
+    assert rate_volume(np.diag([1.0, 4.0, 0.25])) == pytest.approx(
+        4 / 3 * np.pi * radius**3, rel=0.02
+    )
 
 
 def test_what_each_observation_of_philaes_twin_contributes():
@@ -75,11 +95,17 @@ def test_what_each_observation_of_philaes_twin_contributes():
     size = {line.what: line.volume for line in table}
     base = size.pop("everything")
     less = [value for what, value in size.items() if what.startswith(("without", "the first"))]
-    more = [value for what, value in size.items() if what.startswith("with ") or what.endswith("known")]
+    more = [
+        value for what, value in size.items() if what.startswith("with ") or what.endswith("known")
+    ]
     assert len(less) == 23 + 6 + 5 and len(more) == 4 + 5 and 1e-8 < base < 1e-6
     assert min(less) >= base * (1 - 1e-9) and max(more) <= base * (1 + 1e-9)
     assert max(size, key=lambda what: size[what] if "panel" in what else 0) == "without panel 6"
     assert size["inertia, friction and wheel known"] < 0.01 * size["inertia known"]
     assert len(text(table)) == len(table) + 1
     with pytest.raises(InputError, match="not that of the posterior"):
-        contributions(case.vehicle, case.telemetry.isel(time=abs(case.telemetry["time"].values - 26000) > 100), tree)
+        contributions(
+            case.vehicle,
+            case.telemetry.isel(time=abs(case.telemetry["time"].values - 26000) > 100),
+            tree,
+        )

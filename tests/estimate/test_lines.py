@@ -14,11 +14,15 @@ from sunspin.philae.rebound import published_lines
 def cloud(seed: int, noise: float, n: int = 60):
     rng = np.random.default_rng(seed)
     lines = published_lines(ss.load_case("philae"))
-    points = [p + rng.uniform(-0.4, 0.4, (n, 1)) * d + rng.normal(size=(n, 3)) * noise for p, d in lines]
+    points = [
+        p + rng.uniform(-0.4, 0.4, (n, 1)) * d + rng.normal(size=(n, 3)) * noise for p, d in lines
+    ]
     return np.concatenate(points), lines
 
 
-@pytest.mark.evidence("fit_lines", "validated", "the four lines of the paper, from points scattered about them")
+@pytest.mark.evidence(
+    "fit_lines", "validated", "the four lines of the paper, from points scattered about them"
+)
 @pytest.mark.parametrize("seed", range(4))
 def test_the_paper_lines_are_recovered_from_unlabelled_points(seed, reached):
     points, lines = cloud(seed, 0.008)
@@ -65,11 +69,14 @@ def test_one_line_reaches_the_smallest_sum_of_distances(guess, reached):
     ours = sum_of_distances(np.concatenate(line_through(points, middle, axis)), points)
     best = min(
         minimize(
-            sum_of_distances, np.concatenate([middle, axis]) + rng.normal(size=6) * 0.02, args=(points,), method="Nelder-Mead",
+            sum_of_distances,
+            np.concatenate([middle, axis]) + rng.normal(size=6) * 0.02,
+            args=(points,),
+            method="Nelder-Mead",
             options={"maxiter": 20_000, "maxfev": 20_000, "xatol": 1e-9, "fatol": 1e-11},
         ).fun
         for _ in range(3)
-    )  # fmt: skip
+    )
     assert ours <= best * (1 + 1e-6)
     reached("relative excess of the sum", ours / best - 1, "", 1e-6)
 
@@ -78,13 +85,17 @@ def test_refining_never_makes_a_line_worse():
     rng = np.random.default_rng(8)
     for _ in range(30):
         points = rng.normal(size=(rng.integers(2, 9), 3))
-        guess = np.concatenate([points[0], (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])])
+        guess = np.concatenate(
+            [points[0], (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])]
+        )
         refined = np.concatenate(line_through(points, guess[:3], guess[3:]))
         assert sum_of_distances(refined, points) <= sum_of_distances(guess, points) + 1e-12
 
 
 @pytest.mark.evidence("fit_lines", "verified", "all 128 ways to share the points")
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
+)
 def test_two_lines_through_few_points_are_the_best_of_all_assignments(seed):
     """Brute force: every way to share eight points between two lines."""
     points = np.random.default_rng(seed).uniform(-1, 1, (8, 3))
@@ -109,7 +120,12 @@ def test_a_ragged_set_of_few_points_gives_its_lines(per_line):
     points = np.concatenate([p + np.linspace(-0.4, 0.4, per_line)[:, None] * d for p, d in lines])
     fitted = ss.fit_lines(points + rng.normal(size=points.shape) * 1e-4, 4)
     for index, line in zip(match_lines(fitted, lines), lines, strict=True):
-        assert line_deviation((fitted["point"].values[index], fitted["direction"].values[index]), line)["max"] < 2e-3
+        assert (
+            line_deviation(
+                (fitted["point"].values[index], fitted["direction"].values[index]), line
+            )["max"]
+            < 2e-3
+        )
     assert fitted["count"].values.tolist() == [per_line] * 4
 
 
@@ -139,7 +155,9 @@ def test_the_same_seed_gives_the_same_bits_and_the_input_is_left_alone():
 def test_deviation_by_hand(sign):
     """The z axis against a line that leaves it at atan(3/4): 0.3 away at height 0.4, whichever way the line points."""
     z_axis = (np.zeros(3), sign * np.array([0, 0, 2.0]))
-    deviation = line_deviation(z_axis, (np.array([0.3, 0, 0.4]), np.array([0.6, 0, 0.8])), low=0.0, high=0.4)
+    deviation = line_deviation(
+        z_axis, (np.array([0.3, 0, 0.4]), np.array([0.6, 0, 0.8])), low=0.0, high=0.4
+    )
     assert deviation["angle_rad"] == pytest.approx(np.arctan(0.75))
     assert deviation["max"] == pytest.approx(0.3)
     assert deviation["mean"] == pytest.approx(0.15)

@@ -64,10 +64,14 @@ def test_emd_is_half_the_area_between_the_distributions():
 
 def test_equal_weights_are_no_weights_and_twice_is_weight_two():
     assert ss.emd([0.1, 0.7], [0.3], [5, 5]) == pytest.approx(ss.emd([0.1, 0.7], [0.3]), abs=1e-15)
-    assert ss.emd([0.1, 0.1, 0.7], [0.3]) == pytest.approx(ss.emd([0.1, 0.7], [0.3], [2, 1]), abs=1e-15)
+    assert ss.emd([0.1, 0.1, 0.7], [0.3]) == pytest.approx(
+        ss.emd([0.1, 0.7], [0.3], [2, 1]), abs=1e-15
+    )
 
 
-@pytest.mark.evidence("direction_error", "verified", "by hand; the paper's E of 0.0028 is 6.1 degrees")
+@pytest.mark.evidence(
+    "direction_error", "verified", "by hand; the paper's E of 0.0028 is 6.1 degrees"
+)
 def test_direction_error_by_hand():
     x, y = np.eye(3)[:1], np.eye(3)[1:2]
     assert ss.direction_error(x, x) == 0
@@ -75,7 +79,9 @@ def test_direction_error_by_hand():
     assert ss.direction_error(x, y) == 0.5
     angle = np.radians(6.1)
     tilted = np.array([[np.cos(angle), np.sin(angle), 0]])
-    assert ss.direction_error(x, tilted) == pytest.approx(0.0028, abs=5e-5)  # E = 0.0028 is 6.1 degrees
+    assert ss.direction_error(x, tilted) == pytest.approx(
+        0.0028, abs=5e-5
+    )  # E = 0.0028 is 6.1 degrees
 
 
 def test_samples_without_a_direction_are_left_out():

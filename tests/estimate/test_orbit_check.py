@@ -58,10 +58,22 @@ def orbit(twin, by_deg=0.0, **options):
 def test_right_elements_fit_and_their_shift_is_found(twin, judged):
     used, found, _ = judged
     about = twin[3]
-    assert used.shift_s == found.shift_s and np.hypot(used.shift_sigma_s, used.clock_sigma_s) < 1.01 * found.shift_sigma_s
-    assert found.verdict is Verdict.FITS and found.better <= 1 and found.turn_times < 1.3 and found.mistaken < 0.01
+    assert (
+        used.shift_s == found.shift_s
+        and np.hypot(used.shift_sigma_s, used.clock_sigma_s) < 1.01 * found.shift_sigma_s
+    )
+    assert (
+        found.verdict is Verdict.FITS
+        and found.better <= 1
+        and found.turn_times < 1.3
+        and found.mistaken < 0.01
+    )
     assert abs(found.shift_s - about["ahead_s"]) < 4 * found.shift_sigma_s < 0.7 * about["sigma_s"]
-    assert found.samples["field"] == about["samples"] and found.strength_residual_T < 6e-7 and found.angle_residual_rad < 0.04
+    assert (
+        found.samples["field"] == about["samples"]
+        and found.strength_residual_T < 6e-7
+        and found.angle_residual_rad < 0.04
+    )
     assert found.eclipse[1] > 5 and found.eclipse[0] <= 1
     scale = np.linalg.norm(found.matrix, axis=1)
     np.testing.assert_allclose(scale, 1e-9, rtol=0.1)  # readings are in nT
@@ -71,7 +83,9 @@ def test_elements_of_another_plane_are_refused(twin, few_copies, one_clock):
     vehicle, data, _, _ = twin
     used, found, words = judged_orbit(orbit(twin, by_deg=70.0), vehicle, data)
     assert found.verdict is Verdict.REFUSED and found.turn_times > 1.3
-    assert used is None and words.startswith("the orbit is NOT USED: the elements do not fit the telemetry")
+    assert used is None and words.startswith(
+        "the orbit is NOT USED: the elements do not fit the telemetry"
+    )
 
 
 @pytest.mark.long
@@ -79,7 +93,9 @@ def test_a_clock_off_by_an_hour_is_named(twin, few_copies):
     vehicle, data, given, about = twin
     late = data.assign_attrs(epoch_utc=_earlier(data.attrs["epoch_utc"], 3600))
     elements = parse_elements("\n".join(given), "twin")
-    known = in_orbit(elements, late.attrs["epoch_utc"], late["time"].values, shift_sigma_s=about["sigma_s"])
+    known = in_orbit(
+        elements, late.attrs["epoch_utc"], late["time"].values, shift_sigma_s=about["sigma_s"]
+    )
     found = check_orbit(known, vehicle, late)
     assert found.verdict is Verdict.REFUSED and found.clock_behind_s == 3600
 
@@ -94,7 +110,10 @@ def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round(
     nine = make(1, 9)
     given, mirrored = orbit(nine), []
     for sign in (1, -1):
-        seen, grid = seen_in(nine[0], nine[1].assign(field_B=sign * nine[1]["field_B"])), orbit_check._Grid.of(given)
+        seen, grid = (
+            seen_in(nine[0], nine[1].assign(field_B=sign * nine[1]["field_B"])),
+            orbit_check._Grid.of(given),
+        )
         there = predict(given, seen, grid.shifts)
         found = fit(seen, there, grid.prior)
         k = int(found.cost.argmin())
@@ -111,28 +130,55 @@ def test_few_data_leave_it_open_and_the_shift_as_it_was(twin, one_clock):
     few = data.isel(time=slice(0, 12))
     given = orbit(twin)
     used, found, words = judged_orbit(given, vehicle, few)
-    assert found.verdict is Verdict.UNDECIDED and used is given and "the telemetry cannot judge it" in words
-    dark = check_orbit(orbit(twin, shift_sigma_s=30.0), vehicle, data.drop_vars("field_B").isel(time=slice(0, 25)))
-    assert dark.verdict is Verdict.UNDECIDED and dark.matrix is None and np.isnan(dark.strength_residual_T)
+    assert (
+        found.verdict is Verdict.UNDECIDED
+        and used is given
+        and "the telemetry cannot judge it" in words
+    )
+    dark = check_orbit(
+        orbit(twin, shift_sigma_s=30.0), vehicle, data.drop_vars("field_B").isel(time=slice(0, 25))
+    )
+    assert (
+        dark.verdict is Verdict.UNDECIDED
+        and dark.matrix is None
+        and np.isnan(dark.strength_residual_T)
+    )
     assert 10 < dark.shift_sigma_s < 45
-    nothing = check_orbit(orbit(twin, shift_s=4.0, shift_sigma_s=30.0), vehicle, data.drop_vars(["field_B", "power_W", "panel"]))
+    nothing = check_orbit(
+        orbit(twin, shift_s=4.0, shift_sigma_s=30.0),
+        vehicle,
+        data.drop_vars(["field_B", "power_W", "panel"]),
+    )
     assert nothing.verdict is Verdict.UNDECIDED and nothing.shift_s == 4.0 and nothing.samples == {}
 
 
 def test_the_vehicle_file_gives_the_orbit_and_the_command_line_comes_first(twin, tmp_path):
     vehicle, data, given, _ = twin
     assert orbit_of(vehicle, data) is None
-    with pytest.raises(ss.InputError, match="a shift along the track needs elements; give --tle FILE"):
+    with pytest.raises(
+        ss.InputError, match="a shift along the track needs elements; give --tle FILE"
+    ):
         orbit_of(vehicle, data, shift_sigma_s=3.0)
     stated = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit(given, -3.0, 7.0, 2.0))
     found = orbit_of(stated, data)
-    assert (found.shift_s, found.shift_sigma_s, found.clock_s, found.clock_sigma_s) == (-3.0, 7.0, 2.0, 1.0)
+    assert (found.shift_s, found.shift_sigma_s, found.clock_s, found.clock_sigma_s) == (
+        -3.0,
+        7.0,
+        2.0,
+        1.0,
+    )
     path = tmp_path / "two.tle"
     path.write_text("\n".join((given[0], turned(given[1], 5.0))), "utf-8")
     other = orbit_of(stated, data, path, 9.0)
-    assert other.shift_sigma_s == 9.0 and other.elements[0].given[1] == turned(given[1], 5.0) != found.elements[0].given[1]
+    assert (
+        other.shift_sigma_s == 9.0
+        and other.elements[0].given[1] == turned(given[1], 5.0) != found.elements[0].given[1]
+    )
     bad = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit((given[1], given[0])))
-    with pytest.raises(ss.InputError, match=r"\[orbit\] of cube, line 1: line 2 of the elements comes before line 1"):
+    with pytest.raises(
+        ss.InputError,
+        match=r"\[orbit\] of cube, line 1: line 2 of the elements comes before line 1",
+    ):
         orbit_of(bad, data)
 
 

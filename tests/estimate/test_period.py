@@ -33,13 +33,21 @@ def test_rates_of_a_symmetric_body_are_the_textbooks(wheel):
     size = np.linalg.norm(momentum, axis=1)
     np.testing.assert_allclose(precession, size / A, rtol=1e-12)
     np.testing.assert_allclose(spin, omega[:, 2] - momentum[:, 2] / A, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(total, precession + spin * np.where(momentum[:, 2] < 0, -1, 1), rtol=1e-9)
+    np.testing.assert_allclose(
+        total, precession + spin * np.where(momentum[:, 2] < 0, -1, 1), rtol=1e-9
+    )
 
 
 def test_a_pure_spin_has_a_sum_alone():
-    found = pd.euler_rates(np.array([[0, 0, 0.4], [0, 0, -0.4]]), np.array([[0, 0, 6.0], [0, 0, -6.0]]), np.array([0, 0, 1.0]))
+    found = pd.euler_rates(
+        np.array([[0, 0, 0.4], [0, 0, -0.4]]),
+        np.array([[0, 0, 6.0], [0, 0, -6.0]]),
+        np.array([0, 0, 1.0]),
+    )
     assert np.isnan(found[:, :2]).all() and found[:, 2] == pytest.approx([0.4, 0.4])
-    assert np.array_equal(pd.Period(0.0, 15.7, 1.0).density(2 * np.pi / found)[:, :2], np.zeros((2, 2)))
+    assert np.array_equal(
+        pd.Period(0.0, 15.7, 1.0).density(2 * np.pi / found)[:, :2], np.zeros((2, 2))
+    )
 
 
 def test_periods_of_draws_are_those_of_the_reference_motion():
@@ -48,8 +56,12 @@ def test_periods_of_draws_are_those_of_the_reference_motion():
     t = 900.0 + np.linspace(-2, 2, 9) * 20.0
     run = ss.propagate(PHILAE, state.omega[0], state.sun[0], 865.0, np.concatenate([[0.0], t]))
     omega, speeds = run["omega_B"].values[1:], run["wheel_speed_rad_s"].values[1:]
-    rates = pd.euler_rates(omega, g.total_momentum(PHILAE, omega, speeds), pd.own_axis(INERTIA)).mean(axis=0)
-    np.testing.assert_allclose(of_draws.periods_of(PHILAE, tree, seen)[0], 2 * np.pi / np.abs(rates), rtol=1e-3)
+    rates = pd.euler_rates(
+        omega, g.total_momentum(PHILAE, omega, speeds), pd.own_axis(INERTIA)
+    ).mean(axis=0)
+    np.testing.assert_allclose(
+        of_draws.periods_of(PHILAE, tree, seen)[0], 2 * np.pi / np.abs(rates), rtol=1e-3
+    )
     assert abs(pd.own_axis(INERTIA)[2]) > 0.99
 
 
@@ -62,10 +74,14 @@ def weighted(monkeypatch, periods, seen, n=4000):
 
 def test_weights_are_those_of_the_mean_of_three_densities(monkeypatch):
     """Spins of 10 to 20 s even, the others far away: the weighted mean is the period seen, and it is the spin."""
-    periods = np.stack([np.full(4000, 90.0), np.linspace(10, 20, 4000), np.full(4000, np.nan)], axis=1)
+    periods = np.stack(
+        [np.full(4000, 90.0), np.linspace(10, 20, 4000), np.full(4000, np.nan)], axis=1
+    )
     found = weighted(monkeypatch, periods, pd.Period(0.0, 14.0, 1.0))
     weight = np.exp(found["log_weight"].values[0])
-    assert weight.sum() == pytest.approx(1) and weight @ periods[:, 1] == pytest.approx(14.0, abs=0.01)
+    assert weight.sum() == pytest.approx(1) and weight @ periods[:, 1] == pytest.approx(
+        14.0, abs=0.01
+    )
     assert found.attrs["effective_draws"] == pytest.approx(4000 * 2 * np.sqrt(np.pi) / 10, rel=0.01)
     np.testing.assert_allclose(found["probability"].values[0], [0, 1, 0], atol=1e-12)
     assert found.attrs["told"] and "spin 100%" in of_draws.period_sentences(found)[0]
@@ -73,7 +89,10 @@ def test_weights_are_those_of_the_mean_of_three_densities(monkeypatch):
     np.testing.assert_allclose(both["probability"].values[0], [0.5, 0.5, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize(("middle", "sigma", "words"), [(14.0, 0.05, "not told by these draws"), (60.0, 1.0, "no motion")])
+@pytest.mark.parametrize(
+    ("middle", "sigma", "words"),
+    [(14.0, 0.05, "not told by these draws"), (60.0, 1.0, "no motion")],
+)
 def test_what_the_draws_do_not_tell_is_said(monkeypatch, middle, sigma, words):
     periods = np.stack([np.linspace(10, 20, 4000)] * 3, axis=1)
     found = weighted(monkeypatch, periods, pd.Period(0.0, middle, sigma))
@@ -87,7 +106,11 @@ def test_the_option_is_read():
             period(text, None)
 
 
-WHEELED = Vehicle("cube", inertia_kg_m2=np.diag([0.04, 0.042, 0.03]), wheels=[ss.Wheel("w", [0, 0.6, 0.8], 1e-3, speed_rad_s=1.0)])
+WHEELED = Vehicle(
+    "cube",
+    inertia_kg_m2=np.diag([0.04, 0.042, 0.03]),
+    wheels=[ss.Wheel("w", [0, 0.6, 0.8], 1e-3, speed_rad_s=1.0)],
+)
 RATES = np.array([[0.05, -0.02, 0.09], [0.03, 0.01, 0.2]])
 
 
@@ -99,7 +122,9 @@ def two_modes(weight, sigma=1e-6, inertia_errors=None):
     momentum = np.tile(1e-3 * np.array([0, 0.6, 0.8]) / body.unit, (3, 1))
     covariance = np.broadcast_to(sigma**2 * np.eye(6), (2, 3, 6, 6))
     rates = np.repeat(RATES[:, None], 3, axis=1)
-    track = Track(np.broadcast_to(np.eye(3), (2, 3, 3, 3)), rates, np.zeros(2), np.zeros(2), covariance)
+    track = Track(
+        np.broadcast_to(np.eye(3), (2, 3, 3, 3)), rates, np.zeros(2), np.zeros(2), covariance
+    )
     every = np.arange(3)
     one = Pass(every, every, track, np.array(weight), RATES, np.full((2, 3), sigma), {})
     return Observations(t, momentum, ()), one, Motion(body, 0.0, 1.0)
@@ -110,41 +135,73 @@ def test_periods_of_modes_are_those_of_the_reference_motion():
     seen = pd.Period(45.0, 25.0, 0.5)
     found = of_modes.periods_of(*two_modes([0.5, 0.5]), seen).reshape(2, -1, 3)
     for omega, periods in zip(RATES, found, strict=True):
-        after, before = (np.array([0.0, *times]) for times in np.split(seen.instants_s - 40.0, [4])[::-1])
-        runs = [ss.propagate(WHEELED, omega, [0, 0, 1], 1.0, t, wheel_mode="hold")["omega_B"].values[1:]
-                for t in (np.array([0.0, *sorted(before[1:], reverse=True)]), after)]  # fmt: skip
+        after, before = (
+            np.array([0.0, *times]) for times in np.split(seen.instants_s - 40.0, [4])[::-1]
+        )
+        runs = [
+            ss.propagate(WHEELED, omega, [0, 0, 1], 1.0, t, wheel_mode="hold")["omega_B"].values[1:]
+            for t in (np.array([0.0, *sorted(before[1:], reverse=True)]), after)
+        ]
         rate = np.concatenate(runs)
         momentum = rate @ WHEELED.require_inertia() + 1e-3 * np.array([0, 0.6, 0.8])
-        reference = 2 * np.pi / np.abs(pd.euler_rates(rate, momentum, pd.own_axis(WHEELED.require_inertia())).mean(axis=0))
+        reference = (
+            2
+            * np.pi
+            / np.abs(
+                pd.euler_rates(rate, momentum, pd.own_axis(WHEELED.require_inertia())).mean(axis=0)
+            )
+        )
         np.testing.assert_allclose(np.median(periods, axis=0), reference, rtol=2e-3)
 
 
 def test_a_period_weighs_modes_and_says_what_turned():
     o, one, motion = two_modes([0.8, 0.2])
-    periods = np.median(of_modes.periods_of(o, one, motion, pd.Period(40.0, 25.0, 0.5)).reshape(2, -1, 3), axis=1)
+    periods = np.median(
+        of_modes.periods_of(o, one, motion, pd.Period(40.0, 25.0, 0.5)).reshape(2, -1, 3), axis=1
+    )
     (after,), (said,) = of_modes.weighted(o, [one], motion, [pd.Period(40.0, periods[1, 0], 0.5)])
     assert after.weight[1] > 0.99 and np.array_equal(after.before, [0.8, 0.2]) and said["told"]
     assert said["shares"][0] > 0.9 and said["without"] == pytest.approx([0.2, 0.8])
     (same,), (refused,) = of_modes.weighted(o, [one], motion, [pd.Period(40.0, 400.0, 0.5)])
-    assert np.array_equal(same.weight, one.weight) and not refused["told"] and refused["nearest_sigmas"] > pd.FAR_SIGMAS
+    assert (
+        np.array_equal(same.weight, one.weight)
+        and not refused["told"]
+        and refused["nearest_sigmas"] > pd.FAR_SIGMAS
+    )
     o, rare, motion = two_modes([0.99, 0.01])
-    (kept,), (against,) = of_modes.weighted(o, [rare], motion, [pd.Period(40.0, periods[1, 0], 0.5)])
-    assert np.array_equal(kept.weight, rare.weight) and not against["told"] and against["carried"] == pytest.approx(0.01)
-    with pytest.raises(InputError, match=r"time of no pass \(found 200 s\); passes are at 0 to 80 s"):
+    (kept,), (against,) = of_modes.weighted(
+        o, [rare], motion, [pd.Period(40.0, periods[1, 0], 0.5)]
+    )
+    assert (
+        np.array_equal(kept.weight, rare.weight)
+        and not against["told"]
+        and against["carried"] == pytest.approx(0.01)
+    )
+    with pytest.raises(
+        InputError, match=r"time of no pass \(found 200 s\); passes are at 0 to 80 s"
+    ):
         of_modes.weighted(o, [one], motion, [pd.Period(200.0, 25.0, 0.5)])
 
 
 def test_an_unknown_inertia_widens_periods_and_an_unknown_body_has_a_sum_alone():
     tight, wide = (
-        of_modes.periods_of(*two_modes([0.5, 0.5], inertia_errors=errors), pd.Period(40.0, 25.0, 0.5)).reshape(2, -1, 3).std(axis=1)
+        of_modes.periods_of(
+            *two_modes([0.5, 0.5], inertia_errors=errors), pd.Period(40.0, 25.0, 0.5)
+        )
+        .reshape(2, -1, 3)
+        .std(axis=1)
         for errors in (None, np.array([np.diag([0.05, 0, 0])]))
     )
     assert np.all(wide[:, 0] > 10 * tight[:, 0])
     o, one, motion = two_modes([0.5, 0.5])
     motion = replace(motion, body=replace(motion.body, spherical=True))
-    found = of_modes.periods_of(replace(o, momentum=np.zeros((3, 3))), one, motion, pd.Period(40.0, 25.0, 0.5))
+    found = of_modes.periods_of(
+        replace(o, momentum=np.zeros((3, 3))), one, motion, pd.Period(40.0, 25.0, 0.5)
+    )
     assert np.isnan(found[:, :2]).all()
-    assert np.median(found.reshape(2, -1, 3)[:, :, 2], axis=1) == pytest.approx(2 * np.pi / np.linalg.norm(RATES, axis=1), rel=1e-4)
+    assert np.median(found.reshape(2, -1, 3)[:, :, 2], axis=1) == pytest.approx(
+        2 * np.pi / np.linalg.norm(RATES, axis=1), rel=1e-4
+    )
 
 
 def test_rates_with_a_period_have_both_weights():
@@ -152,6 +209,10 @@ def test_rates_with_a_period_have_both_weights():
     data, _ = twin(CUBE, [0.01, 0.02, 0.0], irregular(rng, 8, 20.0), rng)
     seen = pd.Period(80.0, 2 * np.pi / np.hypot(0.01, 0.02), 20.0)
     found = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.04, periods=[seen])
-    assert found["weight"].values[0].sum() == pytest.approx(1) and found["weight_without_periods"].dims == ("pass_id", "mode")
+    assert found["weight"].values[0].sum() == pytest.approx(1) and found[
+        "weight_without_periods"
+    ].dims == ("pass_id", "mode")
     told = found.sunspin.summary()
-    assert told["periods"][0]["told"] and any("; in pass 0 the likeliest motion holds 100%" in line for line in told.lines)
+    assert told["periods"][0]["told"] and any(
+        "; in pass 0 the likeliest motion holds 100%" in line for line in told.lines
+    )

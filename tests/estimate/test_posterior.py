@@ -25,7 +25,14 @@ from sunspin.solve.rotations import moved
 from sunspin.solve.weights import _shape, effective_draws, pareto_tail
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0}  # of torques: test_posterior_hypotheses.py
@@ -36,7 +43,12 @@ SMALL = PRIORS | {"inertia": 0.0}
 def cube() -> Vehicle:
     inertia = np.diag([0.010, 0.012, 0.008])
     panels = [Panel(name, normal, 1.0) for name, normal in FACES.items()]
-    return Vehicle("cube", inertia_kg_m2=inertia, panels=panels, telemetry=TelemetryForm(quantity="current_A", noise=0.02))
+    return Vehicle(
+        "cube",
+        inertia_kg_m2=inertia,
+        panels=panels,
+        telemetry=TelemetryForm(quantity="current_A", noise=0.02),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -73,11 +85,22 @@ def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkey
     rng = np.random.default_rng(0)
     rates = RATE + 0.01 * rng.normal(size=(400, 3))
     monkeypatch.setattr(estimate, "_chi_square", lambda *_: (1.0, 1))
-    for log_weight, proposed, sigma in ((np.zeros(400), 400, 0.01), (-1e3 * np.arange(400.0), 400, 0.01), (np.zeros(3), 3, 0.5)):
+    for log_weight, proposed, sigma in (
+        (np.zeros(400), 400, 0.01),
+        (-1e3 * np.arange(400.0), 400, 0.01),
+        (np.zeros(3), 3, 0.5),
+    ):
         drawn = SimpleNamespace(
-            region=np.zeros(proposed, int), log_weight=log_weight, share=np.ones(1), evidence=0.0, starts=np.ones(1),
-            log_likelihood=log_weight, first=lambda index: hypotheses.First(rates[index], np.ones((len(index), 3)), index, index),
-        )  # fmt: skip
+            region=np.zeros(proposed, int),
+            log_weight=log_weight,
+            share=np.ones(1),
+            evidence=0.0,
+            starts=np.ones(1),
+            log_likelihood=log_weight,
+            first=lambda index: hypotheses.First(
+                rates[index], np.ones((len(index), 3)), index, index
+            ),
+        )
         assert sigmas(estimate._modes(drawn, 0.5))[0] == pytest.approx([sigma] * 3, rel=0.5)
     few = tree.copy(deep=True)
     few["modes"]["effective_draws"][:] = 3.0
@@ -92,19 +115,34 @@ def test_groups_and_names(tree, telemetry):
     assert np.exp(posterior["log_weight"].values).sum() == pytest.approx(1.0)
     assert {"mode_id", "inertia_xx", "log_noise"} <= set(posterior.data_vars)
     assert tree["modes"]["weight"].values.sum() == pytest.approx(1.0, abs=1e-3)
-    assert tree.attrs["synthetic"] == 1 and json.loads(tree.attrs["priors"])["inertia"] == "0.01 (assumed)"
+    assert (
+        tree.attrs["synthetic"] == 1
+        and json.loads(tree.attrs["priors"])["inertia"] == "0.01 (assumed)"
+    )
 
 
 @pytest.mark.parametrize(("chance", "decided"), [(0.05, True), (1.0, False)])
-def test_a_hypothesis_that_may_count_and_allows_no_draw_is_said(chance, decided, cube, telemetry, monkeypatch):
+def test_a_hypothesis_that_may_count_and_allows_no_draw_is_said(
+    chance, decided, cube, telemetry, monkeypatch
+):
     """Looser moments hold 1 % at their usual chance, which does not count; as likely as the model as stated, they do."""
     drawn = estimate.sample
-    monkeypatch.setattr(estimate, "sample", lambda *given: drawn(*given) if given[6] is None else None)  # of the first alone
+    monkeypatch.setattr(
+        estimate, "sample", lambda *given: drawn(*given) if given[6] is None else None
+    )  # of the first alone
     monkeypatch.setattr(hypotheses, "LOOSER_CHANCE", chance)
-    found = ss.posterior(cube, telemetry.isel(time=slice(0, 9)), PRIORS, seed=0, draws=300, workers=1)
-    assert ("moments of inertia off by more than stated may explain" in found.attrs["verdict"]) is not decided
+    found = ss.posterior(
+        cube, telemetry.isel(time=slice(0, 9)), PRIORS, seed=0, draws=300, workers=1
+    )
+    assert (
+        "moments of inertia off by more than stated may explain" in found.attrs["verdict"]
+    ) is not decided
     assert (found.attrs["verdict_word"] == "unique") is decided
-    assert found["passes"]["decided"].values[0] == found["passes"]["search_complete"].values[0] == decided
+    assert (
+        found["passes"]["decided"].values[0]
+        == found["passes"]["search_complete"].values[0]
+        == decided
+    )
 
 
 @pytest.mark.evidence("posterior", "verified", "one and two threads, and a stored run, bit by bit")
@@ -112,22 +150,32 @@ def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tmp_path):
     given = cube, telemetry.isel(time=slice(0, 9)), SMALL
     first, *others = (
         ss.posterior(*given, seed=0, draws=300, **options)
-        for options in ({"workers": 2}, {"workers": 1, "store": tmp_path / "rows"}, {"workers": 2, "store": tmp_path / "rows"})
+        for options in (
+            {"workers": 2},
+            {"workers": 1, "store": tmp_path / "rows"},
+            {"workers": 2, "store": tmp_path / "rows"},
+        )
     )
     for other in others:
-        assert np.array_equal(other["posterior"]["omega_B"].values, first["posterior"]["omega_B"].values)
+        assert np.array_equal(
+            other["posterior"]["omega_B"].values, first["posterior"]["omega_B"].values
+        )
         assert other.attrs["verdict"] == first.attrs["verdict"]
 
 
 @pytest.mark.evidence("posterior", "modelled", "a wrong model, faces exchanged: it must be refused")
 @pytest.mark.long
-@pytest.mark.parametrize(("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)]
+)
 def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
     """The negative control: two neighbouring panels exchanged."""
     wrong = telemetry.isel(time=slice(0, samples)).copy(deep=True)
     wrong["current_A"].values[:, [0, 2]] = wrong["current_A"].values[:, [2, 0]]
     wrong["current_A"].values[:, [1, 4]] = wrong["current_A"].values[:, [4, 1]]
-    found = ss.posterior(cube, wrong, SMALL | {"max_rate_rad_s": max_rate}, seed=0, draws=500, workers=2)
+    found = ss.posterior(
+        cube, wrong, SMALL | {"max_rate_rad_s": max_rate}, seed=0, draws=500, workers=2
+    )
     assert found.attrs["verdict_word"] == "not explained", found.attrs["verdict"]
 
 
@@ -135,15 +183,25 @@ def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
 def test_a_wheel_whose_speed_nothing_tells_leaves_nothing_decided(cube, telemetry):
     craft = replace(cube, wheels=(ss.Wheel("fly", [0, 0, 1], 1e-4),))
     standing = ss.posterior(craft, telemetry, SMALL, seed=0, draws=300, workers=1)
-    read = telemetry.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((telemetry.sizes["time"], 1))))
+    read = telemetry.assign(
+        wheel_speed_rad_s=(("time", "wheel"), np.zeros((telemetry.sizes["time"], 1)))
+    )
     measured = ss.posterior(craft, read, SMALL, seed=0, draws=300, workers=1)
-    assert "nothing tells the speed of wheel fly" in standing.attrs["verdict"] and not standing["passes"]["decided"].values[0]
+    assert (
+        "nothing tells the speed of wheel fly" in standing.attrs["verdict"]
+        and not standing["passes"]["decided"].values[0]
+    )
     assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]
 
 
 def test_wheels_turn_at_first_as_the_telemetry_says(cube, telemetry):
-    craft = replace(cube, wheels=(ss.Wheel("a", [0, 0, 1], 1e-4, speed_rad_s=7.0), ss.Wheel("b", [1, 0, 0], 1e-4)))
-    speed = np.stack([100 + telemetry["time"].values, np.full(telemetry.sizes["time"], np.nan)], axis=1)
+    craft = replace(
+        cube,
+        wheels=(ss.Wheel("a", [0, 0, 1], 1e-4, speed_rad_s=7.0), ss.Wheel("b", [1, 0, 0], 1e-4)),
+    )
+    speed = np.stack(
+        [100 + telemetry["time"].values, np.full(telemetry.sizes["time"], np.nan)], axis=1
+    )
     read = telemetry.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
     assert [wheel.speed_rad_s for wheel in as_measured(craft, read, 30.0).wheels] == [130.0, 0.0]
     assert as_measured(craft, telemetry, 30.0) is craft
@@ -151,7 +209,14 @@ def test_wheels_turn_at_first_as_the_telemetry_says(cube, telemetry):
 
 
 def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, telemetry):
-    found = ss.posterior(cube, telemetry.isel(time=slice(0, 8)), SMALL | {"max_rate_rad_s": 0.1}, seed=0, draws=500, workers=2)
+    found = ss.posterior(
+        cube,
+        telemetry.isel(time=slice(0, 8)),
+        SMALL | {"max_rate_rad_s": 0.1},
+        seed=0,
+        draws=500,
+        workers=2,
+    )
     assert found.attrs["verdict_word"] in ("not explained", "not sure"), found.attrs["verdict"]
     assert not found["passes"]["decided"].values.any()
 
@@ -165,7 +230,9 @@ def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(cube, telemetry)
 
 
 def test_modes_beyond_the_largest_rate_are_drawn_back_only_where_all_are():
-    state = State(np.array([[0.3, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0)))
+    state = State(
+        np.array([[0.3, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0))
+    )
     modes = Modes(state, np.zeros(2), np.zeros((2, 6, 6)), np.ones(2, dtype=int), (), ())
     assert within(modes, 0.25) is modes
     drawn = within(modes, 0.1)
@@ -187,10 +254,16 @@ def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
     silent = replace(cube, telemetry=replace(cube.telemetry, noise=None))
     wild = telemetry.copy(deep=True)
     value = wild["current_A"].values
-    value[:] = np.where(value > 0, value, 0.02 * np.random.default_rng(8).standard_normal(value.shape))
+    value[:] = np.where(
+        value > 0, value, 0.02 * np.random.default_rng(8).standard_normal(value.shape)
+    )
     value[4, 1] = 99999999.0
     data, _, remarks = readings(silent, wild)
-    assert not data.used[4, 1] and np.count_nonzero(~data.used) == 1 and "1 readings far beyond full Sun" in remarks[0]
+    assert (
+        not data.used[4, 1]
+        and np.count_nonzero(~data.used) == 1
+        and "1 readings far beyond full Sun" in remarks[0]
+    )
     assert data.sigma == pytest.approx(0.02, rel=0.4) and data.largest < 1
     found = ss.posterior(silent, wild, SMALL, seed=0, draws=500, workers=2)
     off = RATE - found["modes"]["omega_B"].values[0]
@@ -198,26 +271,47 @@ def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
     assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
 
 
-@pytest.mark.evidence("posterior", "verified", "differences of another step, through the wheel's stop")
+@pytest.mark.evidence(
+    "posterior", "verified", "differences of another step, through the wheel's stop"
+)
 def test_derivatives_are_those_of_another_step(reached):
     case = ss.load_case("philae")
     data, _, _ = readings(case.vehicle, case.telemetry)
     unknown, _ = model(case.vehicle, None, 0.02)
-    data = data.since(1).near(2600.0)  # the wheel stops within the window: the jump is in the derivative
+    data = data.since(1).near(
+        2600.0
+    )  # the wheel stops within the window: the jump is in the derivative
     likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
-    state = State(np.array([[0.18497558, 0.22550964, 0.11285405]]), moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
-                  np.zeros((1, len(unknown.unknowns))))  # fmt: skip
+    state = State(
+        np.array([[0.18497558, 0.22550964, 0.11285405]]),
+        moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
+        np.zeros((1, len(unknown.unknowns))),
+    )
     base, *_, jacobian, moves = likelihood.linearised(state)
     step = 1e-4 * np.random.default_rng(0).standard_normal((1, moves.shape[1]))
     still, went = Secant(base.seen, 0 * step), Secant(base.seen, step)
-    np.testing.assert_array_equal(likelihood.linearised(state, False, moves, still).jacobian, jacobian)  # no step, no correction
-    there = base.seen + 0.01  # a step's derivatives give the change that it made, and others across it stay
-    np.testing.assert_allclose(np.einsum("nj,njkx->nkx", step, went.corrected(moves, there)), there - base.seen, atol=1e-12)
-    for j, step in ((0, 2e-8), (2, 2e-8), (3, 1e-6), (5 + unknown.moving[-1], 2e-6), (5 + unknown.moving[1], 2e-6)):
+    np.testing.assert_array_equal(
+        likelihood.linearised(state, False, moves, still).jacobian, jacobian
+    )  # no step, no correction
+    there = (
+        base.seen + 0.01
+    )  # a step's derivatives give the change that it made, and others across it stay
+    np.testing.assert_allclose(
+        np.einsum("nj,njkx->nkx", step, went.corrected(moves, there)), there - base.seen, atol=1e-12
+    )
+    for j, step in (
+        (0, 2e-8),
+        (2, 2e-8),
+        (3, 1e-6),
+        (5 + unknown.moving[-1], 2e-6),
+        (5 + unknown.moving[1], 2e-6),
+    ):
         ends = []
         for sign in (1, -1):
             u, omega, tangent = np.zeros_like(state.u), np.zeros((1, 3)), np.zeros((1, 2))
-            (omega if j < 3 else tangent if j < 5 else u)[:, j if j < 3 else j - 3 if j < 5 else j - 5] = sign * step
+            (omega if j < 3 else tangent if j < 5 else u)[
+                :, j if j < 3 else j - 3 if j < 5 else j - 5
+            ] = sign * step
             other = State(state.omega + omega, moved(state.sun, tangent), state.u + u)
             ends.append(likelihood.misfit(likelihood.predict(other, 1e-10), other.u)[0])
         expected = (ends[0] - ends[1]) / (2 * step)
@@ -234,15 +328,26 @@ def test_heavy_tails_are_noticed():
     assert pareto_tail(rng.exponential(1.0, 5000)) > 0.8  # weights with a Pareto tail of shape one
     for shape in (-0.4, 0.0, 0.6):
         x = genpareto.rvs(shape, size=300, random_state=rng)
-        assert _shape(x / x.mean()) == pytest.approx(genpareto.fit(x / x.mean(), floc=0)[0], abs=1e-3)
+        assert _shape(x / x.mean()) == pytest.approx(
+            genpareto.fit(x / x.mean(), floc=0)[0], abs=1e-3
+        )
 
 
 def _found(**changes):
     given = {
-        "weight": np.array([1.0]), "rate": np.array([[0.1, 0, 0]]), "length": np.array([0.001]), "hits": np.array([9]),
-        "interval_s": 120.0, "p": 0.5, "noise_sigmas": 0.0, "spoilt": [], "tail": 0.2, "effective": 5000.0, "doubts": [],
+        "weight": np.array([1.0]),
+        "rate": np.array([[0.1, 0, 0]]),
+        "length": np.array([0.001]),
+        "hits": np.array([9]),
+        "interval_s": 120.0,
+        "p": 0.5,
+        "noise_sigmas": 0.0,
+        "spoilt": [],
+        "tail": 0.2,
+        "effective": 5000.0,
+        "doubts": [],
         "speed": np.array([0.1]),
-    }  # fmt: skip
+    }
     return Found(**(given | changes))
 
 
@@ -252,15 +357,30 @@ def _found(**changes):
         ({}, "unique", "one region"),
         ({"p": 1e-4}, "not explained", "no motion fits"),
         ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
-        ({"p": 1e-4, "dark": "no panel was lit"}, "not explained", "in shadow then, leave that out with --from and --to"),
-        ({"p": 1e-4, "complete": False, "doubts": ["more hypotheses than could be followed"]}, "not sure", "none fits"),
+        (
+            {"p": 1e-4, "dark": "no panel was lit"},
+            "not explained",
+            "in shadow then, leave that out with --from and --to",
+        ),
+        (
+            {"p": 1e-4, "complete": False, "doubts": ["more hypotheses than could be followed"]},
+            "not sure",
+            "none fits",
+        ),
         ({"tail": 0.9}, "not sure", "rough"),
         ({"doubts": ["only rates up to 11.5 deg/s could be searched"]}, "not sure", "only rates"),
         ({"length": np.array([0.3])}, "line", "a line"),
-        ({"weight": np.array([0.6, 0.4]), "rate": np.array([[0.1, 0, 0], [0.152, 0, 0]]), "length": np.zeros(2)}, "aliases",
-         "2.98 deg/s apart"),
+        (
+            {
+                "weight": np.array([0.6, 0.4]),
+                "rate": np.array([[0.1, 0, 0], [0.152, 0, 0]]),
+                "length": np.zeros(2),
+            },
+            "aliases",
+            "2.98 deg/s apart",
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_verdict_in_words(changes, word, part):
     got, text = verdict(_found(**changes))
     assert got == word and part in text
@@ -278,11 +398,20 @@ def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemet
     shadow = telemetry.copy(deep=True)
     shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values
     said = ss.posterior(cube, shadow, PRIORS, draws=200).attrs["verdict"]
-    assert "not explained" in said and "no panel was lit in 6 samples in a row" in said and "--from" in said and "dead" not in said
-    begins = re.search(r"from ([\d.]+) to [\d.]+ s: if the vehicle was in shadow then, leave that out", said)
+    assert (
+        "not explained" in said
+        and "no panel was lit in 6 samples in a row" in said
+        and "--from" in said
+        and "dead" not in said
+    )
+    begins = re.search(
+        r"from ([\d.]+) to [\d.]+ s: if the vehicle was in shadow then, leave that out", said
+    )
     assert begins is not None, said
     lit = ss.posterior(cube, shadow, PRIORS, draws=200, end_s=float(begins[1]) - 1.0)
-    assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"], lit.attrs["verdict"]
+    assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"], (
+        lit.attrs["verdict"]
+    )
     off = RATE - lit["modes"]["omega_B"].values[0]
     assert off @ np.linalg.solve(lit["modes"]["omega_cov_B"].values[0], off) < 16.3
 
@@ -290,13 +419,23 @@ def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemet
 def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, telemetry):
     """A body near a sphere, whose largest rate is given 3 % too small: what is asked for is done, and the motion is decided."""
     ball = replace(cube, inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
-    data = ss.twin(ball, {"omega_B": RATE, "sun_B": SUN, "t_s": telemetry["time"].values, "scale": 0.37}, seed=1)
+    data = ss.twin(
+        ball,
+        {"omega_B": RATE, "sun_B": SUN, "t_s": telemetry["time"].values, "scale": 0.37},
+        seed=1,
+    )
     size = float(np.linalg.norm(RATE))
-    short, long = (ss.posterior(ball, data, SMALL | {"max_rate_rad_s": most}, seed=0, draws=300, workers=1)
-                   for most in (size / 1.03, 1.5 * size))  # fmt: skip
-    assert "run into the limit of those searched; raise max_rate_rad_s" in short.attrs["verdict"], short.attrs["verdict"]
+    short, long = (
+        ss.posterior(ball, data, SMALL | {"max_rate_rad_s": most}, seed=0, draws=300, workers=1)
+        for most in (size / 1.03, 1.5 * size)
+    )
+    assert "run into the limit of those searched; raise max_rate_rad_s" in short.attrs["verdict"], (
+        short.attrs["verdict"]
+    )
     assert not short["passes"]["decided"].values[0]
-    assert "raise" not in long.attrs["verdict"] and long["passes"]["decided"].values[0], long.attrs["verdict"]
+    assert "raise" not in long.attrs["verdict"] and long["passes"]["decided"].values[0], long.attrs[
+        "verdict"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -306,8 +445,14 @@ def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, tele
         ({"priors": {"inertia": -1}}, "zero (known) or positive"),
         ({"phase": "descent"}, "no such phase"),
         ({"begin_s": 1e6}, "three samples"),
-        ({"observations": [{"kind": "smell", "t_s": 1, "value": 1, "sigma": 1}]}, "an observation has kind"),
-        ({"observations": [{"kind": "rate", "t_s": 1e5, "value": 1, "sigma": 1}]}, "outside the window"),
+        (
+            {"observations": [{"kind": "smell", "t_s": 1, "value": 1, "sigma": 1}]},
+            "an observation has kind",
+        ),
+        (
+            {"observations": [{"kind": "rate", "t_s": 1e5, "value": 1, "sigma": 1}]},
+            "outside the window",
+        ),
         ({"seed": -1}, "seed must be a whole number"),
     ],
 )

@@ -20,12 +20,23 @@ def summary(path):
         import arviz
 
         if int(arviz.__version__.split(".")[0]) < 1:
-            return arviz.summary(arviz.from_netcdf(str(path), engine="h5netcdf"), var_names=["omega_B", "inertia_xx"], kind="stats")
-        return arviz.summary(xr.open_datatree(path), var_names=["omega_B", "inertia_xx"], kind="stats", round_to="none")
+            return arviz.summary(
+                arviz.from_netcdf(str(path), engine="h5netcdf"),
+                var_names=["omega_B", "inertia_xx"],
+                kind="stats",
+            )
+        return arviz.summary(
+            xr.open_datatree(path),
+            var_names=["omega_B", "inertia_xx"],
+            kind="stats",
+            round_to="none",
+        )
     stats = pytest.importorskip("arviz_stats", reason="neither arviz nor arviz-stats is installed")
     if not hasattr(stats, "summary"):
         pytest.skip("arviz-stats without its extra [xarray]")
-    return stats.summary(xr.open_datatree(path), var_names=["omega_B", "inertia_xx"], kind="stats", round_to="none")
+    return stats.summary(
+        xr.open_datatree(path), var_names=["omega_B", "inertia_xx"], kind="stats", round_to="none"
+    )
 
 
 @pytest.mark.evidence("posterior", "validated", "ArviZ reads the file and computes the same means")

@@ -43,7 +43,9 @@ def test_a_torque_of_any_size_is_expected_and_the_chances_of_all_add_up_to_one()
     size = state.u[:, PLACES[0]]
     assert np.trapezoid(4 * np.pi * size**3 * density, np.log(size)) == pytest.approx(1.0, rel=1e-3)
     tail = density[np.searchsorted(turned, [30.0, 150.0])]
-    assert np.log(tail[0] / tail[1]) < 7.0 < 0.5 * (5**2 - 1)  # a Gaussian of 30 degrees would cost e^12
+    assert (
+        np.log(tail[0] / tail[1]) < 7.0 < 0.5 * (5**2 - 1)
+    )  # a Gaussian of 30 degrees would cost e^12
 
 
 def fit_of(precise: np.ndarray, told: np.ndarray, fitted: float) -> Mixture:
@@ -54,8 +56,15 @@ def fit_of(precise: np.ndarray, told: np.ndarray, fitted: float) -> Mixture:
     centre = State(np.zeros((1, 3)), SUN[None], np.zeros((1, d - 5)))
     centre.u[0, PLACES] = covariance[np.ix_(at, at)] @ precise @ told
     sheet = Sheet.of(d, 1, [], PUSHED.where("scale"))
-    return Mixture(centre, np.eye(5)[None], np.zeros((1, sheet.terms, len(sheet.stiff))), np.zeros((1, d)), covariance[None],
-                   np.ones(1), sheet)  # fmt: skip
+    return Mixture(
+        centre,
+        np.eye(5)[None],
+        np.zeros((1, sheet.terms, len(sheet.stiff))),
+        np.zeros((1, d)),
+        covariance[None],
+        np.ones(1),
+        sheet,
+    )
 
 
 def test_a_size_that_was_not_fitted_gets_the_mass_that_a_gaussian_has_under_it():
@@ -70,10 +79,14 @@ def test_a_size_that_was_not_fitted_gets_the_mass_that_a_gaussian_has_under_it()
 
     expected = np.array([log_evidence(share) for share in PUSHED.shares])
     expected = expected[expected > expected.max() - NO_MASS]
-    np.testing.assert_allclose(np.sort(mass - mass.max()), np.sort(expected - expected.max()), atol=1e-9)
+    np.testing.assert_allclose(
+        np.sort(mass - mass.max()), np.sort(expected - expected.max()), atol=1e-9
+    )
     torque = one.centre.u[0, PLACES]
     narrow = int(np.argmin(np.linalg.norm(wide.mean[:, at] + torque, axis=1)))
-    assert np.abs(wide.mean[narrow, at] + torque).max() < 0.1 * np.abs(told).max()  # no torque where none is expected
+    assert (
+        np.abs(wide.mean[narrow, at] + torque).max() < 0.1 * np.abs(told).max()
+    )  # no torque where none is expected
 
 
 def test_a_promise_far_from_the_fit_does_not_leave_out_the_size_that_was_fitted():
@@ -87,68 +100,126 @@ def test_a_promise_far_from_the_fit_does_not_leave_out_the_size_that_was_fitted(
     assert len(own) == 1 and mass[own] > mass.max() - NO_MASS and torque.max() < 1.0, (mass, torque)
 
 
-def sampled(what: str, log_evidence: float, middle: list[float], sigma: float, log_prior: float = 0.0) -> Any:
+def sampled(
+    what: str, log_evidence: float, middle: list[float], sigma: float, log_prior: float = 0.0
+) -> Any:
     """Draws of one region of rates."""
     rng = np.random.default_rng(len(what))
     omega = middle + sigma * rng.standard_normal((500, 3))
     state = State(omega, np.tile(SUN, (500, 1)), np.zeros((500, 2)))
-    drawn = Sample(state, np.full(500, log_evidence), np.zeros(500), np.zeros(500, dtype=int), np.ones(1), np.zeros(1, dtype=int),
-                   500.0, 0.0, log_evidence, np.zeros((1, 3)), ridge=np.zeros(1, dtype=int))  # fmt: skip
-    likelihood = SimpleNamespace(data=SimpleNamespace(reach_s=100.0), model=SimpleNamespace(unknowns=(0, 0)))
+    drawn = Sample(
+        state,
+        np.full(500, log_evidence),
+        np.zeros(500),
+        np.zeros(500, dtype=int),
+        np.ones(1),
+        np.zeros(1, dtype=int),
+        500.0,
+        0.0,
+        log_evidence,
+        np.zeros((1, 3)),
+        ridge=np.zeros(1, dtype=int),
+    )
+    likelihood = SimpleNamespace(
+        data=SimpleNamespace(reach_s=100.0), model=SimpleNamespace(unknowns=(0, 0))
+    )
     modes = SimpleNamespace(hits=np.array([3]))
     one: Any = SimpleNamespace(what=what, log_prior=log_prior, likelihood=likelihood, modes=modes)
     return Sampled(one, drawn)
 
 
 def test_evidence_weighs_hypotheses_and_what_a_torque_bends_stays_one_region():
-    stated, bent = sampled("as stated", 0.0, [0.1, 0.0, 0.0], 1e-4), sampled("a torque", np.log(3.0), [0.103, 0.0, 0.0], 3e-4)
+    stated, bent = (
+        sampled("as stated", 0.0, [0.1, 0.0, 0.0], 1e-4),
+        sampled("a torque", np.log(3.0), [0.103, 0.0, 0.0], 3e-4),
+    )
     far = sampled("something else", 0.0, [0.2, 0.0, 0.0], 1e-4, log_prior=np.log(0.5))
     found = mixed([stated, bent, far, sampled("no chance", -20.0, [0.1, 0.0, 0.0], 1e-4)])
     np.testing.assert_allclose(found.weight, np.array([1.0, 3.0, 0.5]) / 4.5, rtol=1e-6)
-    np.testing.assert_allclose(found.share, [4 / 4.5, 0.5 / 4.5], rtol=1e-6)  # bent by 30 sigma, but by 0.3 rad in the window
-    assert list(found.said) == ["as stated", "a torque", "something else"] and set(found.starts) == {3}
-    assert set(found.region[found.of == 2]) == {1} and found.effective == pytest.approx(1 / np.sum(np.square(found.weight) / 500))
+    np.testing.assert_allclose(
+        found.share, [4 / 4.5, 0.5 / 4.5], rtol=1e-6
+    )  # bent by 30 sigma, but by 0.3 rad in the window
+    assert list(found.said) == ["as stated", "a torque", "something else"] and set(
+        found.starts
+    ) == {3}
+    assert set(found.region[found.of == 2]) == {1} and found.effective == pytest.approx(
+        1 / np.sum(np.square(found.weight) / 500)
+    )
 
 
-@pytest.mark.parametrize(("share", "copies", "listed"), [(0.004, 1, 1), (0.004, 40, 2), (0.05, 1, 2), (5e-5, 40, 1)])
+@pytest.mark.parametrize(
+    ("share", "copies", "listed"), [(0.004, 1, 1), (0.004, 40, 2), (0.05, 1, 2), (5e-5, 40, 1)]
+)
 def test_a_region_of_few_draws_is_not_listed_unless_it_counts(share, copies, listed):
     """One draw has no width: it was told with a sigma of zero."""
     region = np.repeat([0, 1], [500, copies])
     log_weight = np.log(np.where(region == 0, (1 - share) / 500, share / copies))
-    drawn: Any = SimpleNamespace(share=np.array([1 - share, share]), region=region, log_weight=log_weight)
+    drawn: Any = SimpleNamespace(
+        share=np.array([1 - share, share]), region=region, log_weight=log_weight
+    )
     assert _listed(drawn) == listed
 
 
 def test_draws_go_on_under_their_own_torques():
     rng, t = np.random.default_rng(0), np.array([-100.0, 200.0])
     omega = 0.05 * rng.standard_normal((3, 3))
-    tree = tree_of(BOX, State(omega, np.tile(SUN, (3, 1)), np.zeros((3, len(model(BOX, {}, 1.0)[0].unknowns)))), {})
+    tree = tree_of(
+        BOX,
+        State(omega, np.tile(SUN, (3, 1)), np.zeros((3, len(model(BOX, {}, 1.0)[0].unknowns)))),
+        {},
+    )
     pull = 1e-4 * rng.standard_normal((3, 2, 3)) * np.array([[[1], [0]], [[0], [1]], [[0], [0]]])
-    tree["posterior"]["steady_torque"] = xr.DataArray(pull[None], dims=("chain", "draw", "stays_in", "axis"))
+    tree["posterior"]["steady_torque"] = xr.DataArray(
+        pull[None], dims=("chain", "draw", "stays_in", "axis")
+    )
     _, rows = drawn_rows(BOX, tree)
     found = run_to(BOX, rows, t)
     for i in range(3):
         for j, end in enumerate(t):
-            run = ss.propagate(BOX, omega[i], SUN, None, [0.0, end], torques=[Steady(0.01 * pull[i])])
+            run = ss.propagate(
+                BOX, omega[i], SUN, None, [0.0, end], torques=[Steady(0.01 * pull[i])]
+            )
             np.testing.assert_allclose(found["sun_B"][i, j], run["sun_B"].values[-1], atol=1e-3)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("stays_in", [pytest.param(0, marks=pytest.mark.slow), 1])
-@pytest.mark.evidence("posterior", "modelled", "a torque of which nobody told, of 0.005 rad/s over 300 s; left out it is wrong")
+@pytest.mark.evidence(
+    "posterior",
+    "modelled",
+    "a torque of which nobody told, of 0.005 rad/s over 300 s; left out it is wrong",
+)
 def test_a_torque_that_nobody_told_of_is_found_and_left_out_it_makes_a_wrong_answer_sure(stays_in):
     t = np.arange(0, 301, 15.0)
     torque = np.zeros((2, 3))
     torque[stays_in] = 0.01 * 0.005 / 300.0 * np.array([0.6, 0.0, -0.8])
     rate = np.array([0.05, -0.03, 0.06])
-    telemetry = ss.twin(BOX, {"omega_B": rate, "sun_B": SUN, "t_s": t, "scale": 0.5, "noise": 0.005, "torques": [Steady(torque)]})
+    telemetry = ss.twin(
+        BOX,
+        {
+            "omega_B": rate,
+            "sun_B": SUN,
+            "t_s": t,
+            "scale": 0.5,
+            "noise": 0.005,
+            "torques": [Steady(torque)],
+        },
+    )
     craft, away = replace(BOX, telemetry=replace(BOX.telemetry, noise=0.005)), []
     for most in (0.0, 300.0):
         priors = {"max_rate_rad_s": 0.12, "inertia": 0.0, "steady_torque": most}
         tree = ss.posterior(craft, telemetry, priors, draws=1000, workers=1)
         drawn = tree["posterior"]["omega_B"].values[0]
-        away.append(np.sqrt((drawn.mean(axis=0) - rate) @ np.linalg.solve(np.cov(drawn.T), drawn.mean(axis=0) - rate)))
+        away.append(
+            np.sqrt(
+                (drawn.mean(axis=0) - rate)
+                @ np.linalg.solve(np.cov(drawn.T), drawn.mean(axis=0) - rate)
+            )
+        )
     assert away[1] < 4.0 and away[0] > 5.0, away
     weights = json.loads(tree.attrs["hypotheses"])
-    assert weights["as stated"] < 0.01 and "the readings ask for a steady torque" in tree.attrs["verdict"], weights
+    assert (
+        weights["as stated"] < 0.01
+        and "the readings ask for a steady torque" in tree.attrs["verdict"]
+    ), weights
     assert TURNED[0] < np.radians(43.0) < TURNED[-1]  # within what is expected

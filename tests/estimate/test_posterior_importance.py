@@ -25,14 +25,25 @@ def mixture(seed: int, count: int) -> Mixture:
     """Unbent components about a few motions."""
     rng = np.random.default_rng(seed)
     d = 5 + UNKNOWNS
-    centre = State(0.1 * rng.standard_normal((count, 3)), moved(np.tile([0.0, 0.6, 0.8], (count, 1)), rng.normal(size=(count, 2))),
-                   rng.standard_normal((count, UNKNOWNS)))  # fmt: skip
+    centre = State(
+        0.1 * rng.standard_normal((count, 3)),
+        moved(np.tile([0.0, 0.6, 0.8], (count, 1)), rng.normal(size=(count, 2))),
+        rng.standard_normal((count, UNKNOWNS)),
+    )
     root = 0.1 * rng.standard_normal((count, d, d)) + 0.3 * np.eye(d)
     bend = np.zeros((count, SHEET.terms, len(SHEET.stiff)))
     bend[:, : len(SHEET.along)] = rng.standard_normal((count, len(SHEET.along), len(SHEET.stiff)))
     weight = rng.uniform(0.5, 1.0, count)
     basis = np.tile(np.diag([50.0] * 3 + [1.0] * 2), (count, 1, 1))
-    return Mixture(centre, basis, bend, np.zeros((count, d)), root @ root.swapaxes(1, 2), weight / weight.sum(), SHEET)
+    return Mixture(
+        centre,
+        basis,
+        bend,
+        np.zeros((count, d)),
+        root @ root.swapaxes(1, 2),
+        weight / weight.sum(),
+        SHEET,
+    )
 
 
 def density(of: Mixture, state: State) -> np.ndarray:
@@ -43,20 +54,31 @@ def test_the_pooled_mixture_has_the_density_of_all_rounds():
     """Each round but the first begins with the same defence, which is kept once."""
     first = mixture(0, 4)
     wide = replace(first, covariance=2 * first.covariance, weight=DEFENCE * first.weight)
-    later = [Mixture.joined([wide, replace(m, weight=(1 - DEFENCE) * m.weight)]) for m in (mixture(1, 3), mixture(2, 5))]
+    later = [
+        Mixture.joined([wide, replace(m, weight=(1 - DEFENCE) * m.weight)])
+        for m in (mixture(1, 3), mixture(2, 5))
+    ]
     tried = [(0.1, first), (0.02, later[0]), (0.3, later[1])]
     state = first.draw(200, np.random.default_rng(3))
     made = pooled(tried)
     assert len(made.weight) == 4 + 4 + 3 + 5 and made.weight.sum() == pytest.approx(1.0)
-    expected = sum(share * density(m, state) for share, m in tried) / sum(share for share, _ in tried)
+    expected = sum(share * density(m, state) for share, m in tried) / sum(
+        share for share, _ in tried
+    )
     np.testing.assert_allclose(density(made, state), expected, rtol=1e-9)
 
 
 def test_components_in_common_coordinates_have_the_densities_that_each_has_alone():
     """Mixed up among others, with means and widths of their own; two centres of the same bend are not taken for one."""
     first, rng = mixture(10, 3), np.random.default_rng(11)
-    first = replace(first, bend=first.bend[[0, 0, 1]], basis=first.basis * np.array([1.0, 1.0, 2.0])[:, None, None])
-    other = replace(first, mean=rng.normal(0, 0.2, first.mean.shape), covariance=1.5 * first.covariance)
+    first = replace(
+        first,
+        bend=first.bend[[0, 0, 1]],
+        basis=first.basis * np.array([1.0, 1.0, 2.0])[:, None, None],
+    )
+    other = replace(
+        first, mean=rng.normal(0, 0.2, first.mean.shape), covariance=1.5 * first.covariance
+    )
     made = Mixture.joined([first, other]).take(np.array([4, 0, 2, 3, 1, 5]))
     state = first.draw(60, rng)
     alone = [made.take(np.array([m])).log_densities(state)[:, 0] for m in range(6)]
@@ -71,25 +93,37 @@ def test_a_bend_of_nothing_is_no_bend():
     bend[:, -1] = 1e-200
     state = straight.draw(50, np.random.default_rng(5))
     for m in range(2):
-        np.testing.assert_allclose(straight.coordinates(state, m), replace(straight, bend=bend).coordinates(state, m), rtol=1e-9)
+        np.testing.assert_allclose(
+            straight.coordinates(state, m),
+            replace(straight, bend=bend).coordinates(state, m),
+            rtol=1e-9,
+        )
 
 
 def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
     """Every coordinate is stiff or along the sheet; what is bent comes back, and densities are those of the straight sheet."""
-    assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(SHEET.bending) <= set(SHEET.along)
+    assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(
+        SHEET.bending
+    ) <= set(SHEET.along)
     straight = mixture(6, 1)
     bent = replace(straight, bend=np.random.default_rng(7).normal(0, 0.05, straight.bend.shape))
     x = np.random.default_rng(8).normal(0, 0.3, (40, 5 + UNKNOWNS))
     here = np.zeros(40, dtype=int)
     one, other = straight.states(x, here), bent.states(x, here)
     np.testing.assert_allclose(bent.coordinates(other, 0), x, rtol=0, atol=1e-9)
-    assert np.abs(other.u[:, 0] - one.u[:, 0]).max() > 0.01  # the brightness is bent with the motion
+    assert (
+        np.abs(other.u[:, 0] - one.u[:, 0]).max() > 0.01
+    )  # the brightness is bent with the motion
 
     def in_the_chart(of: Mixture, state: State) -> np.ndarray:
         """Density without the chart's own stretching of the sphere."""
-        return of.log_densities(state)[:, 0] + np.log(np.sinc(np.arccos(state.sun @ of.centre.sun[0]) / np.pi))
+        return of.log_densities(state)[:, 0] + np.log(
+            np.sinc(np.arccos(state.sun @ of.centre.sun[0]) / np.pi)
+        )
 
-    np.testing.assert_allclose(in_the_chart(bent, other), in_the_chart(straight, one), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        in_the_chart(bent, other), in_the_chart(straight, one), rtol=0, atol=1e-7
+    )
 
 
 def test_bends_are_lent_to_a_model_with_more_unknowns_and_to_one_that_counts_them_otherwise():
@@ -105,14 +139,16 @@ def test_bends_are_lent_to_a_model_with_more_unknowns_and_to_one_that_counts_the
     np.testing.assert_allclose(among_five @ bend, monomials(x, SHEET) @ narrow.bend[0], atol=1e-12)
     units, state = np.array([1.0, 5.0, 0.5, 2.0]), narrow.draw(30, rng)
     other, counted = narrow.counted_in(units), replace(state, u=state.u / units)
-    np.testing.assert_allclose(other.log_densities(counted), narrow.log_densities(state) + np.log(units.prod()), rtol=1e-9)
+    np.testing.assert_allclose(
+        other.log_densities(counted), narrow.log_densities(state) + np.log(units.prod()), rtol=1e-9
+    )
 
 
 def test_components_that_share_draws_are_one_region():
     """Two that share all their draws and one apart, with draws enough for several blocks; the last has no weight at all."""
     n = 2 * BLOCK + 7
     share = np.full((n, 4), 1e-9)
-    share[:n // 3, 2] = 1.0
+    share[: n // 3, 2] = 1.0
     share[n // 3 :, :2] = 0.5
     share[:, 3] = 1e-30
     parts = np.log(share)
@@ -123,11 +159,32 @@ def test_components_that_share_draws_are_one_region():
 
 def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
     """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
-    panels = [Panel("xyzXYZ"[k], normal, 1.0) for k, normal in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))]
-    cube = Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=TelemetryForm(noise=0.005))
+    panels = [
+        Panel("xyzXYZ"[k], normal, 1.0)
+        for k, normal in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))
+    ]
+    cube = Vehicle(
+        "cube",
+        inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
+        panels=panels,
+        telemetry=TelemetryForm(noise=0.005),
+    )
     rate, sun = np.array([0.05, -0.08, 0.11]), np.array([0.36, 0.48, 0.8])
-    data, _, _ = readings(cube, ss.twin(cube, {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(6)}))
+    data, _, _ = readings(
+        cube, ss.twin(cube, {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(6)})
+    )
     unknown, _ = model(cube, {"max_rate_rad_s": 0.05, "inertia": 0.0, "steady_torque": 0.0}, 0.5)
     state = State(rate[None], sun[None], np.zeros((1, len(unknown.unknowns))))
-    modes = Modes(state, np.zeros(1), 1e6 * np.eye(5 + len(unknown.unknowns))[None], np.ones(1), (), ())
-    assert sample(Likelihood(unknown, data, 1e-8), modes, 0, lambda rows, *_: rows(np.arange(rows.n_rows)), 1000) is None
+    modes = Modes(
+        state, np.zeros(1), 1e6 * np.eye(5 + len(unknown.unknowns))[None], np.ones(1), (), ()
+    )
+    assert (
+        sample(
+            Likelihood(unknown, data, 1e-8),
+            modes,
+            0,
+            lambda rows, *_: rows(np.arange(rows.n_rows)),
+            1000,
+        )
+        is None
+    )

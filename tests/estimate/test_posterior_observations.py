@@ -13,7 +13,14 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 SPEED, SIGMA = 300.0, 0.01
@@ -24,12 +31,27 @@ def craft() -> Vehicle:
     panels = [Panel(name, normal, 1.0) for name, normal in FACES.items()]
     wheel = Wheel("wheel", np.array([0.0, 0.0, 1.0]), 2e-6, SPEED, Friction(1e-6, 1e-9))
     form = TelemetryForm(quantity="current_A", noise=0.02)
-    return Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, wheels=(wheel,), telemetry=form)
+    return Vehicle(
+        "cube",
+        inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
+        panels=panels,
+        wheels=(wheel,),
+        telemetry=form,
+    )
 
 
 @pytest.fixture(scope="module")
 def telemetry(craft):
-    return ss.twin(craft, {"omega_B": RATE, "sun_B": SUN, "t_s": np.arange(0, 200, 20.0), "wheel_speed_rad_s": [SPEED]}, seed=1)
+    return ss.twin(
+        craft,
+        {
+            "omega_B": RATE,
+            "sun_B": SUN,
+            "t_s": np.arange(0, 200, 20.0),
+            "wheel_speed_rad_s": [SPEED],
+        },
+        seed=1,
+    )
 
 
 def field(telemetry, angle_error: float = 0.0) -> dict:
@@ -37,13 +59,21 @@ def field(telemetry, angle_error: float = 0.0) -> dict:
     sun = telemetry["true_sun_B"].values[2]
     side = np.cross(sun, [0.0, 0.0, 1.0])
     axis = np.cos(1.0) * sun + np.sin(1.0) * side / np.linalg.norm(side)
-    return {"kind": "field", "t_s": 40.0, "value": 3e-5 * axis, "angle_rad": 1.0 + angle_error, "sigma": SIGMA}
+    return {
+        "kind": "field",
+        "t_s": 40.0,
+        "value": 3e-5 * axis,
+        "angle_rad": 1.0 + angle_error,
+        "sigma": SIGMA,
+    }
 
 
 def likelihood(craft, telemetry, priors=None, observations=()):
     data, _, _ = readings(craft, telemetry, observations=observations)
     unknown, _ = model(craft, priors, 1.0)
-    return Likelihood(unknown, data), State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
+    return Likelihood(unknown, data), State(
+        RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns)))
+    )
 
 
 def test_a_field_that_is_three_sigma_off_costs_what_it_should(craft, telemetry):
@@ -53,7 +83,9 @@ def test_a_field_that_is_three_sigma_off_costs_what_it_should(craft, telemetry):
 
 
 def test_derivatives_along_rate_and_release_of_the_wheel_are_those_of_differences(craft, telemetry):
-    found, state = likelihood(craft, telemetry, {"wheel_off_s": 40.0, "wheel_off": 10.0}, [field(telemetry)])
+    found, state = likelihood(
+        craft, telemetry, {"wheel_off_s": 40.0, "wheel_off": 10.0}, [field(telemetry)]
+    )
     off = 5 + found.model.where("wheel_off")[0]
     jacobian = found.linearised(state).jacobian
     assert np.abs(jacobian[0, -1, :5]).max() > 1  # the field tells something
@@ -61,7 +93,9 @@ def test_derivatives_along_rate_and_release_of_the_wheel_are_those_of_difference
         ends = []
         for sign in (1, -1):
             omega, tangent, u = np.array(state.omega), np.zeros((1, 2)), np.array(state.u)
-            (omega if j < 3 else tangent if j < 5 else u)[:, j if j < 3 else j - 3 if j < 5 else j - 5] += sign * step
+            (omega if j < 3 else tangent if j < 5 else u)[
+                :, j if j < 3 else j - 3 if j < 5 else j - 5
+            ] += sign * step
             other = State(omega, moved(state.sun, tangent), u)
             ends.append(found.misfit(found.predict(other, 1e-10), other.u)[0])
         expected = (ends[0] - ends[1]) / (2 * step)
@@ -75,16 +109,24 @@ def test_wheels_released_before_the_first_sample_have_run_down_there(craft):
     # dW/dt = -(mu0 + mu1 W) / J, about 0.65 rad/s2 at 300 rad/s
     slope = (1e-6 + 1e-9 * SPEED) / 2e-6
     speeds = unknown.wheel_speeds(u)[:, 0]
-    assert speeds[0] == pytest.approx(SPEED - 40 * slope, abs=0.5) and speeds[1] == pytest.approx(SPEED - 50 * slope, abs=0.7)
+    assert speeds[0] == pytest.approx(SPEED - 40 * slope, abs=0.5) and speeds[1] == pytest.approx(
+        SPEED - 50 * slope, abs=0.7
+    )
     assert speeds[2] == SPEED  # not before the first sample: at it
     assert told["wheel_off"] == "40 s before the first sample, sigma 10 s (given)"
     known, _ = model(craft, {"wheel_off_s": 40.0}, 1.0)
-    assert not known.where("wheel_off") and known.wheel_speeds(np.zeros((1, len(known.unknowns))))[0, 0] == speeds[0]
+    assert (
+        not known.where("wheel_off")
+        and known.wheel_speeds(np.zeros((1, len(known.unknowns))))[0, 0] == speeds[0]
+    )
 
 
 @pytest.mark.parametrize(
     ("priors", "mode", "part"),
-    [({"wheel_off": -1.0}, "coast", "zero or positive, in s"), ({"wheel_off": 5.0}, "hold", "not held")],
+    [
+        ({"wheel_off": -1.0}, "coast", "zero or positive, in s"),
+        ({"wheel_off": 5.0}, "hold", "not held"),
+    ],
 )
 def test_a_release_that_makes_no_sense_is_told(craft, priors, mode, part):
     with pytest.raises(InputError, match=part):
@@ -93,7 +135,11 @@ def test_a_release_that_makes_no_sense_is_told(craft, priors, mode, part):
 
 @pytest.mark.parametrize(
     ("changes", "part"),
-    [({"angle_rad": 4.0}, "from 0 to pi"), ({"value": [0.0, 0.0, 0.0]}, "from 0 to pi"), ({"value": [1.0]}, "3 finite numbers")],
+    [
+        ({"angle_rad": 4.0}, "from 0 to pi"),
+        ({"value": [0.0, 0.0, 0.0]}, "from 0 to pi"),
+        ({"value": [1.0]}, "3 finite numbers"),
+    ],
 )
 def test_a_field_that_makes_no_sense_is_told(craft, telemetry, changes, part):
     with pytest.raises(InputError, match=part):

@@ -27,7 +27,11 @@ def craft():
     return AS_DRAWN.vehicle
 
 
-@pytest.mark.evidence("posterior", "verified", "predictions against the reference propagator, through the stop and backward")
+@pytest.mark.evidence(
+    "posterior",
+    "verified",
+    "predictions against the reference propagator, through the stop and backward",
+)
 def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
     """Each with its own inertia, friction and wheel speed; the wheel stops at about 2500 s."""
     tree, state = philae_draws(3, 0.003)
@@ -36,7 +40,10 @@ def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
     unknown, _ = model(craft, tilt.AS_DRAWN, 1.0)
     body = unknown.bodies(state.u)
     for i in range(3):
-        wheel = replace(craft.wheels[0], friction=Friction(float(body.coulomb_N_m[i, 0]), float(body.viscous_N_m_s[i, 0])))
+        wheel = replace(
+            craft.wheels[0],
+            friction=Friction(float(body.coulomb_N_m[i, 0]), float(body.viscous_N_m_s[i, 0])),
+        )
         own = replace(craft, inertia_kg_m2=body.inertia_kg_m2[i], wheels=(wheel,))
         speed = unknown.wheel_speeds(state.u)[i]
         back = ss.propagate(own, state.omega[i], state.sun[i], speed, [0.0, TOUCHDOWN - 25200.0])
@@ -55,19 +62,29 @@ def test_the_twins_truth_before_and_after_its_collision(craft):
     truth = FORMER_TRUTH
     tree, _ = philae_draws(400)
     found = predicted(craft, tree, [COLLISION, LATER], seed=3)
-    assert found["after_collision"].values.tolist() == [False, True] and "leg" in found.attrs["collision"]
+    assert (
+        found["after_collision"].values.tolist() == [False, True]
+        and "leg" in found.attrs["collision"]
+    )
     before = found["omega_B"].values[0, :, 0]
     assert np.allclose(before, truth["collision_omega_before_B"], rtol=0, atol=2e-4)
     assert np.allclose(found["sun_B"].values[0, :, 0], truth["collision_sun_B"], rtol=0, atol=1e-3)
     after = found["rate"].values[0, :, 1]
-    true = np.linalg.norm(truth["collision_omega_after_B"])  # its size hardly changes once the wheel is at rest
+    true = np.linalg.norm(
+        truth["collision_omega_after_B"]
+    )  # its size hardly changes once the wheel is at rest
     assert after.min() < true < after.max() and after.std() > 0.03
     again, other = predicted(craft, tree, [LATER], seed=3), predicted(craft, tree, [LATER], seed=4)
     assert np.array_equal(again["omega_B"].values[0, :, 0], found["omega_B"].values[0, :, 1])
     assert not np.array_equal(again["omega_B"].values, other["omega_B"].values)
-    bounced = predicted(craft, tree, [COLLISION, LATER], seed=3, collision=Collision(restitution=0.3))
+    bounced = predicted(
+        craft, tree, [COLLISION, LATER], seed=3, collision=Collision(restitution=0.3)
+    )
     assert np.array_equal(bounced["omega_B"].values[0, :, 0], found["omega_B"].values[0, :, 0])
-    assert np.mean(np.abs(bounced["rate"].values[0, :, 1] - after) > 0.01) > 0.5 and "0.3" in bounced.attrs["collision"]
+    assert (
+        np.mean(np.abs(bounced["rate"].values[0, :, 1] - after) > 0.01) > 0.5
+        and "0.3" in bounced.attrs["collision"]
+    )
 
 
 def test_a_vehicle_without_a_known_collision_flies_on(craft):
@@ -85,7 +102,9 @@ def test_intervals_are_those_of_the_draws(craft):
     got = [table["omega_y"][key] for key in ("low_90", "low_50", "median", "high_50", "high_90")]
     assert np.allclose(got, expected, rtol=0, atol=1e-9) and table["omega_y"]["unit"] == "rad/s"
     assert table["sun_off"]["high_90"] < 1e-6  # all draws have one direction at the first sample
-    assert table["rate"]["median"] == pytest.approx(np.median(np.linalg.norm(state.omega, axis=1)), abs=1e-9)
+    assert table["rate"]["median"] == pytest.approx(
+        np.median(np.linalg.norm(state.omega, axis=1)), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("times", [[], [np.nan], [25200.0 + 8 * 86400]])

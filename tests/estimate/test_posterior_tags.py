@@ -15,7 +15,14 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.tags import tagged, turned
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.08, -0.15, 0.16])
 SMALL = {"max_rate_rad_s": 0.3, "inertia": 0.0, "steady_torque": 0.0}
@@ -25,7 +32,9 @@ SMALL = {"max_rate_rad_s": 0.3, "inertia": 0.0, "steady_torque": 0.0}
 def cube() -> Vehicle:
     panels = [Panel(name, normal, 1.0) for name, normal in FACES.items()]
     form = TelemetryForm(quantity="current_A", noise=0.02)
-    return Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
+    return Vehicle(
+        "cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form
+    )
 
 
 def telemetry_of(vehicle: Vehicle, off_s: float, seed: int = 0):
@@ -33,14 +42,20 @@ def telemetry_of(vehicle: Vehicle, off_s: float, seed: int = 0):
     rng = np.random.default_rng(seed)
     t = 15.0 * np.arange(16) + np.concatenate([[0.0], rng.uniform(-2, 2, 15)])
     data = ss.twin(vehicle, {"omega_B": RATE, "sun_B": SUN, "t_s": t}, seed=seed)
-    return data.assign_coords(time=("time", t + off_s * rng.standard_normal(len(t)), data["time"].attrs))
+    return data.assign_coords(
+        time=("time", t + off_s * rng.standard_normal(len(t)), data["time"].attrs)
+    )
 
 
 def test_directions_a_little_later_are_those_that_the_kernel_gives(cube):
-    run = k.run_rows(cube, k.Rows(RATE[None], SUN[None], np.zeros((1, 0))), [20.0, 20.3], direction_error=1e-9)
+    run = k.run_rows(
+        cube, k.Rows(RATE[None], SUN[None], np.zeros((1, 0))), [20.0, 20.3], direction_error=1e-9
+    )
     for a, b, shift in ((0, 1, 0.3), (1, 0, -0.3)):
         found = turned(run.sun_B[:, a], run.omega_B[:, a], np.array([shift]))
-        assert np.abs(found - run.sun_B[:, b]).max() < 3e-4  # half of the change of rate in 0.3 s, times 0.3 s
+        assert (
+            np.abs(found - run.sun_B[:, b]).max() < 3e-4
+        )  # half of the change of rate in 0.3 s, times 0.3 s
         assert np.abs(run.sun_B[:, a] - run.sun_B[:, b]).max() > 0.02
 
 
@@ -54,13 +69,22 @@ def test_the_integral_over_a_tags_error_is_that_of_a_fine_sum(cube, off_s):
     assert found == pytest.approx(likelihood.samples(prediction, state.u), abs=1e-12)
     shifts = off_s * np.linspace(-6, 6, 2001)
     sun, rate = (np.repeat(x, len(shifts), axis=0) for x in (prediction.sun, prediction.rate))
-    power = likelihood.power(turned(sun, rate, np.tile(shifts[:, None], (1, len(data)))), np.repeat(state.u, len(shifts), 0))
-    each = likelihood.readings(power, np.repeat(likelihood.noise(state.u), len(shifts))).sum(axis=-1)
+    power = likelihood.power(
+        turned(sun, rate, np.tile(shifts[:, None], (1, len(data)))),
+        np.repeat(state.u, len(shifts), 0),
+    )
+    each = likelihood.readings(power, np.repeat(likelihood.noise(state.u), len(shifts))).sum(
+        axis=-1
+    )
     prior = -0.5 * (shifts[:, None] / off_s) ** 2 - np.log(off_s) - 0.5 * np.log(2 * np.pi)
     exact = logsumexp(each + prior, axis=0) + np.log(shifts[1] - shifts[0])
     assert np.abs(found[0] - exact).max() < 0.1 and abs(found.sum() - exact.sum()) < 0.3
-    without = likelihood.readings(likelihood.power(prediction.sun, state.u), likelihood.noise(state.u)).sum(axis=-1)
-    assert off_s < 0.1 or abs(without.sum() - exact.sum()) > 10  # negative control: it is not nothing
+    without = likelihood.readings(
+        likelihood.power(prediction.sun, state.u), likelihood.noise(state.u)
+    ).sum(axis=-1)
+    assert (
+        off_s < 0.1 or abs(without.sum() - exact.sum()) > 10
+    )  # negative control: it is not nothing
     assert np.abs(best).max() < 4.0 * off_s + 1e-12
 
 
@@ -70,10 +94,15 @@ def test_tags_that_are_off_are_noticed_and_allowed_for(max_rate, cube):
     """Said to be exact they are not believed, as the residuals tell; the region that allows for them holds the truth."""
     telemetry, small = telemetry_of(cube, 0.3, seed=1), SMALL | {"max_rate_rad_s": max_rate}
     found = ss.posterior(cube, telemetry, small, seed=0, draws=1000, workers=1)
-    assert 0.12 < found.attrs["time_sigma_s"] < 0.6 and "time tags seem to be off" in found.attrs["verdict"], found.attrs
+    assert (
+        0.12 < found.attrs["time_sigma_s"] < 0.6
+        and "time tags seem to be off" in found.attrs["verdict"]
+    ), found.attrs
     assert found.attrs["verdict_word"] == "not sure", found.attrs["verdict"]
     off = _at_first_tag(cube, telemetry) - found["modes"]["omega_B"].values[0]
-    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3, found.attrs["verdict"]
+    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3, found.attrs[
+        "verdict"
+    ]
     told = ss.posterior(cube, telemetry, small | {"time_s": 0.3}, seed=0, draws=1000, workers=1)
     sizes = [np.sqrt(np.trace(tree["modes"]["omega_cov_B"].values[0])) for tree in (found, told)]
     assert 0.5 < sizes[0] / sizes[1] < 2.0 and "time tags" not in told.attrs["verdict"], sizes
@@ -81,15 +110,21 @@ def test_tags_that_are_off_are_noticed_and_allowed_for(max_rate, cube):
 
 def _at_first_tag(cube: Vehicle, telemetry) -> np.ndarray:
     rows = k.Rows(RATE[None], SUN[None], np.zeros((1, 0)))
-    return k.run_rows(cube, rows, [float(telemetry["time"].values[0])], direction_error=1e-8).omega_B[0, 0]
+    return k.run_rows(
+        cube, rows, [float(telemetry["time"].values[0])], direction_error=1e-8
+    ).omega_B[0, 0]
 
 
 def test_exact_tags_are_left_alone(cube):
     found = ss.posterior(cube, telemetry_of(cube, 0.0), SMALL, seed=0, draws=1000, workers=1)
-    assert found.attrs["time_sigma_s"] == 0.0 and found.attrs["verdict_word"] == "unique", found.attrs["verdict"]
+    assert found.attrs["time_sigma_s"] == 0.0 and found.attrs["verdict_word"] == "unique", (
+        found.attrs["verdict"]
+    )
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), "two", True])
 def test_a_sigma_of_time_that_makes_no_sense_is_refused(cube, value):
-    with pytest.raises(InputError, match="time_s, the sigma of the samples' times, must be zero or positive"):
+    with pytest.raises(
+        InputError, match="time_s, the sigma of the samples' times, must be zero or positive"
+    ):
         model(cube, {"time_s": value}, 1.0)

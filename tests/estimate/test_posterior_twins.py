@@ -10,7 +10,16 @@ import sunspin as ss
 from sunspin.estimate.posterior import cells
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.family import APART, BESIDE, JOINED, apart, coordinates, denser, joined, same_mode
+from sunspin.estimate.posterior.family import (
+    APART,
+    BESIDE,
+    JOINED,
+    apart,
+    coordinates,
+    denser,
+    joined,
+    same_mode,
+)
 from sunspin.estimate.posterior.fit import Begun, Fit, Slopes
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
@@ -19,7 +28,14 @@ from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import NEAR_SIGMAS
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 TURNS = 1.5 / (2 * np.pi)
@@ -29,7 +45,9 @@ PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0, "steady_torque": 0.0}
 def craft(panels: int, noise: float = 0.02) -> Vehicle:
     sides = [Panel(name, normal, 1.0) for name, normal in list(FACES.items())[:panels]]
     form = TelemetryForm(quantity="current_A", noise=noise)
-    return Vehicle("box", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=sides, telemetry=form)
+    return Vehicle(
+        "box", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=sides, telemetry=form
+    )
 
 
 def samples(vehicle: Vehicle, n: int = 15, interval_s: float = 15.0, seed: int = 0):
@@ -41,16 +59,30 @@ def samples(vehicle: Vehicle, n: int = 15, interval_s: float = 15.0, seed: int =
 def within(tree, rate) -> np.ndarray:
     """Which modes are within 4.5 sigmas of a rate."""
     off = rate - tree["modes"]["omega_B"].values
-    return np.array([o @ np.linalg.solve(c, o) < 4.5**2 for o, c in zip(off, tree["modes"]["omega_cov_B"].values, strict=True)])
+    return np.array(
+        [
+            o @ np.linalg.solve(c, o) < 4.5**2
+            for o, c in zip(off, tree["modes"]["omega_cov_B"].values, strict=True)
+        ]
+    )
 
 
-@pytest.mark.evidence("posterior", "verified", "the symmetry of four side panels: two mirror images of half the weight")
+@pytest.mark.evidence(
+    "posterior",
+    "verified",
+    "the symmetry of four side panels: two mirror images of half the weight",
+)
 def test_the_mirror_image_that_side_panels_cannot_tell_has_half_the_weight():
     vehicle = craft(4)
     tree = ss.posterior(vehicle, samples(vehicle, 20), PRIORS, seed=0, draws=1000, workers=2)
     weight = tree["modes"]["weight"].values
-    for rate in (RATE, RATE * [-1, -1, 1]):  # rates are mirrored as a turn about z turns them, the direction as a mirror does
-        assert weight[within(tree, rate)].sum() == pytest.approx(0.5, abs=0.1), tree.attrs["verdict"]
+    for rate in (
+        RATE,
+        RATE * [-1, -1, 1],
+    ):  # rates are mirrored as a turn about z turns them, the direction as a mirror does
+        assert weight[within(tree, rate)].sum() == pytest.approx(0.5, abs=0.1), tree.attrs[
+            "verdict"
+        ]
     assert tree.attrs["verdict_word"] == "aliases", tree.attrs["verdict"]
 
 
@@ -74,15 +106,23 @@ def test_a_family_is_made_denser_as_the_window_grows():
     tight = np.diag([1e8, 1e8, 1e8, 1e4, 1e4])
     loose = np.array(tight)
     loose[0, 0] = (reach / 3.0) ** 2
-    found, hits, beside, origin = denser(line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    found, hits, beside, origin = denser(
+        line, np.tile(loose, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5
+    )
     gaps = np.diff(np.unique(np.round(found.omega[:, 0], 9))) * reach
     assert gaps.max() < BESIDE + APART and len(found) > 18
-    assert hits[:10].tolist() == [3] * 10 and set(hits[10:].tolist()) == {1} and origin[:10].tolist() == list(range(10))
+    assert (
+        hits[:10].tolist() == [3] * 10
+        and set(hits[10:].tolist()) == {1}
+        and origin[:10].tolist() == list(range(10))
+    )
     off = apart(found, line.take(origin))
     assert np.linalg.norm(off[:, :3], axis=1).max() * reach == pytest.approx(BESIDE)
     each = [coordinates(found.take([i]), line.take(origin[[i]]))[0] for i in (10, 11, 12)]
     np.testing.assert_allclose(off[10:13], each, rtol=1e-12, atol=1e-15)
-    still, _, never, _ = denser(line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5)
+    still, _, never, _ = denser(
+        line, np.tile(tight, (10, 1, 1)), np.full(10, 3), np.zeros(10), reach, 0.5
+    )
     assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
 
 
@@ -98,8 +138,11 @@ def test_a_family_gets_no_more_neighbours_until_the_window_has_grown():
 
 def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
     rng = np.random.default_rng(1)
-    cloud = State(0.1 + 0.002 * rng.standard_normal((60, 3)), moved(np.tile(SUN, (60, 1)), 0.02 * rng.standard_normal((60, 2))),
-                  rng.standard_normal((60, 2)))  # fmt: skip
+    cloud = State(
+        0.1 + 0.002 * rng.standard_normal((60, 3)),
+        moved(np.tile(SUN, (60, 1)), 0.02 * rng.standard_normal((60, 2))),
+        rng.standard_normal((60, 2)),
+    )
     scale = np.array([0.002] * 3 + [0.02] * 2 + [1.0] * 2)
     normal = np.array([np.diag(scale**-2.0 * rng.uniform(0.5, 2.0)) for _ in range(60)])
     hits = rng.integers(1, 5, 60)
@@ -116,10 +159,18 @@ def test_a_fit_does_not_hang_on_its_company(along):
     vehicle = craft(6)
     data, _, _ = readings(vehicle, samples(vehicle, 6))
     unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
-    far = np.random.default_rng(2).standard_normal((4, 3)) * np.array([[0.0], [1e-4], [2e-3], [1e-2]])
+    far = np.random.default_rng(2).standard_normal((4, 3)) * np.array(
+        [[0.0], [1e-4], [2e-3], [1e-2]]
+    )
     start = State(RATE + far, np.tile(SUN, (4, 1)), np.zeros((4, len(unknown.unknowns))))
     some = np.linalg.qr(np.random.default_rng(3).standard_normal((unknown.dimension, 6)))[0]
-    fit = Fit(Likelihood(unknown, data), start, ((2.0, 3), (1.0, 8)), curved=True, free=some if along else None)
+    fit = Fit(
+        Likelihood(unknown, data),
+        start,
+        ((2.0, 3), (1.0, 8)),
+        curved=True,
+        free=some if along else None,
+    )
     every = fit(np.arange(4))
     for i in range(4):
         alone = fit(np.array([i]))
@@ -132,13 +183,20 @@ def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
     vehicle = craft(6)
     data, _, _ = readings(vehicle, samples(vehicle, 6))
     unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
-    likelihood, levels, one = Likelihood(unknown, data), ((3.0, 2), (1.0, 3)), np.zeros(3, dtype=int)
+    likelihood, levels, one = (
+        Likelihood(unknown, data),
+        ((3.0, 2), (1.0, 3)),
+        np.zeros(3, dtype=int),
+    )
     near = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
     known = Slopes(likelihood, near, False)(np.arange(1))
     begun = Begun(near.take(one), known["moves"][one], known["seen"][one])
     far = np.array([[0.0, 0.0, 0.0], [2e-3, -1e-3, 0.0], [-1e-3, 2e-3, 3e-3]])
     start = State(RATE + far, moved(np.tile(SUN, (3, 1)), 20 * far[:, :2]), begun.state.u)
-    plain, quick = (Fit(likelihood, start, levels, normal=True, begun=one)(np.arange(3)) for one in (None, begun))
+    plain, quick = (
+        Fit(likelihood, start, levels, normal=True, begun=one)(np.arange(3))
+        for one in (None, begun)
+    )
     np.testing.assert_allclose(quick["cost"], plain["cost"], atol=0.5)  # the noise is set once more
     off = apart(*(State(found["omega"], found["sun"], found["u"]) for found in (quick, plain)))
     assert np.einsum("ni,nij,nj->n", off, plain["normal"], off).max() < 1
@@ -154,11 +212,17 @@ def test_hypotheses_of_one_motion_are_fitted_to_their_end_before_they_are_joined
     n, rng = 9, np.random.default_rng(4)
     u = np.zeros((n, len(unknown.unknowns)))
     u[:, unknown.where("noise")] = np.log(2) / 0.3
-    state = State(RATE + 2e-3 * rng.standard_normal((n, 3)), moved(np.tile(SUN, (n, 1)), 0.1 * rng.standard_normal((n, 2))), u)
+    state = State(
+        RATE + 2e-3 * rng.standard_normal((n, 3)),
+        moved(np.tile(SUN, (n, 1)), 0.1 * rng.standard_normal((n, 2))),
+        u,
+    )
     likelihood, ones = Likelihood(unknown, data), np.ones(n)
     begun = Fit(likelihood, state, ((1.0, 0),), normal=True)(np.arange(n))
     assert len(joined(state, begun["normal"], ones)[0]) == n
-    one, normal, hits, *_, note = Search(1, None, False)._one_each(likelihood, state, begun["normal"], ones, ones, "8 samples")
+    one, normal, hits, *_, note = Search(1, None, False)._one_each(
+        likelihood, state, begun["normal"], ones, ones, "8 samples"
+    )
     assert len(one) == len(normal) == 1 and hits.sum() == n and not note
     assert np.linalg.norm(one.omega[0] - RATE) < 2e-3
 
@@ -172,7 +236,9 @@ def test_more_hypotheses_than_are_followed_are_thinned_evenly_and_told(most, cou
 def test_brightness_is_guessed_where_no_sample_gives_a_direction():
     vehicle = craft(4)
     data, _, _ = readings(vehicle, samples(vehicle, 20))
-    assert brightness(vehicle, data) == pytest.approx(0.5, abs=0.06)  # the truth; the largest reading alone is 0.45
+    assert brightness(vehicle, data) == pytest.approx(
+        0.5, abs=0.06
+    )  # the truth; the largest reading alone is 0.45
 
 
 def test_brightness_is_guessed_though_most_samples_are_dark():
@@ -187,7 +253,9 @@ def test_noise_on_dark_panels_does_not_brighten_the_sun():
     """Four panels that look all ways: three that read nothing but noise are no direction of a Sun six times as bright."""
     twin = strange_twins.make(0, 149, TURNS)
     data, _, _ = readings(twin.vehicle, twin.telemetry)
-    assert brightness(twin.vehicle, data) == pytest.approx(float(twin.telemetry.attrs["truth_scale"]), rel=0.1)
+    assert brightness(twin.vehicle, data) == pytest.approx(
+        float(twin.telemetry.attrs["truth_scale"]), rel=0.1
+    )
 
 
 @pytest.mark.parametrize("i", [pytest.param(8, marks=pytest.mark.long), 149])
@@ -204,8 +272,14 @@ def test_readings_that_do_not_tell_an_unknown_do_not_stop_the_fit():
     telemetry["current_A"].values[:] = 0.5 * np.array([0.6, 0.0, 0.0, 0.0])
     data, _, _ = readings(vehicle, telemetry)
     unknown, _ = model(vehicle, PRIORS, 0.5)
-    start = State(np.full((4, 3), 1e-12), np.tile([0.6, 0.0, 0.8], (4, 1)), np.zeros((4, len(unknown.unknowns))))
-    found = Fit(Likelihood(unknown, data), start, ((3.0, 2), (1.0, 2)), still=True, normal=True)(np.arange(4))
+    start = State(
+        np.full((4, 3), 1e-12),
+        np.tile([0.6, 0.0, 0.8], (4, 1)),
+        np.zeros((4, len(unknown.unknowns))),
+    )
+    found = Fit(Likelihood(unknown, data), start, ((3.0, 2), (1.0, 2)), still=True, normal=True)(
+        np.arange(4)
+    )
     assert np.isfinite(found["cost"]).all()
 
 
@@ -213,7 +287,9 @@ def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
     vehicle = craft(6)
     data, _, _ = readings(vehicle, samples(vehicle, 6))
     unknown, _ = model(vehicle, PRIORS, 0.5)
-    start = State(np.tile(-RATE, (5, 1)), np.tile(-SUN, (5, 1)), np.zeros((5, len(unknown.unknowns))))
+    start = State(
+        np.tile(-RATE, (5, 1)), np.tile(-SUN, (5, 1)), np.zeros((5, len(unknown.unknowns)))
+    )
     levels = ((3.0, 2), (1.0, 2))
     none = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=-1e9)(np.arange(5))
     every = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=1e9)(np.arange(5))
@@ -225,7 +301,11 @@ def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
 def test_a_start_settles_by_the_derivatives_of_what_it_sees():
     rng = np.random.default_rng(3)
     quaternions = np.array([0.1, -0.3, 0.2, 0.9]) + 0.2 * rng.standard_normal((8, 2, 4))
-    frame, x, q = np.linalg.qr(rng.standard_normal((3, 3)))[0], np.array([0.3, 0.6, 0.2]), np.empty((4, 4))
+    frame, x, q = (
+        np.linalg.qr(rng.standard_normal((3, 3)))[0],
+        np.array([0.3, 0.6, 0.2]),
+        np.empty((4, 4)),
+    )
 
     def seen(x, sun):
         r, column = np.empty(3), np.empty((5, 3))
@@ -235,6 +315,10 @@ def test_a_start_settles_by_the_derivatives_of_what_it_sees():
     here, column = seen(x, frame[0])
     step = 1e-6
     for i in range(3):
-        np.testing.assert_allclose((seen(x + step * np.eye(3)[i], frame[0])[0] - here) / step, column[i], atol=1e-5)
+        np.testing.assert_allclose(
+            (seen(x + step * np.eye(3)[i], frame[0])[0] - here) / step, column[i], atol=1e-5
+        )
     for i in range(2):
-        np.testing.assert_allclose(seen(x, frame[0] + step * frame[1 + i])[0] - here, step * column[3 + i], atol=1e-11)
+        np.testing.assert_allclose(
+            seen(x, frame[0] + step * frame[1 + i])[0] - here, step * column[3 + i], atol=1e-11
+        )

@@ -11,14 +11,30 @@ from sunspin.estimate.posterior.prior_widths import prior_sentences, prior_width
 from sunspin.estimate.posterior.verdict import Found
 from sunspin.estimate.terms.term import Unknown
 
-MODEL = Model(None, (Unknown("inertia_xx", "inertia", "1", 0.0, 1.0), Unknown("log_noise", "noise", "1", 0.0, 1.0)), 1.0)  # type: ignore[arg-type]
+MODEL = Model(
+    None,
+    (Unknown("inertia_xx", "inertia", "1", 0.0, 1.0), Unknown("log_noise", "noise", "1", 0.0, 1.0)),
+    1.0,
+)  # type: ignore[arg-type]
 N = 40_000
 
 
 def found(weight):
     k = len(weight)
-    return Found(np.array(weight), 0.3 * np.arange(1, k + 1)[:, None] * [1.0, 0, 0], np.full(k, 0.01), np.ones(k), 60.0, 0.5, 0.0,
-                 [], 0.1, 5000.0, [], 0.3 * np.arange(1, k + 1))  # fmt: skip
+    return Found(
+        np.array(weight),
+        0.3 * np.arange(1, k + 1)[:, None] * [1.0, 0, 0],
+        np.full(k, 0.01),
+        np.ones(k),
+        60.0,
+        0.5,
+        0.0,
+        [],
+        0.1,
+        5000.0,
+        [],
+        0.3 * np.arange(1, k + 1),
+    )
 
 
 def drawn(sigma=1.0, centre=0.0, far=0.0) -> Any:
@@ -31,7 +47,10 @@ def drawn(sigma=1.0, centre=0.0, far=0.0) -> Any:
     log_likelihood = -0.5 * ((u[:, 0] - middle) / np.where(region == 1, 0.3, sigma)) ** 2
     log_likelihood += np.where(region == 1, np.log(far + 1e-9), 0)
     log_weight = -0.5 * (u**2).sum(axis=1) + log_likelihood + 0.5 * (u**2).sum(axis=1) / 9
-    omega = np.stack([0.3 + 0.3 * region + 0.01 * u[:, 0] + rng.normal(0, 0.001, N), 0 * u[:, 0], 0 * u[:, 0]], axis=1)
+    omega = np.stack(
+        [0.3 + 0.3 * region + 0.01 * u[:, 0] + rng.normal(0, 0.001, N), 0 * u[:, 0], 0 * u[:, 0]],
+        axis=1,
+    )
     omega[:, 1:] += rng.normal(0, 0.001, (N, 2))
     return SimpleNamespace(state=State(omega, omega, u), log_weight=log_weight, region=region)
 
@@ -70,7 +89,9 @@ def test_a_verdict_that_hangs_on_a_prior_is_said():
 
 def test_draws_that_cannot_tell_say_so():
     narrow = drawn()
-    narrow.state.u[:, 0] *= 0.001  # all draws at the centre of the prior, as if the proposal had been this narrow
+    narrow.state.u[:, 0] *= (
+        0.001  # all draws at the centre of the prior, as if the proposal had been this narrow
+    )
     narrow.log_weight = np.where(np.arange(N) < 150, 0.0, -50.0)
     each = told(narrow, found([1.0]))
     assert not any(one["told"] for one in each.values())

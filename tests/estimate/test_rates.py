@@ -20,9 +20,14 @@ from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 CUBE = Vehicle(
-    "cube", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]), gain_unit="W",
-    panels=[Panel(name, normal, 1.0) for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), NORMALS, strict=True)],
-)  # fmt: skip
+    "cube",
+    inertia_kg_m2=np.diag([0.04, 0.05, 0.03]),
+    gain_unit="W",
+    panels=[
+        Panel(name, normal, 1.0)
+        for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), NORMALS, strict=True)
+    ],
+)
 
 
 def unit(rng):
@@ -33,8 +38,13 @@ def unit(rng):
 def twin(vehicle, omega, t, rng, noise=0.01, albedo=0.05, speed=None):
     run = ss.propagate(vehicle, omega, unit(rng), speed, t, wheel_mode="hold")
     power = ss.panel_power(vehicle, run["sun_B"].values)
-    power = np.maximum(power + noise * rng.normal(size=power.shape) + albedo * rng.uniform(size=power.shape), 0)
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t), dtype=np.uint8))}
+    power = np.maximum(
+        power + noise * rng.normal(size=power.shape) + albedo * rng.uniform(size=power.shape), 0
+    )
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+    }
     coords = {"time": t, "panel": list(vehicle.panel_names)}
     return xr.Dataset(variables, coords, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}), run
 
@@ -42,7 +52,9 @@ def twin(vehicle, omega, t, rng, noise=0.01, albedo=0.05, speed=None):
 def errors(result, run):
     """Error of the best mode's rate in its own sigma, (n, 3)."""
     truth = run["omega_B"].sel(time=result["time"]).values
-    return (result["omega_B"].values - truth) / np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    return (result["omega_B"].values - truth) / np.sqrt(
+        np.einsum("nii->ni", result["omega_cov_B"].values)
+    )
 
 
 def irregular(rng, n, usual):
@@ -75,54 +87,95 @@ def test_a_wheel_is_part_of_the_motion():
     result = ss.rates(craft, data, acceleration_noise=2e-5, max_rate_rad_s=0.05)
     assert (errors(result, run) ** 2).mean() < 4.0
     without = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.05)
-    assert without["cost"].values[0, 0] > result["cost"].values[0, 0] + 20  # the control: without its wheel it does not fit
-    assert "NO motion fits" in without.attrs["verdict"] and "NO motion" not in result.attrs["verdict"]
+    assert (
+        without["cost"].values[0, 0] > result["cost"].values[0, 0] + 20
+    )  # the control: without its wheel it does not fit
+    assert (
+        "NO motion fits" in without.attrs["verdict"] and "NO motion" not in result.attrs["verdict"]
+    )
 
 
 def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
     """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)
-    craft, turned = (replace(CUBE, wheels=(replace(wheel, speed_rad_s=speed),)) for speed in (40.0, -40.0))
-    data, run = twin(craft, [0.02, 0.03, -0.01], np.arange(20) * 10.0, np.random.default_rng(2), albedo=0.0, speed=[40.0])
+    craft, turned = (
+        replace(CUBE, wheels=(replace(wheel, speed_rad_s=speed),)) for speed in (40.0, -40.0)
+    )
+    data, run = twin(
+        craft,
+        [0.02, 0.03, -0.01],
+        np.arange(20) * 10.0,
+        np.random.default_rng(2),
+        albedo=0.0,
+        speed=[40.0],
+    )
     right, wrong = (ss.rates(one, data, max_rate_rad_s=0.06) for one in (craft, turned))
     assert right["decided"].values.all() and np.abs(errors(right, run)).max() < 5.0
     assert "sign" not in right["why_not_decided"].values[0] and "wiring_doubt" not in right.attrs
     assert np.abs(errors(wrong, run)).max() > 5.0  # what was decided before
     assert not wrong["decided"].values.any() and wrong["wiring"].values[0] == "doubtful"
     assert "the sign of a wheel" in wrong["why_not_decided"].values[0]
-    assert "0 of 1" in wrong.attrs["verdict"] and "wheel reaction-y turning the other way" in wrong.attrs["verdict"]
+    assert (
+        "0 of 1" in wrong.attrs["verdict"]
+        and "wheel reaction-y turning the other way" in wrong.attrs["verdict"]
+    )
     # a mirror along x or z reverses the wheel: these columns exchanged look the same, and none of the three is recommended
     named = {one["what"]: one["omega_deg_s"] for one in json.loads(wrong.attrs["wiring_changes"])}
     mirrored = {f"the columns of panels +{a} and -{a} exchanged" for a in "xz"}
     assert set(named) == {"wheel reaction-y turning the other way", *mirrored}
-    assert "cannot tell which is right" in wrong.attrs["verdict"] and "before you change the file" in wrong.attrs["verdict"]
+    assert (
+        "cannot tell which is right" in wrong.attrs["verdict"]
+        and "before you change the file" in wrong.attrs["verdict"]
+    )
     x, y, z = named["wheel reaction-y turning the other way"]
-    np.testing.assert_allclose(named["the columns of panels +x and -x exchanged"], [x, -y, -z], atol=1e-6)
+    np.testing.assert_allclose(
+        named["the columns of panels +x and -x exchanged"], [x, -y, -z], atol=1e-6
+    )
     truth = np.degrees(run["omega_B"].values[9:11])
     assert np.abs(truth - [x, y, z]).max(axis=1).min() < 0.5
     # of the right file a mirror along the wheel's axis is not seen, nor is it said that others are not
     lines = [line for line in rates_summary(right).lines if "wiring unchecked" in line]
-    assert len(lines) == 1 and "+y and -y exchanged" in lines[0] and "+x and -x" not in lines[0] and "+z and -z" not in lines[0]
+    assert (
+        len(lines) == 1
+        and "+y and -y exchanged" in lines[0]
+        and "+x and -x" not in lines[0]
+        and "+z and -z" not in lines[0]
+    )
     assert right["wiring"].values[0] == "unchecked"
 
 
 def test_a_wheel_of_untold_speed_leaves_nothing_decided():
-    data, _ = twin(CUBE, [0.01, 0.012, -0.01], irregular(np.random.default_rng(5), 12, 10.0), np.random.default_rng(5))
+    data, _ = twin(
+        CUBE,
+        [0.01, 0.012, -0.01],
+        irregular(np.random.default_rng(5), 12, 10.0),
+        np.random.default_rng(5),
+    )
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4)
-    stands = ss.rates(CUBE, data, max_rate_rad_s=0.05)  # the control: without a wheel these samples decide
+    stands = ss.rates(
+        CUBE, data, max_rate_rad_s=0.05
+    )  # the control: without a wheel these samples decide
     untold = ss.rates(replace(CUBE, wheels=(wheel,)), data, max_rate_rad_s=0.05)
     read = data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((data.sizes["time"], 1))))
     measured = ss.rates(replace(CUBE, wheels=(wheel,)), read, max_rate_rad_s=0.05)
-    assert [bool(one["decided"].values[0]) for one in (stands, untold, measured)] == [True, False, True]
+    assert [bool(one["decided"].values[0]) for one in (stands, untold, measured)] == [
+        True,
+        False,
+        True,
+    ]
     assert "NOTHING TELLS THE SPEED OF WHEEL reaction-y" in untold.attrs["verdict"]
-    assert "nothing tells the speed of wheel reaction-y: give speed_rad_s" in str(untold["why_not_decided"].values[0])
+    assert "nothing tells the speed of wheel reaction-y: give speed_rad_s" in str(
+        untold["why_not_decided"].values[0]
+    )
     assert all("THE SPEED OF" not in one.attrs["verdict"] for one in (stands, measured))
 
 
 @pytest.fixture(scope="module")
 def evenly_spaced():
     """Rates of a body of unknown inertia from samples 40 s apart, the body, telemetry and true motion."""
-    data, run = twin(CUBE, [0.004, -0.003, 0.012], np.arange(6) * 40.0, np.random.default_rng(1), noise=0.02)
+    data, run = twin(
+        CUBE, [0.004, -0.003, 0.012], np.arange(6) * 40.0, np.random.default_rng(1), noise=0.02
+    )
     craft = replace(CUBE, inertia_kg_m2=None)
     return ss.rates(craft, data, acceleration_noise=1e-4, max_rate_rad_s=0.16), craft, data, run
 
@@ -146,7 +199,12 @@ def test_a_gyro_decides_between_aliases_and_narrows_the_rate(evenly_spaced):
     alone, craft, data, run = evenly_spaced
     craft = replace(craft, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
     gyro = run["omega_B"].values + 5e-4 * np.random.default_rng(2).normal(size=(6, 3))
-    both = ss.rates(craft, data.assign(gyro_B=(("time", "axis"), gyro)), acceleration_noise=1e-4, max_rate_rad_s=0.16)
+    both = ss.rates(
+        craft,
+        data.assign(gyro_B=(("time", "axis"), gyro)),
+        acceleration_noise=1e-4,
+        max_rate_rad_s=0.16,
+    )
     assert both["weight"].values[0, 0] > 0.9 and (errors(both, run) ** 2).mean() < 4.0
     assert np.all(both["omega_sigma_all_B"].values[0] < alone["omega_sigma_all_B"].values[0])
     assert both.attrs["gyro_used"] == 1 and alone.attrs["gyro_used"] == 0
@@ -161,7 +219,10 @@ def test_attitude_turns_the_local_sun_into_the_body():
     turned = Rotation.from_quat(result["B_from_N"].values).apply(SUN_N)
     assert np.abs(turned - result["sun_B"].values).max() < 1e-12
     q, between = result["B_from_N"].values, result["curve_B_from_N"].values
-    assert np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0 and np.einsum("ni,ni->n", between[1:], between[:-1]).min() > 0.99
+    assert (
+        np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0
+        and np.einsum("ni,ni->n", between[1:], between[:-1]).min() > 0.99
+    )
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-9])
@@ -172,24 +233,40 @@ def test_every_seed_rate_carries_the_first_direction_to_the_second(apart):
     assert len(rates) > 40
     carried = turn(np.broadcast_to(facing(first), (len(rates), 3, 3)), 10.0 * rates) @ SUN_N
     strays = np.linalg.norm(carried - second, axis=1)
-    family = strays[: -80 * 2] if apart < 0.5 else strays  # the rest: whole turns about any axis, which stray by the angle
+    family = (
+        strays[: -80 * 2] if apart < 0.5 else strays
+    )  # the rest: whole turns about any axis, which stray by the angle
     assert family.max() < 1e-6 and strays.max() < apart + 1e-6
 
 
-@pytest.mark.parametrize("body", [
-    Body(np.eye(3), np.array([1e-6, -2e-6, 5e-7]), True),
-    Body(np.diag([1.0, 1.2, 0.8]), np.array([1e-6, 0.0, 0.0]), False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "body",
+    [
+        Body(np.eye(3), np.array([1e-6, -2e-6, 5e-7]), True),
+        Body(np.diag([1.0, 1.2, 0.8]), np.array([1e-6, 0.0, 0.0]), False),
+    ],
+)
 def test_the_answer_of_a_step_is_its_derivative(body):
     rng = np.random.default_rng(6)
     omega, dt = 0.03 * rng.normal(size=(5, 3)), np.full(5, 20.0)
-    ends = Ends(*(30 * rng.normal(size=(2, 5, 3))), np.tile([0.0, 0.01, 0.0], (5, 1)), np.tile([0.0, 0.008, 0.0], (5, 1)))
+    ends = Ends(
+        *(30 * rng.normal(size=(2, 5, 3))),
+        np.tile([0.0, 0.01, 0.0], (5, 1)),
+        np.tile([0.0, 0.008, 0.0], (5, 1)),
+    )
     matrix, _, answer = step_with_answer(body, omega, dt, ends)
     small = 1e-4 * rng.normal(size=(5, 3))
     moved, rate = step(body, omega + small, dt, ends)
     told = np.einsum("nij,nj->ni", answer[:, :3, 3:], small)
     assert np.abs(turn_between(matrix, moved) - told).max() < 2e-5
-    assert np.abs(rate - step(body, omega, dt, ends)[1] - np.einsum("nij,nj->ni", answer[:, 3:, 3:], small)).max() < 1e-6
+    assert (
+        np.abs(
+            rate
+            - step(body, omega, dt, ends)[1]
+            - np.einsum("nij,nj->ni", answer[:, 3:, 3:], small)
+        ).max()
+        < 1e-6
+    )
 
 
 @pytest.mark.evidence("rates", "verified", "the reference propagator over one interval")
@@ -199,7 +276,9 @@ def test_a_step_agrees_with_the_reference_propagator(reached):
     matrix, rate = step(Body.of(CUBE), np.array([[0.03, -0.02, 0.05]]), np.array([25.0]))
     assert np.abs(rate[0] - run["omega_B"].values[1]).max() < 1e-6
     assert np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]).max() < 1e-4
-    reached("difference of the direction", np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]), "", 1e-4)
+    reached(
+        "difference of the direction", np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]), "", 1e-4
+    )
 
 
 def test_thinned_samples_leave_from_the_file_s_own_interval():
@@ -217,10 +296,14 @@ def test_aliases_pass_the_same_attitudes_and_uneven_times_have_none():
     found = aliases(Observations(t, np.zeros((4, 3)), ()), track, np.radians(15.1))
     assert np.degrees(np.linalg.norm(found.omega[:, 0], axis=1)) == pytest.approx([9.0, 15.0])
     for omega in found.omega[:, 0]:
-        np.testing.assert_allclose((Rotation.from_rotvec(-t[:, None] * omega) * seen.inv()).magnitude(), 0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            (Rotation.from_rotvec(-t[:, None] * omega) * seen.inv()).magnitude(), 0.0, atol=1e-6
+        )
     uneven = Observations(np.array([0.0, 30.0, 65.0, 120.0]), np.zeros((4, 3)), ())
     assert len(aliases(uneven, track, np.radians(15.1)).omega) == 0
-    assert len(aliases(Observations(t, np.zeros((4, 3)), ()), track, np.radians(5.9)).omega) == 0  # no turn hides
+    assert (
+        len(aliases(Observations(t, np.zeros((4, 3)), ()), track, np.radians(5.9)).omega) == 0
+    )  # no turn hides
 
 
 @pytest.mark.parametrize(
@@ -237,7 +320,9 @@ def test_what_cannot_be_done_is_a_sentence(change, text):
         ss.rates(CUBE, change(data))
 
 
-@pytest.mark.parametrize("bad", [{"max_rate_rad_s": float("nan")}, {"acceleration_noise": -1.0}, {"source": "stars"}])
+@pytest.mark.parametrize(
+    "bad", [{"max_rate_rad_s": float("nan")}, {"acceleration_noise": -1.0}, {"source": "stars"}]
+)
 def test_bad_settings_are_sentences(bad):
     data, _ = twin(CUBE, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5))
     with pytest.raises(ss.InputError):
@@ -245,6 +330,13 @@ def test_bad_settings_are_sentences(bad):
 
 
 def test_no_rate_below_the_largest_allowed_is_a_sentence():
-    data, _ = twin(CUBE, [0.0, 0.05, 0.0], np.arange(6) * 20.0, np.random.default_rng(5), noise=0.001, albedo=0.0)
+    data, _ = twin(
+        CUBE,
+        [0.0, 0.05, 0.0],
+        np.arange(6) * 20.0,
+        np.random.default_rng(5),
+        noise=0.001,
+        albedo=0.0,
+    )
     with pytest.raises(ss.InputError, match="max-rate"):
         ss.rates(CUBE, data, acceleration_noise=1e-6, max_rate_rad_s=1e-4)

@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.rates.alternatives import Others, Trial, _sized, alternatives, counted, pooled, weighed
+from sunspin.estimate.rates.alternatives import (
+    Others,
+    Trial,
+    _sized,
+    alternatives,
+    counted,
+    pooled,
+    weighed,
+)
 from sunspin.estimate.rates.common_errors import with_common
 from sunspin.estimate.rates.dense import bridge
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
@@ -45,7 +53,10 @@ def test_a_steady_torque_pushes_as_the_equations_of_motion_say(frame):
     free, turned = spin(START, t)
     moved, attitude = spin(START, t, pushed(size, frame == "B"))
     expected = np.concatenate([turn_between(turned, attitude)[1], (moved - free)[1]])
-    made = SteadyTorque(1.0, frame, INERTIA).pushes(Seen(turned[None], free[None]), np.diff(t))[0, 0] @ size
+    made = (
+        SteadyTorque(1.0, frame, INERTIA).pushes(Seen(turned[None], free[None]), np.diff(t))[0, 0]
+        @ size
+    )
     np.testing.assert_allclose(made, expected, atol=5e-3 * np.abs(expected[:3]).max())
 
 
@@ -55,7 +66,9 @@ def test_the_evidence_of_a_smaller_torque_is_that_of_its_integral():
     like = np.exp(-((x - 2) ** 2) / 0.08)
     log = [np.log(np.trapezoid(like * np.exp(-((x / s) ** 2) / 2) / s, x)) for s in (1.0, 0.3)]
     variance = 1 / (1 / 0.04 + 1)
-    found = _sized(np.array([[2 * variance / 0.04]]), np.array([[[variance]]]), np.array([1.0, 0.3]))
+    found = _sized(
+        np.array([[2 * variance / 0.04]]), np.array([[[variance]]]), np.array([1.0, 0.3])
+    )
     assert found[0, 0] == pytest.approx(0.0, abs=1e-12)
     assert found[1, 0] == pytest.approx(log[1] - log[0], rel=1e-6)
 
@@ -64,7 +77,9 @@ def test_a_torque_of_one_size_is_fitted_no_worse_than_torques_of_all_sizes():
     """Its evidence is that of the best of the sizes, whose mean the trial tells."""
     found = tried(pushed(1e-5 * np.array([1.0, -0.5, 0.5]), False), 3e-4)[0]
     torques = [trial for trial in found if trial.hypothesis.what.startswith("a steady torque")]
-    assert torques and all(weighed(trial.hypothesis, trial.fit).best > trial.best for trial in torques)
+    assert torques and all(
+        weighed(trial.hypothesis, trial.fit).best > trial.best for trial in torques
+    )
 
 
 def motions(log_evidence, deg_s):
@@ -73,18 +88,30 @@ def motions(log_evidence, deg_s):
     omega = np.zeros((count, 1, 3))
     omega[:, 0, 2] = np.radians(deg_s)
     covariance = np.tile(np.radians(0.1) ** 2 * np.eye(6), (count, 1, 1, 1))
-    one = Hypothesis(AS_STATED, Observations(T_S[:1], np.zeros((1, 3)), ()), np.arange(1), Motion(BODY, 1e-6, prior))
-    fit: Any = SimpleNamespace(track=Track(np.tile(np.eye(3), (count, 1, 1, 1)), omega, covariance=covariance))
+    one = Hypothesis(
+        AS_STATED,
+        Observations(T_S[:1], np.zeros((1, 3)), ()),
+        np.arange(1),
+        Motion(BODY, 1e-6, prior),
+    )
+    fit: Any = SimpleNamespace(
+        track=Track(np.tile(np.eye(3), (count, 1, 1, 1)), omega, covariance=covariance)
+    )
     return Trial(one, fit, np.array(log_evidence) - (omega**2).sum(axis=(1, 2)) / (2 * prior**2))
 
 
-@pytest.mark.parametrize(("slower", "faster", "low", "high"), [
-    (0.0, 0.0, 0.4, 0.9),  # as good: open
-    (-4.0, 0.0, 0.4, 0.6),  # the faster one is ahead only if every rate is as likely
-    (0.0, -4.0, 0.9, 1.0),
-    (-20.0, 0.0, 0.0, 0.01),  # nothing but the data counts
-])  # fmt: skip
-def test_which_alias_is_the_likelier_does_not_hang_on_the_prior_of_the_rate(slower, faster, low, high):
+@pytest.mark.parametrize(
+    ("slower", "faster", "low", "high"),
+    [
+        (0.0, 0.0, 0.4, 0.9),  # as good: open
+        (-4.0, 0.0, 0.4, 0.6),  # the faster one is ahead only if every rate is as likely
+        (0.0, -4.0, 0.9, 1.0),
+        (-20.0, 0.0, 0.0, 0.01),  # nothing but the data counts
+    ],
+)
+def test_which_alias_is_the_likelier_does_not_hang_on_the_prior_of_the_rate(
+    slower, faster, low, high
+):
     weight = pooled([motions([slower, faster], [1.4, 12.0])])
     assert weight.sum() == pytest.approx(1.0) and low < weight[0] < high
 
@@ -99,7 +126,9 @@ def test_a_motion_whose_fit_ended_on_a_slope_gains_nothing_by_being_slow(wrong):
 def test_noise_of_the_rate_makes_the_attitude_wander_and_holds_at_both_ends():
     white = whitening(np.array([8.0]), 1e-9, 0.02)[0]
     assert np.linalg.inv(white.T @ white)[0, 0] == pytest.approx(0.02**2 * 8.0, rel=1e-6)
-    assert bridge(np.array([0.25]), np.array([8.0]), 0.0, 0.02)[0][0, 0] == pytest.approx(0.02**2 * 8 * 0.25 * 0.75)
+    assert bridge(np.array([0.25]), np.array([8.0]), 0.0, 0.02)[0][0, 0] == pytest.approx(
+        0.02**2 * 8 * 0.25 * 0.75
+    )
 
 
 def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):
@@ -112,7 +141,11 @@ def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):
     if zero_deg_s is not None:
         gyro = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 1e-3, zero_sigma=np.full(3, zero_sigma))
         vehicle = replace(vehicle, sensors=Sensors(gyro=gyro))
-        read = omega + np.radians(zero_deg_s) + 1e-3 * np.random.default_rng(4).normal(size=omega.shape)
+        read = (
+            omega
+            + np.radians(zero_deg_s)
+            + 1e-3 * np.random.default_rng(4).normal(size=omega.shape)
+        )
         telemetry = telemetry.assign(gyro_B=(("time", "axis"), read))
     o, why, _ = observations(vehicle, telemetry)
     index = passes(o, why)[0]
@@ -120,16 +153,33 @@ def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):
     axes[0] *= np.sign(np.linalg.det(axes))
     motion = Motion(Body.of(vehicle), noise, 0.075)
     one = Hypothesis(AS_STATED, o.take(index), np.arange(len(index)), motion)
-    fit = with_common(one.fitted(), Track((attitude[index] @ axes.T)[None], omega[index][None]), motion, None)
+    fit = with_common(
+        one.fitted(), Track((attitude[index] @ axes.T)[None], omega[index][None]), motion, None
+    )
     return alternatives(weighed(one, fit), Others(True, "{:.0f} s".format)), omega[index]
 
 
-@pytest.mark.parametrize(("push", "noise", "words"), [
-    (None, 1e-6, AS_STATED),
-    (pushed(1e-4 * np.array([1.0, -0.5, 0.5]), True), 3e-4, "a steady torque of 0.0001 rad/s2 in body axes"),
-    (pushed(1e-4 * np.array([1.0, -0.5, 0.5]), False), 3e-4, "a steady torque of 0.0001 rad/s2 in axes fixed in space"),
-    (lambda t, _: np.radians([1.0, 0.0, 0.0]) * (124 <= t < 126), 3e-4, "a step of the rate at 125 s"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("push", "noise", "words"),
+    [
+        (None, 1e-6, AS_STATED),
+        (
+            pushed(1e-4 * np.array([1.0, -0.5, 0.5]), True),
+            3e-4,
+            "a steady torque of 0.0001 rad/s2 in body axes",
+        ),
+        (
+            pushed(1e-4 * np.array([1.0, -0.5, 0.5]), False),
+            3e-4,
+            "a steady torque of 0.0001 rad/s2 in axes fixed in space",
+        ),
+        (
+            lambda t, _: np.radians([1.0, 0.0, 0.0]) * (124 <= t < 126),
+            3e-4,
+            "a step of the rate at 125 s",
+        ),
+    ],
+)
 def test_what_moved_the_body_is_named_and_its_rates_are_right(push, noise, words):
     found, omega = tried(push, noise)
     best = max(found, key=lambda trial: trial.best)
@@ -139,8 +189,13 @@ def test_what_moved_the_body_is_named_and_its_rates_are_right(push, noise, words
     assert np.abs((best.fit.track.omega[k] - omega) / sigma).max() < 4.5
 
 
-@pytest.mark.parametrize(("zero", "words"), [([0.0, 0.0, 0.0], AS_STATED), ([0.3, 0.0, -0.2], "a zero of the gyro of (0.")])
-def test_a_zero_of_the_gyro_that_the_file_does_not_have_is_named_and_the_rates_are_right(zero, words):
+@pytest.mark.parametrize(
+    ("zero", "words"),
+    [([0.0, 0.0, 0.0], AS_STATED), ([0.3, 0.0, -0.2], "a zero of the gyro of (0.")],
+)
+def test_a_zero_of_the_gyro_that_the_file_does_not_have_is_named_and_the_rates_are_right(
+    zero, words
+):
     """Before, such a body was said to swing quicker than the samples."""
     found, omega = tried(None, 1e-6, zero)
     best = max(found, key=lambda trial: trial.best)
@@ -151,17 +206,26 @@ def test_a_zero_of_the_gyro_that_the_file_does_not_have_is_named_and_the_rates_a
 
 def test_the_zero_of_a_gyro_that_is_stated_with_a_sigma_needs_no_other_model():
     """What the name of the other zero asks for is done, and the pass is explained as stated."""
-    named = max(tried(None, 1e-6, [0.3, 0.0, -0.2])[0], key=lambda trial: trial.best).hypothesis.what
+    named = max(
+        tried(None, 1e-6, [0.3, 0.0, -0.2])[0], key=lambda trial: trial.best
+    ).hypothesis.what
     assert named.endswith("beside that of the file: state its zero with a sigma")
     found, omega = tried(None, 1e-6, [0.3, 0.0, -0.2], np.radians(0.5))
     best = max(found, key=lambda trial: trial.best)
     assert best.hypothesis.what == AS_STATED
-    assert np.degrees(np.abs(best.fit.track.omega[counted(found)[0].members[0][1]] - omega).max()) < 0.05
+    assert (
+        np.degrees(np.abs(best.fit.track.omega[counted(found)[0].members[0][1]] - omega).max())
+        < 0.05
+    )
 
 
 def test_hypotheses_that_lead_to_one_motion_share_its_weight():
     groups = counted(tried(None, 1e-6)[0])
-    assert len(groups) == 1 and groups[0].weights.sum() == pytest.approx(1.0) and len(groups[0].members) > 1
+    assert (
+        len(groups) == 1
+        and groups[0].weights.sum() == pytest.approx(1.0)
+        and len(groups[0].members) > 1
+    )
 
 
 def short(off_rad):
@@ -170,9 +234,18 @@ def short(off_rad):
     omega, attitude = spin(START, t)
     sun = np.einsum("nij,j->ni", attitude, axes := unit(rng)) + 0.05 * rng.normal(size=(6, 3))
     sun[3] = Rotation.from_rotvec(off_rad * np.cross(sun[3], unit(rng))).apply(sun[3])
-    known = SunDirection.of(sun / np.linalg.norm(sun, axis=1, keepdims=True), np.tile(0.05**2 * np.eye(3), (6, 1, 1)))
-    one = Hypothesis(AS_STATED, Observations(t, np.zeros((6, 3)), (known,)), np.arange(6), Motion(BODY, 1e-6, 0.075))
-    fit = with_common(one.fitted(), Track((attitude @ facing(axes))[None], omega[None]), one.motion, None)
+    known = SunDirection.of(
+        sun / np.linalg.norm(sun, axis=1, keepdims=True), np.tile(0.05**2 * np.eye(3), (6, 1, 1))
+    )
+    one = Hypothesis(
+        AS_STATED,
+        Observations(t, np.zeros((6, 3)), (known,)),
+        np.arange(6),
+        Motion(BODY, 1e-6, 0.075),
+    )
+    fit = with_common(
+        one.fitted(), Track((attitude @ facing(axes))[None], omega[None]), one.motion, None
+    )
     found = alternatives(weighed(one, fit), Others(False, "{:.0f} s".format))
     total = np.logaddexp.reduce(np.concatenate([trial.log_evidence for trial in found]))
     return {trial.hypothesis.what: float(np.exp(trial.best - total)) for trial in found}

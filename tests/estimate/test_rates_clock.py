@@ -13,16 +13,25 @@ from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Clock
 
 
-@pytest.mark.evidence("rates", "modelled", "twins whose gyro or quaternion lags, and the same without a lag")
+@pytest.mark.evidence(
+    "rates", "modelled", "twins whose gyro or quaternion lags, and the same without a lag"
+)
 @pytest.mark.parametrize(
     ("kind", "seed", "late"),
     [
         pytest.param("attitude", 102, -4.0, marks=pytest.mark.long),
-        *(pytest.param(*case, marks=pytest.mark.slow)
-          for case in (("gyro", 101, 5.0), ("gyro", 102, -4.0), ("gyro", 101, 0.0), ("attitude", 101, 5.0),
-                              ("attitude", 101, 0.0))),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("gyro", 101, 5.0),
+                ("gyro", 102, -4.0),
+                ("gyro", 101, 0.0),
+                ("attitude", 101, 5.0),
+                ("attitude", 101, 0.0),
+            )
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
     data, run = twin(kind, late, np.random.default_rng(seed))
     result = ss.rates(craft(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
@@ -69,7 +78,11 @@ def test_the_clock_of_a_vehicle_file_is_read():
 
 
 @pytest.mark.long
-@pytest.mark.evidence("rates", "modelled", "a gyro read backwards looks late by half a turn: its axes are named, and no clock")
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "a gyro read backwards looks late by half a turn: its axes are named, and no clock",
+)
 def test_a_gyro_that_is_read_backwards_is_not_called_late():
     telemetry, _ = twin("gyro", 0.0, np.random.default_rng(0))
     result = ss.rates(craft("gyro", None), telemetry.assign(gyro_B=-telemetry["gyro_B"]))

@@ -22,7 +22,9 @@ def test_intervals_hold_the_truth_with_all_faults_at_once():
 def test_intervals_hold_the_truth(name):
     """Forty twins, 120 components, not independent within a twin: a share is known to about 5 %."""
     found = coverage(FAULTS[name], 40, seed=1)
-    print(f"{name}: 50 % holds {found.half:.0%}, 90 % holds {found.ninety:.0%}, error {np.degrees(found.error):.3f} deg/s")
+    print(
+        f"{name}: 50 % holds {found.half:.0%}, 90 % holds {found.ninety:.0%}, error {np.degrees(found.error):.3f} deg/s"
+    )
     assert 0.35 < found.half < 0.8
     assert found.ninety > 0.74
     assert found.too_narrow < 0.55

@@ -17,13 +17,22 @@ from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 WHEEL = Wheel("wheel", [0, 0, 1], 4e-5, 400.0, Friction(3e-8, 2e-10))
 CRAFT = Vehicle(
-    "uneven", inertia_kg_m2=np.diag([0.045, 0.047, 0.011]), wheels=[WHEEL],
+    "uneven",
+    inertia_kg_m2=np.diag([0.045, 0.047, 0.011]),
+    wheels=[WHEEL],
     panels=[Panel(name, normal, 1.0) for name, normal in FACES.items()],
     telemetry=TelemetryForm(quantity="current_A", noise=0.02),
-)  # fmt: skip
+)
 RATE, SUN, NOISE = np.radians([1.2, -2.5, 3.3]), np.array([0.6, -0.48, 0.64]), 1e-6
 
 
@@ -31,11 +40,20 @@ RATE, SUN, NOISE = np.radians([1.2, -2.5, 3.3]), np.array([0.6, -0.48, 0.64]), 1
 def pass_():
     """A tumble of 300 samples 2 s apart: observations, the true motion, the samples kept."""
     t = np.arange(0.0, 600.0, 2.0)
-    telemetry = ss.twin(CRAFT, {"omega_B": RATE, "sun_B": SUN, "t_s": t, "wheel_speed_rad_s": 400.0, "scale": 1.0}, seed=3)
+    telemetry = ss.twin(
+        CRAFT,
+        {"omega_B": RATE, "sun_B": SUN, "t_s": t, "wheel_speed_rad_s": 400.0, "scale": 1.0},
+        seed=3,
+    )
     run = ss.propagate(CRAFT, RATE, SUN, 400.0, t)
     o, _, _ = observations(CRAFT, telemetry, None)
     momenta = wheel_momenta(CRAFT, telemetry)
-    o = replace(o, momentum=next(value for name, value in momenta.items() if "coast" in name or len(momenta) == 1))
+    o = replace(
+        o,
+        momentum=next(
+            value for name, value in momenta.items() if "coast" in name or len(momenta) == 1
+        ),
+    )
     return telemetry, run, o, thinned(np.arange(len(t)))
 
 
@@ -51,11 +69,15 @@ def attitudes(run) -> np.ndarray:
 def test_between_kept_samples_it_is_the_true_motion(pass_):
     _, run, o, kept = pass_
     attitude, omega, every = attitudes(run), run["omega_B"].values, np.arange(len(o))
-    track = Track(attitude[None, kept], omega[None, kept], covariance=np.zeros((1, len(kept), 6, 6)))
+    track = Track(
+        attitude[None, kept], omega[None, kept], covariance=np.zeros((1, len(kept), 6, 6))
+    )
     motion = Motion(Body.of(CRAFT), NOISE, 0.1)
     found = Dense.of(o, every, kept, track, motion).filled(track)
     assert len(kept) <= MAX_SAMPLES and np.diff(kept).max() > 5
-    np.testing.assert_allclose(found.omega[0], omega, rtol=0, atol=5e-6)  # a step of the smoother is good to 1e-4 of a turn
+    np.testing.assert_allclose(
+        found.omega[0], omega, rtol=0, atol=5e-6
+    )  # a step of the smoother is good to 1e-4 of a turn
     np.testing.assert_allclose(found.sun_B[0], run["sun_B"].values, rtol=0, atol=2e-4)
     np.testing.assert_array_equal(found.omega[0, kept], omega[kept])
     assert np.all(np.linalg.eigvalsh(found.covariance[0][np.setdiff1d(every, kept)]) > 0)
@@ -70,20 +92,32 @@ def test_curves_between_samples_bend_as_the_motion_does(every, wheel, pass_):
     craft = replace(CRAFT, wheels=(replace(WHEEL, speed_rad_s=wheel),))
     o = replace(o.take(at), momentum=o.momentum[at] * (wheel > 0))
     run = ss.propagate(craft, RATE, SUN, wheel, o.t_s)
-    track = Track(attitudes(run)[None], run["omega_B"].values[None], covariance=np.zeros((1, len(at), 6, 6)))
+    track = Track(
+        attitudes(run)[None], run["omega_B"].values[None], covariance=np.zeros((1, len(at), 6, 6))
+    )
     t, found = curve(o, track, Motion(Body.of(craft), NOISE, 0.1))
     truth = ss.propagate(craft, RATE, SUN, wheel, t)
     np.testing.assert_allclose(found.omega[0], truth["omega_B"].values, rtol=0, atol=2e-5)
     np.testing.assert_allclose(found.sun_B[0], truth["sun_B"].values, rtol=0, atol=1e-3)
     straight = np.stack([np.interp(t, o.t_s, x) for x in run["omega_B"].values.T], axis=1)
-    assert np.abs(straight - truth["omega_B"].values).max() > 20 * np.abs(found.omega[0] - truth["omega_B"].values).max()
+    assert (
+        np.abs(straight - truth["omega_B"].values).max()
+        > 20 * np.abs(found.omega[0] - truth["omega_B"].values).max()
+    )
     assert np.abs(np.diff(t) - (t[-1] - t[0]) / (len(t) - 1)).max() < 1e-9
-    assert np.all(np.einsum("nii->ni", found.covariance[0]) >= 0) and np.isfinite(found.covariance).all()
+    assert (
+        np.all(np.einsum("nii->ni", found.covariance[0]) >= 0)
+        and np.isfinite(found.covariance).all()
+    )
 
 
 def test_the_mean_answers_as_differences_say(pass_):
     _, run, o, kept = pass_
-    attitude, omega, every = attitudes(run)[None, kept], run["omega_B"].values[None, kept], np.arange(len(o))
+    attitude, omega, every = (
+        attitudes(run)[None, kept],
+        run["omega_B"].values[None, kept],
+        np.arange(len(o)),
+    )
     motion = Motion(Body.of(CRAFT), NOISE, 0.1)
 
     def mean(rates: np.ndarray) -> np.ndarray:
@@ -102,11 +136,17 @@ def test_the_mean_answers_as_differences_say(pass_):
 def test_a_pass_of_which_all_is_kept_stays_as_it_is(pass_):
     _, run, o, _ = pass_
     every = np.arange(30)
-    track = Track(attitudes(run)[None, :30], run["omega_B"].values[None, :30], covariance=np.tile(np.eye(6), (1, 30, 1, 1)))
+    track = Track(
+        attitudes(run)[None, :30],
+        run["omega_B"].values[None, :30],
+        covariance=np.tile(np.eye(6), (1, 30, 1, 1)),
+    )
     motion = Motion(Body.of(CRAFT), NOISE, 0.1)
     found = Dense.of(o, every, every, track, motion)
     np.testing.assert_array_equal(found.filled(track).covariance, track.covariance)
-    np.testing.assert_array_equal(found.mean_map()[0], np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]) / 30, (30, 1, 1)))
+    np.testing.assert_array_equal(
+        found.mean_map()[0], np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]) / 30, (30, 1, 1))
+    )
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
@@ -121,12 +161,16 @@ def test_the_bridge_is_what_both_ends_leave_open(share):
     rest = (1 - share) * span
     back = np.eye(6)
     back[:3, 3:] = -rest * np.eye(3)  # from the second end back in time
-    both = np.linalg.inv(np.linalg.inv(spread(share * span)) + np.linalg.inv(back @ spread(rest) @ back.T))
+    both = np.linalg.inv(
+        np.linalg.inv(spread(share * span)) + np.linalg.inv(back @ spread(rest) @ back.T)
+    )
     made = bridge(np.array([share]), np.array([span]), noise)[0]
     np.testing.assert_allclose(np.diag(made), np.diag(both), rtol=1e-6)
 
 
-@pytest.mark.evidence("rates", "modelled", "the mean rate of a dense pass, of which the smoother keeps a part")
+@pytest.mark.evidence(
+    "rates", "modelled", "the mean rate of a dense pass, of which the smoother keeps a part"
+)
 def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     telemetry, run, _, _ = pass_
     found = ss.rates(CRAFT, telemetry, max_rate_rad_s=0.09, acceleration_noise=NOISE)
@@ -136,7 +180,12 @@ def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     assert np.abs(off / sigma).max() < 4.5 and np.sqrt(np.mean((off / sigma) ** 2)) < 1.6
     mean = run["omega_B"].values.mean(axis=0)
     between = ss.propagate(CRAFT, RATE, SUN, 400.0, found["curve_time"].values)["omega_B"].values
-    assert np.abs((found["curve_omega_B"].values - between) / found["curve_omega_sigma_B"].values).max() < 4.5
+    assert (
+        np.abs(
+            (found["curve_omega_B"].values - between) / found["curve_omega_sigma_B"].values
+        ).max()
+        < 4.5
+    )
     pull = np.abs(found["omega_mean_B"].values[0, 0] - mean) / found["omega_sigma_B"].values[0, 0]
     reached("distance of the mean rate", pull, "sigmas", limit=4.0)
     assert pull.max() < 4.0 and found["omega_sigma_B"].values[0, 0].max() < 2e-3

@@ -26,7 +26,10 @@ def seen(craft=FOUR, faults=(), seed=3):
     o = o.take(passes(o, why)[0][:8])
     sun = rng.normal(size=(1, len(o), 3))
     sun[..., 2] = 0.3 + np.abs(sun[..., 2])
-    return o, Track(facing(sun / np.linalg.norm(sun, axis=-1, keepdims=True)), 0.03 * rng.normal(size=(1, len(o), 3)))
+    return o, Track(
+        facing(sun / np.linalg.norm(sun, axis=-1, keepdims=True)),
+        0.03 * rng.normal(size=(1, len(o), 3)),
+    )
 
 
 def nearest(result, run):
@@ -50,7 +53,10 @@ def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
     panels = o.of_sun[0]
     slope = normal(panels, track, np.zeros((1, 4)))[1][0, :, 3:].sum(axis=0)
     for unknown, told in zip(panels.gain_unknowns, slope, strict=True):
-        beside = (o.swapped(panels, replace(panels, gain=panels.gain + sign * 1e-5 * unknown)) for sign in (1, -1))
+        beside = (
+            o.swapped(panels, replace(panels, gain=panels.gain + sign * 1e-5 * unknown))
+            for sign in (1, -1)
+        )
         up, down = (measured(other, track)[2].sum() for other in beside)
         assert told == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
 
@@ -64,7 +70,10 @@ def test_a_clock_and_gains_border_the_equations_together():
     for place in (-1, -2):
         step[:] = 0
         step[:, place] = 1e-5
-        up, down = (sun_part(o, places, track, error + sign * step, MOTION, clock).cost[0] for sign in (1, -1))
+        up, down = (
+            sun_part(o, places, track, error + sign * step, MOTION, clock).cost[0]
+            for sign in (1, -1)
+        )
         assert part.error_slope[0, place] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
 
 

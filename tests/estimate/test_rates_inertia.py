@@ -18,13 +18,22 @@ from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
 from validation import passes
 
-FACES = {"+x": [1, 0, 0], "-x": [-1, 0, 0], "+y": [0, 1, 0], "-y": [0, -1, 0], "+z": [0, 0, 1], "-z": [0, 0, -1]}
+FACES = {
+    "+x": [1, 0, 0],
+    "-x": [-1, 0, 0],
+    "+y": [0, 1, 0],
+    "-y": [0, -1, 0],
+    "+z": [0, 0, 1],
+    "-z": [0, 0, -1],
+}
 TRUE = np.diag([0.0020, 0.0024, 0.0017])
 TOLD = np.diag([0.0020, 0.0023, 0.0018])
 CUBE = Vehicle(
-    "cube", inertia_kg_m2=TRUE, panels=[Panel(name, normal, 1.0) for name, normal in FACES.items()],
+    "cube",
+    inertia_kg_m2=TRUE,
+    panels=[Panel(name, normal, 1.0) for name, normal in FACES.items()],
     telemetry=TelemetryForm(quantity="current_A", noise=0.01),
-)  # fmt: skip
+)
 
 
 def told(sigma: float | None) -> Vehicle:
@@ -39,7 +48,9 @@ def spin():
     moments only."""
     t = np.arange(0.0, 500.0, 5.0)
     rate = np.radians([7.0, -6.0, 8.0])
-    telemetry = ss.twin(CUBE, {"omega_B": rate, "sun_B": [0.6, -0.48, 0.64], "t_s": t, "scale": 1.0}, seed=4)
+    telemetry = ss.twin(
+        CUBE, {"omega_B": rate, "sun_B": [0.6, -0.48, 0.64], "t_s": t, "scale": 1.0}, seed=4
+    )
     return telemetry, ss.propagate(CUBE, rate, [0.6, -0.48, 0.64], None, t)["omega_B"].values
 
 
@@ -51,7 +62,9 @@ def pulls(vehicle: Vehicle, spin) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.evidence("rates", "modelled", "moments off by 4 and 6 %; taken for known, the answer must be wrong")
+@pytest.mark.evidence(
+    "rates", "modelled", "moments off by 4 and 6 %; taken for known, the answer must be wrong"
+)
 def test_moments_known_to_a_sigma_are_estimated(spin, reached):
     pull = pulls(told(1e-4), spin)
     reached("distance of the mean rate", pull, "sigmas", limit=3.5)
@@ -65,7 +78,11 @@ def test_what_is_not_stated_is_one_percent_of_the_moments():
     assumed = ASSUMED * np.where(np.eye(3), TRUE, moments.mean())
     np.testing.assert_allclose(inertia_errors(CUBE).sum(axis=0), assumed, rtol=1e-12, atol=0)
     errors = inertia_errors(told(1e-4))
-    assert errors.shape == (6, 3, 3) and np.all(errors == np.swapaxes(errors, 1, 2)) and np.all(errors.max(axis=(1, 2)) == 1e-4)
+    assert (
+        errors.shape == (6, 3, 3)
+        and np.all(errors == np.swapaxes(errors, 1, 2))
+        and np.all(errors.max(axis=(1, 2)) == 1e-4)
+    )
 
 
 def test_no_trial_inertia_is_one_that_no_body_has():
@@ -73,15 +90,27 @@ def test_no_trial_inertia_is_one_that_no_body_has():
     body = Body.of(replace(CUBE, inertia_kg_m2=None))
     errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
     drawn = of_a_body(body, errors)
-    assert np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", errors, body.errors)).min() < 0  # control
-    assert np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", drawn, body.errors)).min() >= THINNEST
+    assert (
+        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", errors, body.errors)).min() < 0
+    )  # control
+    assert (
+        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", drawn, body.errors)).min()
+        >= THINNEST
+    )
     assert np.all(drawn[2] == errors[2])
 
 
 def test_a_trial_whose_motion_overflows_costs_much_and_fails_nothing():
     impossible = Body(np.diag([1.0, -1e-3, 2.0]), np.zeros(3), False, np.zeros((0, 3, 3)))
-    turned, rate = step(impossible, np.array([[5.0, 3.0, -4.0], [0.0, 0.0, 0.0]]), np.array([60.0, 60.0]))
-    assert np.isfinite(turned).all() and np.isfinite(rate).all() and np.abs(rate[0]).max() > 1e3 and np.all(rate[1] == 0)
+    turned, rate = step(
+        impossible, np.array([[5.0, 3.0, -4.0], [0.0, 0.0, 0.0]]), np.array([60.0, 60.0])
+    )
+    assert (
+        np.isfinite(turned).all()
+        and np.isfinite(rate).all()
+        and np.abs(rate[0]).max() > 1e3
+        and np.all(rate[1] == 0)
+    )
 
 
 @pytest.mark.long
@@ -100,10 +129,14 @@ def test_a_noise_that_is_given_stands_for_what_is_no_sphere():
 
 def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_searched():
     """Only where nobody gave the noise, and the inertia is not told."""
-    unknown, known = (Body.of(replace(CUBE, inertia_kg_m2=one)) for one in (None, CUBE.inertia_kg_m2))
+    unknown, known = (
+        Body.of(replace(CUBE, inertia_kg_m2=one)) for one in (None, CUBE.inertia_kg_m2)
+    )
     quiet, strong = 0.3 * HIGHER_NOISES[0], HIGHER_NOISES[0]
     assert unknown.spherical and not_met(Motion(unknown, strong, 0.1), None, 10.0)
-    assert not not_met(Motion(unknown, quiet, 0.1), None, 40.0) and not not_met(Motion(unknown, strong, 0.1), strong, 60.0)
+    assert not not_met(Motion(unknown, quiet, 0.1), None, 40.0) and not not_met(
+        Motion(unknown, strong, 0.1), strong, 60.0
+    )
     assert not_met(Motion(unknown, quiet, 0.1), None, 60.0), "a nutation between samples"
     assert not any(not_met(Motion(known, noise, 0.1), None, 60.0) for noise in (quiet, strong))
 
@@ -111,9 +144,16 @@ def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_search
 def test_a_body_that_nutates_a_little_is_not_held_for_one_that_turns_evenly():
     """From a sphere that turns about one axis, moments and rates across that axis change nothing unless both do."""
     made = passes.make("right model", 0, 1)
-    found = ss.rates(replace(made.vehicle, inertia_kg_m2=None), made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
+    found = ss.rates(
+        replace(made.vehicle, inertia_kg_m2=None),
+        made.telemetry,
+        max_rate_rad_s=made.max_rate_rad_s,
+    )
     t = made.telemetry["time"].values
     truth = made.omega[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
-    omega, sigma = (np.array([found[f"{name}_{axis}"].values[0, 0] for axis in "xyz"]) for name in ("omega", "sigma"))
+    omega, sigma = (
+        np.array([found[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
+        for name in ("omega", "sigma")
+    )
     assert abs(truth[2]) > 5 * sigma[2]  # control: it nutates
     assert found["decided"].values[0] and (np.abs(omega - truth) < 3 * sigma).all()

@@ -29,7 +29,9 @@ EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
 
 
 def panels_of(normals, gain=1.0):
-    return Vehicle("faces", panels=[Panel(f"p{i}", normal, gain) for i, normal in enumerate(normals)]).response_in()
+    return Vehicle(
+        "faces", panels=[Panel(f"p{i}", normal, gain) for i, normal in enumerate(normals)]
+    ).response_in()
 
 
 def pass_of(vehicle, data) -> Observations:
@@ -49,8 +51,15 @@ def lit_cube() -> tuple[Observations, Track]:
 
 def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
     """Integrated over an evenly bright disk of 66 degrees' radius, for panels turned away from its middle by up to 180 degrees."""
-    away, about = (np.stack(x) for x in np.meshgrid((np.arange(300) + 0.5) / 300 * EARTH_RADIUS, np.arange(300) / 300 * 2 * np.pi))
-    ray = np.stack([np.sin(away) * np.cos(about), np.sin(away) * np.sin(about), np.cos(away)], axis=-1)
+    away, about = (
+        np.stack(x)
+        for x in np.meshgrid(
+            (np.arange(300) + 0.5) / 300 * EARTH_RADIUS, np.arange(300) / 300 * 2 * np.pi
+        )
+    )
+    ray = np.stack(
+        [np.sin(away) * np.cos(about), np.sin(away) * np.sin(about), np.cos(away)], axis=-1
+    )
     turned = np.linspace(0, np.pi, 19)
     normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
     area = np.sin(away) * EARTH_RADIUS / 300 * 2 * np.pi / 300 / (np.pi * np.sin(EARTH_RADIUS) ** 2)
@@ -64,7 +73,9 @@ def test_opposite_panels_differ_by_the_component_of_the_beam():
     rng = np.random.default_rng(2)
     normal, beam = rng.normal(size=(2, 3))
     normal /= np.linalg.norm(normal)
-    light, _ = panels_of(np.array([normal, -normal]), 1.3).disc(beam / np.linalg.norm(beam), np.linalg.norm(beam))
+    light, _ = panels_of(np.array([normal, -normal]), 1.3).disc(
+        beam / np.linalg.norm(beam), np.linalg.norm(beam)
+    )
     assert light[0] - light[1] == pytest.approx(1.3 * normal @ beam, rel=1e-12)
 
 
@@ -74,9 +85,13 @@ def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_th
     panels = replace(o.of_sun[0], earth_share=0.1).freed(o.t_s)
     error = 0.3 * np.random.default_rng(3).normal(size=(1, 6 + 6 + 6))
     slope = normal(panels, track, error)[1].sum(axis=1)[0]
-    assert [one.kind for one in panels.unknowns()] == 6 * ["gain"] + 6 * ["earth_light"] + 6 * ["panel_zero"]
+    assert [one.kind for one in panels.unknowns()] == 6 * ["gain"] + 6 * ["earth_light"] + 6 * [
+        "panel_zero"
+    ]
     small = [sign * 1e-5 * one for one in np.eye(len(slope)) for sign in (1, -1)]
-    changed = [(replace(track, attitude=turn(track.attitude, one[:3])), error + one[3:]) for one in small]
+    changed = [
+        (replace(track, attitude=turn(track.attitude, one[:3])), error + one[3:]) for one in small
+    ]
     cost = np.array([normal(panels, seen, off)[2].sum() for seen, off in changed])
     assert len(slope) == 3 + 6 + 6 + 6
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-5, rtol=1e-4, atol=1e-4)
@@ -98,7 +113,12 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
     rate, field_N, dt = np.radians([2.0, -1.0, 2.0]), np.array([0.6, 0.0, 0.8]), np.array([1.0])
     free, later = step(replace(body, dipole=np.zeros(3)), rate[None], dt)
     both = np.array([attitude, free[0] @ attitude])
-    pulled, pulled_later = step(body, rate[None], dt, Ends(field=(both[0] @ field_N)[None], field_end=(both[1] @ field_N)[None]))
+    pulled, pulled_later = step(
+        body,
+        rate[None],
+        dt,
+        Ends(field=(both[0] @ field_N)[None], field_end=(both[1] @ field_N)[None]),
+    )
     track = Track(both[None], np.array([rate, later[0]])[None])
     sigma = 1e-5
     one = MagneticTorque(sigma).pushes(track, dt)[0, 0]
@@ -109,16 +129,26 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
     assert off.max() < 0.03
 
 
-@pytest.mark.evidence("rates", "modelled", "CubeSats in orbit, by equations of the tests' own; each fails without what it needs")
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "CubeSats in orbit, by equations of the tests' own; each fails without what it needs",
+)
 @pytest.mark.parametrize(
     ("i", "without"),
     [
-        pytest.param(13, (MagneticTorque, "beside", lambda noise, field_N: MagneticTorque(0.0)), id="torque"),
-        pytest.param(8, (Magnetometer, "freed", lambda self, t_s: self), id="field", marks=pytest.mark.slow),
+        pytest.param(
+            13, (MagneticTorque, "beside", lambda noise, field_N: MagneticTorque(0.0)), id="torque"
+        ),
+        pytest.param(
+            8, (Magnetometer, "freed", lambda self, t_s: self), id="field", marks=pytest.mark.slow
+        ),
     ],
 )
 @pytest.mark.slow
-def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without, monkeypatch, reached):
+def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(
+    i, without, monkeypatch, reached
+):
     """All passes of a twin, and the control: the same without the unknown."""
     found = orbit_twins.judge(0, i)["passes"]
     pulls = np.array([part["pulls"] for part in found])
@@ -129,13 +159,19 @@ def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(i, without
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.slow)]
+)
 def test_what_changes_alike_for_minutes_is_told_in_one_orbit(i):
     found = orbit_twins.judge(0, i, orbits=1)["passes"]
     assert found and all(part["word"] == "decided" and max(part["pulls"]) < 3.0 for part in found)
 
 
-@pytest.mark.evidence("rates", "modelled", "CubeSats in orbit under the Earth's light; half as good where it is taken for noise")
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "CubeSats in orbit under the Earth's light; half as good where it is taken for noise",
+)
 @pytest.mark.slow
 def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     """Five faces, 2 deg/s, light of the Earth of 0.11 of full Sun."""
@@ -144,7 +180,9 @@ def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
     assert miss.max() < 0.03
     monkeypatch.setattr(Panels, "freed", lambda self, t_s: self)
     monkeypatch.setattr(Panels, "_differing", lambda self: self)
-    assert np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
+    assert (
+        np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
+    )
 
 
 @pytest.mark.long
@@ -167,19 +205,28 @@ def test_a_unit_of_the_fields_turning_is_what_a_turning_field_leaves():
     (term,) = o.of_pairs
     assert len(term.unknowns()) == 6 and term.turn_rate == LEFT * TURN_RATE
     attitude = Rotation.random(len(o), random_state=2).as_matrix()
-    track, motion = Track(attitude[None], np.zeros((1, len(o), 3))), Motion(Body.of(CUBE), 1e-5, 0.1)
+    track, motion = (
+        Track(attitude[None], np.zeros((1, len(o), 3))),
+        Motion(Body.of(CUBE), 1e-5, 0.1),
+    )
     strength, spacing = np.median(np.linalg.norm(o.field_B, axis=1)), np.diff(o.t_s)[:, None]
     for j in range(6):
         change = term.drift_N[:-1, j] * spacing
-        at = np.array([0.6, 0.0, 0.8]) + np.concatenate([np.zeros((1, 3)), np.cumsum(change, axis=0)])
+        at = np.array([0.6, 0.0, 0.8]) + np.concatenate(
+            [np.zeros((1, 3)), np.cumsum(change, axis=0)]
+        )
         turning = replace(term, field_B=np.einsum("nij,nj->ni", attitude, at))
         left = between(o.swapped(term, turning), track, motion)[0][..., 6:]
         assert np.abs(left).max() > 1e-2
         np.testing.assert_allclose(left + turning.gained(o.t_s, track)[..., j], 0, atol=1e-12)
     # even over the pass, one component each: as strong a turn as TURN_RATE in three axes together
-    assert np.linalg.norm(term.drift_N[:, :3].sum(axis=1), axis=1) == pytest.approx(TURN_RATE * strength, rel=1e-12)
+    assert np.linalg.norm(term.drift_N[:, :3].sum(axis=1), axis=1) == pytest.approx(
+        TURN_RATE * strength, rel=1e-12
+    )
     middle = o.t_s - o.t_s.mean()
-    assert term.drift_N[:, 3, 0] == pytest.approx(term.drift_N[:, 0, 0] * TURN_RATE * middle, rel=1e-12)
+    assert term.drift_N[:, 3, 0] == pytest.approx(
+        term.drift_N[:, 0, 0] * TURN_RATE * middle, rel=1e-12
+    )
 
 
 def test_the_field_answers_to_turns_as_differences_say():

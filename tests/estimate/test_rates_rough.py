@@ -12,14 +12,18 @@ from validation.passes import FACES, seen, spin
 
 def track(speeds_deg_s, log_weight):
     omega = np.radians(speeds_deg_s)[:, None, None] * np.ones((1, 3, 1)) * np.array([0.0, 0.6, 0.8])
-    return Track(np.broadcast_to(np.eye(3), (*omega.shape, 3)), omega, log_weight=np.array(log_weight))
+    return Track(
+        np.broadcast_to(np.eye(3), (*omega.shape, 3)), omega, log_weight=np.array(log_weight)
+    )
 
 
 def test_speeds_of_the_heaviest_motions_in_two_figures():
     o = Observations(np.array([70.0, 80.0, 90.0]), np.zeros((3, 3)), ())
     said = roughly(o, track([3.637, 3.641, 123.4, 0.5], [0.0, -0.1, 1.0, -9.0]))
     assert said == "          70 s    3 samples  rough, not weighed yet: 120 or 3.6 deg/s"
-    assert roughly(o, track([1.0, 2.0, 3.0, 4.0], np.zeros(4))).endswith(": 1 or 2 or 3 or others deg/s")
+    assert roughly(o, track([1.0, 2.0, 3.0, 4.0], np.zeros(4))).endswith(
+        ": 1 or 2 or 3 or others deg/s"
+    )
 
 
 def test_each_pass_is_said_once_and_early(capsys):

@@ -26,7 +26,9 @@ def work(count):
 def test_each_task_has_its_own_effort_wherever_it_runs():
     with ThreadPoolExecutor(2) as pool:
         for executor in (None, pool):
-            with Effort(4.0 * (1 + BATCH)) as whole:  # less than all may take: a task knows nothing of the others
+            with Effort(
+                4.0 * (1 + BATCH)
+            ) as whole:  # less than all may take: a task knows nothing of the others
                 found = list(each(work, [(2,), (5,), (1,)], 3.0 * (1 + BATCH), whole, executor))
                 assert found == [(2, False), (3, True), (1, False)]
                 assert whole.spent == 6 * (1 + BATCH) and not may_go_on()
@@ -35,7 +37,9 @@ def test_each_task_has_its_own_effort_wherever_it_runs():
 def test_tasks_that_are_begun_are_done_before_they_are_taken_and_counted_then():
     here, done = Effort(100.0 * (1 + BATCH)), []
     with ThreadPoolExecutor(1) as pool:
-        taken = begun(lambda count: done.append(count) or work(count), [(2,), (5,)], 3.0 * (1 + BATCH), pool)
+        taken = begun(
+            lambda count: done.append(count) or work(count), [(2,), (5,)], 3.0 * (1 + BATCH), pool
+        )
         pool.submit(int).result()  # whose turn comes after them
         assert done == [2, 5] and here.spent == 0
         with here:
@@ -67,7 +71,11 @@ def test_the_result_does_not_depend_on_the_workers(noise):
     omega, attitude = (np.concatenate(parts) for parts in zip(*each_pass, strict=True))
     made = seen(FACES, omega, attitude, t, 0.01, np.random.default_rng(3))
     setting = {"max_rate_rad_s": 0.03, "acceleration_noise": noise}
-    one, two = (ss.rates(made.vehicle, made.telemetry, workers=workers, **setting) for workers in (1, 2))
+    one, two = (
+        ss.rates(made.vehicle, made.telemetry, workers=workers, **setting) for workers in (1, 2)
+    )
     assert one.sizes["pass_id"] == 8
     xr.testing.assert_identical(one.drop_attrs(), two.drop_attrs())
-    assert one.attrs["verdict"] == two.attrs["verdict"] and one.attrs["effort"] == two.attrs["effort"]
+    assert (
+        one.attrs["verdict"] == two.attrs["verdict"] and one.attrs["effort"] == two.attrs["effort"]
+    )

@@ -10,9 +10,15 @@ from sparse_twins import EVERY_S, FAST
 
 
 @pytest.mark.long
-@pytest.mark.evidence("rates", "modelled", "a body at 4.9 deg/s seen every 52 s: not mistaken for one that turns a whole turn less")
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "a body at 4.9 deg/s seen every 52 s: not mistaken for one that turns a whole turn less",
+)
 def test_the_alias_that_a_search_by_the_file_s_inertia_finds_is_not_the_only_one():
     """That one costs 41; the truth, a whole turn more, is found once the inertia is free, and costs 9."""
     vehicle, data, _, truth, about = make(11, 7, 2000, EVERY_S, FAST)
-    found = judged(ss.rates(vehicle, one_pass(data, about["begin_s"][0]).drop_vars("field_B")), truth, 0)
+    found = judged(
+        ss.rates(vehicle, one_pass(data, about["begin_s"][0]).drop_vars("field_B")), truth, 0
+    )
     assert found["decided"] and not found["wrong"], found

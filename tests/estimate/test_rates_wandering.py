@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.rates.alternatives import SWINGS_QUICKLY, Others, alternatives, counted, weighed
+from sunspin.estimate.rates.alternatives import (
+    SWINGS_QUICKLY,
+    Others,
+    alternatives,
+    counted,
+    weighed,
+)
 from sunspin.estimate.rates.common_errors import with_common
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import Body
@@ -28,7 +34,10 @@ def seen(sun, sigma):
     """Readings (n) of the Sun's directions (n, 3), good to `sigma` rad."""
     rng = np.random.default_rng(8)
     read = sun + sigma * rng.normal(size=sun.shape)
-    known = SunDirection.of(read / np.linalg.norm(read, axis=1, keepdims=True), np.tile(sigma**2 * np.eye(3), (len(sun), 1, 1)))
+    known = SunDirection.of(
+        read / np.linalg.norm(read, axis=1, keepdims=True),
+        np.tile(sigma**2 * np.eye(3), (len(sun), 1, 1)),
+    )
     return Observations(T_S[: len(sun)], np.zeros((len(sun), 3)), (known,))
 
 
@@ -42,9 +51,14 @@ def swinging(by_rad):
 
 def test_all_ways_are_those_of_a_filter_by_legendre_polynomials():
     """And of a body that swings beyond all bounds those of unrelated directions."""
-    o, by = seen(swinging(0.3)[:4] @ unit(np.random.default_rng(1)), 0.3), np.array([0.3, 1e3]) / np.sqrt(60.0)
+    o, by = (
+        seen(swinging(0.3)[:4] @ unit(np.random.default_rng(1)), 0.3),
+        np.array([0.3, 1e3]) / np.sqrt(60.0),
+    )
     grid = sphere(EVERYWHERE)
-    cost = normal(o.of_sun[0], Seen(np.repeat(facing(grid)[:, None], 4, axis=1), np.zeros((EVERYWHERE, 4, 3))))[2]
+    cost = normal(
+        o.of_sun[0], Seen(np.repeat(facing(grid)[:, None], 4, axis=1), np.zeros((EVERYWHERE, 4, 3)))
+    )[2]
     l, cosine = np.arange(40), np.linspace(-1, 1, 4001)
     heat = np.polynomial.legendre.legval(cosine, (2 * l + 1) * np.exp(-l * (l + 1) * 0.3**2 / 2))
     spread = np.interp(grid @ grid.T, cosine, heat) / EVERYWHERE
@@ -71,10 +85,21 @@ def motions(sun, sigma, first_rate):
     rate = RATE_MAX * rng.uniform(size=(100, 1)) * np.array([unit(rng) for _ in range(100)])
     rate[0] = first_rate
     first = facing(o.of_sun[0].direction_B[0])
-    turned = Rotation.from_rotvec((-rate[:, None] * o.t_s[:, None]).reshape(-1, 3)).as_matrix().reshape(100, len(o), 3, 3)
+    turned = (
+        Rotation.from_rotvec((-rate[:, None] * o.t_s[:, None]).reshape(-1, 3))
+        .as_matrix()
+        .reshape(100, len(o), 3, 3)
+    )
     one = Hypothesis(AS_STATED, o, np.arange(len(o)), Motion(BODY, 5e-7, RATE_MAX / 2))
-    fit = with_common(one.fitted(), Track(turned @ first, np.repeat(rate[:, None], len(o), axis=1)), one.motion, None)
-    found = alternatives(weighed(one, fit.take(np.argsort(fit.track.cost)[:3])), Others(True, "{:.0f} s".format))
+    fit = with_common(
+        one.fitted(),
+        Track(turned @ first, np.repeat(rate[:, None], len(o), axis=1)),
+        one.motion,
+        None,
+    )
+    found = alternatives(
+        weighed(one, fit.take(np.argsort(fit.track.cost)[:3])), Others(True, "{:.0f} s".format)
+    )
     best = counted(found)[0]
     trial, mode = found[best.members[0][0]], best.members[0][1]
     return trial.hypothesis.what, trial.fit.track.omega[mode], best.weights.sum()

@@ -34,7 +34,10 @@ def twin():
 
 
 def seen(rng: np.random.Generator) -> Seen:
-    return Seen(Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()[None], rng.normal(size=(1, 12, 3)))
+    return Seen(
+        Rotation.from_rotvec(2 * rng.normal(size=(12, 3))).as_matrix()[None],
+        rng.normal(size=(1, 12, 3)),
+    )
 
 
 def known_field(rng: np.random.Generator, track: Seen) -> KnownField:
@@ -51,10 +54,14 @@ def test_the_gradient_of_a_known_field_is_that_of_its_cost():
     term, error = known_field(rng, track), 0.5 * rng.normal(size=(1, 13))
     slope = normal(term, track, error)[1].sum(axis=1)[0]
     small = [sign * 1e-6 * one for one in np.eye(19) for sign in (1, -1)]
-    changed = [(replace(track, attitude=turn(track.attitude, one[:3])), error + one[6:]) for one in small]
+    changed = [
+        (replace(track, attitude=turn(track.attitude, one[:3])), error + one[6:]) for one in small
+    ]
     cost = np.array([normal(term, at, off)[2].sum() for at, off in changed])
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-6, rtol=1e-4, atol=1e-3)
-    assert np.all(slope[3:6] == 0) and [one.kind for one in term.unknowns()] == 13 * ["magnetometer"]
+    assert np.all(slope[3:6] == 0) and [one.kind for one in term.unknowns()] == 13 * [
+        "magnetometer"
+    ]
 
 
 def test_the_turn_about_the_sun_that_the_search_leaves_open_is_found_from_the_field():
@@ -70,32 +77,49 @@ def test_axes_that_follow_the_field_turn_as_it_does():
     term = known_field(rng, seen(rng))
     unit = term.field_N / np.linalg.norm(term.field_N, axis=1, keepdims=True)
     frames = term.frames()
-    np.testing.assert_allclose((frames @ unit[..., None])[..., 0], np.tile(SUN_N, (12, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        (frames @ unit[..., None])[..., 0], np.tile(SUN_N, (12, 1)), atol=1e-12
+    )
     turned = Rotation.from_matrix(np.swapaxes(frames[1:], 1, 2) @ frames[:-1]).as_rotvec() / 30.0
-    np.testing.assert_allclose(turned[5], (term.turning(TIMES)[5] + term.turning(TIMES)[6]) / 2, rtol=0.02)
+    np.testing.assert_allclose(
+        turned[5], (term.turning(TIMES)[5] + term.turning(TIMES)[6]) / 2, rtol=0.02
+    )
 
 
 def test_a_dipole_in_a_known_field_pulls_across_both():
     rng = np.random.default_rng(7)
     track = seen(rng)
-    track = replace(track, attitude=np.repeat(track.attitude[:, :1], 12, axis=1), omega=np.zeros((1, 12, 3)))
+    track = replace(
+        track, attitude=np.repeat(track.attitude[:, :1], 12, axis=1), omega=np.zeros((1, 12, 3))
+    )
     field = np.tile([0.3, -0.4, 1.2], (12, 1))
     term = MagneticTorque.beside(1e-4, field)
     assert [one.name for one in term.unknowns()] == ["dipole_x", "dipole_y", "dipole_z"]
     here = track.attitude[0, 0] @ field[0] / np.linalg.norm(field[0])
     pushed = term.pushes(track, np.diff(TIMES))[0, 3]
-    np.testing.assert_allclose(pushed[3:, 1], 30 * term.sigma / np.sqrt(2) * np.cross([0.0, 1.0, 0.0], here), atol=1e-18)
+    np.testing.assert_allclose(
+        pushed[3:, 1], 30 * term.sigma / np.sqrt(2) * np.cross([0.0, 1.0, 0.0], here), atol=1e-18
+    )
     np.testing.assert_allclose(pushed[:3], 15 * pushed[3:], atol=1e-18)
 
 
 def test_a_beam_that_is_known_has_its_brightness_as_an_unknown_and_turns_the_start_to_the_sun():
     light = np.tile([0.2, 0.0, 0.05], (12, 1))
     earth = EarthLight.prior(TIMES, 0.1, np.ones(6), light)
-    assert earth.unknowns(tuple("abcdef"))[0].name == "earth_reflectivity" and earth.unknowns(tuple("abcdef"))[0].limit == 2.0
+    assert (
+        earth.unknowns(tuple("abcdef"))[0].name == "earth_reflectivity"
+        and earth.unknowns(tuple("abcdef"))[0].limit == 2.0
+    )
     both = SUN_N + light[0]
-    shown = Rotation.align_vectors([SUN_N], [both / np.linalg.norm(both)])[0].as_matrix()  # the search sees both together along z
-    found, error = earth.begin(np.tile(shown.T, (1, 12, 1, 1)) @ shown @ shown.T, lambda e, a: np.zeros(1), True)
-    np.testing.assert_allclose(found[0, 0] @ both / np.linalg.norm(both), shown.T @ SUN_N, atol=1e-9)
+    shown = Rotation.align_vectors([SUN_N], [both / np.linalg.norm(both)])[
+        0
+    ].as_matrix()  # the search sees both together along z
+    found, error = earth.begin(
+        np.tile(shown.T, (1, 12, 1, 1)) @ shown @ shown.T, lambda e, a: np.zeros(1), True
+    )
+    np.testing.assert_allclose(
+        found[0, 0] @ both / np.linalg.norm(both), shown.T @ SUN_N, atol=1e-9
+    )
     assert not error.any()
 
 
@@ -105,7 +129,10 @@ def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
     found = field_calibration(orbit, vehicle, data)
     assert isinstance(found, FieldCalibration) and 2e-7 < found.noise_T < 1.2e-6
     true = Rotation.from_quat(truth["B_from_N"].values).apply(orbit.at(data["time"].values).field_N)
-    off, spread = found.field(data["field_B"].values) - true, np.sqrt((found.columns(data["field_B"].values) ** 2).sum(axis=1))
+    off, spread = (
+        found.field(data["field_B"].values) - true,
+        np.sqrt((found.columns(data["field_B"].values) ** 2).sum(axis=1)),
+    )
     assert np.sqrt(np.mean((off / np.hypot(spread, found.noise_T)) ** 2)) < 1.5
     assert field_calibration(orbit, vehicle, data.drop_vars("field_B")) is None
 
@@ -113,7 +140,9 @@ def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
 def test_a_sample_in_the_shadow_counts_by_its_field_and_its_panels_must_be_dark(twin):
     vehicle, data, given, _, about = twin
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
-    known, why, _ = observations(vehicle, data, None, SunAlongZ(orbit), field_calibration(orbit, vehicle, data))
+    known, why, _ = observations(
+        vehicle, data, None, SunAlongZ(orbit), field_calibration(orbit, vehicle, data)
+    )
     plain, told, _ = observations(vehicle, data)
     panels = known.of_sun[0]
     assert isinstance(panels, Panels)
@@ -132,7 +161,10 @@ def test_a_stated_sigma_of_the_zero_counts_once_where_the_orbit_calibrates(twin)
     part = replace(vehicle.sensors.magnetometer, zero_sigma=np.full(3, 4.0))
     stated = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=part))
     here = SunAlongZ(orbit).at(data["time"].values)
-    read = [replace(Magnetometer.read(craft, data), calibration=calibration) for craft in (vehicle, stated)]
+    read = [
+        replace(Magnetometer.read(craft, data), calibration=calibration)
+        for craft in (vehicle, stated)
+    ]
     terms = [one.placed(here).forgiving() for one in read]
     assert terms[0].known is not None and terms[1].sigma == terms[0].sigma
 
@@ -148,11 +180,21 @@ def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(twin):
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
     t = data["time"].values - about["begin_s"][0]
     calibration = field_calibration(orbit, vehicle, data)
-    result = ss.rates(vehicle, data.isel(time=(t > -1) & (t < 700)), environment=orbit, calibration=calibration)
+    result = ss.rates(
+        vehicle, data.isel(time=(t > -1) & (t < 700)), environment=orbit, calibration=calibration
+    )
     found = judged(result, truth, 0)
-    assert result.attrs["frame_N"] == "J2000" and found["attitude_deg"] < 6 and max(np.abs(found["pulls"])) < 4
+    assert (
+        result.attrs["frame_N"] == "J2000"
+        and found["attitude_deg"] < 6
+        and max(np.abs(found["pulls"])) < 4
+    )
     message = attitude_of(result)
-    assert message.number == str(orbit.elements[0].number) and message.centre == "EARTH" and message.name != "UNKNOWN"
+    assert (
+        message.number == str(orbit.elements[0].number)
+        and message.centre == "EARTH"
+        and message.name != "UNKNOWN"
+    )
     for name, part in (("B_from_N", "pass_of"), ("curve_B_from_N", "curve_pass_of")):
         q, same = result[name].values, np.diff(result[part].values) == 0
         assert np.einsum("ni,ni->n", q[1:], q[:-1])[same].min() > 0

@@ -22,7 +22,9 @@ def grid_rows(n: int, seed: int):
 
 
 def reference_emd(omega, target):
-    track = ss.propagate(PHILAE, omega, FIRST_SUN, 865.0, np.linspace(0, 2700, 27001), rtol=1e-9)["sun_B"].values
+    track = ss.propagate(PHILAE, omega, FIRST_SUN, 865.0, np.linspace(0, 2700, 27001), rtol=1e-9)[
+        "sun_B"
+    ].values
     seen = track[allows(reconstructible_mask(PHILAE), track), 2]
     return wasserstein_distance(seen, target) / 2
 
@@ -36,7 +38,9 @@ def compare(n: int, seed: int) -> np.ndarray:
     return np.array(error)
 
 
-@pytest.mark.evidence("scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories")
+@pytest.mark.evidence(
+    "scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories"
+)
 def test_emd_agrees_with_the_reference(reached):
     error = compare(N_ROWS, 1)
     reached("largest difference of EMD", error, "", 1e-3)
@@ -44,7 +48,9 @@ def test_emd_agrees_with_the_reference(reached):
     assert error.max() < 1e-3
 
 
-@pytest.mark.evidence("scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories")
+@pytest.mark.evidence(
+    "scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories"
+)
 @pytest.mark.slow
 def test_emd_agrees_with_the_reference_on_500_rows(reached):
     error = compare(500, 2)
@@ -66,9 +72,13 @@ def test_mask_allows_what_the_panels_allow():
 @pytest.mark.evidence("scan", "verified", "one and three threads, and single motions, bit by bit")
 def test_workers_do_not_change_a_bit():
     axes = [np.linspace(-0.4, 0.9, 30), np.linspace(-0.4, 0.9, 30), np.linspace(-0.2, 0.2, 11)]
-    runs = [ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)]
+    runs = [
+        ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)
+    ]
     assert np.array_equal(runs[0].values, runs[1].values)
-    alone = ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, axes[0][7], axes[1][3], axes[2][5], 865.0, 300.0)
+    alone = ss.scan(
+        PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, axes[0][7], axes[1][3], axes[2][5], 865.0, 300.0
+    )
     assert alone.item() == runs[0].values[7, 3, 5]
 
 
@@ -93,18 +103,24 @@ def test_a_motion_that_never_shows_its_sun_is_farthest_away():
 @pytest.mark.evidence("near_minimum", "verified", "a volume of a few points, by hand")
 def test_the_near_minimum_set_by_hand():
     volume = xr.DataArray(
-        [[[1.0, 1.05], [2.0, 1.11]]], dims=("omega_x", "omega_y", "omega_z"),
+        [[[1.0, 1.05], [2.0, 1.11]]],
+        dims=("omega_x", "omega_y", "omega_z"),
         coords={"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]},
-    )  # fmt: skip
+    )
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
 
 
 def test_rows_that_could_not_be_computed_are_never_near_the_minimum():
     volume = xr.DataArray(
-        [[[0.0, 1.0, 1.05]]], dims=("omega_x", "omega_y", "omega_z"),
-        coords={"omega_x": [0.5], "omega_y": [0.1], "omega_z": [-0.1, 0.0, 0.1],
-                "outcome": (("omega_x", "omega_y", "omega_z"), [[[3, 0, 0]]])},
-    )  # fmt: skip
+        [[[0.0, 1.0, 1.05]]],
+        dims=("omega_x", "omega_y", "omega_z"),
+        coords={
+            "omega_x": [0.5],
+            "omega_y": [0.1],
+            "omega_z": [-0.1, 0.0, 0.1],
+            "outcome": (("omega_x", "omega_y", "omega_z"), [[[3, 0, 0]]]),
+        },
+    )
     np.testing.assert_array_equal(near_minimum(volume, 1.1)[:, 2], [0.0, 0.1])
     with pytest.raises(ss.InputError, match="outcome"):
         near_minimum(volume.assign_coords(outcome=volume["outcome"] * 0 + 3))
@@ -124,9 +140,14 @@ def test_rows_that_could_not_be_computed_are_never_near_the_minimum():
 )
 def test_bad_arguments_are_named(change, message):
     arguments = {
-        "target_z": [0.5], "sun_B": FIRST_SUN, "omega_x": [0.1], "omega_y": [0.1], "omega_z": [0.1],
-        "wheel_speed_rad_s": 865.0, "duration_s": 60.0,
-    } | change  # fmt: skip
+        "target_z": [0.5],
+        "sun_B": FIRST_SUN,
+        "omega_x": [0.1],
+        "omega_y": [0.1],
+        "omega_z": [0.1],
+        "wheel_speed_rad_s": 865.0,
+        "duration_s": 60.0,
+    } | change
     with pytest.raises(ss.InputError, match=message):
         ss.scan(PHILAE, **arguments)
 
@@ -145,9 +166,20 @@ def test_a_tighter_error_changes_the_distance_by_less_than_the_wider_one_allows(
 
 def test_a_store_is_resumed_with_another_mass_and_refused_with_another_wheel(tmp_path):
     """What only a landing asks for does not belong to a scan."""
+
     def run(*changes):
         craft = ss.load_vehicle("philae", changes)
-        return ss.scan(craft, [0.2, 0.8], FIRST_SUN, [0.1], [0.2], [0.0, 0.1], 865.0, 60.0, store=tmp_path / "rows")
+        return ss.scan(
+            craft,
+            [0.2, 0.8],
+            FIRST_SUN,
+            [0.1],
+            [0.2],
+            [0.0, 0.1],
+            865.0,
+            60.0,
+            store=tmp_path / "rows",
+        )
 
     first = run()
     assert run("body.mass_kg=90", "leg[2].tip_B_m[0]+=0.1").values.tolist() == first.values.tolist()

@@ -22,24 +22,37 @@ def samples(seed, jitter=6.0, noise=0.03, n=90, coefficients=CUBIC, axis=(0, 0, 
 
 def test_the_phase_is_the_integral_of_the_rate_and_the_sun_goes_round_backward():
     assert phase([0.1, 0.02], [3.0]) == pytest.approx(0.1 * 3 + 0.02 * 9 / 2)
-    np.testing.assert_allclose(turned([1, 0, 0], [0, 0, 1], np.array([np.pi / 2])), [[0, -1, 0]], atol=1e-15)
+    np.testing.assert_allclose(
+        turned([1, 0, 0], [0, 0, 1], np.array([np.pi / 2])), [[0, -1, 0]], atol=1e-15
+    )
 
 
 def test_a_constant_rate_agrees_with_the_equations_of_motion():
     craft = ss.Vehicle("plate", inertia_kg_m2=np.diag([2.0, 2.0, 3.0]))
     t = np.linspace(0, 500, 11)
     run = ss.propagate(craft, [0, 0, 0.0122], SUN, None, t)
-    np.testing.assert_allclose(turned(SUN, [0, 0, 1], phase([0.0122], t)), run["sun_B"].values, atol=1e-10)
+    np.testing.assert_allclose(
+        turned(SUN, [0, 0, 1], phase([0.0122], t)), run["sun_B"].values, atol=1e-10
+    )
 
 
 def test_the_best_direction_at_the_start_is_that_of_a_search_over_the_sphere():
     t, seen = samples(0, noise=0.2)
 
     def direct(angles):
-        start = [np.sin(angles[0]) * np.cos(angles[1]), np.sin(angles[0]) * np.sin(angles[1]), np.cos(angles[0])]
+        start = [
+            np.sin(angles[0]) * np.cos(angles[1]),
+            np.sin(angles[0]) * np.sin(angles[1]),
+            np.cos(angles[0]),
+        ]
         return ss.direction_error(turned(start, [0, 0, 1], phase(CUBIC, t)), seen)
 
-    searched = min(minimize(direct, [1.0, b], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}).fun for b in (0, 2, 4))
+    searched = min(
+        minimize(
+            direct, [1.0, b], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
+        ).fun
+        for b in (0, 2, 4)
+    )
     assert error_of_rate(CUBIC, t, seen) == pytest.approx(searched, abs=1e-10)
 
 
@@ -64,7 +77,9 @@ def test_the_global_minimum_is_that_of_a_dense_search():
     t, seen = samples(2)
     fit = fit_spin(t, seen)
     rates = np.arange(fit.scan_rate[0], fit.scan_rate[-1], 1e-5)
-    direct = errors_of_rates(np.column_stack([rates, np.tile(fit.coefficients[1:], (rates.size, 1))]), t, seen)
+    direct = errors_of_rates(
+        np.column_stack([rates, np.tile(fit.coefficients[1:], (rates.size, 1))]), t, seen
+    )
     assert fit.E <= direct.min() + 1e-12
     assert abs(rates[np.argmin(direct)] - fit.coefficients[0]) < 2e-5
 

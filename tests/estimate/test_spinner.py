@@ -26,7 +26,9 @@ THREE, LARGE_ZERO = ("-X", "-Y", "-Z"), (3.0, -3.0, 2.0)
 @cache
 def spinner(folder, faces=THREE, turned=AS_MOUNTED, number=4, axis=1):
     """A whole orbit, one sample in 10 s, of a body that turns at 2 deg/s: vehicle, telemetry, right and wrong orbit, truth."""
-    case = Case(5, number, -2.0, axis, 1.0, faces, turned, LARGE_ZERO, False, 1.3, True, 0.25, 10.0, 560)
+    case = Case(
+        5, number, -2.0, axis, 1.0, faces, turned, LARGE_ZERO, False, 1.3, True, 0.25, 10.0, 560
+    )
     where = folder / f"{faces}-{turned}-{number}-{axis}"
     truth = make(case, where)
     vehicle = ss.load_vehicle(where / "vehicle.toml")
@@ -53,7 +55,9 @@ def error_deg(made, truth, telemetry, vehicle):
     column = reading + vehicle.sensors.magnetometer.zero
     true = np.linalg.solve(np.array(truth["matrix"]), (column - np.array(truth["zero_nT"])).T).T
     found = made.field(reading)
-    cosine = (true * found).sum(axis=1) / np.linalg.norm(true, axis=1) / np.linalg.norm(found, axis=1)
+    cosine = (
+        (true * found).sum(axis=1) / np.linalg.norm(true, axis=1) / np.linalg.norm(found, axis=1)
+    )
     return np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))
 
 
@@ -61,7 +65,9 @@ def error_deg(made, truth, telemetry, vehicle):
 def test_the_light_of_the_earth_does_not_turn_the_calibration(folder, number):
     vehicle, telemetry, right, _, truth = spinner(folder, number=number)
     made = field_calibration(right, vehicle, telemetry)
-    assert error_deg(made, truth, telemetry, vehicle) < 5.0  # 60 deg where panels that the Earth lights count as sunlit
+    assert (
+        error_deg(made, truth, telemetry, vehicle) < 5.0
+    )  # 60 deg where panels that the Earth lights count as sunlit
 
 
 def test_samples_that_show_field_and_sun_are_kept_first(folder):
@@ -96,7 +102,9 @@ def test_elements_that_the_angle_contradicts_do_not_fit(folder, monkeypatch):
     rng, shown = np.random.default_rng(0), np.flatnonzero(np.isfinite(seen.sun).all(axis=1))
     for count, verdict in ((len(shown), Verdict.UNDECIDED), (FEWEST - 1, Verdict.FITS)):
         sun = np.full_like(seen.sun, np.nan)
-        sun[shown[:count]] = (side := rng.normal(size=(count, 3))) / np.linalg.norm(side, axis=1, keepdims=True)
+        sun[shown[:count]] = (side := rng.normal(size=(count, 3))) / np.linalg.norm(
+            side, axis=1, keepdims=True
+        )
         scrambled = seen._replace(sun=sun)
         monkeypatch.setattr(orbit_check, "seen_in", lambda *_, scrambled=scrambled: scrambled)
         assert check_orbit(right, vehicle, telemetry).verdict is verdict
@@ -110,7 +118,9 @@ def test_the_readings_show_the_zero_across_the_axis_of_the_spin(folder):
     sigma = np.sqrt((read.zero_B**2).sum(axis=0))
     assert (np.abs(off) < 3 * sigma).all()
     assert (sigma[[0, 2]] < 3000).all() and vehicle.sensors.magnetometer.zero_sigma.min() > 1e5
-    assert read.forgiving().sigma < 4000  # the zero along the axis is open, and moves no neighbours apart
+    assert (
+        read.forgiving().sigma < 4000
+    )  # the zero along the axis is open, and moves no neighbours apart
 
 
 def test_a_pass_that_begins_in_the_shadow_is_dense_where_it_shows_the_sun():
@@ -118,4 +128,6 @@ def test_a_pass_that_begins_in_the_shadow_is_dense_where_it_shows_the_sun():
     assert len(kept) <= 40 and kept[0] == 0 and kept[-1] == 2799
     steps = np.diff(kept)
     assert steps.max() < 350 and (steps[np.abs(kept[:-1] - 2300) < 2] == 1).all()
-    assert (np.maximum(steps[1:], steps[:-1]) <= np.ceil(1.4 * np.minimum(steps[1:], steps[:-1]) + 1)).all()
+    assert (
+        np.maximum(steps[1:], steps[:-1]) <= np.ceil(1.4 * np.minimum(steps[1:], steps[:-1]) + 1)
+    ).all()

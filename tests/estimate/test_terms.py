@@ -13,7 +13,14 @@ import sunspin as ss
 from coverage_twins import CUBE
 from sunspin.estimate.rates import estimate
 from sunspin.estimate.rates.common_errors import places_of, with_common
-from sunspin.estimate.rates.hypotheses import AS_STATED, Fit, Hypothesis, odd_one, ranked, sensors_left_out
+from sunspin.estimate.rates.hypotheses import (
+    AS_STATED,
+    Fit,
+    Hypothesis,
+    odd_one,
+    ranked,
+    sensors_left_out,
+)
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations
 from sunspin.estimate.rates.smooth import cost_limit
@@ -40,18 +47,26 @@ def only(o, kind):
 
 def both(samples=9, seed=4):
     """A pass seen by panels, a gyro and a magnetometer, and its truth."""
-    (data, run), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(seed), samples) for kind in ("gyro", "field"))
+    (data, run), (other, _) = (
+        clock_twins.twin(kind, 0.0, np.random.default_rng(seed), samples)
+        for kind in ("gyro", "field")
+    )
     o = observations(craft(), data.assign(field_B=other["field_B"]))[0]
     attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
     sun_N = attitude[0].T @ run["sun_B"].values[0]
-    return o, Track((attitude @ facing(sun_N))[None], run["omega_B"].values[None])  # z of N to the Sun
+    return o, Track(
+        (attitude @ facing(sun_N))[None], run["omega_B"].values[None]
+    )  # z of N to the Sun
 
 
 @pytest.mark.evidence("rates", "verified", "differences of the cost of a gyro's readings")
 def test_the_gyros_gradient_is_that_of_its_cost():
     o, truth = both()
     gyro, rng = only(o, Gyro), np.random.default_rng(1)
-    seen, error = Seen(truth.attitude, truth.omega + 1e-3 * rng.normal(size=truth.omega.shape)), rng.normal(size=(1, 4))
+    seen, error = (
+        Seen(truth.attitude, truth.omega + 1e-3 * rng.normal(size=truth.omega.shape)),
+        rng.normal(size=(1, 4)),
+    )
     slope = normal(gyro, seen, error)[1]
 
     def cost(omega, off):
@@ -73,7 +88,9 @@ def test_every_unknown_stands_once_in_one_list():
     kinds = [one.kind for one in places.unknowns]
     assert kinds[:4] == ["gyro_zero"] * 3 + ["gyro_scale"] and kinds.count("field_drift") == 6
     assert len({one.name for one in places.unknowns}) == places.n
-    assert places.unknowns[0].sigma == pytest.approx(1e-3) and places.unknowns[3].sigma == pytest.approx(0.01, rel=1e-6)
+    assert places.unknowns[0].sigma == pytest.approx(1e-3) and places.unknowns[
+        3
+    ].sigma == pytest.approx(0.01, rel=1e-6)
     assert all(one.scope == "pass" for one in places.unknowns)
 
 
@@ -82,16 +99,23 @@ def test_a_second_magnetometer_is_one_more_term():
     o, truth = both()
     first = only(o, Magnetometer)
     rng, field_N = np.random.default_rng(7), np.array([0.6, 0.0, 0.8])
-    second = replace(first, field_B=truth.attitude[0] @ field_N + 0.02 * rng.normal(size=(len(o), 3)))
+    second = replace(
+        first, field_B=truth.attitude[0] @ field_N + 0.02 * rng.normal(size=(len(o), 3))
+    )
     motion = Motion(Body.of(craft()), 1e-5, 0.1)
-    one, two = (with_common(x.freed(), truth, motion, None) for x in (o, replace(o, terms=(*o.terms, second))))
+    one, two = (
+        with_common(x.freed(), truth, motion, None)
+        for x in (o, replace(o, terms=(*o.terms, second)))
+    )
     assert two.error.shape[1] == one.error.shape[1] + 6
     assert cost_limit(replace(o, terms=(*o.terms, second))) == cost_limit(o) + 1.5 * (len(o) - 1)
     known = [np.linalg.slogdet(x.track.covariance[0, :, 3:, 3:])[1].sum() for x in (one, two)]
     assert known[1] < known[0] - 0.1  # rates are known better
 
 
-@pytest.mark.evidence("rates", "modelled", "a magnetometer whose zero is off by what its file states")
+@pytest.mark.evidence(
+    "rates", "modelled", "a magnetometer whose zero is off by what its file states"
+)
 def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
     """Taken for exact, a zero off by a third of the field bends the motion by many sigmas; with its sigma stated it does not."""
     o, truth = both()
@@ -101,7 +125,12 @@ def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
     wrong = replace(exact, field_B=exact.field_B + off)
     pulls, motion = [], Motion(Body.of(craft()), 1e-5, 0.1)
     for zero_B in (np.zeros((0, 3)), 0.3 * np.eye(3)):
-        pass_ = replace(o, terms=tuple(replace(wrong, zero_B=zero_B) if term is exact else term for term in o.terms))
+        pass_ = replace(
+            o,
+            terms=tuple(
+                replace(wrong, zero_B=zero_B) if term is exact else term for term in o.terms
+            ),
+        )
         fit = with_common(pass_.freed(), truth, motion, None)
         sigma = np.sqrt(np.diagonal(fit.track.covariance[0, :, 3:, 3:], axis1=1, axis2=2))
         pulls.append(np.sqrt((((fit.track.omega[0] - truth.omega[0]) / sigma) ** 2).mean()))
@@ -112,21 +141,38 @@ def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
     assert np.all(np.abs(found - off) < 3 * sigma) and np.sum(sigma < 0.15) > 1, (found, sigma)
 
 
-@pytest.mark.evidence("rates", "modelled", "a magnetometer with soft iron whose zero, and so its matrix, is not calibrated")
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "a magnetometer with soft iron whose zero, and so its matrix, is not calibrated",
+)
 def test_a_matrix_of_the_magnetometer_that_is_not_known_is_an_unknown():
     """Of a fast spinner soft iron turns the axis by degrees: in every draw by more sigmas where the matrix is taken for exact."""
     rng, motion, o, truth = np.random.default_rng(3), Motion(Body.of(craft()), 1e-5, 0.1), *both()
     o = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, Gyro)))
     exact, pulls = only(o, Magnetometer), {0.0: [], 0.05: []}
     for _ in range(8):
-        bent = replace(exact, field_B=exact.field_B @ (np.eye(3) + 0.05 * rng.normal(size=(3, 3))).T)
+        bent = replace(
+            exact, field_B=exact.field_B @ (np.eye(3) + 0.05 * rng.normal(size=(3, 3))).T
+        )
         for sigma, of_these in pulls.items():
-            pass_ = replace(o, terms=tuple(replace(bent, matrix_sigma=sigma) if term is exact else term for term in o.terms))
+            pass_ = replace(
+                o,
+                terms=tuple(
+                    replace(bent, matrix_sigma=sigma) if term is exact else term for term in o.terms
+                ),
+            )
             fit = with_common(pass_.freed(), truth, motion, None)
             off = fit.track.omega[0] - truth.omega[0]
             covariance = fit.track.covariance[0, :, 3:, 3:]
-            of_these.append(np.sqrt(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off).mean() / 3))
-    assert np.median(pulls[0.05]) < 1.3 and max(pulls[0.05]) < 2 and all(np.array(pulls[0.0]) > pulls[0.05]), pulls
+            of_these.append(
+                np.sqrt(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covariance), off).mean() / 3)
+            )
+    assert (
+        np.median(pulls[0.05]) < 1.3
+        and max(pulls[0.05]) < 2
+        and all(np.array(pulls[0.0]) > pulls[0.05])
+    ), pulls
 
 
 def test_what_the_matrix_adds_is_the_change_of_the_residuals():
@@ -140,7 +186,11 @@ def test_what_the_matrix_adds_is_the_change_of_the_residuals():
         np.testing.assert_allclose(columns[..., k - 9], change, atol=1e-9)
 
 
-@pytest.mark.evidence("rates", "verified", "panels that lose half of grazing light, read by that law and by the cosine")
+@pytest.mark.evidence(
+    "rates",
+    "verified",
+    "panels that lose half of grazing light, read by that law and by the cosine",
+)
 def test_another_law_of_the_panels_is_the_responses_alone():
     """At the truth readings cost as sound ones do under the law that made them, more under the cosine; and slopes are its own."""
     lossy = replace(CUBE, panel_response=ResponseForm(grazing=Grazing(loss=0.5)))
@@ -154,13 +204,23 @@ def test_another_law_of_the_panels_is_the_responses_alone():
         read = only(observations(vehicle, data)[0], Panels)
         panels = replace(read, sigma=np.full(power.shape, 0.01), scale_sigma=np.full(12, 0.01))
         cost[name] = normal(panels, seen)[2].sum()
-    assert cost["law"] < 12 * 3.6 and cost["cosine"] > 2 * cost["law"]  # 3.6: what a sound sample costs at most
+    assert (
+        cost["law"] < 12 * 3.6 and cost["cosine"] > 2 * cost["law"]
+    )  # 3.6: what a sound sample costs at most
     panels = replace(only(observations(lossy, data)[0], Panels), sigma=np.full(power.shape, 0.1))
     beside = Seen(turn(seen.attitude, np.array([0.1, -0.15, 0.2])), seen.omega)
     slope = normal(panels, beside)[1].sum(axis=1)[0]
     steps = 1e-3 * np.eye(3)
-    ends = [[normal(panels, Seen(turn(beside.attitude, sign * one), seen.omega))[2].sum() for sign in (1, -1)] for one in steps]
-    np.testing.assert_allclose(slope, [(up - down) / 2e-3 for up, down in ends], rtol=0.02, atol=0.02 * np.abs(slope).max())
+    ends = [
+        [
+            normal(panels, Seen(turn(beside.attitude, sign * one), seen.omega))[2].sum()
+            for sign in (1, -1)
+        ]
+        for one in steps
+    ]
+    np.testing.assert_allclose(
+        slope, [(up - down) / 2e-3 for up, down in ends], rtol=0.02, atol=0.02 * np.abs(slope).max()
+    )
 
 
 def test_readings_apart_cost_the_mean_of_their_likelihood():
@@ -170,14 +230,19 @@ def test_readings_apart_cost_the_mean_of_their_likelihood():
     fine = replace(gyro, sigma=0.002)
     size = max(np.sqrt((fine.rate_B**2).mean()), fine.sigma)
     omega = size * rng.normal(size=(400_000, 3))
-    told = sum(np.log(np.exp(-student((omega - rate) / fine.sigma)[1]).mean()) for rate in fine.rate_B)
+    told = sum(
+        np.log(np.exp(-student((omega - rate) / fine.sigma)[1]).mean()) for rate in fine.rate_B
+    )
     assert fine.unrelated(o.t_s) == pytest.approx(told, abs=0.1)
     loose = replace(field, sigma=0.2)
     start, end = loose.field_B[:-1], loose.field_B[1:]
     axes = rng.normal(size=(400_000, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     lengths, sigmas = np.linalg.norm(start, axis=1), loose.sigmas(o.t_s)
-    each = [np.exp(-((r * axes - b) ** 2).sum(axis=1) / (2 * s**2)).mean() for r, b, s in zip(lengths, end, sigmas, strict=True)]
+    each = [
+        np.exp(-((r * axes - b) ** 2).sum(axis=1) / (2 * s**2)).mean()
+        for r, b, s in zip(lengths, end, sigmas, strict=True)
+    ]
     assert loose.unrelated(o.t_s) == pytest.approx(np.log(each).sum(), abs=0.03)
 
 
@@ -195,7 +260,11 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
     for pass_, named in ((o.swapped(gyro, turned), "without the gyro"), (o, None)):
         stated = Hypothesis(AS_STATED, pass_, np.arange(len(o)), motion)
         others = sensors_left_out(stated)
-        assert [one.what for one in others] == ["without the Sun", "without the gyro", "without the magnetometer"]
+        assert [one.what for one in others] == [
+            "without the Sun",
+            "without the gyro",
+            "without the magnetometer",
+        ]
         judged = ranked([stated, *others], run)
         odd = odd_one(judged)
         assert (None if odd is None else odd.hypothesis.what) == named
@@ -206,8 +275,13 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
 def test_panels_that_do_not_see_what_gyro_and_magnetometer_see_are_left_out(monkeypatch):
     """Panels of another time: without the Sun the others fit, the attitude's free turns held weakly. No wiring is tried."""
     monkeypatch.setattr(estimate, "better", lambda *given: None)
-    (data, _), (other, _) = (clock_twins.twin(kind, 0.0, np.random.default_rng(4), 20) for kind in ("gyro", "field"))
+    (data, _), (other, _) = (
+        clock_twins.twin(kind, 0.0, np.random.default_rng(4), 20) for kind in ("gyro", "field")
+    )
     power = data["power_W"].values[np.random.default_rng(0).permutation(20)]
     data = data.assign(field_B=other["field_B"], power_W=(data["power_W"].dims, power))
     found = ss.rates(craft(), data, max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
-    assert not found["fits"].values.any() and "without the Sun the other readings fit" in found.attrs["verdict"]
+    assert (
+        not found["fits"].values.any()
+        and "without the Sun the other readings fit" in found.attrs["verdict"]
+    )

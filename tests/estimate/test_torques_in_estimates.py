@@ -24,39 +24,71 @@ RATE, ATTITUDE = np.array([0.004, -0.003, 0.006]), Rotation.random(random_state=
 TORQUES = ("gravity_gradient",)
 
 CUBE = Vehicle(
-    "cube", INERTIA, telemetry=TelemetryForm(quantity="current_A", noise=0.01),
-    panels=[Panel(f"{sign}{axis}", x, 1.0) for axis, e in zip("xyz", np.eye(3), strict=True) for sign, x in (("+", e), ("-", -e))],
-)  # fmt: skip
+    "cube",
+    INERTIA,
+    telemetry=TelemetryForm(quantity="current_A", noise=0.01),
+    panels=[
+        Panel(f"{sign}{axis}", x, 1.0)
+        for axis, e in zip("xyz", np.eye(3), strict=True)
+        for sign, x in (("+", e), ("-", -e))
+    ],
+)
 
 
 def tumbling_telemetry() -> tuple[xr.Dataset, xr.Dataset]:
     rng = np.random.default_rng(3)
     t = np.concatenate([[0.0], np.cumsum(60 * rng.uniform(0.7, 1.3, 29))])
-    run = ss.propagate(CUBE, RATE, ATTITUDE.apply([0, 0, 1]), None, t, environment=ORBIT, torques=TORQUES,
-                       B_from_N=ATTITUDE.as_quat())  # fmt: skip
+    run = ss.propagate(
+        CUBE,
+        RATE,
+        ATTITUDE.apply([0, 0, 1]),
+        None,
+        t,
+        environment=ORBIT,
+        torques=TORQUES,
+        B_from_N=ATTITUDE.as_quat(),
+    )
     power = ss.panel_power(CUBE, run["sun_B"].values)
     power = np.maximum(power + 0.01 * rng.normal(size=power.shape), 0)
-    variables = {"current_A": (("time", "panel"), power), "flag": ("time", np.zeros(len(t), dtype=np.uint8))}
+    variables = {
+        "current_A": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+    }
     coords = {"time": t, "panel": list(CUBE.panel_names)}
     return xr.Dataset(variables, coords, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}), run
 
 
 @pytest.mark.long
-@pytest.mark.evidence("rates", "modelled", "a tumbling CubeSat; without the torque it must fit worse")
+@pytest.mark.evidence(
+    "rates", "modelled", "a tumbling CubeSat; without the torque it must fit worse"
+)
 def test_rates_under_gravity_gradient_tell_the_turn_about_the_sun():
     data, run = tumbling_telemetry()
     found, errors, off_by = {}, {}, {}
     for torques in ((), TORQUES):
-        result = ss.rates(CUBE, data, acceleration_noise=1e-7, max_rate_rad_s=0.03, environment=ORBIT, torques=torques)
+        result = ss.rates(
+            CUBE,
+            data,
+            acceleration_noise=1e-7,
+            max_rate_rad_s=0.03,
+            environment=ORBIT,
+            torques=torques,
+        )
         off = result["omega_B"].values - run["omega_B"].sel(time=result["time"]).values
-        errors[torques] = np.sqrt(np.mean(off**2 / np.einsum("nii->ni", result["omega_cov_B"].values)))
+        errors[torques] = np.sqrt(
+            np.mean(off**2 / np.einsum("nii->ni", result["omega_cov_B"].values))
+        )
         off_by[torques] = np.sqrt(np.mean(off**2))
         found[torques] = result
     free, pulled = found.values()
-    assert pulled["model"].item() == "as stated" and "torque" in free["model"].item()  # without it, one is found to be missing
+    assert (
+        pulled["model"].item() == "as stated" and "torque" in free["model"].item()
+    )  # without it, one is found to be missing
     assert errors[TORQUES] < 1.5 and off_by[TORQUES] < off_by[()] / 2
     attitude, truth = (Rotation.from_quat(x["B_from_N"].values) for x in (pulled, run))
-    assert np.degrees((attitude * truth.inv()).magnitude()).max() < 20.0  # nothing but the torque says how the body stands about it
+    assert (
+        np.degrees((attitude * truth.inv()).magnitude()).max() < 20.0
+    )  # nothing but the torque says how the body stands about it
 
 
 def test_the_answer_of_a_step_to_turn_and_rate_at_its_start_is_that_of_differences():
@@ -68,9 +100,13 @@ def test_the_answer_of_a_step_to_turn_and_rate_at_its_start_is_that_of_differenc
         small = 1e-4 * np.eye(3)[k]
         other = turn(attitude, small)
         ended, rates = step(body, omega, dt, body.seen(FREE, other, 50.0))
-        np.testing.assert_allclose(turn_between(made @ attitude, ended @ other) / 1e-4, answer[..., :3, k], atol=2e-4)
+        np.testing.assert_allclose(
+            turn_between(made @ attitude, ended @ other) / 1e-4, answer[..., :3, k], atol=2e-4
+        )
         np.testing.assert_allclose((rates - rate) / 1e-4, answer[..., 3:, k], atol=2e-6)
-    assert np.abs(answer[:, 3:, :3]).max() > 1e-4  # the control: without torques the rate does not know the attitude
+    assert (
+        np.abs(answer[:, 3:, :3]).max() > 1e-4
+    )  # the control: without torques the rate does not know the attitude
 
 
 @dataclass(frozen=True)
@@ -85,15 +121,22 @@ class Aslant:
 
 def test_rates_refuses_torques_without_their_environment_and_a_sun_elsewhere():
     data, _ = tumbling_telemetry()
-    with pytest.raises(ss.InputError, match="rates needs an environment with z of its N to the Sun"):
+    with pytest.raises(
+        ss.InputError, match="rates needs an environment with z of its N to the Sun"
+    ):
         ss.rates(CUBE, data, environment=Aslant(), torques=TORQUES)
     with pytest.raises(ss.MotionError, match="'gravity_gradient' needs an environment"):
         ss.rates(CUBE, data, torques=TORQUES)
 
 
 def likelihood() -> Likelihood:
-    data, start_s, _ = readings(CUBE, tumbling_telemetry()[0].assign_coords(time=lambda x: x["time"] + 200.0))
-    unknown = under(model(CUBE, {"inertia": 0.0, "max_rate_rad_s": 0.02}, 1.0)[0], acting(TORQUES, ORBIT, start_s))
+    data, start_s, _ = readings(
+        CUBE, tumbling_telemetry()[0].assign_coords(time=lambda x: x["time"] + 200.0)
+    )
+    unknown = under(
+        model(CUBE, {"inertia": 0.0, "max_rate_rad_s": 0.02}, 1.0)[0],
+        acting(TORQUES, ORBIT, start_s),
+    )
     return Likelihood(unknown, data, 1e-9)
 
 
@@ -104,7 +147,16 @@ def test_the_posterior_moves_as_the_reference_and_knows_its_slopes():
     state = State(RATE[None], ATTITUDE.apply([[0.0, 0.0, 1.0]]), u)
     t = own.data.t_s
     start = own.model.rows(state).B_from_N[0]
-    run = ss.propagate(CUBE, RATE, state.sun[0], None, t + 200.0, environment=ORBIT, torques=TORQUES, B_from_N=start)
+    run = ss.propagate(
+        CUBE,
+        RATE,
+        state.sun[0],
+        None,
+        t + 200.0,
+        environment=ORBIT,
+        torques=TORQUES,
+        B_from_N=start,
+    )
     np.testing.assert_allclose(own.predict(state).sun[0], run["sun_B"].values, atol=1e-8)
     jacobian = own.linearised(state)[3]
 
@@ -115,8 +167,12 @@ def test_the_posterior_moves_as_the_reference_and_knows_its_slopes():
     for column, size, there in (
         (0, 1e-6, lambda x: State(state.omega + [x, 0, 0], state.sun, u)),
         (3, 1e-4, lambda x: State(RATE[None], moved(state.sun, np.array([[x, 0]])), u)),
-        (5 + place, 1e-3, lambda x: State(RATE[None], state.sun, u + x * np.eye(u.shape[1])[place])),
-    ):  # fmt: skip
+        (
+            5 + place,
+            1e-3,
+            lambda x: State(RATE[None], state.sun, u + x * np.eye(u.shape[1])[place]),
+        ),
+    ):
         expected = (raw(there(size)) - raw(there(-size))) / (2 * size)
         assert np.abs(jacobian[0, :, column] - expected).max() < 0.03 * np.abs(expected).max()
     assert np.abs(jacobian[0, :, 5 + place]).max() > 0.01  # the readings know of the turn
@@ -124,12 +180,18 @@ def test_the_posterior_moves_as_the_reference_and_knows_its_slopes():
 
 def test_draws_under_torques_are_not_carried_on_without_them():
     tree = xr.DataTree(xr.Dataset(attrs={"torques": json.dumps(TORQUES)}))
-    with pytest.raises(ss.InputError, match="draws of a posterior under torques cannot be carried on yet"):
+    with pytest.raises(
+        ss.InputError, match="draws of a posterior under torques cannot be carried on yet"
+    ):
         drawn_rows(CUBE, tree)
 
 
 @pytest.mark.slow
-@pytest.mark.evidence("posterior", "modelled", "a tumbling CubeSat under gravity gradient; without the torque it is wrong")
+@pytest.mark.evidence(
+    "posterior",
+    "modelled",
+    "a tumbling CubeSat under gravity gradient; without the torque it is wrong",
+)
 def test_the_posterior_under_gravity_gradient_holds_the_truth():
     data, _ = tumbling_telemetry()
     away, known = {}, {"max_rate_rad_s": 0.02, "inertia": 0.0, "steady_torque": 0.0}

@@ -28,14 +28,25 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "FITS BADLY (gyro)"),
         ({"explained": False}, "FITS BADLY"),
         ({"search_complete": False}, "search not complete"),
-        ({"search_complete": False, "cure": "give more effort"}, "search not complete (give more effort)"),
+        (
+            {"search_complete": False, "cure": "give more effort"},
+            "search not complete (give more effort)",
+        ),
     ],
 )
 def test_one_no_is_enough(change, why):
-    given = {"unique": True, "sigma": np.full(3, 0.1), "prior_sigma": 1.0, "misfits": SOUND, "explained": True}
+    given = {
+        "unique": True,
+        "sigma": np.full(3, 0.1),
+        "prior_sigma": 1.0,
+        "misfits": SOUND,
+        "explained": True,
+    }
     said = answers(**(given | {"search_complete": True} | change))
     assert not said.decided and said.why_not == why
-    assert said.informed[0] == (change.get("sigma", [0.1])[0] < 0.5)  # what is informed stays so, whatever else fails
+    assert said.informed[0] == (
+        change.get("sigma", [0.1])[0] < 0.5
+    )  # what is informed stays so, whatever else fails
 
 
 def test_spikes_are_forgiven_and_runs_are_not():
@@ -60,7 +71,11 @@ def test_the_chance_of_few_runs_is_that_of_all_arrangements():
 def test_too_many_far_off_fit_nothing_however_they_are_strewn():
     far = np.ones(100)
     far[::3] = 5.0
-    assert not misfit(far).fits and misfit(np.full(10, 5.0)).share == 1.0 and not misfit(np.full(10, 5.0)).fits
+    assert (
+        not misfit(far).fits
+        and misfit(np.full(10, 5.0)).share == 1.0
+        and not misfit(np.full(10, 5.0)).fits
+    )
 
 
 def test_a_quarter_far_off_in_stretches_is_another_motion():
@@ -72,7 +87,10 @@ def test_a_quarter_far_off_in_stretches_is_another_motion():
 
 
 def test_one_spike_among_four_samples_is_forgiven_and_two_are_not():
-    assert misfit(np.array([1.0, 9.0, 1.0, 1.0])).fits and not misfit(np.array([1.0, 9.0, 1.0, 9.0])).fits
+    assert (
+        misfit(np.array([1.0, 9.0, 1.0, 1.0])).fits
+        and not misfit(np.array([1.0, 9.0, 1.0, 9.0])).fits
+    )
 
 
 def test_a_sensor_that_read_nothing_does_not_disagree():
@@ -89,12 +107,40 @@ def test_three_sigma_have_the_same_chance_for_any_number_of_readings(freedom, re
 
 def test_the_table_has_a_row_for_every_motion_and_leaves_out_what_is_not_there():
     said = answers(False, np.array([0.1, 0.9, 0.1]), 1.0, SOUND, True, True)
-    omega, covariance = np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]]), 1e-6 * np.tile(np.eye(3), (2, 1, 1))
+    omega, covariance = (
+        np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]]),
+        1e-6 * np.tile(np.eye(3), (2, 1, 1)),
+    )
     speed = speeds(omega, covariance)
-    one = PassMotions(9, 0.0, 8.25, 4.0, np.array([0.7, 0.3]), omega, np.full((2, 3), 1e-3), speed, said, "unchecked")
-    other = one._replace(weight=np.ones(1), omega=omega[:1], sigma=np.full((1, 3), 1e-3), speed=speed[:1])
+    one = PassMotions(
+        9,
+        0.0,
+        8.25,
+        4.0,
+        np.array([0.7, 0.3]),
+        omega,
+        np.full((2, 3), 1e-3),
+        speed,
+        said,
+        "unchecked",
+    )
+    other = one._replace(
+        weight=np.ones(1), omega=omega[:1], sigma=np.full((1, 3), 1e-3), speed=speed[:1]
+    )
     found = table([one, other], "2026-01-01T00:00:00Z")
-    assert found["weight"][1].shape == (2, 2) and np.isnan(found["omega_x"][1][1, 1]) and found["omega_x"][1][0, 1] == 0.2
-    assert found["utc_end"][1][0] == "2026-01-01T00:00:08.250Z" and found["utc_at"][1][0] == "2026-01-01T00:00:04.000Z"
-    assert list(found["informed_y"][1]) == [False, False] and list(found["informed_x"][1]) == [True, True]
-    assert found["speed_low"][1][0, 0] < 0.1 < found["speed_high"][1][0, 0] and table([one], None)["utc_at"][1] == [""]
+    assert (
+        found["weight"][1].shape == (2, 2)
+        and np.isnan(found["omega_x"][1][1, 1])
+        and found["omega_x"][1][0, 1] == 0.2
+    )
+    assert (
+        found["utc_end"][1][0] == "2026-01-01T00:00:08.250Z"
+        and found["utc_at"][1][0] == "2026-01-01T00:00:04.000Z"
+    )
+    assert list(found["informed_y"][1]) == [False, False] and list(found["informed_x"][1]) == [
+        True,
+        True,
+    ]
+    assert found["speed_low"][1][0, 0] < 0.1 < found["speed_high"][1][0, 0] and table([one], None)[
+        "utc_at"
+    ][1] == [""]

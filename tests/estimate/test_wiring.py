@@ -17,13 +17,19 @@ from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 CUBE = Vehicle(
-    "cube", inertia_kg_m2=np.diag([0.042, 0.05, 0.03]), gain_unit="W",
-    panels=[Panel(name, normal, 1.0) for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), FACES, strict=True)],
+    "cube",
+    inertia_kg_m2=np.diag([0.042, 0.05, 0.03]),
+    gain_unit="W",
+    panels=[
+        Panel(name, normal, 1.0)
+        for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), FACES, strict=True)
+    ],
     sensors=Sensors(
-        gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3), magnetometer=Magnetometer(("u", "v", "w"), np.zeros(3), 0.02),
+        gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 2e-3),
+        magnetometer=Magnetometer(("u", "v", "w"), np.zeros(3), 0.02),
         attitude=Attitude(("a", "b", "c", "d"), "last", "N_to_B", 0.01),
     ),
-)  # fmt: skip
+)
 T = np.arange(0.0, 300.0, 10.0)
 TURN_RATE = 2.2e-3
 
@@ -36,12 +42,13 @@ def motion(fits: bool = True) -> xr.Dataset:
         {
             "omega_B": (("time", "axis"), omega),
             "omega_cov_B": (("time", "axis", "axis2"), np.tile(1e-8 * np.eye(3), (T.size, 1, 1))),
-            "B_from_N": (("time", "quaternion"), attitude.as_quat()), "sun_B": (("time", "axis"), attitude.apply([0.2, 0.6, 0.77])),
+            "B_from_N": (("time", "quaternion"), attitude.as_quat()),
+            "sun_B": (("time", "axis"), attitude.apply([0.2, 0.6, 0.77])),
             "pass_of": ("time", np.zeros(T.size, dtype=int)),
             "fits": ("pass_id", [fits]),
         },
         {"time": T},
-    )  # fmt: skip
+    )
 
 
 def seen(name: str, wrong) -> xr.Dataset:
@@ -55,7 +62,9 @@ def seen(name: str, wrong) -> xr.Dataset:
     }[name]
     axis = "quaternion" if read.shape[1] == 4 else "axis"
     power = np.maximum(run["sun_B"].values @ FACES.T, 0.0) + 0.01 * rng.uniform(size=(T.size, 6))
-    return xr.Dataset({"power_W": (("time", "panel"), power), name: (("time", axis), wrong(read))}, {"time": T})
+    return xr.Dataset(
+        {"power_W": (("time", "panel"), power), name: (("time", axis), wrong(read))}, {"time": T}
+    )
 
 
 def sought(vehicle: Vehicle, data: xr.Dataset, evidence, run) -> Better | Culprit | None:
@@ -72,7 +81,9 @@ def test_the_wirings_of_six_panels_are_fifteen_exchanges_and_six_reversals():
     assert len(found) == 21 and len({one.what for one in found}) == 21
     first, last = found[0], found[-1]
     assert first.what == "the columns of panels +x and +y exchanged"
-    np.testing.assert_array_equal(first.applied(CUBE, data)[1]["power_W"].values[:, [1, 0]], data["power_W"].values[:, :2])
+    np.testing.assert_array_equal(
+        first.applied(CUBE, data)[1]["power_W"].values[:, [1, 0]], data["power_W"].values[:, :2]
+    )
     np.testing.assert_array_equal(last.applied(CUBE, data)[0].panels[5].normal_B, [0, 0, 1])
     assert CUBE.panels[5].normal_B[2] == -1
 
@@ -83,32 +94,69 @@ def test_axes_have_48_wirings_and_a_quaternion_four_the_stated_one_first():
     assert len({one.tobytes() for one in read}) == 48
     np.testing.assert_array_equal(read[0], data["gyro_B"].values)
     data = seen("attitude_B_from_N", lambda read: read)
-    read = [one.applied(CUBE, data)[1]["attitude_B_from_N"].values for one in of_sensor(CUBE, "attitude_B_from_N")]
+    read = [
+        one.applied(CUBE, data)[1]["attitude_B_from_N"].values
+        for one in of_sensor(CUBE, "attitude_B_from_N")
+    ]
     x, y, z, w = data["attitude_B_from_N"].values.T
-    for value, right in zip(read, ([x, y, z, w], [-x, -y, -z, w], [w, x, y, z], [-w, -x, -y, z]), strict=True):
+    for value, right in zip(
+        read, ([x, y, z, w], [-x, -y, -z, w], [w, x, y, z], [-w, -x, -y, z]), strict=True
+    ):
         np.testing.assert_array_equal(value, np.array(right).T)
 
 
 @pytest.mark.parametrize(
     ("name", "wrong", "words", "do"),
     [
-        ("gyro_B", lambda read: read[:, [1, 0, 2]], "the gyro read as (+y, +x, +z)", 'set columns = ["y", "x", "z"] under [gyro]'),
-        ("gyro_B", lambda read: -read, "the gyro read as (-x, -y, -z)", 'set columns = ["-x", "-y", "-z"] under [gyro]'),
-        ("field_B", lambda read: read * [1, -1, 1], "the magnetometer read as (", "under [magnetometer]"),
-        ("attitude_B_from_N", lambda read: read * [-1, -1, -1, 1], "the quaternion read the other way round",
-         'set rotates = "B_to_N" under [attitude]'),
-        ("attitude_B_from_N", lambda read: read[:, [1, 2, 3, 0]], "the quaternion with its scalar at the other end",
-         'set scalar = "first" under [attitude]'),
+        (
+            "gyro_B",
+            lambda read: read[:, [1, 0, 2]],
+            "the gyro read as (+y, +x, +z)",
+            'set columns = ["y", "x", "z"] under [gyro]',
+        ),
+        (
+            "gyro_B",
+            lambda read: -read,
+            "the gyro read as (-x, -y, -z)",
+            'set columns = ["-x", "-y", "-z"] under [gyro]',
+        ),
+        (
+            "field_B",
+            lambda read: read * [1, -1, 1],
+            "the magnetometer read as (",
+            "under [magnetometer]",
+        ),
+        (
+            "attitude_B_from_N",
+            lambda read: read * [-1, -1, -1, 1],
+            "the quaternion read the other way round",
+            'set rotates = "B_to_N" under [attitude]',
+        ),
+        (
+            "attitude_B_from_N",
+            lambda read: read[:, [1, 2, 3, 0]],
+            "the quaternion with its scalar at the other end",
+            'set scalar = "first" under [attitude]',
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_sensor_read_wrongly_is_named(name, wrong, words, do):
     found = sought(CUBE, seen(name, wrong), never, lambda *_: motion())
     assert isinstance(found, Better) and found.gain > 10
-    if name == "field_B":  # without elements a field and its opposite, and columns that look the same, are named together
-        assert [one.change.what[:25] for one in found.named] == [words[:25], "the columns of panels +y ", words[:25]]
+    if (
+        name == "field_B"
+    ):  # without elements a field and its opposite, and columns that look the same, are named together
+        assert [one.change.what[:25] for one in found.named] == [
+            words[:25],
+            "the columns of panels +y ",
+            words[:25],
+        ]
         assert all(do in one.change.do for one in found.named[::2])
     else:
-        assert found.words().startswith(f"the data fit with {words}") or f"(a) {words}" in found.words()
+        assert (
+            found.words().startswith(f"the data fit with {words}")
+            or f"(a) {words}" in found.words()
+        )
         assert found.named[0].change.do.startswith(do)
 
 
@@ -116,7 +164,11 @@ def test_a_sensor_read_wrongly_is_named(name, wrong, words, do):
 def test_no_other_wiring_of_a_sensor_read_rightly_is_named(name):
     """What is in the way may still be that sensor: its zero, say."""
     found = sought(CUBE, seen(name, lambda read: read), never, lambda *_: motion())
-    assert isinstance(found, Culprit) and "without the" in found.words() and "--without" in found.words()
+    assert (
+        isinstance(found, Culprit)
+        and "without the" in found.words()
+        and "--without" in found.words()
+    )
 
 
 def test_a_gyro_whose_zero_is_off_is_the_culprit_and_where_it_is_not_panels_are_tried():
@@ -133,20 +185,32 @@ def test_exchanged_panels_that_look_like_turned_axes_of_a_sensor_are_named_besid
     """Two opposite panels' columns exchanged show the mirrored motion, in which a sound gyro seems to have two signs wrong."""
     data = seen("gyro_B", lambda read: read * [1, -1, -1])
     told = sought(CUBE, data, never, lambda *_: motion())
-    assert 'set columns = ["x", "-y", "-z"]' in told.words() and "the columns of panels +x and -x exchanged" in told.words()
-    assert "each of 2 changes" in told.words() and "find out which one is right before you change the file" in told.words()
+    assert (
+        'set columns = ["x", "-y", "-z"]' in told.words()
+        and "the columns of panels +x and -x exchanged" in told.words()
+    )
+    assert (
+        "each of 2 changes" in told.words()
+        and "find out which one is right before you change the file" in told.words()
+    )
     rate = np.degrees([one.omega for one in told.named])
-    np.testing.assert_allclose(rate[1], rate[0] * [1, -1, -1], atol=1e-12)  # a mirror along x: rates are axial vectors
+    np.testing.assert_allclose(
+        rate[1], rate[0] * [1, -1, -1], atol=1e-12
+    )  # a mirror along x: rates are axial vectors
     told = sought(CUBE, seen("field_B", lambda read: read * [1, -1, 1]), never, lambda *_: motion())
     assert "the columns of panels +y and -y exchanged" in told.words()
-    agreed = data.assign(field_B=seen("field_B", lambda read: read)["field_B"])  # two sensors that agree are both right
+    agreed = data.assign(
+        field_B=seen("field_B", lambda read: read)["field_B"]
+    )  # two sensors that agree are both right
     assert "exchanged" not in sought(CUBE, agreed, never, lambda *_: motion()).words()
     told = sought(CUBE, seen("gyro_B", lambda read: read[:, [1, 0, 2]]), never, lambda *_: motion())
     assert "exchanged" not in told.words()
 
 
 def test_panels_and_not_the_quaternion_are_named_where_it_agrees_with_them_mirrored():
-    data = seen("attitude_B_from_N", lambda read: read * [1, -1, -1, 1])  # the motion of the panels is that mirrored along x
+    data = seen(
+        "attitude_B_from_N", lambda read: read * [1, -1, -1, 1]
+    )  # the motion of the panels is that mirrored along x
     found = sought(CUBE, data, never, lambda *_: motion())
     assert "the columns of panels +x and -x exchanged" in found.words() and found.gain > 10
     power = found.named[0].change.applied(CUBE, data)[1]["power_W"].values
@@ -163,26 +227,43 @@ def exchanged_columns(a: int, b: int) -> xr.Dataset:
 
 def test_another_wiring_of_panels_must_be_clearly_better_and_fit():
     data = exchanged_columns(1, 5)
-    right = next(one for one in column_changes(CUBE, data) if one.what == "the columns of panels +y and -z exchanged")
+    right = next(
+        one
+        for one in column_changes(CUBE, data)
+        if one.what == "the columns of panels +y and -z exchanged"
+    )
     power = right.applied(CUBE, data)[1]["power_W"].values
 
     def evidence(gain: float):
         return lambda _, other: gain * np.array_equal(other["power_W"], power)
 
     found = sought(CUBE, data, evidence(30.0), lambda *_: motion())
-    assert isinstance(found, Better) and [one.change.what for one in found.named] == [right.what] and found.gain == 30.0
+    assert (
+        isinstance(found, Better)
+        and [one.change.what for one in found.named] == [right.what]
+        and found.gain == 30.0
+    )
     assert "CHECK THE WIRING" in found.words() and "which one is right" not in found.words()
     assert sought(CUBE, data, evidence(9.0), lambda *_: motion()) is None
     assert sought(CUBE, data, evidence(30.0), lambda *_: motion(fits=False)) is None
-    assert sought(replace(CUBE, panels=()), data.drop_vars("power_W"), evidence(30.0), lambda *_: motion()) is None
+    assert (
+        sought(
+            replace(CUBE, panels=()), data.drop_vars("power_W"), evidence(30.0), lambda *_: motion()
+        )
+        is None
+    )
 
 
 def test_samples_by_themselves_show_some_exchanges():
     """Opposite panels lit together: no Sun lights them. A mirror image is not seen so."""
     right = exchanged_columns(0, 0)
     assert not implausible(CUBE, right)
-    assert implausible(CUBE, exchanged_columns(1, 5)) and not implausible(CUBE, exchanged_columns(1, 4))
-    assert not implausible(CUBE, right.assign(power_W=0.3 * right["power_W"]))  # a full battery dims what it reads
+    assert implausible(CUBE, exchanged_columns(1, 5)) and not implausible(
+        CUBE, exchanged_columns(1, 4)
+    )
+    assert not implausible(
+        CUBE, right.assign(power_W=0.3 * right["power_W"])
+    )  # a full battery dims what it reads
     gains = zip(CUBE.panels, (1.0, 7.0, 2.0, 1.0, 7.0, 2.0), strict=True)
     unequal = replace(CUBE, panels=tuple(replace(panel, gain=gain) for panel, gain in gains))
     assert not implausible(unequal, right.assign(power_W=right["power_W"] * unequal.panel_gains))
@@ -202,31 +283,49 @@ def test_only_changes_that_the_samples_allow_are_searched_with():
 
 def test_panels_that_stay_dark_tell_an_exchange_from_its_mirror_image():
     """The Sun near +y: as written -y is lit between two dark panels, which a mirror would leave dark, and no Sun can do that."""
-    sides = [Panel(name, np.array(n) / np.sqrt(2), 1.0) for name, n in (("a", [1.0, -1.0, 0.0]), ("b", [-1.0, -1.0, 0.0]))]
+    sides = [
+        Panel(name, np.array(n) / np.sqrt(2), 1.0)
+        for name, n in (("a", [1.0, -1.0, 0.0]), ("b", [-1.0, -1.0, 0.0]))
+    ]
     craft = replace(CUBE, panels=(*CUBE.panels, *sides))
     angle = np.linspace(0.0, 6.0, T.size)
     sun = np.stack([0.4 * np.cos(angle), np.full(T.size, 0.9), 0.4 * np.sin(angle)], axis=1)
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)
     power = np.maximum(sun @ np.array([panel.normal_B for panel in craft.panels]).T, 0.0)
-    data = xr.Dataset({"power_W": (("time", "panel"), power[:, [0, 4, 2, 3, 1, 5, 6, 7]])}, {"time": T})
+    data = xr.Dataset(
+        {"power_W": (("time", "panel"), power[:, [0, 4, 2, 3, 1, 5, 6, 7]])}, {"time": T}
+    )
 
     def evidence(_: Vehicle, other: xr.Dataset) -> float:
         return 50.0 * np.array_equal(other["power_W"], power)
 
     found = sought(craft, data, evidence, lambda *_: motion().assign(sun_B=(("time", "axis"), sun)))
-    assert isinstance(found, Better) and [one.change.what for one in found.named] == ["the columns of panels +y and -y exchanged"]
+    assert isinstance(found, Better) and [one.change.what for one in found.named] == [
+        "the columns of panels +y and -y exchanged"
+    ]
 
 
 def test_changes_that_look_the_same_are_named_together_with_their_rates_and_none_is_recommended():
-    sphere = replace(CUBE, inertia_kg_m2=0.04 * np.eye(3))  # here +y with -z exchanged is -y with +z, seen in a mirror
-    found = sought(sphere, exchanged_columns(1, 5), lambda vehicle, other: 50.0 * (other["power_W"].values[0, 5] < 0.02),
-                   lambda *_: motion())  # fmt: skip
+    sphere = replace(
+        CUBE, inertia_kg_m2=0.04 * np.eye(3)
+    )  # here +y with -z exchanged is -y with +z, seen in a mirror
+    found = sought(
+        sphere,
+        exchanged_columns(1, 5),
+        lambda vehicle, other: 50.0 * (other["power_W"].values[0, 5] < 0.02),
+        lambda *_: motion(),
+    )
     assert isinstance(found, Better)
     what = [one.change.what for one in found.named]
-    assert set(what) == {"the columns of panels +y and -z exchanged", "the columns of panels +z and -y exchanged"}
+    assert set(what) == {
+        "the columns of panels +y and -z exchanged",
+        "the columns of panels +z and -y exchanged",
+    }
     rate = {name: one.omega for name, one in zip(what, found.named, strict=True)}
     x, y, z = rate["the columns of panels +y and -z exchanged"]
-    np.testing.assert_allclose(rate["the columns of panels +z and -y exchanged"], [-x, z, y], atol=1e-12)
+    np.testing.assert_allclose(
+        rate["the columns of panels +z and -y exchanged"], [-x, z, y], atol=1e-12
+    )
     assert "cannot tell which is right" in found.words() and "if it is so" not in found.words()
 
 
@@ -234,33 +333,72 @@ WINGED = ("+X", "-X", "+Y", "-Y", "-Z", "left", "right")
 
 
 @pytest.mark.long
-@pytest.mark.evidence("rates", "modelled", "the columns of two wings exchanged, and those of the faces that look the same")
+@pytest.mark.evidence(
+    "rates",
+    "modelled",
+    "the columns of two wings exchanged, and those of the faces that look the same",
+)
 @pytest.mark.parametrize("swapped", [None, (5, 6), (0, 1)])
 def test_wings_and_opposite_faces_exchanged_are_named_together_and_a_right_file_is_decided(swapped):
     """A body with panels on five faces and two canted wings: each of two exchanges alone looks like the other."""
-    rng, normals = np.random.default_rng(5), [*FACES[[0, 3, 1, 4, 5]], [0.5, 0.15, 0.85], [-0.5, 0.15, 0.85]]
+    rng, normals = (
+        np.random.default_rng(5),
+        [*FACES[[0, 3, 1, 4, 5]], [0.5, 0.15, 0.85], [-0.5, 0.15, 0.85]],
+    )
     each = zip(WINGED, normals, (6.0, 6.0, 4.0, 4.0, 2.0, 8.0, 8.0), strict=True)
     panels = [Panel(name, np.array(n) / np.linalg.norm(n), gain) for name, n, gain in each]
-    craft = Vehicle("6U", inertia_kg_m2=np.diag([0.11, 0.09, 0.06]), gain_unit="W", panels=panels,
-                    telemetry=TelemetryForm(noise=0.05))  # fmt: skip
+    craft = Vehicle(
+        "6U",
+        inertia_kg_m2=np.diag([0.11, 0.09, 0.06]),
+        gain_unit="W",
+        panels=panels,
+        telemetry=TelemetryForm(noise=0.05),
+    )
     t = np.cumsum(rng.uniform(10, 20, 32))
-    run = ss.propagate(craft, np.radians([1.2, -0.8, 1.5]), np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8]), None, t)
-    power = np.maximum(ss.panel_power(craft, run["sun_B"].values) + 0.05 * rng.normal(size=(32, 7)), 0.0)
+    run = ss.propagate(
+        craft,
+        np.radians([1.2, -0.8, 1.5]),
+        np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8]),
+        None,
+        t,
+    )
+    power = np.maximum(
+        ss.panel_power(craft, run["sun_B"].values) + 0.05 * rng.normal(size=(32, 7)), 0.0
+    )
     if swapped is not None:
         power[:, list(swapped)] = power[:, list(swapped)[::-1]]
-    data = xr.Dataset({"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(32, np.uint8))},
-                      {"time": t, "panel": list(WINGED)}, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1})  # fmt: skip
+    data = xr.Dataset(
+        {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(32, np.uint8))},
+        {"time": t, "panel": list(WINGED)},
+        {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1},
+    )
     result = ss.rates(craft, data, max_rate_rad_s=0.08, wirings=True)
     if swapped is None:
         (line,) = (line for line in rates_summary(result).lines if "wiring unchecked" in line)
         assert result["decided"].values.all() and "wiring_changes" not in result.attrs
-        assert "+X and -X exchanged, and the columns of panels left and right exchanged" in line and line.count("exchanged") == 2
+        assert (
+            "+X and -X exchanged, and the columns of panels left and right exchanged" in line
+            and line.count("exchanged") == 2
+        )
         return
-    named = {one["what"]: np.radians(one["omega_deg_s"]) for one in json.loads(result.attrs["wiring_changes"])}
+    named = {
+        one["what"]: np.radians(one["omega_deg_s"])
+        for one in json.loads(result.attrs["wiring_changes"])
+    }
     right = f"the columns of panels {WINGED[swapped[0]]} and {WINGED[swapped[1]]} exchanged"
-    assert set(named) == {"the columns of panels +X and -X exchanged", "the columns of panels left and right exchanged"}
-    assert not result["decided"].values.any() and "before you change the file" in result.attrs["verdict"]
+    assert set(named) == {
+        "the columns of panels +X and -X exchanged",
+        "the columns of panels left and right exchanged",
+    }
+    assert (
+        not result["decided"].values.any()
+        and "before you change the file" in result.attrs["verdict"]
+    )
     at = json.loads(result.attrs["wiring_changes"])[0]["at_s"]
     truth = run["omega_B"].sel(time=at, method="nearest").values
     assert np.abs(named[right] - truth).max() < np.radians(0.1)
-    assert all(np.abs(omega - truth).max() > np.radians(1.0) for what, omega in named.items() if what != right)
+    assert all(
+        np.abs(omega - truth).max() > np.radians(1.0)
+        for what, omega in named.items()
+        if what != right
+    )

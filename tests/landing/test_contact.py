@@ -45,12 +45,19 @@ def test_philae_stands_on_three_legs_and_shares_corners_between_panels():
     assert shape.facet_kind[standing[0]] == 0
     upside_down = c.rest_facet(shape, np.array([[0.0, 0.0, -1.0]]))
     assert shape.facet_kind[upside_down[0]] == 1
-    assert c.legs_down(shape, np.array([0.0, 0.0, 1.0])) and not c.legs_down(shape, np.array([0.0, 0.0, -1.0]))
+    assert c.legs_down(shape, np.array([0.0, 0.0, 1.0])) and not c.legs_down(
+        shape, np.array([0.0, 0.0, -1.0])
+    )
 
 
 def test_a_corner_that_is_a_legs_end_counts_as_leg_and_a_bare_one_as_body():
     panel = Panel("top", [0, 0, 1], 1.0)
-    vehicle = Vehicle("v", panels=[panel], legs=[Leg("a", BOX[0])], hull=[HullPart("lid", BOX[1:3], "top"), HullPart("b", BOX)])
+    vehicle = Vehicle(
+        "v",
+        panels=[panel],
+        legs=[Leg("a", BOX[0])],
+        hull=[HullPart("lid", BOX[1:3], "top"), HullPart("b", BOX)],
+    )
     shape = c.shape_of(vehicle)
     assert len(shape.points_B_m) == 8
     assert sorted(shape.kind) == [0, 1, 1, 2, 2, 2, 2, 2]
@@ -61,14 +68,19 @@ def test_a_centred_box_rests_on_the_face_that_its_plumb_line_meets_unless_a_wide
     assert len(shape.outward_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
     up = unit(np.random.default_rng(2).normal(size=(300, 3)))
     facet = c.rest_facet(shape, up)
-    expected = np.argmax(np.abs(up) / [1, 2, 3], axis=1)  # the face that the ray from the centre leaves through
+    expected = np.argmax(
+        np.abs(up) / [1, 2, 3], axis=1
+    )  # the face that the ray from the centre leaves through
     np.testing.assert_array_equal(np.argmax(np.abs(shape.outward_B[facet]), axis=1), expected)
     assert np.all(np.sum(shape.outward_B[facet] * -up, axis=1) > 0)
 
 
 def test_a_tower_that_leans_out_over_its_foot_falls():
     """The centre of mass is beyond the edge of the small foot: standing upright is no rest."""
-    foot, top = [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]], [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]]
+    foot, top = (
+        [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]],
+        [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]],
+    )
     shape = c.shape_of(Vehicle("tower", hull=[HullPart("all", [*foot, *top])]))
     facet = c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
     assert shape.outward_B[facet[0]][2] > -0.99
@@ -115,7 +127,11 @@ def test_a_turning_rod_touches_where_a_dense_search_says():
     """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""
     rng, n, t = np.random.default_rng(4), 60, np.linspace(0, 40, 101)
     shape = c.shape_of(Vehicle("rod", hull=[HullPart("rod", [[0, 0, -1.5], [0, 0, 1.5]])]))
-    rate, phase, v = rng.uniform(-0.8, 0.8, n), rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.2, n)
+    rate, phase, v = (
+        rng.uniform(-0.8, 0.8, n),
+        rng.uniform(0, 2 * np.pi, n),
+        rng.uniform(0.05, 0.2, n),
+    )
     up, omega = spin(-rate, t, phase)
     found = c.first_contact(shape, t, up, omega, v)
     dense = np.linspace(0, 40, 40_001)
@@ -141,9 +157,18 @@ def test_turning_brings_the_far_ends_down_first():
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda: HullPart("a", [[1, 2]]), "points_B_m of hull part 'a' must be points of three finite numbers"),
-        (lambda: ss.Antenna([0, 0, 1], 7.0), "opening_rad must be an angle above 0 and at most 2 pi"),
-        (lambda: Vehicle("v", hull=[HullPart("a", BOX, "7")]), "hull part 'a' names a panel that the vehicle does not have"),
+        (
+            lambda: HullPart("a", [[1, 2]]),
+            "points_B_m of hull part 'a' must be points of three finite numbers",
+        ),
+        (
+            lambda: ss.Antenna([0, 0, 1], 7.0),
+            "opening_rad must be an angle above 0 and at most 2 pi",
+        ),
+        (
+            lambda: Vehicle("v", hull=[HullPart("a", BOX, "7")]),
+            "hull part 'a' names a panel that the vehicle does not have",
+        ),
         (lambda: Vehicle("v", hull=[HullPart("a", BOX)] * 2), "two hull share the name 'a'"),
     ],
 )
@@ -154,10 +179,14 @@ def test_bad_shapes_are_named(change, text):
 
 def test_philaes_antenna_and_walls_are_those_of_the_paper():
     case = ss.load_case("philae")
-    assert np.degrees(case.vehicle.antenna.opening_rad) == pytest.approx(case.published["antenna_cone"].value)
+    assert np.degrees(case.vehicle.antenna.opening_rad) == pytest.approx(
+        case.published["antenna_cone"].value
+    )
     for part in case.vehicle.hull:
         if part.panel:
             normal = case.vehicle.panels[case.vehicle.panel_names.index(part.panel)].normal_B
             heights = part.points_B_m @ normal
-            assert np.ptp(heights) < 2e-3 and np.all(heights > 0)  # each panel is flat and faces as its normal says
+            assert np.ptp(heights) < 2e-3 and np.all(
+                heights > 0
+            )  # each panel is flat and faces as its normal says
     assert replace(case.vehicle, hull=()).hull == ()

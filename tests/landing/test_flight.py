@@ -26,18 +26,34 @@ def rows(n=6, seed=0) -> Rows:
 @pytest.mark.parametrize("name", SCHEDULES)
 def test_a_chain_is_the_reference_with_that_schedule(name):
     """Rates, Sun, wheel speed and any other fixed direction, also after the brake has stopped the wheel."""
-    vehicle, start, times = ss.load_vehicle("philae"), rows(), np.array([100.0, 500.0, 1000.0, 1400.0])
+    vehicle, start, times = (
+        ss.load_vehicle("philae"),
+        rows(),
+        np.array([100.0, 500.0, 1000.0, 1400.0]),
+    )
     track = fly(vehicle, start, SCHEDULES[name], 0.0, times)
     fixed = np.tile([0.6, -0.48, 0.64], (6, 1))
     momentum = fly(vehicle, start, SCHEDULES[name], 0.0, np.array([1e-3])).momentum_B[:, 0]
     carried = carry(fixed, (momentum, start.sun_B), (track.momentum_B, track.sun_B))
     for i in range(len(start)):
-        run = ss.propagate(vehicle, start.omega_B[i], SUN, 865.0, [0.0, *times], wheel_mode=list(SCHEDULES[name]), rtol=1e-11)
+        run = ss.propagate(
+            vehicle,
+            start.omega_B[i],
+            SUN,
+            865.0,
+            [0.0, *times],
+            wheel_mode=list(SCHEDULES[name]),
+            rtol=1e-11,
+        )
         np.testing.assert_allclose(track.sun_B[i], run["sun_B"].values[1:], atol=2e-2)
         np.testing.assert_allclose(track.omega_B[i], run["omega_B"].values[1:], atol=1e-2)
-        np.testing.assert_allclose(track.wheel_speed_rad_s[i], run["wheel_speed_rad_s"].values[1:], atol=0.02)
+        np.testing.assert_allclose(
+            track.wheel_speed_rad_s[i], run["wheel_speed_rad_s"].values[1:], atol=0.02
+        )
         x, y, z, w = run["B_from_N"].values[1:].T
-        image = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=-1)  # of N's first axis
+        image = np.stack(
+            [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=-1
+        )  # of N's first axis
         first = np.tile([1.0, 0.0, 0.0], (6, 1))
         got = carry(first, (momentum, start.sun_B), (track.momentum_B, track.sun_B))[i]
         np.testing.assert_allclose(got, image, atol=5e-2)
@@ -71,7 +87,15 @@ def test_shares_of_time_are_those_of_a_dense_track_and_sum_to_one():
     assert not outcome.any()
     t = np.arange(0.0, 1400.0, 0.25)
     for i in range(3):
-        run = ss.propagate(vehicle, start.omega_B[i], SUN, 865.0, t, wheel_mode=list(SCHEDULES["delayed"]), rtol=1e-9)
+        run = ss.propagate(
+            vehicle,
+            start.omega_B[i],
+            SUN,
+            865.0,
+            t,
+            wheel_mode=list(SCHEDULES["delayed"]),
+            rtol=1e-9,
+        )
         dense = np.histogram(run["sun_B"].values[:, 2], 80, (-1, 1))[0] / t.size
         assert np.abs(np.cumsum(share[i]) - np.cumsum(dense)).max() < 0.01
 
@@ -82,14 +106,22 @@ def test_shares_of_time_count_each_leg_by_its_length():
     craft = Vehicle("wheel on x", np.diag([3.0, 2.5, 2.0]), wheels=[wheel])
     start = Rows(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([[100.0]]))
     share, _ = sun_height_shares(craft, start, SCHEDULES["delayed"], 0.0, 1000.0, 80)
-    moved = np.sqrt(2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4)  # s until r_z leaves the highest bin
+    moved = np.sqrt(
+        2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4
+    )  # s until r_z leaves the highest bin
     assert share[0, -1] == pytest.approx((700 + moved) / 1000, abs=0.01)
 
 
 def test_legs_of_a_schedule():
-    assert legs_of(SCHEDULES["delayed"], 0.0, 1000.0) == [(0.0, 700.0, "hold"), (700.0, 1000.0, "coast")]
+    assert legs_of(SCHEDULES["delayed"], 0.0, 1000.0) == [
+        (0.0, 700.0, "hold"),
+        (700.0, 1000.0, "coast"),
+    ]
     assert legs_of(SCHEDULES["delayed"], 800.0, 1000.0) == [(800.0, 1000.0, "coast")]
-    assert legs_of(SCHEDULES["delayed"], 1000.0, 0.0) == [(1000.0, 700.0, "coast"), (700.0, 0.0, "hold")]
+    assert legs_of(SCHEDULES["delayed"], 1000.0, 0.0) == [
+        (1000.0, 700.0, "coast"),
+        (700.0, 0.0, "hold"),
+    ]
 
 
 def test_two_parallel_directions_carry_nothing():

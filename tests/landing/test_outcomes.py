@@ -26,13 +26,18 @@ def case():
 def paper(case):
     """Section 3.3 with 1500 runs, wheel off and held."""
     scenario, lines = sc.paper_scenario(case), published_candidates(case)
-    return {name: ss.outcomes(case.vehicle, lines, name, 1500, 7, scenario=scenario, workers=2) for name in ("off", "held")}
+    return {
+        name: ss.outcomes(case.vehicle, lines, name, 1500, 7, scenario=scenario, workers=2)
+        for name in ("off", "held")
+    }
 
 
 def rows_of(case, n=24, strategy="off", **changes) -> OutcomeRows:
     scenario = replace(sc.case_scenario(case), **changes)
     candidates = candidates_of(case.vehicle, published_candidates(case), scenario)
-    return OutcomeRows(case.vehicle, scenario, sc.strategy_of(case.vehicle, strategy), candidates, n, 3)
+    return OutcomeRows(
+        case.vehicle, scenario, sc.strategy_of(case.vehicle, strategy), candidates, n, 3
+    )
 
 
 @pytest.mark.evidence("outcomes", "verified", "other threads and chunks, bit by bit")
@@ -47,12 +52,20 @@ def test_same_bits_for_any_workers_and_chunks_and_for_single_rows(case):
     assert other["contact_speed"][0] != whole["contact_speed"][3]
 
 
-def test_a_candidate_drawn_often_flies_once_to_its_collision_and_as_if_drawn_alone(case, monkeypatch):
+def test_a_candidate_drawn_often_flies_once_to_its_collision_and_as_if_drawn_alone(
+    case, monkeypatch
+):
     rows = rows_of(case)
-    rows = replace(rows, candidates=candidates_of(case.vehicle, published_candidates(case)[:3], rows.scenario))
+    rows = replace(
+        rows, candidates=candidates_of(case.vehicle, published_candidates(case)[:3], rows.scenario)
+    )
     alone = [rows(np.array([i])) for i in range(12)]
     flown, to_collision = [], OutcomeRows._to_collision
-    monkeypatch.setattr(OutcomeRows, "_to_collision", lambda self, start: flown.append(len(start)) or to_collision(self, start))
+    monkeypatch.setattr(
+        OutcomeRows,
+        "_to_collision",
+        lambda self, start: flown.append(len(start)) or to_collision(self, start),
+    )
     together = rows(np.arange(12))
     assert flown == [3]
     for name, values in together.items():
@@ -72,25 +85,46 @@ def test_probabilities_sum_to_one_and_densities_to_area_one(paper):
     for runs in paper.values():
         found = tally(runs)
         for prefix in ("touch", "lowest", "rest"):
-            assert sum(found[f"{prefix}_{kind}"].value for kind in ("leg", "panel", "body")) == pytest.approx(1, abs=1e-12)
+            assert sum(
+                found[f"{prefix}_{kind}"].value for kind in ("leg", "panel", "body")
+            ) == pytest.approx(1, abs=1e-12)
         for merge in (1, 4):
             curve = density(runs, merge=merge)
-            assert float(curve["density"].sum()) * 2 / curve.sizes["rz"] == pytest.approx(1, abs=1e-6)
+            assert float(curve["density"].sum()) * 2 / curve.sizes["rz"] == pytest.approx(
+                1, abs=1e-6
+            )
         assert not runs["outcome"].values.any()
 
 
-@pytest.mark.evidence("outcomes", "validated", "the paper, section 3.3; its bound on r_z with the wheel held is not reproduced")
+@pytest.mark.evidence(
+    "outcomes",
+    "validated",
+    "the paper, section 3.3; its bound on r_z with the wheel held is not reproduced",
+)
 def test_published_figures_of_section_3_3(paper, reached):
     """PHYSICS of the paper: off reaches all heights; held does go below -0.5 in a few per cent of the runs, unlike stated."""
     off, held = tally(paper["off"]), tally(paper["held"])
-    assert 0.15 < off["rz_time_below_-0.5"].value < 0.19 and 0.66 < off["rz_ever_below_-0.5"].value < 0.76
+    assert (
+        0.15 < off["rz_time_below_-0.5"].value < 0.19
+        and 0.66 < off["rz_ever_below_-0.5"].value < 0.76
+    )
     assert 0.36 < off["rz_time_below_0"].value < 0.41 and lowest_rz(paper["off"]).min() == -1.0
-    assert 0.02 < held["rz_ever_below_-0.5"].value < 0.045 and 0.002 < held["rz_time_below_-0.5"].value < 0.007
-    assert 0.02 < held["rz_time_below_-0.2"].value < 0.045 and 0.06 < held["rz_time_below_0"].value < 0.09
+    assert (
+        0.02 < held["rz_ever_below_-0.5"].value < 0.045
+        and 0.002 < held["rz_time_below_-0.5"].value < 0.007
+    )
+    assert (
+        0.02 < held["rz_time_below_-0.2"].value < 0.045
+        and 0.06 < held["rz_time_below_0"].value < 0.09
+    )
     assert -0.95 < lowest_rz(paper["held"]).min() < -0.65
     reached("share of time with r_z below -0.5, wheel off", off["rz_time_below_-0.5"].value)
-    reached("runs that go below -0.5, wheel held (published: none)", held["rz_ever_below_-0.5"].value)
-    assert 0.40 < off["rate_before"].value < 0.60 and off["touch_leg"].value < held["touch_leg"].value
+    reached(
+        "runs that go below -0.5, wheel held (published: none)", held["rz_ever_below_-0.5"].value
+    )
+    assert (
+        0.40 < off["rate_before"].value < 0.60 and off["touch_leg"].value < held["touch_leg"].value
+    )
 
 
 def test_without_the_collision_the_sun_never_sinks_so_low(case):
@@ -98,16 +132,24 @@ def test_without_the_collision_the_sun_never_sinks_so_low(case):
     scenario = replace(sc.paper_scenario(case), collision_speed_m_s=None)
     runs = ss.outcomes(case.vehicle, published_candidates(case), "off", 300, 7, scenario=scenario)
     assert tally(runs)["rz_time_below_-0.5"].value < 0.01
-    assert "no collision" in runs.attrs["not_told"] and np.isnan(runs["velocity_change"].values).all()
+    assert (
+        "no collision" in runs.attrs["not_told"] and np.isnan(runs["velocity_change"].values).all()
+    )
 
 
-@pytest.mark.evidence("outcomes", "verified", "energy may only fall, momentum about the contact stays")
+@pytest.mark.evidence(
+    "outcomes", "verified", "energy may only fall, momentum about the contact stays"
+)
 def test_collisions_of_the_study_conserve_and_dissipate(case):
     """On the states as drawn, many at once: energy never rises, momentum about the contact point stays."""
     from sunspin.dynamics.impact import impact
 
     rng, vehicle, n = np.random.default_rng(0), case.vehicle, 500
-    omega, speeds, leg = rng.normal(size=(n, 3)) * 0.4, np.full((n, 1), 20.0), rng.integers(3, size=n)
+    omega, speeds, leg = (
+        rng.normal(size=(n, 3)) * 0.4,
+        np.full((n, 1), 20.0),
+        rng.integers(3, size=n),
+    )
     velocity = 0.304 * sc.about(np.tile([0.0, 0.0, -1.0], (n, 1)), rng.random(n), rng.random(n))
     hit = impact(vehicle, omega, speeds, velocity, leg)
     after = [hit[name].values for name in ("omega_B", "wheel_speed_rad_s", "velocity_B")]
@@ -126,18 +168,31 @@ def test_collisions_of_the_study_conserve_and_dissipate(case):
 
 def test_a_plumb_fall_without_turning_is_known(case):
     """At rest in space, no collision: what is lowest touches, legs down, at the landing speed."""
-    scenario = sc.Scenario((0.6, 0.0, 0.8), (0.0,), 100.0, landing_speed_m_s=0.2, vertical=(0, 0, 1), orbiter=(0, 0, 1))
+    scenario = sc.Scenario(
+        (0.6, 0.0, 0.8), (0.0,), 100.0, landing_speed_m_s=0.2, vertical=(0, 0, 1), orbiter=(0, 0, 1)
+    )
     runs = ss.outcomes(case.vehicle, [[1e-4, 0, 0]], "off", 50, 0, scenario=scenario)
     found = tally(runs)
-    assert found["touch_leg"].value == found["rest_leg"].value == found["antenna_at_rest"].value == 1
-    assert found["contact_speed"].value == pytest.approx(0.2, abs=1e-3) and found["up_z"].value > 0.999
+    assert (
+        found["touch_leg"].value == found["rest_leg"].value == found["antenna_at_rest"].value == 1
+    )
+    assert (
+        found["contact_speed"].value == pytest.approx(0.2, abs=1e-3) and found["up_z"].value > 0.999
+    )
 
 
 def box_with_feet() -> Vehicle:
     corners = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.2)]
     feet = [Leg("a", [0.3, 0, -0.2]), Leg("b", [-0.15, 0.26, -0.2]), Leg("c", [-0.15, -0.26, -0.2])]
     panels = [Panel("x", [1, 0, 0], 1.0), Panel("z", [0, 0, 1], 1.0)]
-    return Vehicle("box", np.diag([0.042, 0.041, 0.03]), 4.0, panels, legs=feet, hull=[HullPart("box", corners)])
+    return Vehicle(
+        "box",
+        np.diag([0.042, 0.041, 0.03]),
+        4.0,
+        panels,
+        legs=feet,
+        hull=[HullPart("box", corners)],
+    )
 
 
 def test_fast_spins_touch_where_closer_samples_say(monkeypatch):
@@ -149,7 +204,9 @@ def test_fast_spins_touch_where_closer_samples_say(monkeypatch):
     monkeypatch.setattr("sunspin.landing.outcomes.MAX_APPROACH_SAMPLES", 10_000)
     close = ss.outcomes(box_with_feet(), rates, "off", 120, 0, **options)
     assert np.mean(usual["contact_point"].values == close["contact_point"].values) > 0.98
-    np.testing.assert_allclose(usual["leg_tip_speed"].mean(), close["leg_tip_speed"].mean(), rtol=2e-3)
+    np.testing.assert_allclose(
+        usual["leg_tip_speed"].mean(), close["leg_tip_speed"].mean(), rtol=2e-3
+    )
 
 
 def test_slow_and_fast_spins_keep_their_bits_in_any_chunk():
@@ -157,7 +214,9 @@ def test_slow_and_fast_spins_keep_their_bits_in_any_chunk():
     scenario = sc.Scenario((0.36, 0.48, 0.8), (), 600.0, vertical="any", collision_speed_m_s=0.3)
     rates, options = [[0.1, 0.2, 0.1], [2.0, 1.0, 1.5], [0.5, -0.3, 6.0]], {"scenario": scenario}
     whole = ss.outcomes(box_with_feet(), rates, "off", 40, 0, **options)
-    assert whole.identical(ss.outcomes(box_with_feet(), rates, "off", 40, 0, chunk=7, workers=2, **options))
+    assert whole.identical(
+        ss.outcomes(box_with_feet(), rates, "off", 40, 0, chunk=7, workers=2, **options)
+    )
 
 
 def test_a_landing_too_slow_for_its_flight_is_not_told():
@@ -172,14 +231,24 @@ def test_a_landing_too_slow_for_its_flight_is_not_told():
 def test_what_cannot_be_computed_or_told_is_one_sentence(case):
     """No traceback where every run fails, no silence where momentum and Sun are parallel, no best delay without a wheel."""
     wheel = case.vehicle.wheels[0]
-    two = replace(case.vehicle, wheels=(wheel, replace(wheel, name="other", axis_B=[1.0, 0.0, 0.0])))
+    two = replace(
+        case.vehicle, wheels=(wheel, replace(wheel, name="other", axis_B=[1.0, 0.0, 0.0]))
+    )
     back = sc.Scenario((0.36, 0.48, 0.8), (865.0, 0.0), 600.0, lead_s=30.0)
-    with pytest.raises(ss.InputError, match="no run of the strategy 'off' could be computed .*its past is not determined"):
+    with pytest.raises(
+        ss.InputError,
+        match="no run of the strategy 'off' could be computed .*its past is not determined",
+    ):
         compare(two, [[0.1, 0.0, 0.2]], ["off"], 4, 0, back)
     along = sc.Scenario((0.0, 0.0, 1.0), (), 600.0)
-    runs = ss.outcomes(box_with_feet(), [[0.0, 0.0, 0.2], [0.1, 0.0, 0.2]], "off", 20, 0, scenario=along)
+    runs = ss.outcomes(
+        box_with_feet(), [[0.0, 0.0, 0.2], [0.1, 0.0, 0.2]], "off", 20, 0, scenario=along
+    )
     parallel = int(np.sum(runs["candidate"].values == 0))
-    assert 0 < parallel < 20 and f"In {parallel} of 20 runs momentum and Sun were parallel" in runs.attrs["not_told"]
+    assert (
+        0 < parallel < 20
+        and f"In {parallel} of 20 runs momentum and Sun were parallel" in runs.attrs["not_told"]
+    )
     with pytest.raises(ss.InputError, match="has no wheel to switch off"):
         best_delay(box_with_feet(), [[0.1, 0.0, 0.2]], n=4, scenario=along)
 
@@ -192,13 +261,18 @@ def test_what_happened_in_all_runs_or_in_none_is_not_certain():
     half = np.array([0.0, 1.0, 1.0, np.nan])
     assert probability(half) == estimate(half)
     assert np.isnan(estimate([3.0]).error) and estimate([3.0]).value == 3.0
-    assert probability(np.ones(4), np.array([1.0, 1.0, 0.0, 0.0])).error > probability(np.ones(4)).error
+    assert (
+        probability(np.ones(4), np.array([1.0, 1.0, 0.0, 0.0])).error
+        > probability(np.ones(4)).error
+    )
 
 
 def test_the_antenna_sees_a_quarter_of_a_sphere(case):
     """Cone of 120 degrees: (1 - cos 60) / 2 of all directions, in flight, at contact and at rest alike."""
     scenario = replace(sc.case_scenario(case), orbiter="any", vertical="any")
-    found = tally(ss.outcomes(case.vehicle, published_candidates(case), "off", 1000, 1, scenario=scenario))
+    found = tally(
+        ss.outcomes(case.vehicle, published_candidates(case), "off", 1000, 1, scenario=scenario)
+    )
     for name in ("antenna_share", "antenna_at_contact", "antenna_at_rest"):
         assert abs(found[name].value - 0.25) < 4 * found[name].error
 
@@ -219,47 +293,72 @@ def test_candidates_may_come_with_their_own_sun_wheel_and_weight(case):
     runs = ss.outcomes(case.vehicle, data, "off", 400, 0, scenario=scenario)
     second = runs["candidate"].values == 1
     assert 0.01 < second.mean() < 0.1  # 0.047 expected
-    assert np.all(lowest_rz(runs)[second] == -1) and lowest_rz(runs)[~second].min() > 0.5  # cos(1 rad)
+    assert (
+        np.all(lowest_rz(runs)[second] == -1) and lowest_rz(runs)[~second].min() > 0.5
+    )  # cos(1 rad)
     with pytest.raises(ss.InputError, match="of the candidates must be"):
-        ss.outcomes(case.vehicle, data.drop_vars("wheel_speed_rad_s").assign(sun_B=("axis", [0, 0, 1.0])), scenario=scenario)
+        ss.outcomes(
+            case.vehicle,
+            data.drop_vars("wheel_speed_rad_s").assign(sun_B=("axis", [0, 0, 1.0])),
+            scenario=scenario,
+        )
 
 
 def craft(kind: str) -> Vehicle:
     inertia = np.diag([3.0, 4.0, 5.0])
-    panels = [Panel(str(k), axis, 1.0) for k, axis in enumerate(([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]))]
+    panels = [
+        Panel(str(k), axis, 1.0)
+        for k, axis in enumerate(([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]))
+    ]
     legs = [Leg("a", [1.0, 0, -1]), Leg("b", [-1.0, 0, -1])]
     wheel = Wheel("x", [1, 0, 0], 0.01, 100.0, ss.Friction(1e-3, 1e-6), brake_torque_N_m=0.1)
     return {
         "no wheel": Vehicle("a", inertia, 20.0, panels, legs=legs),
         "wheel on x": Vehicle("b", inertia, 20.0, panels, [wheel], legs),
-        "two wheels": Vehicle("c", inertia, 20.0, panels, [wheel, replace(wheel, name="z", axis_B=[0, 0, 1])], legs),
+        "two wheels": Vehicle(
+            "c", inertia, 20.0, panels, [wheel, replace(wheel, name="z", axis_B=[0, 0, 1])], legs
+        ),
         "no legs": Vehicle("d", inertia, 20.0, panels),
         "no mass": Vehicle("e", inertia, None, panels, legs=legs),
         "no panels": Vehicle("f", inertia, 20.0, legs=legs),
     }[kind]
 
 
-COMPILES = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("wheel on x", "two wheels")]  # two kernels each, 17 s
+COMPILES = [
+    pytest.param(kind, marks=pytest.mark.slow) for kind in ("wheel on x", "two wheels")
+]  # two kernels each, 17 s
 
 
 @pytest.mark.parametrize("kind", ["no wheel", "no legs", "no mass", "no panels", *COMPILES])
 def test_other_vehicles_run_and_say_what_they_cannot_tell(kind):
     vehicle = craft(kind)
     speeds = tuple(wheel.speed_rad_s for wheel in vehicle.wheels)
-    scenario = sc.Scenario((0.0, 0.6, 0.8), speeds, 300.0, before_s=50.0, lead_s=5.0, collision_speed_m_s=0.2)
+    scenario = sc.Scenario(
+        (0.0, 0.6, 0.8), speeds, 300.0, before_s=50.0, lead_s=5.0, collision_speed_m_s=0.2
+    )
     for strategy in ("off", "held", "delay:30", "brake"):
-        runs = ss.outcomes(vehicle, [[0.1, 0.2, 0.3], [0.0, 0.1, -0.2]], strategy, 40, 0, scenario=scenario)
+        runs = ss.outcomes(
+            vehicle, [[0.1, 0.2, 0.3], [0.0, 0.1, -0.2]], strategy, 40, 0, scenario=scenario
+        )
         assert not runs["outcome"].values.any()
         np.testing.assert_allclose(runs["rz_share"].values.sum(axis=1), 1, atol=1e-5)
-        assert np.isfinite(runs["velocity_change"].values).all() == (kind not in ("no legs", "no mass"))
+        assert np.isfinite(runs["velocity_change"].values).all() == (
+            kind not in ("no legs", "no mass")
+        )
         assert ("Without a hull" in runs.attrs["not_told"]) and "antenna" in runs.attrs["not_told"]
         assert "rest_leg" not in tally(runs)
 
 
 def test_variables_carry_units_and_attributes_tell_the_run(paper):
     runs = paper["held"]
-    assert all(runs[name].attrs["units"] and runs[name].attrs["long_name"] for name in runs.data_vars)
-    assert runs.attrs["seed"] == 7 and runs.attrs["strategy"] == "held" and runs.attrs["sunspin_version"]
+    assert all(
+        runs[name].attrs["units"] and runs[name].attrs["long_name"] for name in runs.data_vars
+    )
+    assert (
+        runs.attrs["seed"] == 7
+        and runs.attrs["strategy"] == "held"
+        and runs.attrs["sunspin_version"]
+    )
     assert json.loads(runs.attrs["scenario"])["collision_speed_m_s"] == 0.2355
 
 
@@ -269,7 +368,9 @@ def test_estimates_and_their_errors():
     found = estimate(hits)
     assert found.error == pytest.approx(np.sqrt(found.value * (1 - found.value) / 4000), rel=1e-12)
     means = [estimate(rng.random(400) < 0.3) for _ in range(400)]
-    assert np.std([m.value for m in means]) == pytest.approx(np.mean([m.error for m in means]), rel=0.15)
+    assert np.std([m.value for m in means]) == pytest.approx(
+        np.mean([m.error for m in means]), rel=0.15
+    )
     assert estimate([1.0, 3.0, np.nan], [1.0, 3.0, 5.0]).value == 2.5
     assert effective_runs(np.ones(7)) == 7 and effective_runs([1, 0, 0]) == 1
     with pytest.raises(ss.InputError, match="as many weights"):

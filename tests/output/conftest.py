@@ -18,7 +18,16 @@ from drawing import frame
 from shared_folder import shared_folder
 from sunspin.output import figures
 from sunspin.output.figures import inline
-from sunspin.philae import carries, contradictions_motion, motions, pictures, published_lines, rebound, reproduction, threshold
+from sunspin.philae import (
+    carries,
+    contradictions_motion,
+    motions,
+    pictures,
+    published_lines,
+    rebound,
+    reproduction,
+    threshold,
+)
 from sunspin.philae import study as rp
 from sunspin.telemetry.case import load_case
 
@@ -33,12 +42,24 @@ def small() -> Iterator[None]:
     """A study of few motions and runs, without files of figures and the slowest parts that the page does not draw."""
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in (
-            (motions, "SPREAD_MOTIONS", 4), (motions, "COLLISIONS", 40), (published_lines, "LINE_POINTS", 3),
-            (contradictions_motion, "LINE_POINTS", 3), (rebound, "POOL_POINTS", 4), (threshold, "BLOCK", 64),
-            (carries, "SHUFFLES", 1), (rp, "LEAST_RUNS", 40), (rp, "LANDING_RUNS", 1),
-            (rp, "PARTS", tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity"))),
-            (pictures, "SHEETS", ()), (inline, "lay_out", frame), (figures, "save", unsaved),
-        ):  # fmt: skip
+            (motions, "SPREAD_MOTIONS", 4),
+            (motions, "COLLISIONS", 40),
+            (published_lines, "LINE_POINTS", 3),
+            (contradictions_motion, "LINE_POINTS", 3),
+            (rebound, "POOL_POINTS", 4),
+            (threshold, "BLOCK", 64),
+            (carries, "SHUFFLES", 1),
+            (rp, "LEAST_RUNS", 40),
+            (rp, "LANDING_RUNS", 1),
+            (
+                rp,
+                "PARTS",
+                tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity")),
+            ),
+            (pictures, "SHEETS", ()),
+            (inline, "lay_out", frame),
+            (figures, "save", unsaved),
+        ):
             patch.setattr(module, name, value)
         yield
 
@@ -60,7 +81,9 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(root: Path) -> None:
         lines = (load_case("philae").folder / "telemetry.csv").read_text("utf-8").splitlines()
-        comments, (head, *body) = ([line for line in lines if line.startswith("#") is wanted] for wanted in (True, False))
+        comments, (head, *body) = (
+            [line for line in lines if line.startswith("#") is wanted] for wanted in (True, False)
+        )
         table, rng = np.array([line.split(",") for line in body]), np.random.default_rng(1)
         names = head.split(",")
         for name in np.unique(table[:, names.index("phase")]):
@@ -68,7 +91,9 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for k in (k for k, column in enumerate(names) if column.endswith("_W")):
                 table[at, k] = table[rng.permutation(at), k]
         telemetry = root / "shuffled.csv"
-        telemetry.write_text("\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8")
+        telemetry.write_text(
+            "\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8"
+        )
         with small():
             reproduction.reproduce(root / "results", telemetry, coarser=25, calibrate=TWINS)
 
@@ -90,7 +115,9 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
         def sunspin(*arguments: str) -> None:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(sys, "argv", ["sunspin", *arguments])  # kept with the results as the line that repeats them
+                patch.setattr(
+                    sys, "argv", ["sunspin", *arguments]
+                )  # kept with the results as the line that repeats them
                 if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
                     patch.setattr(figures, "save", unsaved)
                     patch.setattr(inline, "lay_out", frame)
@@ -100,7 +127,9 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         sunspin("init", str(root / "mine"))
         vehicle, telemetry = root / "mine" / "vehicle.toml", root / "mine" / "telemetry.csv"
         text = vehicle.read_text("utf-8").replace('name = "my satellite"', f"name = '{HOSTILE}'")
-        text = text.replace("# acceleration_noise = 1e-5", "acceleration_noise = 1e-5")  # finding it takes as long again
+        text = text.replace(
+            "# acceleration_noise = 1e-5", "acceleration_noise = 1e-5"
+        )  # finding it takes as long again
         assert HOSTILE in text and "\nacceleration_noise" in text
         vehicle.write_text(text, "utf-8")
         lines = telemetry.read_text("utf-8").splitlines(keepends=True)
@@ -110,11 +139,34 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         sunspin("rates", *data, "--max-rate", "5", "--out", str(root / "rates"))
         grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
-        known = [f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed", "steady_torque")]
-        sunspin("posterior", *data, "--prior=max_rate_rad_s=0.1", *known, "--predict=0,600", "--out", str(root / "posterior"))
+        known = [
+            f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed", "steady_torque")
+        ]
+        sunspin(
+            "posterior",
+            *data,
+            "--prior=max_rate_rad_s=0.1",
+            *known,
+            "--predict=0,600",
+            "--out",
+            str(root / "posterior"),
+        )
         motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
-        sunspin("simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate"))
-        sunspin("outcomes", "philae", "--runs", "20", "--strategy", "off", "--strategy", "held", "--out", str(root / "outcomes"))
+        sunspin(
+            "simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate")
+        )
+        sunspin(
+            "outcomes",
+            "philae",
+            "--runs",
+            "20",
+            "--strategy",
+            "off",
+            "--strategy",
+            "held",
+            "--out",
+            str(root / "outcomes"),
+        )
         for name in RUNS:
             sunspin("report", str(root / name))
 

@@ -19,15 +19,22 @@ def unpacked(values):
 def test_panel_powers_are_the_same_numbers_in_page_and_picture(user_runs, run):
     (plot,) = measured.powers(read_results(user_runs[run])).items
     for view in range(max(len(plot.views), 1)):
-        figure, shown = figure_of(plot, view), plot.views[view]["show"] if plot.views else range(len(plot.data))
+        figure, shown = (
+            figure_of(plot, view),
+            plot.views[view]["show"] if plot.views else range(len(plot.data)),
+        )
         figure.canvas.draw()
         drawn = [line.get_ydata() for axes in figure.axes for line in axes.get_lines()]
         wanted = [unpacked(plot.data[k]["y"]) for k in shown]
-        assert len(drawn) == len(wanted) and len(figure.axes) == sum(key.startswith("yaxis") for key in plot.layout)
+        assert len(drawn) == len(wanted) and len(figure.axes) == sum(
+            key.startswith("yaxis") for key in plot.layout
+        )
         assert all(any(np.array_equal(one, other) for other in drawn) for one in wanted)
         if plot.views:
-            low, high = (np.datetime64(round(end), "ms").astype("datetime64[us]").astype(float) / 864e8
-                         for end in plot.views[view]["range"])  # fmt: skip
+            low, high = (
+                np.datetime64(round(end), "ms").astype("datetime64[us]").astype(float) / 864e8
+                for end in plot.views[view]["range"]
+            )
             np.testing.assert_allclose(figure.axes[0].get_xlim(), (low, high), rtol=0, atol=1e-6)
 
 
@@ -35,7 +42,9 @@ def test_the_first_picture_of_a_study_has_its_bands_scales_and_events(study):
     plot = overview.hero(read_results(study))
     figure = figure_of(plot)
     assert [axes.get_yscale() for axes in figure.axes] == ["log", "log"]
-    assert sum(len(axes.patches) for axes in figure.axes) == sum("fill" in trace for trace in plot.data)
+    assert sum(len(axes.patches) for axes in figure.axes) == sum(
+        "fill" in trace for trace in plot.data
+    )
     texts = {text.get_text() for axes in figure.axes for text in axes.texts}
     assert texts == {note["text"] for note in plot.layout["annotations"]}
     shown = {text.get_text() for text in figure.legends[0].get_texts()}

@@ -8,7 +8,14 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.export import LOCAL_FRAME, attitude_of, between_samples, read_results, write_cf, write_parquet
+from sunspin.output.export import (
+    LOCAL_FRAME,
+    attitude_of,
+    between_samples,
+    read_results,
+    write_cf,
+    write_parquet,
+)
 from sunspin.output.export.aem import write_aem
 from sunspin.output.export.ck import ephemeris_time, kernel_rates, write_ck
 from sunspin.vehicle import Vehicle
@@ -46,7 +53,11 @@ def test_the_kvn_message_read_back_by_its_standard(result, tmp_path):
     text = write_aem(tmp_path / "a.aem", attitude_of(result)).read_text()
     assert text.startswith("CCSDS_AEM_VERS = 1.0\n")
     assert text.count("META_START") == text.count("DATA_STOP") == 2
-    assert "synthetic" in text and f"REF_FRAME_A = {LOCAL_FRAME}" in text and "QUATERNION_TYPE = LAST" in text
+    assert (
+        "synthetic" in text
+        and f"REF_FRAME_A = {LOCAL_FRAME}" in text
+        and "QUATERNION_TYPE = LAST" in text
+    )
     rows = [line.split() for line in text.splitlines() if line.startswith("2014-11-12T")]
     assert rows[1][0] == "2014-11-12T15:34:06.500000"
     made = np.array([matrix_of_standard([float(x) for x in row[1:]]) for row in rows])
@@ -57,7 +68,14 @@ def test_the_xml_message_says_the_same(result, tmp_path):
     root = ElementTree.parse(write_aem(tmp_path / "a.xml", attitude_of(result), "xml")).getroot()
     assert root.attrib == {"id": "CCSDS_AEM_VERS", "version": "2.0"}
     states = root.findall("./body/segment/data/attitudeState/quaternionEphemeris")
-    made = np.array([matrix_of_standard([float(s.find(f"quaternion/{k}").text) for k in ("Q1", "Q2", "Q3", "QC")]) for s in states])
+    made = np.array(
+        [
+            matrix_of_standard(
+                [float(s.find(f"quaternion/{k}").text) for k in ("Q1", "Q2", "Q3", "QC")]
+            )
+            for s in states
+        ]
+    )
     assert np.abs(made - body_from_n(result)).max() < 1e-9
 
 
@@ -70,13 +88,17 @@ def test_another_library_reads_the_message(form, result, tmp_path):
     assert len(segments) == 2 and segments[0].metadata.ref_frame_a == LOCAL_FRAME
     state = segments[0].data.attitude_state[1]
     q = (state.quaternion_state if form == "kvn" else state.quaternion_ephemeris).quaternion
-    assert np.abs(matrix_of_standard([q.q1, q.q2, q.q3, q.qc]) - body_from_n(result)[1]).max() < 1e-9
+    assert (
+        np.abs(matrix_of_standard([q.q1, q.q2, q.q3, q.qc]) - body_from_n(result)[1]).max() < 1e-9
+    )
 
 
 def test_a_celestial_frame_is_refused_without_a_second_direction(result):
     with pytest.raises(ss.InputError, match="axes are those of the body at the start of the run"):
         attitude_of(result, "EME2000")
-    with pytest.raises(ss.InputError, match="turn about it is arbitrary.*an orbit and a magnetometer"):
+    with pytest.raises(
+        ss.InputError, match="turn about it is arbitrary.*an orbit and a magnetometer"
+    ):
         attitude_of(result.assign_attrs(frame_N="sun_z_local"), "EME2000")
     known = result.assign_attrs(celestial_frame="EME2000")
     assert attitude_of(known, "EME2000").frame == "EME2000"
@@ -86,9 +108,13 @@ def test_a_celestial_frame_is_refused_without_a_second_direction(result):
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_what_is_said_of_a_local_frame_is_so(result, form, tmp_path):
     said = write_aem(tmp_path / "a", attitude_of(result), form).read_text()
-    assert "those of the body at the start" in said and "Sun" not in said  # which stands at (0, 0.6, 0.8) of it
+    assert (
+        "those of the body at the start" in said and "Sun" not in said
+    )  # which stands at (0, 0.6, 0.8) of it
     assert np.allclose(body_from_n(result)[0], np.eye(3), rtol=0, atol=1e-12)
-    assert "z axis points to the Sun" in attitude_of(result.assign_attrs(frame_N="sun_z_local")).stands
+    assert (
+        "z axis points to the Sun" in attitude_of(result.assign_attrs(frame_N="sun_z_local")).stands
+    )
     assert "magnetic field" in attitude_of(result.assign_attrs(frame_N="field_z_local")).stands
 
 
@@ -114,35 +140,55 @@ def test_spice_reads_its_kernels_back(result, tmp_path, reached):
     sp.furnsh(kernels)
     try:
         made = np.array([sp.pxform(LOCAL_FRAME, "SUNSPIN_BODY", t) for t in et])
-        reached("largest difference of a matrix element", np.abs(made - body_from_n(result)), "", 1e-9)
+        reached(
+            "largest difference of a matrix element", np.abs(made - body_from_n(result)), "", 1e-9
+        )
         assert np.abs(made - body_from_n(result)).max() < 1e-9
         with pytest.raises(sp.exceptions.SpiceyError):
-            sp.pxform("J2000", "SUNSPIN_BODY", et[0])  # nobody knows how the local frame stands in the sky
+            sp.pxform(
+                "J2000", "SUNSPIN_BODY", et[0]
+            )  # nobody knows how the local frame stands in the sky
     finally:
         for path in kernels:
             sp.unload(path)
 
 
-@pytest.mark.evidence("compare", "verified", "kernels of our own in which the rates were changed by 2 %")
+@pytest.mark.evidence(
+    "compare", "verified", "kernels of our own in which the rates were changed by 2 %"
+)
 def test_comparison_with_somebodys_kernels_finds_what_was_changed(result, tmp_path, reached):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
     pytest.importorskip("spiceypy")
     known = attitude_of(result.assign_attrs(celestial_frame="J2000"), "J2000")
-    kernels = [str(path) for path in write_ck(tmp_path, known._replace(omega_B=1.02 * known.omega_B))]
+    kernels = [
+        str(path) for path in write_ck(tmp_path, known._replace(omega_B=1.02 * known.omega_B))
+    ]
     theirs = kernel_rates(kernels, "SUNSPIN_BODY", "J2000", ephemeris_time(known.epoch) + known.t_s)
     assert np.abs(theirs / known.omega_B - 1.02).max() < 1e-9
     reached("error of the factor found", np.abs(theirs / known.omega_B - 1.02), "", 1e-9)
     broken = tmp_path / "broken.bc"
     broken.write_bytes(b"DAF/CK  " + bytes(100))
-    for path, message in ((tmp_path / "absent.bc", "no such file"), (broken, "kernels cannot be used")):
+    for path, message in (
+        (tmp_path / "absent.bc", "no such file"),
+        (broken, "kernels cannot be used"),
+    ):
         with pytest.raises(ss.InputError, match=message):
             kernel_rates([str(path)], "SUNSPIN_BODY", "J2000", np.zeros(1))
 
 
-@pytest.mark.parametrize(("utc", "et"), [
-    (datetime(2000, 1, 1, 12, tzinfo=UTC), 64.183927),  # known: J2000 is 64.184 s before noon UTC, less a periodic term
-    (datetime(2014, 11, 12, 15, 34, 4, tzinfo=UTC), 469078511.183),  # 67.184 s of TDB - UTC, as of the landing kernel
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("utc", "et"),
+    [
+        (
+            datetime(2000, 1, 1, 12, tzinfo=UTC),
+            64.183927,
+        ),  # known: J2000 is 64.184 s before noon UTC, less a periodic term
+        (
+            datetime(2014, 11, 12, 15, 34, 4, tzinfo=UTC),
+            469078511.183,
+        ),  # 67.184 s of TDB - UTC, as of the landing kernel
+    ],
+)
 def test_ephemeris_time(utc, et):
     assert ephemeris_time(utc) == pytest.approx(et, abs=2e-3)
 
@@ -161,13 +207,18 @@ def sparse():
     curve = ss.propagate(BODY, omega, sun, None, np.arange(6 * 11 + 1) * apart / 6)
     sign = np.where(np.arange(67) % 3, 1.0, -1.0)[:, None]
     run = run.assign(
-        pass_of=("time", (np.arange(12) >= 6).astype(int)), B_from_N=run["B_from_N"] * sign[:12],
+        pass_of=("time", (np.arange(12) >= 6).astype(int)),
+        B_from_N=run["B_from_N"] * sign[:12],
         curve_B_from_N=(("curve_time", "quaternion"), curve["B_from_N"].values * sign),
         curve_omega_B=(("curve_time", "axis"), curve["omega_B"].values),
         curve_pass_of=("curve_time", (np.arange(67) >= 36).astype(int)),
-    ).assign_coords(curve_time=curve["time"].values)  # fmt: skip
+    ).assign_coords(curve_time=curve["time"].values)
     keep = np.delete(np.arange(67), range(31, 36))  # no curve between the passes
-    run.attrs |= {"epoch_utc": "2014-11-12T15:34:04Z", "vehicle": "made up", "frame_N": "sun_z_local"}
+    run.attrs |= {
+        "epoch_utc": "2014-11-12T15:34:04Z",
+        "vehicle": "made up",
+        "frame_N": "sun_z_local",
+    }
     return run.isel(curve_time=keep)
 
 
@@ -175,10 +226,18 @@ def sparse():
 def test_no_quaternion_changes_its_sign_from_a_neighbour(form, sparse, tmp_path):
     text = write_aem(tmp_path / "a.aem", attitude_of(sparse), form).read_text()
     if form == "kvn":
-        rows = [[float(x) for x in line.split()[1:]] for line in text.splitlines() if line.startswith("2014-11-12T")]
+        rows = [
+            [float(x) for x in line.split()[1:]]
+            for line in text.splitlines()
+            if line.startswith("2014-11-12T")
+        ]
     else:
-        states = ElementTree.fromstring(text).findall("./body/segment/data/attitudeState/quaternionEphemeris/quaternion")
-        rows = [[float(state.find(key).text) for key in ("Q1", "Q2", "Q3", "QC")] for state in states]
+        states = ElementTree.fromstring(text).findall(
+            "./body/segment/data/attitudeState/quaternionEphemeris/quaternion"
+        )
+        rows = [
+            [float(state.find(key).text) for key in ("Q1", "Q2", "Q3", "QC")] for state in states
+        ]
     for part in (rows[:6], rows[6:]):
         q = np.array(part)
         assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
@@ -186,22 +245,34 @@ def test_no_quaternion_changes_its_sign_from_a_neighbour(form, sparse, tmp_path)
 
 def test_a_dense_message_follows_the_motion_between_the_samples(sparse, tmp_path):
     dense = between(sparse, 0.7)
-    assert [len(part) for part in dense.parts()] == [76, 76] and np.ptp(dense.t_s[:76]) == pytest.approx(52.5)
+    assert [len(part) for part in dense.parts()] == [76, 76] and np.ptp(
+        dense.t_s[:76]
+    ) == pytest.approx(52.5)
     truth = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, dense.t_s)
     off = np.abs(np.einsum("ni,ni->n", dense.quaternion, truth["B_from_N"].values))
     assert np.degrees(2 * np.arccos(np.minimum(off, 1.0))).max() < 1e-4
     assert np.abs(dense.omega_B - truth["omega_B"].values).max() < 1e-4
     for part in dense.parts():
-        assert np.einsum("ni,ni->n", dense.quaternion[part[1:]], dense.quaternion[part[:-1]]).min() > 0.99
+        assert (
+            np.einsum("ni,ni->n", dense.quaternion[part[1:]], dense.quaternion[part[:-1]]).min()
+            > 0.99
+        )
     with xr.open_dataset(write_cf(tmp_path / "a.nc", sparse, dense), engine="h5netcdf") as data:
-        assert data.sizes["time"] == 152 and "sun_B" not in data and np.array_equal(data["B_from_N"].values, dense.quaternion)
+        assert (
+            data.sizes["time"] == 152
+            and "sun_B" not in data
+            and np.array_equal(data["B_from_N"].values, dense.quaternion)
+        )
 
 
 def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
     bare = sparse.drop_dims("curve_time")
     assert len(between(bare, 5.0).t_s) == 22  # 37 degrees: by the rates at both ends
     with pytest.raises(ss.InputError, match="turns by up to 11[12] degrees between the instants"):
-        between(bare.isel(time=slice(None, None, 3)).assign(pass_of=("time", np.zeros(4, dtype=int))), 5.0)
+        between(
+            bare.isel(time=slice(None, None, 3)).assign(pass_of=("time", np.zeros(4, dtype=int))),
+            5.0,
+        )
     with pytest.raises(ss.InputError, match="more than 1000000 attitudes"):
         between(sparse, 1e-9)
     with pytest.raises(ss.InputError, match="no B_from_N"):
@@ -211,13 +282,23 @@ def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_object_and_centre_are_those_of_the_elements(form, sparse, tmp_path):
     def said(key, **attrs):
-        text = write_aem(tmp_path / "a.aem", attitude_of(sparse.assign_attrs(**attrs)), form).read_text()
+        text = write_aem(
+            tmp_path / "a.aem", attitude_of(sparse.assign_attrs(**attrs)), form
+        ).read_text()
         line = next(line for line in text.splitlines() if key in line)
         return line.replace(f"</{key}>", "").split("= " if form == "kvn" else ">")[1]
 
-    assert [said(key) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == ["made up", "made up", "UNKNOWN"]
+    assert [said(key) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == [
+        "made up",
+        "made up",
+        "UNKNOWN",
+    ]
     by_elements = {"orbit": 42789, "orbit_name": "SKCUBE\n\u00e9"}
-    assert [said(key, **by_elements) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == ["SKCUBE__", "42789", "EARTH"]
+    assert [said(key, **by_elements) for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME")] == [
+        "SKCUBE__",
+        "42789",
+        "EARTH",
+    ]
     assert said("OBJECT_NAME", orbit=42789) == "made up"  # two lines without a name
 
 

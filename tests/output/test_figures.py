@@ -39,10 +39,15 @@ def directions(hours: list[float], known: list[int], phase: list[str] | None = N
         (list(range(6)), [0, 2, 3, 5], list("aaabbb"), [[0, 2], [3, 5]]),
         ([0, 1, 2, 30, 31], [0, 1, 2, 3, 4], None, [[0, 1, 2], [3, 4]]),
         (list(range(20)), [0, 1, 13, 14], None, [[0, 1], [13, 14]]),
-        ([0, 1, 2], [0, 2], list("aba"), [[0, 2]]), ([0, 1, 2], [1], None, []), ([0], [0], None, []), ([0, 1], [], None, []),
+        ([0, 1, 2], [0, 2], list("aba"), [[0, 2]]),
+        ([0, 1, 2], [1], None, []),
+        ([0], [0], None, []),
+        ([0, 1], [], None, []),
     ],
-)  # fmt: skip
-def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(hours, known, phase, pieces):
+)
+def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(
+    hours, known, phase, pieces
+):
     found = _connected(np.array(hours, dtype=float), directions(hours, known, phase))
     assert [piece.tolist() for piece in found] == pieces
 
@@ -59,7 +64,11 @@ def test_no_error_bar_leads_out_of_the_range_of_a_probability():
     rng = np.random.default_rng(0)
     value, error = rng.uniform(size=200).round(1), rng.uniform(size=200)
     low, high = _error_of("touch_leg", value, error)
-    assert np.all(value - low >= -1e-12) and np.all(value + high <= 1 + 1e-12) and np.all(np.stack([low, high]) >= 0)
+    assert (
+        np.all(value - low >= -1e-12)
+        and np.all(value + high <= 1 + 1e-12)
+        and np.all(np.stack([low, high]) >= 0)
+    )
     assert np.array_equal(_error_of("leg_tip_speed", 9 * value, error), error)
 
 
@@ -67,8 +76,15 @@ def test_the_figure_of_the_directions_draws_these_lines():
     case = ss.load_case("philae")
     sun, telemetry = ss.sun_directions(case.vehicle, case.telemetry), case.telemetry
     figure = sun_directions_figure(sun, telemetry)
-    drawn = [line.get_xdata() for line in figure.axes[1].lines if line.get_linestyle() == "-" and len(line.get_xdata()) > 1]
+    drawn = [
+        line.get_xdata()
+        for line in figure.axes[1].lines
+        if line.get_linestyle() == "-" and len(line.get_xdata()) > 1
+    ]
     pieces = _connected(sun["time"].values / 3600, sun)
     assert len(drawn) == 3 * len(pieces) and len(pieces) >= 3
     for k, piece in enumerate(pieces):
-        assert np.array_equal(drawn[3 * k], sun["time"].values[piece] / 3600) and len(set(sun["phase"].values[piece])) == 1
+        assert (
+            np.array_equal(drawn[3 * k], sun["time"].values[piece] / 3600)
+            and len(set(sun["phase"].values[piece])) == 1
+        )

@@ -41,15 +41,25 @@ def test_another_vehicles_file_is_refused_in_a_sentence(tmp_path, monkeypatch):
     run = CliRunner()
     assert run.invoke(cli, ["init", "mine"]).exit_code == 0
     with pytest.raises(ss.TelemetryError, match="column"):
-        run.invoke(cli, ["reproduce", "--telemetry", "mine/telemetry.csv", "--out", "out"], catch_exceptions=False)
+        run.invoke(
+            cli,
+            ["reproduce", "--telemetry", "mine/telemetry.csv", "--out", "out"],
+            catch_exceptions=False,
+        )
     with pytest.raises(ss.InputError, match="one wheel and legs"):
-        run.invoke(cli, ["reproduce", "--vehicle", "mine/vehicle.toml", "--out", "out"], catch_exceptions=False)
+        run.invoke(
+            cli,
+            ["reproduce", "--vehicle", "mine/vehicle.toml", "--out", "out"],
+            catch_exceptions=False,
+        )
     assert not Path("out").exists()
 
 
 def test_another_body_takes_the_place_of_philae(tmp_path):
     """A heavier lander in a file of its own: the case has its inertia, and the telemetry is read with its columns."""
-    text = (CASE.folder / "vehicle.toml").read_text("utf-8").replace("value = 97.63", "value = 120.0")
+    text = (
+        (CASE.folder / "vehicle.toml").read_text("utf-8").replace("value = 97.63", "value = 120.0")
+    )
     path = tmp_path / "heavy.toml"
     path.write_text(text, "utf-8")
     case = reproduction._case(None, path, ())
@@ -59,13 +69,47 @@ def test_another_body_takes_the_place_of_philae(tmp_path):
 
 def test_the_summary_has_the_public_form(summary):
     """API: the keys of each figure, null where nothing is judged, and the counts."""
-    assert {"version", "seed", "synthetic_telemetry", "seconds", "headline", "chain", "figures"} <= set(summary)
+    assert {
+        "version",
+        "seed",
+        "synthetic_telemetry",
+        "seconds",
+        "headline",
+        "chain",
+        "figures",
+    } <= set(summary)
     assert {"agree", "differ", "uninformative"} <= set(summary["counts"])
-    keys = {"id", "what", "published", "ours", "low", "high", "prior_low", "prior_high", "unit", "tolerance", "agrees", "kind",
-            "depends", "informative", "chain", "note", "source"}  # fmt: skip
+    keys = {
+        "id",
+        "what",
+        "published",
+        "ours",
+        "low",
+        "high",
+        "prior_low",
+        "prior_high",
+        "unit",
+        "tolerance",
+        "agrees",
+        "kind",
+        "depends",
+        "informative",
+        "chain",
+        "note",
+        "source",
+    }
     for row in summary["figures"]:
-        assert keys <= set(row) and row["kind"] in ("test", "put_in", "arithmetic", "not_comparable"), row["id"]
-        assert row["depends"] in ("candidates", "data") and isinstance(row["informative"], bool) and row["chain"], row["id"]
+        assert keys <= set(row) and row["kind"] in (
+            "test",
+            "put_in",
+            "arithmetic",
+            "not_comparable",
+        ), row["id"]
+        assert (
+            row["depends"] in ("candidates", "data")
+            and isinstance(row["informative"], bool)
+            and row["chain"]
+        ), row["id"]
         if row["kind"] != "test" or not row["informative"]:
             assert row["agrees"] is None, row["id"]
         if row["depends"] == "data":
@@ -74,39 +118,79 @@ def test_the_summary_has_the_public_form(summary):
 
 def test_figures_that_were_put_in_are_told_apart_and_neither_agree_nor_differ(summary):
     put_in = {row["id"] for row in summary["figures"] if row["kind"] == "put_in"}
-    assert {"delta_mean", "delta_max", "descent_rate_cubic", "samples_after_collision", "spin_down_coefficients"} <= put_in
+    assert {
+        "delta_mean",
+        "delta_max",
+        "descent_rate_cubic",
+        "samples_after_collision",
+        "spin_down_coefficients",
+    } <= put_in
     assert put_in == set(rp.PUT_IN) | set(rp.PUT_IN_ALWAYS)
-    assert all(row["agrees"] is None and row["holds"] is not None for row in summary["figures"] if row["kind"] == "put_in")
-    assert not {"wheel_stop", "rate_at_touchdown_min", "line_L1_distance", "descent_behind"} & put_in
+    assert all(
+        row["agrees"] is None and row["holds"] is not None
+        for row in summary["figures"]
+        if row["kind"] == "put_in"
+    )
+    assert (
+        not {"wheel_stop", "rate_at_touchdown_min", "line_L1_distance", "descent_behind"} & put_in
+    )
 
 
 def test_only_informative_tests_agree_or_differ(summary):
     for row in summary["figures"]:
         if row["depends"] == "candidates":
-            assert row["chain"] == "scan" and row["prior_low"] is not None and row["prior_high"] is not None, row["id"]
+            assert (
+                row["chain"] == "scan"
+                and row["prior_low"] is not None
+                and row["prior_high"] is not None
+            ), row["id"]
     here = summary["counts"]
     assert here["agree"] + here["differ"] < 15
     judged = [row for row in summary["figures"] if row["agrees"] is not None]
-    assert sum(c["agree"] + c["differ"] for c in (here, here["without_telemetry"], here["paper"])) == len(judged)
-    assert {row["kind"] for row in summary["figures"] if row["id"].startswith(STATEMENT)} == {"arithmetic"}
+    assert sum(
+        c["agree"] + c["differ"] for c in (here, here["without_telemetry"], here["paper"])
+    ) == len(judged)
+    assert {row["kind"] for row in summary["figures"] if row["id"].startswith(STATEMENT)} == {
+        "arithmetic"
+    }
 
 
 def test_whether_a_test_is_informative_follows_from_its_intervals(summary):
     """API: narrower than half of that over the box; of a share or mean, of which both are sampled, three errors beside it."""
-    ranges = {"rate_at_touchdown_min", "rate_at_collision", "rz_range_wheel_off", "rz_min_wheel_held"}
-    rows = {row["id"]: row for row in summary["figures"] if row["depends"] == "candidates" and row["kind"] == "test"}
+    ranges = {
+        "rate_at_touchdown_min",
+        "rate_at_collision",
+        "rz_range_wheel_off",
+        "rz_min_wheel_held",
+    }
+    rows = {
+        row["id"]: row
+        for row in summary["figures"]
+        if row["depends"] == "candidates" and row["kind"] == "test"
+    }
     assert ranges < set(rows)
     for name, row in rows.items():
-        low, high, prior_low, prior_high = (np.array(row[key]) for key in ("low", "high", "prior_low", "prior_high"))
+        low, high, prior_low, prior_high = (
+            np.array(row[key]) for key in ("low", "high", "prior_low", "prior_high")
+        )
         width, box = high - low, prior_high - prior_low
-        apart = np.abs(high + low - prior_high - prior_low) / 2 > 3 * np.hypot(width, box) / (2 * 1.645)
-        assert row["informative"] == bool(np.any(width < box / 2 if name in ranges else apart)), name
+        apart = np.abs(high + low - prior_high - prior_low) / 2 > 3 * np.hypot(width, box) / (
+            2 * 1.645
+        )
+        assert row["informative"] == bool(np.any(width < box / 2 if name in ranges else apart)), (
+            name
+        )
 
 
 def test_no_tolerance_admits_anything(summary):
     """A tolerance of half of the figure or more would pass nearly whatever this run found."""
     loose = set()
     for row in summary["figures"]:
-        if row["agrees"] and row["tolerance"] and isinstance(row["ours"], float) and isinstance(row["published"], float):
+        if (
+            row["agrees"]
+            and row["tolerance"]
+            and isinstance(row["ours"], float)
+            and isinstance(row["published"], float)
+        ):
             loose |= {row["id"]} if row["tolerance"] >= abs(row["published"]) / 2 else set()
     assert not loose

@@ -28,12 +28,27 @@ def telemetry():
 
 
 def motion():
-    return ss.propagate(vehicle(), [0.1, 0.0, 0.2], [0.0, 0.6, 0.8], vehicle().wheels[0].speed_rad_s, np.linspace(0.0, 60.0, 61))
+    return ss.propagate(
+        vehicle(),
+        [0.1, 0.0, 0.2],
+        [0.0, 0.6, 0.8],
+        vehicle().wheels[0].speed_rad_s,
+        np.linspace(0.0, 60.0, 61),
+    )
 
 
 def scan():
     axis = [-0.1, 0.0, 0.1]
-    return ss.scan(vehicle(), [0.1, 0.3, 0.6], [0.0, 0.6, 0.8], axis, axis, [0.0, 0.1], vehicle().wheels[0].speed_rad_s, 300.0)
+    return ss.scan(
+        vehicle(),
+        [0.1, 0.3, 0.6],
+        [0.0, 0.6, 0.8],
+        axis,
+        axis,
+        [0.0, 0.1],
+        vehicle().wheels[0].speed_rad_s,
+        300.0,
+    )
 
 
 def rates():
@@ -45,13 +60,22 @@ def rates():
 
 def directions(t, sun):
     covariance = np.tile(1e-4 * np.eye(3), (t.size, 1, 1))
-    data = {"sun_sensor_B": (("time", "axis"), sun), "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance)}
+    data = {
+        "sun_sensor_B": (("time", "axis"), sun),
+        "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance),
+    }
     flag = ("time", np.zeros(t.size, dtype=np.uint8))
-    return xr.Dataset(data | {"flag": flag}, {"time": t, "axis": ["x", "y", "z"]}, {"epoch_utc": "2024-01-01T00:00:00Z"})
+    return xr.Dataset(
+        data | {"flag": flag},
+        {"time": t, "axis": ["x", "y", "z"]},
+        {"epoch_utc": "2024-01-01T00:00:00Z"},
+    )
 
 
 def impact():
-    return ss.impact(vehicle(), [0.1, 0.0, 0.2], vehicle().wheels[0].speed_rad_s, [0.0, 0.0, -0.3], 0)
+    return ss.impact(
+        vehicle(), [0.1, 0.0, 0.2], vehicle().wheels[0].speed_rad_s, [0.0, 0.0, -0.3], 0
+    )
 
 
 def outcomes():
@@ -63,7 +87,9 @@ MADE = {
     "sun_directions": lambda: ss.sun_directions(vehicle(), telemetry()),
     "panel_quality": lambda: ss.panel_quality(vehicle(), telemetry()),
     "panel_health": lambda: ss.panel_health(vehicle(), telemetry()),
-    "spin_down": lambda: ss.fit_spin_down([0.0, 60.0, 120.0, 180.0], [864.0, 830.0, 800.0, 771.0], 0.0058),
+    "spin_down": lambda: ss.fit_spin_down(
+        [0.0, 60.0, 120.0, 180.0], [864.0, 830.0, 800.0, 771.0], 0.0058
+    ),
     "calibration": lambda: ss.calibrate_sensors(vehicle(), telemetry()),
     "rates": rates,
     "trajectory": motion,
@@ -91,7 +117,9 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
             result.sunspin.plot("nonsense")
     folder = result.sunspin.save(tmp_path / "saved")
     names = {path.name for path in folder.iterdir()}
-    assert {KINDS[kind].main, "summary.json"} <= names and (kind in NO_FIGURE) is not any(n.endswith(".svg") for n in names)
+    assert {KINDS[kind].main, "summary.json"} <= names and (kind in NO_FIGURE) is not any(
+        n.endswith(".svg") for n in names
+    )
     stored = xr.load_dataset(folder / KINDS[kind].main, engine="h5netcdf")
     assert stored.attrs["kind"] == kind and stored.sunspin.summary() == summary
     assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
@@ -102,7 +130,10 @@ def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
     assert tree.attrs["kind"] == "posterior" and tree["predictions"].attrs["kind"] == "predictions"
     summary = tree.sunspin.summary()
     printed = json.loads((user_runs["posterior"] / "summary.json").read_text("utf-8"))
-    assert summary["verdict"] == printed["verdict"] and len(summary["predicted"]) == len(printed["predicted"]) == 20
+    assert (
+        summary["verdict"] == printed["verdict"]
+        and len(summary["predicted"]) == len(printed["predicted"]) == 20
+    )
     for name in ("corner", "search", "predicted"):
         assert isinstance(tree.sunspin.plot(name), Figure)
     found = tree["predictions"].to_dataset()
@@ -116,7 +147,9 @@ def test_a_panel_that_was_left_out_of_the_rates_is_said():
     result = rates()
     assert result.attrs["panels_left_out"] == "" and "left out" not in str(result.sunspin.summary())
     said = result.assign_attrs(panels_left_out="+X, -Y").sunspin.summary()
-    assert said["panels_left_out"] == ["+X", "-Y"] and "panel +X, -Y never reads anything" in str(said)
+    assert said["panels_left_out"] == ["+X", "-Y"] and "panel +X, -Y never reads anything" in str(
+        said
+    )
 
 
 def test_rates_are_printed_in_degrees_a_second(user_runs):
@@ -128,9 +161,13 @@ def test_rates_are_printed_in_degrees_a_second(user_runs):
     for result, key in zip(made, ("best_omega_B", "omega_B"), strict=True):
         summary = result.sunspin.summary()
         assert rate_text(summary[key]) in str(summary)
-    assert rate_text([0.1, 0.0, -np.pi]) == "(0.1, 0, -3.1416) rad/s, which is (5.73, 0, -180) deg/s"
+    assert (
+        rate_text([0.1, 0.0, -np.pi]) == "(0.1, 0, -3.1416) rad/s, which is (5.73, 0, -180) deg/s"
+    )
     modes = pd.read_csv(user_runs["posterior"] / "modes.csv", comment="#")
-    np.testing.assert_allclose(modes["omega_x_B_deg_s"], np.degrees(modes["omega_x_B_rad_s"]), rtol=1e-7)
+    np.testing.assert_allclose(
+        modes["omega_x_B_deg_s"], np.degrees(modes["omega_x_B_rad_s"]), rtol=1e-7
+    )
 
 
 def test_strategies_side_by_side(user_runs):
@@ -139,31 +176,55 @@ def test_strategies_side_by_side(user_runs):
     printed = json.loads((user_runs["outcomes"] / "summary.json").read_text("utf-8"))
     assert table.sunspin.summary()["strategies"] == printed["strategies"]
     runs = xr.load_dataset(user_runs["outcomes"] / "outcomes-held.nc")
-    assert runs.attrs["kind"] == "outcomes" and runs.attrs["seed"] == 0 and "wheels held: 20 runs" in str(runs.sunspin.summary())
+    assert (
+        runs.attrs["kind"] == "outcomes"
+        and runs.attrs["seed"] == 0
+        and "wheels held: 20 runs" in str(runs.sunspin.summary())
+    )
 
 
 def test_twins_are_telemetry():
-    truth = {"omega_B": [0.1, 0.0, 0.2], "sun_B": [0.0, 0.6, 0.8], "t_s": np.arange(0.0, 300.0, 60.0)}
+    truth = {
+        "omega_B": [0.1, 0.0, 0.2],
+        "sun_B": [0.0, 0.6, 0.8],
+        "t_s": np.arange(0.0, 300.0, 60.0),
+    }
     assert ss.twin(vehicle(), truth, seed=1).attrs["kind"] == "telemetry"
 
 
 def test_the_health_of_panels_keeps_its_names_beside_its_variables():
     """Scripts ask a health by these names and iterate over them; a Dataset is what is stored."""
     health = ss.panel_health(vehicle(), telemetry())
-    assert isinstance(health, xr.Dataset) and health["lost"].values.tolist() == [[True, *5 * [False]]]
-    assert health["explanations"] == [("1",)] and len(health["allowed"]) == 16 and all(n > 0 for n in health["impossible"].values())
-    assert list(health["noise"]) == list(health["impossible"]) and all(v.log10_together < 0 for v in health["noise"].values())
+    assert isinstance(health, xr.Dataset) and health["lost"].values.tolist() == [
+        [True, *5 * [False]]
+    ]
+    assert (
+        health["explanations"] == [("1",)]
+        and len(health["allowed"]) == 16
+        and all(n > 0 for n in health["impossible"].values())
+    )
+    assert list(health["noise"]) == list(health["impossible"]) and all(
+        v.log10_together < 0 for v in health["noise"].values()
+    )
     directions = ss.panel_health(vehicle(), ss.sun_directions(vehicle(), telemetry()))
     assert directions["noise"] == {} and np.isnan(directions["largest"]).all()
     none = ss.panel_health(vehicle(), ss.panel_power(vehicle(), [[0.0, 0.6, 0.8]]))
-    assert none["impossible"] == {} and none["explanations"] == [] and "no set of lit panels" in str(none.sunspin.summary())
+    assert (
+        none["impossible"] == {}
+        and none["explanations"] == []
+        and "no set of lit panels" in str(none.sunspin.summary())
+    )
     assert isinstance(none.sunspin.plot(), Figure)
 
 
 @pytest.mark.parametrize("attrs", [{}, {"kind": "house"}, {"kind": 3}])
 def test_what_is_no_result_is_refused_in_one_sentence(attrs, tmp_path):
     data = xr.Dataset(attrs=attrs)
-    for use in (data.sunspin.summary, data.sunspin.plot, lambda: data.sunspin.save(tmp_path / "never")):
+    for use in (
+        data.sunspin.summary,
+        data.sunspin.plot,
+        lambda: data.sunspin.save(tmp_path / "never"),
+    ):
         with pytest.raises(ss.InputError, match="this Dataset is no result of sunspin") as told:
             use()
         assert "\n" not in str(told.value)
@@ -178,4 +239,6 @@ def test_the_accessor_comes_with_xarray_and_draws_nothing():
         "print(bare, all(hasattr(k, 'sunspin') for k in kinds), drawing)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "['sunspin.base', 'sunspin.base.lazy'] True []"  # what waits for xarray, and nothing else
+    assert (
+        done.stdout.strip() == "['sunspin.base', 'sunspin.base.lazy'] True []"
+    )  # what waits for xarray, and nothing else

@@ -23,7 +23,16 @@ from sunspin.output.report.read import MAX_FILES, read_results
 
 SECRET = "a word that stands nowhere else 7f3b"
 PNG = b"\x89PNG\r\n\x1a\n" + SECRET.encode()
-READ = ("summary.json", "figures.json", "vehicle.toml", "timeline.toml", "rates.nc", "trajectory.nc", "telemetry.nc", "sun.png")
+READ = (
+    "summary.json",
+    "figures.json",
+    "vehicle.toml",
+    "timeline.toml",
+    "rates.nc",
+    "trajectory.nc",
+    "telemetry.nc",
+    "sun.png",
+)
 ODD = ("a\nb", "é\udce9", '"><script>', "..", "-", "\u202e", "$x$", "\x1b[2J", "a" * 200)
 
 
@@ -39,11 +48,20 @@ def outside(home: Path, name: str) -> Path:
     """A file beside the results that a reader of `name` would understand, with the secret in it."""
     path = home / f"outside{Path(name).suffix}"
     if path.suffix == ".nc":
-        write_netcdf(path, xr.Dataset({"x": ("time", np.arange(3.0), {"note": SECRET})}, attrs={"vehicle": SECRET}))
+        write_netcdf(
+            path,
+            xr.Dataset(
+                {"x": ("time", np.arange(3.0), {"note": SECRET})}, attrs={"vehicle": SECRET}
+            ),
+        )
     else:
         texts = {
-            ".json": f'{{"command": "{SECRET}", "figures": "{SECRET}"}}' if name == "summary.json" else f'[{{"file": "{SECRET}"}}]',
-            ".toml": f'name = "{SECRET}"\n' if name == "vehicle.toml" else f'epoch_utc = "{SECRET}"\n',
+            ".json": f'{{"command": "{SECRET}", "figures": "{SECRET}"}}'
+            if name == "summary.json"
+            else f'[{{"file": "{SECRET}"}}]',
+            ".toml": f'name = "{SECRET}"\n'
+            if name == "vehicle.toml"
+            else f'epoch_utc = "{SECRET}"\n',
         }
         path.write_bytes(PNG if path.suffix == ".png" else texts[path.suffix].encode())
     return path
@@ -64,7 +82,10 @@ ONE_READER = ("trajectory.nc", "telemetry.nc")
 """Opened as `rates.nc` is."""
 
 
-@pytest.mark.parametrize(("name", "way"), [(name, way) for name in READ for way in WAYS[: 1 if name in ONE_READER else None]])
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [(name, way) for name in READ for way in WAYS[: 1 if name in ONE_READER else None]],
+)
 def test_no_link_leads_out_of_the_folder(name, way, folder):
     secret = outside(folder.parent, name)
     if way == "folder":
@@ -76,7 +97,9 @@ def test_no_link_leads_out_of_the_folder(name, way, folder):
         (folder / name).symlink_to(secret if way == "symbolic" else f"../{secret.name}")
     text = told(folder)
     assert not secretive(text) and f"{name} is a link" in text
-    with pytest.raises(InputError, match="link" if name in ("rates.nc", "trajectory.nc") else "no attitude here"):
+    with pytest.raises(
+        InputError, match="link" if name in ("rates.nc", "trajectory.nc") else "no attitude here"
+    ):
         exported(folder)
     (folder / name).unlink()
     os.rename(secret, folder / name)  # negative control: as a file of its own it is read
@@ -100,7 +123,12 @@ def test_no_netcdf_file_takes_data_from_another(way, folder):
         if way == "external link":
             file["x"] = h5py.ExternalLink(str(secret), "x")
         elif way == "external storage":
-            file.create_dataset("x", (len(SECRET),), "u1", external=[(str(secret), secret.read_bytes().index(SECRET.encode()), 36)])
+            file.create_dataset(
+                "x",
+                (len(SECRET),),
+                "u1",
+                external=[(str(secret), secret.read_bytes().index(SECRET.encode()), 36)],
+            )
         else:
             layout = h5py.VirtualLayout((len(SECRET),), "u1")
             layout[:] = h5py.VirtualSource(secret, "x", (len(SECRET),))
@@ -150,7 +178,13 @@ def test_sizes_are_looked_at_before_reading(name, folder):
 
 @pytest.mark.parametrize("name", ["vehicle.toml", "timeline.toml"])
 @pytest.mark.parametrize(
-    "text", ["a = " + "[" * 50_000, "a = " + "[" * 400 + "]" * 400, "a." * 50_000 + "a = 1", "a = " + "9" * 5000]
+    "text",
+    [
+        "a = " + "[" * 50_000,
+        "a = " + "[" * 400 + "]" * 400,
+        "a." * 50_000 + "a = 1",
+        "a = " + "9" * 5000,
+    ],
 )
 def test_toml_that_is_a_bomb_is_named(name, text, folder):
     (folder / name).write_text(text, "utf-8")
@@ -166,12 +200,19 @@ def test_an_attribute_of_another_kind_is_one_sentence(tmp_path, folder):
     cases = [(name, wrong[name in NUMBERS]) for name in sorted(TEXTS | NUMBERS)]
     for name, value in [*cases, ("synthetic", 7), ("seed", wrong[0])]:
         xr.Dataset(attrs=whole | {name: value}).to_netcdf(path, engine="h5netcdf")
-        with pytest.raises(InputError, match=f"^file.nc: this file was changed .* attribute {name} must be .*; make it again"):
+        with pytest.raises(
+            InputError,
+            match=f"^file.nc: this file was changed .* attribute {name} must be .*; make it again",
+        ):
             read_groups(path, "file.nc", InputError, probe=False)
-    foreign = {name: value for name, value in whole.items() if name not in ("kind", "sunspin_version")} | {"synthetic": "no"}
+    foreign = {
+        name: value for name, value in whole.items() if name not in ("kind", "sunspin_version")
+    } | {"synthetic": "no"}
     xr.Dataset(attrs=foreign).to_netcdf(path, engine="h5netcdf")
     assert read_groups(path, "file.nc", InputError, probe=False)["/"].attrs["synthetic"] == "no"
-    xr.Dataset(attrs={"kind": "rates", "synthetic": "no"}).to_netcdf(folder / "rates.nc", engine="h5netcdf")
+    xr.Dataset(attrs={"kind": "rates", "synthetic": "no"}).to_netcdf(
+        folder / "rates.nc", engine="h5netcdf"
+    )
     assert "rates.nc: this file was changed" in told(folder)
 
 
@@ -180,9 +221,10 @@ def test_the_unit_of_a_variable_is_ours_and_what_is_said_of_it_a_text(tmp_path):
     path = tmp_path / "file.nc"
 
     def read(attrs, **about):
-        xr.Dataset({name: ("x", [0.0], {"units": UNITS.get(name, "1")} | about) for name in names}, attrs=attrs).to_netcdf(
-            path, engine="h5netcdf"
-        )
+        xr.Dataset(
+            {name: ("x", [0.0], {"units": UNITS.get(name, "1")} | about) for name in names},
+            attrs=attrs,
+        ).to_netcdf(path, engine="h5netcdf")
         return read_groups(path, "file.nc", InputError, probe=False)["/"]
 
     names = [*UNITS, "another"]
@@ -190,12 +232,17 @@ def test_the_unit_of_a_variable_is_ours_and_what_is_said_of_it_a_text(tmp_path):
     for name in UNITS:
         names = [name]
         for unit in ("deg/s", 1.0, np.array([1.0, 2.0]), ""):
-            with pytest.raises(InputError, match=rf"file.nc: this file was changed .* variable {name} must be .*; make it again"):
+            with pytest.raises(
+                InputError,
+                match=rf"file.nc: this file was changed .* variable {name} must be .*; make it again",
+            ):
                 read({"kind": "rates"}, units=unit)
     assert read({"title": "of somebody else"}, units="deg/s")[name].attrs["units"] == "deg/s"
     names = ["another"]
     for label in sorted(LABELS):
-        with pytest.raises(InputError, match=rf"attribute {label} of its variable another must be a text"):
+        with pytest.raises(
+            InputError, match=rf"attribute {label} of its variable another must be a text"
+        ):
             read({"sunspin_version": "0.1"}, **{label: 7.0})
         assert read({"kind": "rates"}, **{label: "<script>\x1b[2J"})
 
@@ -204,17 +251,30 @@ def test_the_unit_of_a_variable_is_ours_and_what_is_said_of_it_a_text(tmp_path):
 def test_hostile_text_of_a_variable_is_escaped_on_the_page(text, folder):
     t = np.arange(3.0)
     about = {"units": "rad s-1", "long_name": text}
-    data = {"omega_B": (("time", "axis"), np.ones((3, 3)), about), "y": ("time", t, {"units": text})}
-    made = xr.Dataset(data, {"time": ("time", t, {"units": "s", "long_name": text})}, {"kind": "motion", "title": text})
+    data = {
+        "omega_B": (("time", "axis"), np.ones((3, 3)), about),
+        "y": ("time", t, {"units": text}),
+    }
+    made = xr.Dataset(
+        data,
+        {"time": ("time", t, {"units": "s", "long_name": text})},
+        {"kind": "motion", "title": text},
+    )
     write_netcdf(folder / "trajectory.nc", made)
     page = write_report(folder).read_text("utf-8")
-    assert "<script>alert" not in page and "\u202e" not in page and "trajectory.nc could not" not in page
+    assert (
+        "<script>alert" not in page
+        and "\u202e" not in page
+        and "trajectory.nc could not" not in page
+    )
 
 
 def test_how_a_stored_file_was_packed_is_not_handed_on(folder):
     """A fill value that is a text ended the export in a traceback."""
     path = folder / "rates.nc"
-    xr.Dataset({"sigma_x": ("x", [0.5], {"units": "rad s-1"})}, attrs={"kind": "rates"}).to_netcdf(path, engine="h5netcdf")
+    xr.Dataset({"sigma_x": ("x", [0.5], {"units": "rad s-1"})}, attrs={"kind": "rates"}).to_netcdf(
+        path, engine="h5netcdf"
+    )
     with h5py.File(path, "r+") as file:
         file["sigma_x"].attrs["_FillValue"] = "a"
     read = read_groups(path, "rates.nc", InputError, probe=False)["/"]

@@ -26,18 +26,31 @@ def test_volumes_are_those_of_cells_and_of_an_ellipsoid(compared):
     *calibrated, printed = (size for _, size in compared.sets.values())
     factors = [float(name.split()[2]) for name in compared.sets if name.startswith("EMD < ")]
     assert len(factors) == 3 and np.all(np.diff(np.array(calibrated)[np.argsort(factors)]) >= 0)
-    assert compared.volume == pytest.approx(rate_volume(0.002**2 * np.eye(3)), rel=0.25)  # 300 draws
-    assert compared.factors["printed lines, one grid step wide"] == pytest.approx(printed / compared.volume, rel=1e-12)
+    assert compared.volume == pytest.approx(
+        rate_volume(0.002**2 * np.eye(3)), rel=0.25
+    )  # 300 draws
+    assert compared.factors["printed lines, one grid step wide"] == pytest.approx(
+        printed / compared.volume, rel=1e-12
+    )
 
 
 def test_the_twins_truth_is_on_the_third_line(compared):
     assert compared.nearest == 2 and compared.distance < 0.001
     ends = along_line(compared.lines[2], -0.1, 0.2)
     assert np.allclose(ends[:, 2], [-0.1, 0.2], rtol=0, atol=1e-12)
-    assert np.allclose(np.cross(ends[1] - ends[0], rb.published_lines(ss.load_case("philae"))[2][1]), 0, rtol=0, atol=1e-12)
+    assert np.allclose(
+        np.cross(ends[1] - ends[0], rb.published_lines(ss.load_case("philae"))[2][1]),
+        0,
+        rtol=0,
+        atol=1e-12,
+    )
 
 
 def test_the_figure_names_what_is_synthetic_and_the_factor(compared):
     figure = draw(compared)
     title = figure.get_suptitle()
-    assert "synthetic" in title and f"{min(compared.factors.values()):.0f} times" in title and len(figure.axes) == 6
+    assert (
+        "synthetic" in title
+        and f"{min(compared.factors.values()):.0f} times" in title
+        and len(figure.axes) == 6
+    )

@@ -42,7 +42,11 @@ def truth_of(omega, found):
     states = replace(found.chain.rebound.states(np.array([omega])), sun_B=sun[None])
     theta, alpha, _ = rb.momentum_angles(CASE.vehicle, states)
     back = ss.propagate(CASE.vehicle, omega, sun, 865.0, [0.0, -found.chain.rebound.lead_s])
-    return min(theta[0], alpha[0]), max(theta[0], alpha[0]), float(np.linalg.norm(back["omega_B"].values[-1]))
+    return (
+        min(theta[0], alpha[0]),
+        max(theta[0], alpha[0]),
+        float(np.linalg.norm(back["omega_B"].values[-1])),
+    )
 
 
 @pytest.mark.long
@@ -71,8 +75,13 @@ def test_what_is_concluded_holds_the_truth(found, name, omega):
 def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
     still, tumbled = found("never tumbled"), found("as it is")
-    small = [np.degrees(one.chain.chosen.angle_range(one.chain.chosen.smaller_angle)) for one in (still, tumbled)]
-    assert small[0][0] == 0 and small[0][1] < 30 and small[1][1] > 60  # 7 of the 30 degrees are the coarse grid's cells
+    small = [
+        np.degrees(one.chain.chosen.angle_range(one.chain.chosen.smaller_angle))
+        for one in (still, tumbled)
+    ]
+    assert (
+        small[0][0] == 0 and small[0][1] < 30 and small[1][1] > 60
+    )  # 7 of the 30 degrees are the coarse grid's cells
     bounds = [touchdown.lower_bound(one.chain) for one in (still, tumbled)]
     assert bounds[0] == 0 and bounds[1] > 0.07
     words = " ".join(touchdown.sentences(still.chain))
@@ -90,11 +99,17 @@ def test_readings_of_no_sun_conclude_nothing(found):
     for name in ("each panel shuffled", "panels 1 and 2 exchanged"):
         one = found(name)
         assert not one.carries.one_sun and one.chain is None, name
-        assert "NOT THOSE OF ONE SUN" in one.carries.first_line and "nothing can be concluded" in one.why or one.scan is None
+        assert (
+            "NOT THOSE OF ONE SUN" in one.carries.first_line
+            and "nothing can be concluded" in one.why
+            or one.scan is None
+        )
         assert any("lit pattern" in reason for reason in one.carries.reasons)
 
 
-@pytest.mark.parametrize(("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")])
+@pytest.mark.parametrize(
+    ("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")]
+)
 def test_any_two_exchanged_panels_are_noticed(first, second):
     case = rb.with_telemetry(CASE, controls.exchanged_panels(CASE, first, second))
     assert not carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None).one_sun
@@ -104,7 +119,11 @@ def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
     """Six samples of this twin have patterns forbidden to panels as drawn, more than 2 %; with the stated sigmas one."""
     case = rb.with_telemetry(CASE, ss.twin("philae", seed=8))
     found = carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None)
-    assert found.impossible > carries.MOST_IMPOSSIBLE * found.early and found.unexplained <= 1 and found.one_sun
+    assert (
+        found.impossible > carries.MOST_IMPOSSIBLE * found.early
+        and found.unexplained <= 1
+        and found.one_sun
+    )
 
 
 @pytest.mark.long
@@ -112,7 +131,10 @@ def test_shuffled_samples_take_the_descent_and_cannot_move_the_scan(found):
     """EMD does not use the order of samples: its rows are those of the right file, and the first line says why."""
     mixed, right = found("samples shuffled"), found("as it is")
     assert right.carries.descent_order and not mixed.carries.descent_order
-    assert "HOLDS NO SPIN" in mixed.carries.first_line and "not their order" in mixed.carries.first_line
+    assert (
+        "HOLDS NO SPIN" in mixed.carries.first_line
+        and "not their order" in mixed.carries.first_line
+    )
     assert sorted(mixed.scan.measured_z) == pytest.approx(sorted(right.scan.measured_z), abs=1e-12)
     np.testing.assert_allclose(mixed.scan.scan.emd, right.scan.scan.emd, atol=1e-12)
     for name, row in right.rows.items():
@@ -134,7 +156,9 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
 @pytest.mark.long
 def test_the_published_lines_are_candidates_only_when_asked_for(found):
     one = chain_of(controls.with_motion(CASE, controls.STILL), "published", coarser=20)
-    assert one.chain.name == "published" and "whatever this telemetry says" in one.chain.chosen.about
+    assert (
+        one.chain.name == "published" and "whatever this telemetry says" in one.chain.chosen.about
+    )
     assert {row.chain for row in one.rows.values() if row.depends == "candidates"} == {"published"}
 
 
@@ -145,8 +169,11 @@ def test_candidates_from_a_table(tmp_path, quick):
     one = chain_of(None, str(path), coarser=20)
     assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
-    for text, said in (("a,b\n1,2\n", "columns omega_x"), ("omega_x,omega_y,omega_z\n1,x,2\n", "finite rates"),
-                       ("omega_x,omega_y,omega_z\n1,inf,2\n", "finite rates")):  # fmt: skip
+    for text, said in (
+        ("a,b\n1,2\n", "columns omega_x"),
+        ("omega_x,omega_y,omega_z\n1,x,2\n", "finite rates"),
+        ("omega_x,omega_y,omega_z\n1,inf,2\n", "finite rates"),
+    ):
         path.write_text(text, "utf-8")
         with pytest.raises(InputError, match=said):
             candidates._from_file(path)
@@ -160,13 +187,18 @@ def test_without_a_calibration_nothing_is_concluded(quick):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_right_files_are_not_accused(seed):
     """Of 20 seeds none was (docs/validation); three here."""
     from sunspin.philae.twin_philae import philae_twin
 
     one = chain_of(philae_twin(seed), coarser=20)
-    assert one.carries.one_sun and one.carries.descent_order and one.chain is not None, (one.carries.first_line, one.why)
+    assert one.carries.one_sun and one.carries.descent_order and one.chain is not None, (
+        one.carries.first_line,
+        one.why,
+    )
 
 
 def test_a_vehicle_without_a_wheel_is_refused():

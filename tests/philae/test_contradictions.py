@@ -40,25 +40,52 @@ BY_HAND = {
 }
 
 STRONG = {
-    "first_direction_length", "wheel_speed_twice", "cubic_range", "axis_swing", "speed_twice", "rate_at_collision", "final_torque",
-}  # fmt: skip
+    "first_direction_length",
+    "wheel_speed_twice",
+    "cubic_range",
+    "axis_swing",
+    "speed_twice",
+    "rate_at_collision",
+    "final_torque",
+}
 """Contradicted whatever the reading, and something follows."""
 
 WEAK = {
-    "friction_sign", "sampling_descent", "window", "descent_start", "energy_absorbed", "section_5", "two_errors", "descent_alias",
+    "friction_sign",
+    "sampling_descent",
+    "window",
+    "descent_start",
+    "energy_absorbed",
+    "section_5",
+    "two_errors",
+    "descent_alias",
     "promised_probability",
-}  # fmt: skip
+}
 
 REMOVED = {
     # rounding or "about"
-    "mu_1", "wheel_stop_printed", "descent_end", "round_mass", "cubic_rounding",
+    "mu_1",
+    "wheel_stop_printed",
+    "descent_end",
+    "round_mass",
+    "cubic_rounding",
     # never stated
-    "study_mu_0", "study_omega", "study_lines", "study_theta",
+    "study_mu_0",
+    "study_omega",
+    "study_lines",
+    "study_theta",
     # no contradiction
-    "emd_names", "kernel_times", "spin_down_start",
+    "emd_names",
+    "kernel_times",
+    "spin_down_start",
     # in the row of the same cause
-    "first_direction_twice", "final_force", "speed_at_collision", "path", "sampling_after_collision", "own_section",
-}  # fmt: skip
+    "first_direction_twice",
+    "final_force",
+    "speed_at_collision",
+    "path",
+    "sampling_after_collision",
+    "own_section",
+}
 
 
 @pytest.mark.parametrize("name", BY_HAND)
@@ -69,8 +96,12 @@ def test_by_hand(rows, name):
 
 
 def test_a_row_of_two_figures_keeps_both(rows):
-    assert rows["first_direction_length"].published == [1.0, 0.0] and rows["final_torque"].published == [5.0, 1.0]
-    assert rows["speed_twice"].published == [0.02, 0.2355, 650.0] and rows["sampling_descent"].published == [2.0, 2.0]
+    assert rows["first_direction_length"].published == [1.0, 0.0] and rows[
+        "final_torque"
+    ].published == [5.0, 1.0]
+    assert rows["speed_twice"].published == [0.02, 0.2355, 650.0] and rows[
+        "sampling_descent"
+    ].published == [2.0, 2.0]
     assert rows["section_5"].published == [5, 2.3]
 
 
@@ -97,7 +128,10 @@ def test_rounding_of_the_coefficients_does_not_explain_the_printed_range(rows):
 
 def test_the_aliases_tie(rows):
     assert rows["descent_alias"].ours == pytest.approx([-0.0402, 0.01216, 0.0645], abs=5e-5)
-    assert rows["descent_alias"].note.startswith("E is at most ") and float(rows["descent_alias"].note.split()[4]) < 1e-12
+    assert (
+        rows["descent_alias"].note.startswith("E is at most ")
+        and float(rows["descent_alias"].note.split()[4]) < 1e-12
+    )
 
 
 def test_the_swing_of_the_axis_at_the_printed_points(rows):
@@ -129,7 +163,12 @@ def test_the_sign_of_friction(rows):
 
 def test_the_appendix_cancels_two_errors():
     """Each of the two steps fails for a wheel that is not the same about every axis; their sum holds."""
-    inertia, axis, omega, speed = np.diag([3.2e-3, 3.2e-3, 5.8e-3]), np.array([0.0, 0.0, 1.0]), np.array([0.3, -0.2, 0.4]), 865.0
+    inertia, axis, omega, speed = (
+        np.diag([3.2e-3, 3.2e-3, 5.8e-3]),
+        np.array([0.0, 0.0, 1.0]),
+        np.array([0.3, -0.2, 0.4]),
+        865.0,
+    )
     whole = omega + speed * axis
     first = np.cross(whole, inertia @ whole), np.cross(omega, inertia @ omega)
     second = inertia @ np.cross(omega, speed * axis), np.cross(omega, inertia @ (speed * axis))
@@ -146,7 +185,10 @@ def test_a_later_start_of_865_rad_s_does_not_help(rows):
 
 def test_samples_that_allow_a_reconstruction_are_two_minutes_apart(rows):
     """225 of 360 degrees of azimuth: 2.932 * 0.625 = 1.83 min; measurement 10 comes 9 * 2.932 = 26.4 min after the first."""
-    assert "62.5 %" in rows["sampling_descent"].other_reading and "1.83 min" in rows["sampling_descent"].other_reading
+    assert (
+        "62.5 %" in rows["sampling_descent"].other_reading
+        and "1.83 min" in rows["sampling_descent"].other_reading
+    )
     assert "26.4 min" in rows["descent_start"].other_reading
 
 
@@ -162,14 +204,19 @@ def test_every_row_says_where_and_what_it_changes(rows):
 def test_the_speed_after_the_touchdown_is_that_of_the_kernel(data_dir):
     states = kernel_states(data_dir)
     speed = 1e3 * np.linalg.norm(states[0, 3:])
-    assert speed == pytest.approx(CASE.published["trajectory_speed_after_touchdown"].value, abs=5e-4)
+    assert speed == pytest.approx(
+        CASE.published["trajectory_speed_after_touchdown"].value, abs=5e-4
+    )
 
 
 @pytest.mark.real_data
 def test_the_path_and_the_straight_line_are_those_of_the_kernel(data_dir):
     """States a second apart; the collision is 2756 s after the touchdown."""
     place = 1e3 * kernel_states(data_dir)[:2757, :3]
-    path, straight = np.linalg.norm(np.diff(place, axis=0), axis=1).sum(), np.linalg.norm(place[-1] - place[0])
+    path, straight = (
+        np.linalg.norm(np.diff(place, axis=0), axis=1).sum(),
+        np.linalg.norm(place[-1] - place[0]),
+    )
     assert path == pytest.approx(CASE.published["kernel_path_length"].value, abs=0.5)
     assert straight == pytest.approx(CASE.published["trajectory_straight_path"].value, abs=0.5)
 

@@ -58,7 +58,9 @@ def test_a_longer_run_of_spoiled_samples_is_recognised_too():
     assert 30 <= descent.clean_from(sun) <= 33
 
 
-@pytest.mark.evidence("reproduce", "validated", "the paper's fit of the descent, on synthetic telemetry")
+@pytest.mark.evidence(
+    "reproduce", "validated", "the paper's fit of the descent, on synthetic telemetry"
+)
 def test_the_published_cubic_is_found(result):
     rows = {row.id: row for row in descent.rows(result)}
     assert rows["descent_rate_cubic"].agrees and rows["descent_unique"].agrees
@@ -78,7 +80,12 @@ def test_a_telemetry_with_another_cubic_is_told_from_the_published_one(result):
     moved = SUN.copy(deep=True)
     n = SUN["sun_B"].values
     moved["sun_B"].values[:] = np.stack(
-        [n[:, 0] * np.cos(angle) + n[:, 1] * np.sin(angle), n[:, 1] * np.cos(angle) - n[:, 0] * np.sin(angle), n[:, 2]], axis=1
+        [
+            n[:, 0] * np.cos(angle) + n[:, 1] * np.sin(angle),
+            n[:, 1] * np.cos(angle) - n[:, 0] * np.sin(angle),
+            n[:, 2],
+        ],
+        axis=1,
     )
     rows = {row.id: row for row in descent.rows(descent.compute(CASE, moved))}
     assert rows["descent_rate_cubic"].agrees is False
@@ -90,7 +97,9 @@ def test_the_wheel_gives_what_the_body_takes():
     run = ss.propagate(CASE.vehicle, [0, 0, 0.0122], [0, 0, 1], 865.0, [0, 60.0])
     wheel = run["wheel_speed_rad_s"].values[:, 0]
     body = run["omega_B"].values[:, 2]
-    assert descent.implied_wheel_change(CASE, body[1] - body[0]) == pytest.approx(wheel[1] - wheel[0], rel=2e-3)
+    assert descent.implied_wheel_change(CASE, body[1] - body[0]) == pytest.approx(
+        wheel[1] - wheel[0], rel=2e-3
+    )
 
 
 def test_the_figure_says_that_the_telemetry_is_synthetic(result):

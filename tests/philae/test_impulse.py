@@ -25,16 +25,21 @@ def collisions(size, to_sun, about):
 def test_angles_to_an_axis_and_about_it():
     axis, zero = np.array([[0.0, 0.0, 2.0]]), np.array([[1.0, 0.0, 5.0]])
     for to, about in ((0.3, 0.0), (1.2, 2.0), (2.5, -3.0)):
-        vector = 7 * np.array([[np.sin(to) * np.cos(about), np.sin(to) * np.sin(about), np.cos(to)]])
-        np.testing.assert_allclose(np.ravel(angle_about(vector, axis, zero)), [to, about], atol=1e-12)
+        vector = 7 * np.array(
+            [[np.sin(to) * np.cos(about), np.sin(to) * np.sin(about), np.cos(to)]]
+        )
+        np.testing.assert_allclose(
+            np.ravel(angle_about(vector, axis, zero)), [to, about], atol=1e-12
+        )
 
 
 def test_a_collision_weighs_by_as_many_numbers_as_are_asked_for():
     off = SEEN.direction_sigma_rad
     runs = collisions(
-        [0.2246, 0.2246 + 2 * 0.02, 0.2246, 0.2246, np.nan], SEEN.to_sun_rad + np.array([0, 0, off, 0, 0]),
+        [0.2246, 0.2246 + 2 * 0.02, 0.2246, 0.2246, np.nan],
+        SEEN.to_sun_rad + np.array([0, 0, off, 0, 0]),
         SEEN.about_sun_rad + np.array([2 * np.pi, 0, 0, np.pi, 0]),
-    )  # fmt: skip
+    )
     one, two, three = (SEEN.weights(runs, numbers) for numbers in (1, 2, 3))
     np.testing.assert_allclose(one, [1, np.exp(-2), 1, 1, 0], rtol=1e-7)
     np.testing.assert_allclose(two, [1, np.exp(-2), np.exp(-0.5), 1, 0], rtol=1e-7)
@@ -55,7 +60,9 @@ def test_the_kernel_is_read_in_space(tmp_path, monkeypatch):
     sun.parent.mkdir()
     sun.write_text("utc,et_s,x,y,z,au\n" + "".join(f"t,{tdb + dt},1,0,0,3\n" for dt in (-60, 60)))
     seen = im.seen_in(CASE, tmp_path)
-    assert seen.change_m_s == pytest.approx(0.2, abs=1e-4) and np.degrees(seen.to_sun_rad) == pytest.approx(40, abs=0.1)
+    assert seen.change_m_s == pytest.approx(0.2, abs=1e-4) and np.degrees(
+        seen.to_sun_rad
+    ) == pytest.approx(40, abs=0.1)
     assert np.degrees(seen.about_sun_rad) == pytest.approx(-90, abs=0.5)  # from z about x
     sun.write_text("utc,et_s,x,y,z,au\nt,1,1,0,0,3\n")
     with pytest.raises(ss.InputError, match="no direction of the Sun at the collision"):
@@ -68,7 +75,9 @@ def test_the_kernel_is_read_in_space(tmp_path, monkeypatch):
 def drawn(n=20_000):
     """Collisions whose rate after grows with the size of the blow, and nothing else tells."""
     rng = np.random.default_rng(0)
-    runs = collisions(rng.uniform(0, 0.5, n), np.arccos(rng.uniform(-1, 1, n)), rng.uniform(-np.pi, np.pi, n))
+    runs = collisions(
+        rng.uniform(0, 0.5, n), np.arccos(rng.uniform(-1, 1, n)), rng.uniform(-np.pi, np.pi, n)
+    )
     rate = rng.uniform(0, 1, n)
     for name, values in (("before", rate), ("after", 2 * runs["velocity_change"].values)):
         runs[f"omega_{name}_B"] = ("run", "axis"), np.outer(values, [0.6, 0.0, 0.8])
@@ -78,19 +87,39 @@ def drawn(n=20_000):
 def test_what_the_impulse_changes_is_said_and_what_it_does_not_is_uninformative():
     found = drawn()
     angle, touchdown, before, after = im.rows(found)
-    assert angle.published == pytest.approx(18.7) and angle.ours == pytest.approx(90, abs=1) and "sigma 5.5" in angle.note
-    assert after.informative and after.ours == pytest.approx(2 * 0.2246, abs=0.01) and after.prior_low < 0.5 < after.prior_high
-    assert not touchdown.informative and not before.informative and "0.22 m/s" not in im.told(found, [angle, touchdown])
+    assert (
+        angle.published == pytest.approx(18.7)
+        and angle.ours == pytest.approx(90, abs=1)
+        and "sigma 5.5" in angle.note
+    )
+    assert (
+        after.informative
+        and after.ours == pytest.approx(2 * 0.2246, abs=0.01)
+        and after.prior_low < 0.5 < after.prior_high
+    )
+    assert (
+        not touchdown.informative
+        and not before.informative
+        and "0.22 m/s" not in im.told(found, [angle, touchdown])
+    )
     assert "uninformative" in im.told(found, [angle, touchdown, before])
-    assert "just after the collision: 0.503 without, 0.449 rad/s" in im.told(found, [angle, touchdown, before, after])
+    assert "just after the collision: 0.503 without, 0.449 rad/s" in im.told(
+        found, [angle, touchdown, before, after]
+    )
     assert {one.kind for one in (angle, touchdown, before, after)} == {"not_comparable"}
     nowhere = replace(found, seen=replace(SEEN, change_m_s=0.9))
-    assert all("not told what it changes" in one.note and not one.informative for one in im.rows(nowhere)[1:])
+    assert all(
+        "not told what it changes" in one.note and not one.informative
+        for one in im.rows(nowhere)[1:]
+    )
 
 
 def test_without_the_data_the_part_is_off_and_says_so(tmp_path):
     part = next(part for part in study.PARTS if part.name == "impulse")
-    off, on = (part.off(study.Inputs(CASE, xr.Dataset(), study.Options(data=data))) for data in (None, tmp_path))
+    off, on = (
+        part.off(study.Inputs(CASE, xr.Dataset(), study.Options(data=data)))
+        for data in (None, tmp_path)
+    )
     assert off == im.OFF and "SUNSPIN_DATA" in off and on == ""
 
 
@@ -98,5 +127,7 @@ def test_without_the_data_the_part_is_off_and_says_so(tmp_path):
 def test_the_landing_kernel_s_impulse(data_dir):
     pytest.importorskip("spiceypy")
     seen = im.seen_in(CASE, data_dir)
-    assert seen.change_m_s == pytest.approx(CASE.published["kernel_velocity_change"].value, abs=2e-4)
+    assert seen.change_m_s == pytest.approx(
+        CASE.published["kernel_velocity_change"].value, abs=2e-4
+    )
     assert np.degrees(seen.to_sun_rad) == pytest.approx(18.7, abs=0.1)

@@ -35,23 +35,32 @@ def test_strategies_share_their_draws_and_differ_only_in_the_wheel(landing):
     assert np.all(gain.sel(strategy="off").dropna("quantity") == 0)
     held = landing.strategies.sel(strategy="held", quantity="rz_time_below_-0.5")
     assert held["gain"] < -10 * held["gain_error"]
-    assert np.array_equal(runs["held"]["contact_speed"].values, runs["after_rest"]["contact_speed"].values)
+    assert np.array_equal(
+        runs["held"]["contact_speed"].values, runs["after_rest"]["contact_speed"].values
+    )
 
 
 def test_the_table_can_be_printed(landing):
     lines = {line["quantity"]: line for line in st.records(landing.strategies)}
     assert set(lines) == set(st.TABLE) and lines["touch_leg"]["off"].error > 0
-    low, middle, high = landing.strategies["quantile"].sel(strategy="off", quantity="leg_tip_speed").values
+    low, middle, high = (
+        landing.strategies["quantile"].sel(strategy="off", quantity="leg_tip_speed").values
+    )
     assert low < middle < high
 
 
 def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
     case = ss.load_case("philae")
     options = {"candidates": published_candidates(case), "n": 60, "seed": 5}
-    runs = {s: ss.outcomes(case.vehicle, strategy=s, **options) for s in ("off", "delay:0", "held", "delay:1e6", "delay:3000")}
+    runs = {
+        s: ss.outcomes(case.vehicle, strategy=s, **options)
+        for s in ("off", "delay:0", "held", "delay:1e6", "delay:3000")
+    }
     for a, b in (("off", "delay:0"), ("held", "delay:1e6")):
         assert np.array_equal(runs[a]["contact_speed"].values, runs[b]["contact_speed"].values)
-    assert not np.array_equal(runs["held"]["contact_speed"].values, runs["delay:3000"]["contact_speed"].values)
+    assert not np.array_equal(
+        runs["held"]["contact_speed"].values, runs["delay:3000"]["contact_speed"].values
+    )
 
 
 def test_the_best_delay_is_the_largest_and_as_good_as_itself(landing):
@@ -61,7 +70,11 @@ def test_the_best_delay_is_the_largest_and_as_good_as_itself(landing):
     assert search["behind"][at] == 0 and np.all(search["behind"] <= 1e-12)
     assert search.attrs["spread_s"][0] <= search.attrs["spread_s"][1]
     told = search.sunspin.summary()
-    assert told["delay_s"] in told["as_good_s"] and "a leg touches first most often" in str(told) and search.sunspin.plot().axes
+    assert (
+        told["delay_s"] in told["as_good_s"]
+        and "a leg touches first most often" in str(told)
+        and search.sunspin.plot().axes
+    )
     with pytest.raises(ss.InputError, match="do not tell the quantity"):
         st.best_delay(ss.load_vehicle("philae"), [[0.1, 0, 0]], [0.0], "happiness", 4)
 
@@ -70,7 +83,9 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
     """Section 4: 5 N m printed, the law gives 3.4e-3; 5 N m s is the angular momentum."""
     way = {x["way"]: x for x in st.settling(ss.load_vehicle("philae"), 1e-3)}
     assert way["off"]["torque_N_m"] == pytest.approx(1.0473e-3 + 2.693e-6 * 865, rel=1e-3)
-    assert way["off"]["momentum_N_m_s"] == pytest.approx(5.017) and way["off"]["foot_force_N"] == pytest.approx(7.1e-4, rel=0.02)
+    assert way["off"]["momentum_N_m_s"] == pytest.approx(5.017) and way["off"][
+        "foot_force_N"
+    ] == pytest.approx(7.1e-4, rel=0.02)
     assert way["off"]["friction_coefficient"] == pytest.approx(0.0217, rel=0.02)
     assert way["off"]["stop_s"] / 60 == pytest.approx(42, abs=0.1)
     assert way["brake"]["friction_coefficient"] > 5 * way["off"]["friction_coefficient"]
@@ -79,19 +94,37 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
 def test_weights_prefer_what_the_kernel_shows(landing):
     found = landing.collision
     facts, weight = facts_of(found), found["weight"].values
-    near = np.hypot(found["velocity_change"] - facts["velocity_change"], found["speed_after"] - facts["speed_after"]).values
+    near = np.hypot(
+        found["velocity_change"] - facts["velocity_change"],
+        found["speed_after"] - facts["speed_after"],
+    ).values
     order = np.argsort(near)
     assert np.all(np.diff(weight[order]) <= 1e-15) and weight.max() <= 1
     for name in ("velocity_change", "speed_after"):
         mean = estimate(found[name].values, weight).value
         assert abs(mean - facts[name]) < co.SIGMA_M_S
-        assert abs(mean - facts[name]) < abs(estimate(found[name].values).value - facts[name]) or name == "speed_after"
+        assert (
+            abs(mean - facts[name]) < abs(estimate(found[name].values).value - facts[name])
+            or name == "speed_after"
+        )
     worth = {line["name"]: line["effective_runs"] for line in weightings(found)}
-    assert worth["kernel, sigma 0.01 m/s"] < worth["kernel, sigma 0.04 m/s"] < worth["as drawn"] == found.sizes["run"]
+    assert (
+        worth["kernel, sigma 0.01 m/s"]
+        < worth["kernel, sigma 0.04 m/s"]
+        < worth["as drawn"]
+        == found.sizes["run"]
+    )
     assert 0.02 < explained(found).value < 0.25
     said = found.sunspin.summary()
-    assert said["facts"] == facts and said["explained"] == explained(found) and said["table"] == weightings(found)
-    assert str(said).count("\n") == found.sizes["weighting"] and found["unit"].sel(quantity="rate_after").item() == "rad s-1"
+    assert (
+        said["facts"] == facts
+        and said["explained"] == explained(found)
+        and said["table"] == weightings(found)
+    )
+    assert (
+        str(said).count("\n") == found.sizes["weighting"]
+        and found["unit"].sel(quantity="rate_after").item() == "rad s-1"
+    )
 
 
 def test_after_a_sticking_blow_the_centre_of_mass_turns_about_the_legs_end(landing):
@@ -119,16 +152,29 @@ def test_weighted_median_by_repetition():
 
 def test_rows_say_what_is_reproduced_and_what_is_not(landing):
     rows = {row.id: settled(row) for row in la.rows(landing)}
-    assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(0.559, abs=1e-3)
+    assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(
+        0.559, abs=1e-3
+    )
     assert "0.775" in rows["leg_tip_speed"].note and "1.02" in rows["leg_tip_speed"].note
     assert rows["rz_density_area"].holds
     off = rows["rz_often_negative"]
-    assert 0.36 < off.low < off.high < 0.42 and off.prior_low > off.high and off.informative and off.agrees
-    assert rows["rz_rare_wheel_held"].informative and rows["rz_rare_wheel_held"].agrees  # 3 to 4 % of the time
+    assert (
+        0.36 < off.low < off.high < 0.42
+        and off.prior_low > off.high
+        and off.informative
+        and off.agrees
+    )
+    assert (
+        rows["rz_rare_wheel_held"].informative and rows["rz_rare_wheel_held"].agrees
+    )  # 3 to 4 % of the time
     # all that is possible is reached with the wheel off, whatever the candidates: such a row can neither agree nor differ
     assert not rows["rz_range_wheel_off"].informative and rows["rz_range_wheel_off"].agrees is None
     for name in ("path_length", "landing_speed", "final_friction_torque"):
-        assert rows[name].holds is False and rows[name].kind == "arithmetic" and rows[name].agrees is None, name
+        assert (
+            rows[name].holds is False
+            and rows[name].kind == "arithmetic"
+            and rows[name].agrees is None
+        ), name
     assert rows["romap_period_after"].kind == "not_comparable"
     assert {row.chain for row in rows.values()} == {"published", "none"}
     assert all(row.note or row.holds for row in rows.values())
@@ -146,7 +192,9 @@ def test_figures_have_units_on_every_axis(landing):
         figures.distributions_figure(landing.strategy_runs, 0.56),
         figures.delay_figure(landing.delays[0]),
         collision_figure(landing.collision),
-        figures.first_contact_figure({name: landing.strategy_runs[name] for name in ("off", "held")}),
+        figures.first_contact_figure(
+            {name: landing.strategy_runs[name] for name in ("off", "held")}
+        ),
     ):
         assert covered(figure) == []
         labels = [axes.get_ylabel() or axes.get_xlabel() for axes in figure.axes]
@@ -158,13 +206,18 @@ def test_only_a_blow_that_sticks_is_called_so(landing):
         found = landing.collision.assign_attrs(scenario=json.dumps(scenario))
         return collision_figure(found).axes[0].get_title().split(" at ")[0]
 
-    assert said(restitution=0.0, damper=0.0) == "Sticking impacts" and said(restitution=0.2) == said(damper=0.5) == "Impacts"
+    assert (
+        said(restitution=0.0, damper=0.0) == "Sticking impacts"
+        and said(restitution=0.2) == said(damper=0.5) == "Impacts"
+    )
 
 
 def test_shifting_the_hull_moves_it_and_not_the_legs():
     vehicle = ss.load_vehicle("philae")
     moved = la.shifted_hull(vehicle, 0.1)
-    np.testing.assert_allclose(moved.hull[0].points_B_m - vehicle.hull[0].points_B_m, [[0, 0, 0.1]] * 4, atol=1e-15)
+    np.testing.assert_allclose(
+        moved.hull[0].points_B_m - vehicle.hull[0].points_B_m, [[0, 0, 0.1]] * 4, atol=1e-15
+    )
     assert moved.legs == vehicle.legs
 
 
@@ -181,12 +234,18 @@ def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
     read, shipped = co.kernel_facts(case, data_dir), co.published_facts(case)
     assert set(read) == set(shipped)
     for name, value in read.items():
-        assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), name
+        assert value == pytest.approx(shipped[name], abs=0.5 if name == "path_length" else 6e-5), (
+            name
+        )
     states = co._KernelStates(data_dir.joinpath(*co.KERNEL))
     ends = [states(co.tdb_of(case, name))[:3] for name in ("first_touchdown", "rest")]
-    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(case.published["trajectory_distance"].value, abs=0.5)
+    assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(
+        case.published["trajectory_distance"].value, abs=0.5
+    )
     scenario = case_scenario(case)
-    assert scenario.collision_speed_m_s == shipped["speed_before"] and scenario.collision_s == pytest.approx(2756.02)
+    assert scenario.collision_speed_m_s == shipped[
+        "speed_before"
+    ] and scenario.collision_s == pytest.approx(2756.02)
 
 
 def test_the_impulse_of_collisions_at_free_times(landing):
@@ -195,5 +254,7 @@ def test_the_impulse_of_collisions_at_free_times(landing):
     found = im.compute(landing.case, landing.chain, seen, n=10, seed=1)
     runs = found.runs
     assert runs.sizes["run"] == im.INSTANTS * 10 and np.isfinite(runs["change_to_sun"].values).all()
-    assert np.array_equal(found.speed_touchdown, landing.chain.chosen.speed_touchdown[runs["candidate"].values])
+    assert np.array_equal(
+        found.speed_touchdown, landing.chain.chosen.speed_touchdown[runs["candidate"].values]
+    )
     assert [one.id for one in im.rows(found)][0] == "impulse_to_sun"

@@ -16,17 +16,25 @@ def result():
 
 def test_phases_come_from_the_timeline_and_hold_every_sample(result):
     labels = CASE.telemetry["phase"].values
-    assert {phase.name: phase.samples for phase in result.phases} == {n: int((labels == n).sum()) for n in dict.fromkeys(labels)}
+    assert {phase.name: phase.samples for phase in result.phases} == {
+        n: int((labels == n).sum()) for n in dict.fromkeys(labels)
+    }
     bare = phases.compute(CASE, CASE.telemetry.drop_vars("phase"))
     assert [p.samples for p in bare.phases] == [p.samples for p in result.phases]
 
 
-@pytest.mark.evidence("reproduce", "validated", "the paper's statistics of Delta, on synthetic telemetry")
+@pytest.mark.evidence(
+    "reproduce", "validated", "the paper's statistics of Delta, on synthetic telemetry"
+)
 def test_rows_agree_with_the_paper(result):
     """With panels as drawn; where they are turned the folded legs stand out less."""
     rows = {row.id: row for row in phases.rows(phases.compute(AS_DRAWN))}
     assert {row.id: row for row in phases.rows(result)}["lit_patterns_before"].agrees
-    assert rows["delta_shadowed"].agrees and rows["nz_folded"].agrees and rows["lit_patterns_before"].agrees
+    assert (
+        rows["delta_shadowed"].agrees
+        and rows["nz_folded"].agrees
+        and rows["lit_patterns_before"].agrees
+    )
     assert rows["lit_patterns_allowed"].ours == 16
     assert rows["lit_patterns_noise"].ours < -50
     of_telemetry = ("delta_shadowed", "nz_folded", "lit_patterns_before", "lit_patterns_noise")

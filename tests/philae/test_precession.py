@@ -10,7 +10,11 @@ from sunspin.vehicle import Friction, Vehicle, Wheel
 
 CASE = ss.load_case("philae")
 FRICTION = Friction(1e-3, 2.7e-6)
-SYMMETRIC = Vehicle("symmetric", np.diag([13.0, 13.0, 16.5]), wheels=[Wheel("w", [0, 0, 1], 0.0058, 865.0, FRICTION)])
+SYMMETRIC = Vehicle(
+    "symmetric",
+    np.diag([13.0, 13.0, 16.5]),
+    wheels=[Wheel("w", [0, 0, 1], 0.0058, 865.0, FRICTION)],
+)
 FIRST = np.array([0.1959, 0.5690, 0.7986])
 
 
@@ -48,7 +52,9 @@ def test_another_axis_and_no_wheel():
 def test_an_asymmetric_body_without_the_wheel_s_momentum_does_not_keep_its_nutation():
     """Negative control: near the middle axis the body flips."""
     body = Vehicle("flips", np.diag([1.0, 2.0, 3.0]))
-    found = pr.swing(body, [0.001, 0.3, 0.001], [0, 0.6, 0.8], None, 600.0, axis_B=[0, 1, 0], compared_s=60.0)
+    found = pr.swing(
+        body, [0.001, 0.3, 0.001], [0, 0.6, 0.8], None, 600.0, axis_B=[0, 1, 0], compared_s=60.0
+    )
     assert np.ptp(found.nutation[0]) > 3.0
 
 
@@ -57,7 +63,9 @@ def test_philae_against_figures_computed_elsewhere(result):
     inner = slice(3, None)
     for line, low, high in zip(result.lines, (39, 39, 26, 26), (58, 58, 36, 36), strict=True):
         angle = np.degrees(line.nutation[inner])
-        assert angle[:, 0] == pytest.approx(low, abs=0.7) and angle[:, 1] == pytest.approx(high, abs=0.7)
+        assert angle[:, 0] == pytest.approx(low, abs=0.7) and angle[:, 1] == pytest.approx(
+            high, abs=0.7
+        )
     np.testing.assert_allclose(result.examples.z_first[1], [0.634, 0.942], atol=1.5e-3)
     np.testing.assert_allclose(result.examples.z_last[1], [0.605, 0.955], atol=1.5e-3)
 
@@ -80,7 +88,11 @@ def test_peaks_are_counted(phase, expected):
 
 
 @pytest.mark.parametrize(
-    ("options", "text"), [({"compared_s": 20.0}, "compared_s"), ({"axis_B": [0, 0, 2], "compared_s": 1.0}, "axis_B must be")]
+    ("options", "text"),
+    [
+        ({"compared_s": 20.0}, "compared_s"),
+        ({"axis_B": [0, 0, 2], "compared_s": 1.0}, "axis_B must be"),
+    ],
 )
 def test_bad_input_is_named(options, text):
     with pytest.raises(ss.SunspinError, match=text):

@@ -23,8 +23,19 @@ from validation import controls
 
 CASE = load_case("philae")
 ALL_PARTS = rp.PARTS
-QUICK = ("phases", "descent", "carries", "level_set", "candidates", "touchdown", "mechanics", "published_lines", "worth", "inputs",
-         "contradictions")  # fmt: skip
+QUICK = (
+    "phases",
+    "descent",
+    "carries",
+    "level_set",
+    "candidates",
+    "touchdown",
+    "mechanics",
+    "published_lines",
+    "worth",
+    "inputs",
+    "contradictions",
+)
 """Parts that take seconds on a coarse grid; the others have tests of their own."""
 
 
@@ -47,21 +58,38 @@ def quick():
 @pytest.mark.long
 def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     found = quick(rb.with_telemetry(CASE, without("descent", "deployment")), coarser=20)
-    assert list(found.missing) == ["descent"] and "no sample before the first touchdown" in found.missing["descent"]
+    assert (
+        list(found.missing) == ["descent"]
+        and "no sample before the first touchdown" in found.missing["descent"]
+    )
     assert set(found.rows_by_part) == set(QUICK) - {"descent", "candidates"}
-    assert any(said.startswith("Section 3.1: the descent: not reproduced") for said in conclusions(found))
+    assert any(
+        said.startswith("Section 3.1: the descent: not reproduced") for said in conclusions(found)
+    )
     assert "holds too little" in headline(found)[0]
     ids = [row.id for row in found.rows]
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
-    sheets = [sheet for (name, *_), make in pictures.SHEETS if name in found.parts for sheet in make(found, found.parts[name])]
+    sheets = [
+        sheet
+        for (name, *_), make in pictures.SHEETS
+        if name in found.parts
+        for sheet in make(found, found.parts[name])
+    ]
     names = {sheet.name for sheet in sheets}
-    assert "fig10_11_descent" not in names and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
+    assert (
+        "fig10_11_descent" not in names
+        and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
+    )
     assert all(sheet.alt and sheet.caption for sheet in sheets)
     for sheet in sheets:  # synthetic readings were not measured
         figure = sheet.make()
         assert not covered(figure), (sheet.name, covered(figure))
         drawn = [text.get_text() for text in figure.findobj(Text)]
-        said = [text for text in (*drawn, sheet.alt, sheet.caption) if "measured" in text.lower() and "no measured" not in text]
+        said = [
+            text
+            for text in (*drawn, sheet.alt, sheet.caption)
+            if "measured" in text.lower() and "no measured" not in text
+        ]
         assert not said, (sheet.name, said)
 
 
@@ -70,22 +98,37 @@ def test_with_measured_telemetry_they_are_tests(quick):
     data = CASE.telemetry.copy()
     data.attrs = {key: value for key, value in CASE.telemetry.attrs.items() if key != "synthetic"}
     kinds = {row.id: row.kind for row in quick(rb.with_telemetry(CASE, data), coarser=20).rows}
-    assert {kinds[name] for name in ("delta_mean", "descent_rate_cubic", "shadowed_panel")} == {"test"}
+    assert {kinds[name] for name in ("delta_mean", "descent_rate_cubic", "shadowed_panel")} == {
+        "test"
+    }
 
 
 @pytest.mark.long
 def test_what_needs_no_telemetry_does_not_change_with_it(quick):
     """A lander that never tumbled: the section on the printed lines stays to the digit, what follows from the telemetry moves."""
-    own = quick(CASE, coarser=5)  # every tenth point of the grid misses the motion that stands still
+    own = quick(
+        CASE, coarser=5
+    )  # every tenth point of the grid misses the motion that stands still
     still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)), coarser=5)
     for name, section in rp.sections().items():
         if section == "no_telemetry" and name in own.rows_by_part:
-            assert [row.ours for row in own.rows_by_part[name]] == [row.ours for row in still.rows_by_part[name]], name
+            assert [row.ours for row in own.rows_by_part[name]] == [
+                row.ours for row in still.rows_by_part[name]
+            ], name
     pairs = zip(own.rows_by_part["touchdown"], still.rows_by_part["touchdown"], strict=True)
     moved = [a.id for a, b in pairs if (a.low, a.high) != (b.low, b.high)]
-    assert {"rate_at_touchdown_min", "rate_at_touchdown_bound", "angle_smaller", "sun_height_range"} <= set(moved)
+    assert {
+        "rate_at_touchdown_min",
+        "rate_at_touchdown_bound",
+        "angle_smaller",
+        "sun_height_range",
+    } <= set(moved)
     told, before = " ".join(headline(still)), " ".join(headline(own))
-    assert "need not have tumbled" in told and "may have stood still" in told and "once in" in before.split(". ")[1]
+    assert (
+        "need not have tumbled" in told
+        and "may have stood still" in told
+        and "once in" in before.split(". ")[1]
+    )
     for text in (told, before, *conclusions(still)[:4]):
         assert "four lines" not in text
 
@@ -101,12 +144,22 @@ def test_a_wheel_that_stands_still_leaves_a_study(quick):
 
 @pytest.mark.long
 def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
-    found = quick(rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20)
+    found = quick(
+        rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20
+    )
     assert found.chain is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
-    assert "cannot be concluded" in told[0] and "lit pattern" in told[0] and "Nothing is said" in told[1]
-    made = [make(found, found.parts[name]) for (name, *_), make in pictures.SHEETS if name in found.parts]
+    assert (
+        "cannot be concluded" in told[0]
+        and "lit pattern" in told[0]
+        and "Nothing is said" in told[1]
+    )
+    made = [
+        make(found, found.parts[name])
+        for (name, *_), make in pictures.SHEETS
+        if name in found.parts
+    ]
     sheets = [sheet.name for some in made for sheet in some]
     assert "fig12_touchdown" not in sheets and "fig12_lines" in sheets
 
@@ -117,19 +170,31 @@ def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
     assert [row.id for row in rows] == [f"figure_{number}" for number in range(1, 14)]
     shown = {row.id: row.ours for row in rows}
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"
-    assert shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png" and shown["figure_3"] == "fig03_measured.png"
-    assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith("not drawn: a picture")
+    assert (
+        shown["figure_10"] == shown["figure_11"] == "fig10_11_descent.png"
+        and shown["figure_3"] == "fig03_measured.png"
+    )
+    assert shown["figure_13"] == "not drawn" and shown["figure_1"].startswith(
+        "not drawn: a picture"
+    )
 
 
 def test_what_a_run_changes_is_not_called_used_as_published():
     """And the paper's tables stay the paper's, whatever body the run has."""
     changed = load_case("philae", ["body.mass_kg=100", "wheel.speed_rad_s=833"])
-    rows = [{row.id: row for row in inputs.rows(inputs.Taken(case, case.telemetry))} for case in (CASE, changed)]
+    rows = [
+        {row.id: row for row in inputs.rows(inputs.Taken(case, case.telemetry))}
+        for case in (CASE, changed)
+    ]
     for name in ("table_2", "wheel_speed"):
         assert all(found[name].published == rows[0][name].ours for found in rows), name
-        assert rows[1][name].ours != rows[0][name].ours and rows[1][name].note.startswith("not as published")
+        assert rows[1][name].ours != rows[0][name].ours and rows[1][name].note.startswith(
+            "not as published"
+        )
     same = set(rows[0]) - {"table_2", "wheel_speed", "rate_at_touchdown_min_rounded"}
-    assert all(rows[0][name] == rows[1][name] for name in same) and rows[0]["table_2"].note.startswith("used as published")
+    assert all(rows[0][name] == rows[1][name] for name in same) and rows[0][
+        "table_2"
+    ].note.startswith("used as published")
 
 
 def part(name, compute, **about):
@@ -152,9 +217,13 @@ def test_parts_end_in_any_order_and_see_what_they_name(monkeypatch):
         raise MotionError("no motion")
 
     parts = (
-        part("slow", slow), part("fast", fast), part("failing", failing, uses=("fast",)), part("lost", fast, needs=("failing",)),
-        part("off", fast, off=lambda _: "not asked for"), part("both", fast, needs=("slow",), uses=("failing", "nowhere")),
-    )  # fmt: skip
+        part("slow", slow),
+        part("fast", fast),
+        part("failing", failing, uses=("fast",)),
+        part("lost", fast, needs=("failing",)),
+        part("off", fast, off=lambda _: "not asked for"),
+        part("both", fast, needs=("slow",), uses=("failing", "nowhere")),
+    )
     monkeypatch.setattr(rp, "PARTS", parts)
     told = []
     found = rp.compute(CASE, workers=2, seen=lambda so_far: told.append(list(so_far.parts)))
@@ -167,7 +236,9 @@ def test_a_part_that_is_needed_ends_the_study(monkeypatch):
     def failing(_):
         raise MotionError("no motion")
 
-    monkeypatch.setattr(rp, "PARTS", (part("other", lambda _: 1), part("failing", failing, needed=True)))
+    monkeypatch.setattr(
+        rp, "PARTS", (part("other", lambda _: 1), part("failing", failing, needed=True))
+    )
     with pytest.raises(MotionError, match="no motion"):
         rp.compute(CASE, workers=1)
 
@@ -179,7 +250,9 @@ def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
 
 def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
     monkeypatch.setattr(rp.coverage, "SHIPPED", "nothing.json")
-    inputs = rp.Inputs(CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None})
+    inputs = rp.Inputs(
+        CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None}
+    )
     with pytest.raises(InputError, match="sunspin coverage"):
         rp._worth(inputs)
 
@@ -187,7 +260,16 @@ def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
 def test_every_figure_of_the_paper_has_a_sheet_in_its_order():
     parts = [names[0] for names, _ in pictures.SHEETS]
     assert set(parts) <= {part.name for part in ALL_PARTS}
-    order = ["phases", "mechanics", "sensitivity", "level_set", "descent", "precession", "touchdown", "landing"]
+    order = [
+        "phases",
+        "mechanics",
+        "sensitivity",
+        "level_set",
+        "descent",
+        "precession",
+        "touchdown",
+        "landing",
+    ]
     assert [name for name in dict.fromkeys(parts) if name in order] == order
 
 
@@ -195,7 +277,9 @@ def test_every_figure_of_the_paper_has_a_sheet_in_its_order():
 def test_every_published_figure_has_a_row_somewhere(reached):
     """Rows are made by the parts; what they take over is marked as an input, and no key is in neither."""
     folder = Path(rp.__file__).parent
-    text = "".join(path.read_text("utf-8") for path in folder.glob("*.py") if path.name != "inputs.py")
+    text = "".join(
+        path.read_text("utf-8") for path in folder.glob("*.py") if path.name != "inputs.py"
+    )
     made = {key for key in CASE.published if re.search(rf'\brow\(\s*(?:r\.)?case, "{key}"', text)}
     made |= {f"line_L{k}" for k in range(1, 5)}
     sun = rp.sun_directions(CASE.vehicle, CASE.telemetry)

@@ -18,7 +18,10 @@ CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt
 FACES = [Panel(str(k), corner, 1.0) for k, corner in enumerate(CORNERS)]
 ROUND = Vehicle("round, no wheel", np.diag([2.0, 2.0, 3.0]), panels=FACES)
 SIDEWAYS = Vehicle(
-    "wheel on x", np.diag([3.0, 2.5, 2.0]), panels=FACES, wheels=[Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 1e-7))]
+    "wheel on x",
+    np.diag([3.0, 2.5, 2.0]),
+    panels=FACES,
+    wheels=[Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 1e-7))],
 )
 CRAFT = [(ROUND, None), (SIDEWAYS, 100.0)]
 
@@ -44,11 +47,17 @@ def test_maps_agree_with_single_runs(craft, speed):
     parameters = em.parameter_map(craft, track, [0.6, 0.0, 0.8], omega, speed, values)
     for i in range(2):
         for j in range(2):
-            run = ss.propagate(craft, [axes[0][i], axes[1][j], -0.08], [0.6, 0.0, 0.8], speed, times)
+            run = ss.propagate(
+                craft, [axes[0][i], axes[1][j], -0.08], [0.6, 0.0, 0.8], speed, times
+            )
             assert rates.values[i, j, 0] == pytest.approx(ss.direction_error(run, track), abs=1e-4)
-            other = em.varied(em.varied(craft, "theta_xx", values["theta_xx"][i]), second, values[second][j])
+            other = em.varied(
+                em.varied(craft, "theta_xx", values["theta_xx"][i]), second, values[second][j]
+            )
             run = ss.propagate(other, omega, [0.6, 0.0, 0.8], speed, times)
-            assert parameters.values[i, j] == pytest.approx(ss.direction_error(run, track), abs=1e-4)
+            assert parameters.values[i, j] == pytest.approx(
+                ss.direction_error(run, track), abs=1e-4
+            )
     assert rates.values[1, 0, 0] < 1e-6  # the truth
     assert parameters.values.min() > 1e-6  # not among these
 
@@ -58,7 +67,9 @@ def test_e_of_a_start_that_is_no_unit_vector():
     track = np.array([[0.6, 0, 0.8], [0, 1, 0]])
     measured = np.array([[0, 0, 1], [0, 0.8, 0.6]])
     direct = ss.direction_error(0.9646 * track, measured)
-    assert em.of_length(ss.direction_error(track, measured), 0.9646) == pytest.approx(direct, abs=1e-15)
+    assert em.of_length(ss.direction_error(track, measured), 0.9646) == pytest.approx(
+        direct, abs=1e-15
+    )
     assert em.of_length(0.0, 0.9646) == pytest.approx(0.0177, abs=5e-5)  # the bound
 
 
@@ -79,8 +90,14 @@ def test_parameters_are_replaced_and_nothing_else():
         (lambda: em.varied(ROUND, "mu_0", 1.0), "mu_0 belongs to a wheel"),
         (lambda: em.nominal(ROUND, "J"), "J belongs to a wheel"),
         (lambda: em.varied(ROUND, "mass", 1.0), "no parameter of this name"),
-        (lambda: em.parameter_map(ROUND, None, [0, 0, 1], [0, 0, 0], None, {"theta_xx": [1.0]}), "exactly two parameters"),
-        (lambda: gr.Motion.of(ROUND, [0, 0, 1], [0, 0, 1], None, 0.0), "duration_s must be positive"),
+        (
+            lambda: em.parameter_map(ROUND, None, [0, 0, 1], [0, 0, 0], None, {"theta_xx": [1.0]}),
+            "exactly two parameters",
+        ),
+        (
+            lambda: gr.Motion.of(ROUND, [0, 0, 1], [0, 0, 1], None, 0.0),
+            "duration_s must be positive",
+        ),
     ],
 )
 def test_bad_input_is_named(call, text):
@@ -92,10 +109,23 @@ def test_growth_of_a_plain_spin_is_the_closed_form():
     """A body that spins about its axis of symmetry: the Sun at right angles to it errs by t times the error of the rate."""
     motion = gr.Motion.of(ROUND, [0, 0, 0.1], [1, 0, 0], None, 600.0)
     table = gr.growth(motion)
-    np.testing.assert_allclose(table["error_rad"].sel(input="omega_z").values[1:], 0.1 * table["time"].values[1:], rtol=1e-5)
+    np.testing.assert_allclose(
+        table["error_rad"].sel(input="omega_z").values[1:],
+        0.1 * table["time"].values[1:],
+        rtol=1e-5,
+    )
     assert float(table["power"].sel(input="omega_z")) == pytest.approx(1.0, abs=1e-4)
-    assert float(table["error_rad"].sel(input="theta_zz").max()) < 1e-6  # negative control: it does not enter
-    assert table["input"].values.tolist() == ["omega_x", "omega_y", "omega_z", "theta_xx", "theta_yy", "theta_zz"]
+    assert (
+        float(table["error_rad"].sel(input="theta_zz").max()) < 1e-6
+    )  # negative control: it does not enter
+    assert table["input"].values.tolist() == [
+        "omega_x",
+        "omega_y",
+        "omega_z",
+        "theta_xx",
+        "theta_yy",
+        "theta_zz",
+    ]
 
 
 def test_friction_makes_the_error_grow_with_the_square():
@@ -105,17 +135,27 @@ def test_friction_makes_the_error_grow_with_the_square():
     table = gr.growth(gr.Motion.of(craft, [0, 0, 0], [1, 0, 0], 100.0, 600.0))
     late = table["time"].values[1:]
     angle = 1e-4 * late**2 / (2 * (3.0 - 0.01))
-    np.testing.assert_allclose(table["error_rad"].sel(input="mu_0").values[1:], angle, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(
+        table["error_rad"].sel(input="mu_0").values[1:], angle, rtol=1e-3, atol=1e-6
+    )
     assert float(table["power"].sel(input="mu_0")) == pytest.approx(2.0, abs=0.01)
 
 
 def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
     """Plain spin, Sun across it: E = (1 - sinc) / 2 of change times window, half its depth at about 1.9 rad."""
     motion = gr.Motion.of(ROUND, [0.1, 0, 0], [0, 0.6, 0.8], None, 400.0)
-    motion = gr.Motion(Vehicle("ball", np.eye(3), panels=FACES), motion.omega_B, motion.sun_B, motion.wheel_speed_rad_s, 400.0)
+    motion = gr.Motion(
+        Vehicle("ball", np.eye(3), panels=FACES),
+        motion.omega_B,
+        motion.sun_B,
+        motion.wheel_speed_rad_s,
+        400.0,
+    )
     valley = gr.valleys(motion, np.linspace(-0.05, 0.05, 2001), [200.0, 400.0], 2.0)
     x = valley["change"].values[:, None] * np.arange(0.0, 400.1, 2.0)
-    np.testing.assert_allclose(valley.sel(window=400.0).values, (1 - np.cos(x).mean(axis=1)) / 2, atol=1e-3)
+    np.testing.assert_allclose(
+        valley.sel(window=400.0).values, (1 - np.cos(x).mean(axis=1)) / 2, atol=1e-3
+    )
     wide, narrow = gr.valley_width(valley)
     assert wide / narrow == pytest.approx(2.0, abs=0.1)
 
@@ -123,12 +163,17 @@ def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
 def test_one_percent_moves_e_and_not_emd(result):
     """Paper, section 2.3; PHYSICS: 180 to 2000 rad per rad/s at 45 min; the printed start allows no E below 0.0177."""
     rows = {row.id: row for row in sensitivity.rows(result)}
-    assert rows["one_percent_E"].agrees and rows["one_percent_emd"].agrees and rows["phase_growth"].agrees
+    assert (
+        rows["one_percent_E"].agrees
+        and rows["one_percent_emd"].agrees
+        and rows["phase_growth"].agrees
+    )
     assert rows["one_percent_E"].ours > 20 * rows["one_percent_emd"].ours
     per_rate = [
         float(table["error_rad"].sel(input=n).isel(time=-1)) / table.attrs["angular_speed_rad_s"]
-        for table in result.growth for n in gr.RATES
-    ]  # fmt: skip
+        for table in result.growth
+        for n in gr.RATES
+    ]
     assert 180 < min(per_rate) < 600 and 1500 < max(per_rate) < 2200
     assert rows["E_study_bound"].ours == pytest.approx(0.0177, abs=5e-5)
     assert rows["valley_width"].ours[-1] < CASE.published["scan_step"].value / 3
@@ -136,10 +181,18 @@ def test_one_percent_moves_e_and_not_emd(result):
 
 
 def test_one_percent_is_the_larger_of_more_and_less():
-    motion, t = gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0), np.arange(0.0, 121.0, 20.0)
-    both = [ss.direction_error(motion.changed("theta_xx", change).track(t), motion.track(t)) for change in (0.01, -0.01)]
+    motion, t = (
+        gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0),
+        np.arange(0.0, 121.0, 20.0),
+    )
+    both = [
+        ss.direction_error(motion.changed("theta_xx", change).track(t), motion.track(t))
+        for change in (0.01, -0.01)
+    ]
     assert max(both) > 1.001 * min(both)
-    assert gr.one_percent(motion, 20.0)["E"].sel(input="theta_xx").item() == pytest.approx(max(both), rel=1e-6)
+    assert gr.one_percent(motion, 20.0)["E"].sel(input="theta_xx").item() == pytest.approx(
+        max(both), rel=1e-6
+    )
 
 
 def test_the_map_has_the_axes_of_the_paper(result):
@@ -152,16 +205,28 @@ def test_the_map_has_the_axes_of_the_paper(result):
 
 def test_the_maps_keep_the_length_of_the_quoted_start(result):
     """The lowest point of each map is E of one run from the start as quoted: E is linear in its length, which is 0.9646."""
-    quoted, measured = np.array(CASE.published["first_sun_E_study"].value), rb.rebound_samples(CASE, SUN)["sun_B"].dropna("time")
+    quoted, measured = (
+        np.array(CASE.published["first_sun_E_study"].value),
+        rb.rebound_samples(CASE, SUN)["sun_B"].dropna("time"),
+    )
     length = np.linalg.norm(quoted)
-    rates, parameters = (values[values.argmin(values.dims)] for values in (result.rates, result.parameters))
+    rates, parameters = (
+        values[values.argmin(values.dims)] for values in (result.rates, result.parameters)
+    )
     other = CASE.vehicle
     for name in parameters.coords:
         other = em.varied(other, name, float(parameters[name]))
     start = [float(rates[name]) for name in ("omega_x", "omega_y", "omega_z")]
-    for lowest, craft, omega in ((rates, CASE.vehicle, start), (parameters, other, CASE.published["E_study_omega"].value)):
-        run = ss.propagate(craft, omega, quoted / length, rb.nominal_speed(CASE.vehicle), measured["time"].values)
-        assert float(lowest) == pytest.approx(ss.direction_error(length * run["sun_B"].values, measured.values), abs=1e-4)
+    for lowest, craft, omega in (
+        (rates, CASE.vehicle, start),
+        (parameters, other, CASE.published["E_study_omega"].value),
+    ):
+        run = ss.propagate(
+            craft, omega, quoted / length, rb.nominal_speed(CASE.vehicle), measured["time"].values
+        )
+        assert float(lowest) == pytest.approx(
+            ss.direction_error(length * run["sun_B"].values, measured.values), abs=1e-4
+        )
 
 
 def test_valleys_are_counted_along_both_axes():

@@ -46,13 +46,21 @@ changes = "Nothing."
 
 
 def strings(tree: ast.AST) -> set[str]:
-    return {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    return {
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
 
 
 def asked_for() -> set[str]:
     """Names that calls of `row` spell out."""
     calls = [node for tree in CODE for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    second = [call.args[1] for call in calls if isinstance(call.func, ast.Name) and call.func.id == "row" and len(call.args) > 2]
+    second = [
+        call.args[1]
+        for call in calls
+        if isinstance(call.func, ast.Name) and call.func.id == "row" and len(call.args) > 2
+    ]
     return set().union(*(strings(name) for name in second if isinstance(name, ast.Constant)))
 
 
@@ -67,13 +75,21 @@ def test_each_table_is_used_and_each_row_has_one():
     said = set().union(*map(strings, CODE))
     inputs = {name for name, table in TABLES.items() if "input" in table.values}
     assert len(asked_for()) > 80 and asked_for() <= set(TABLES)
-    assert set(TABLES) - inputs <= said and inputs <= set(CASE.published) and not inputs & asked_for()
-    assert {key for table in TABLES.values() for key in table.texts if key.startswith("note_")} <= said
+    assert (
+        set(TABLES) - inputs <= said and inputs <= set(CASE.published) and not inputs & asked_for()
+    )
+    assert {
+        key for table in TABLES.values() for key in table.texts if key.startswith("note_")
+    } <= said
 
 
 def test_each_table_says_what_a_row_needs():
     for name, table in TABLES.items():
-        assert {"what", "unit", "place"} <= set(table.texts) or name in CASE.published or name == "line", name
+        assert (
+            {"what", "unit", "place"} <= set(table.texts)
+            or name in CASE.published
+            or name == "line"
+        ), name
         assert table.is_statement == name.startswith(STATEMENT), name
 
 
@@ -88,14 +104,25 @@ def test_texts_are_filled_and_numbers_judged(case):
 
 def test_ours_may_be_bounded_from_above(case):
     made = rw.row(case, "grows", [0.0, 0.1])
-    assert made.agrees is True and made.tolerance == 0.1 and made.note == "" and made.source == "elsewhere"
+    assert (
+        made.agrees is True
+        and made.tolerance == 0.1
+        and made.note == ""
+        and made.source == "elsewhere"
+    )
     assert rw.row(case, "grows", [0.0, 0.11]).agrees is False
     assert rw.row(case, "grows", None, tolerance=None).agrees is None
 
 
 def test_a_statement_stands_or_not_and_never_agrees(case):
     made = rw.row(case, "contradiction_turns", 3.0)
-    assert made.agrees is None and made.holds is False and made.weak and made.kind == "arithmetic" and made.chain == "none"
+    assert (
+        made.agrees is None
+        and made.holds is False
+        and made.weak
+        and made.kind == "arithmetic"
+        and made.chain == "none"
+    )
     assert made.note == "The paper: It turns. Read otherwise: It may. Changes: Nothing."
 
 
@@ -118,12 +145,12 @@ def test_what_does_not_fit_its_table_is_refused(case, name, given, message):
     [
         ("[a\n", "not valid TOML"),
         ("a = 1\n", "rows.toml, a: .*a row is a table"),
-        ("[a]\nnotes = \"x\"\n", "rows.toml, a: .*no such key.*notes"),
+        ('[a]\nnotes = "x"\n', "rows.toml, a: .*no such key.*notes"),
         ("[a]\nnote = 3\n", "rows.toml, a: note is not of the kind"),
-        ("[a]\nwhat = \"\"\n", "rows.toml, a: what is not of the kind"),
-        ("[a]\ntolerance = \"wide\"\n", "rows.toml, a: tolerance is not of the kind"),
-        ("[a]\nsentence = \"x\"\n", "rows.toml, a: .*also needs other_reading and changes"),
-        ("[a]\nnote = \"{x\"\n", "rows.toml, a: braces do not enclose a field"),
+        ('[a]\nwhat = ""\n', "rows.toml, a: what is not of the kind"),
+        ('[a]\ntolerance = "wide"\n', "rows.toml, a: tolerance is not of the kind"),
+        ('[a]\nsentence = "x"\n', "rows.toml, a: .*also needs other_reading and changes"),
+        ('[a]\nnote = "{x"\n', "rows.toml, a: braces do not enclose a field"),
     ],
 )
 def test_a_slip_in_the_file_is_one_sentence(text, message):
@@ -132,6 +159,10 @@ def test_a_slip_in_the_file_is_one_sentence(text, message):
 
 
 def test_a_row_without_a_needed_text_is_refused(monkeypatch):
-    monkeypatch.setattr(rw, "templates", lambda case: tp.parse_templates('[a]\nwhat = "x"\nunit = "1"\n', "rows.toml"))
+    monkeypatch.setattr(
+        rw,
+        "templates",
+        lambda case: tp.parse_templates('[a]\nwhat = "x"\nunit = "1"\n', "rows.toml"),
+    )
     with pytest.raises(InputError, match=r"rows.toml, a: the row lacks a field \('place'\)"):
         rw.row(CASE, "a", 1.0)

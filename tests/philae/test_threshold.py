@@ -18,7 +18,10 @@ from sunspin.philae.reading_noise import dark_sigma, with_own_noise
 from sunspin.philae.twin_philae import CELL_W
 from sunspin.telemetry.sun import sun_directions
 
-CASE, NOISE = with_own_noise(ss.load_case("philae"), carries.whole_panels(ss.load_case("philae"), ss.load_case("philae").telemetry))
+CASE, NOISE = with_own_noise(
+    ss.load_case("philae"),
+    carries.whole_panels(ss.load_case("philae"), ss.load_case("philae").telemetry),
+)
 REBOUND = rb.rebound_of(CASE, sun_directions(CASE.vehicle, CASE.telemetry))
 
 
@@ -29,7 +32,9 @@ def table():
 
 def made(n, seed):
     rng = np.random.default_rng(seed)
-    return th.Calibration("key", 0, rng.gamma(2.0, size=n), np.exp(rng.normal(-4, 0.3, n)), np.full(n, 16.0), "here")
+    return th.Calibration(
+        "key", 0, rng.gamma(2.0, size=n), np.exp(rng.normal(-4, 0.3, n)), np.full(n, 16.0), "here"
+    )
 
 
 @pytest.mark.evidence("reproduce", "verified", "order statistics of 4,000 drawn calibrations")
@@ -44,7 +49,9 @@ def test_a_factor_holds_a_further_truth_as_often_as_it_says(reached):
 
 def test_an_unusually_large_emd_is_noticed_and_a_usual_one_is_not():
     found = made(60, 1)
-    assert not any(found.unusual(x) for x in found.emd_min) and found.unusual(10 * found.emd_min.max())
+    assert not any(found.unusual(x) for x in found.emd_min) and found.unusual(
+        10 * found.emd_min.max()
+    )
     assert found.share_as_large(0.0) == 1 and found.share_as_large(1.0) == 0
 
 
@@ -62,9 +69,14 @@ def test_fresh_truths_lie_in_the_calibrated_set(table, reached):
 def test_rebounds_of_a_calibration_have_panels_that_stand_off_where_the_file_says_so():
     """The same truths and the same first direction as measured; what follows is seen elsewhere, by some of 0.09 rad."""
     case = rb.with_telemetry(replace(CASE, vehicle=as_drawn(CASE.vehicle)), CASE.telemetry)
-    drawn, turned = (list(th._block(rebound, np.arange(6), 0)) for rebound in (replace(REBOUND, case=case), REBOUND))
+    drawn, turned = (
+        list(th._block(rebound, np.arange(6), 0))
+        for rebound in (replace(REBOUND, case=case), REBOUND)
+    )
     for one, other in zip(drawn, turned, strict=True):
-        assert np.array_equal(one.omega_B, other.omega_B) and np.array_equal(one.seen_B[0], other.seen_B[0])
+        assert np.array_equal(one.omega_B, other.omega_B) and np.array_equal(
+            one.seen_B[0], other.seen_B[0]
+        )
         assert 1e-3 < abs(one.seen_B[1:, 2].mean() - other.seen_B[1:, 2].mean()) < 0.3
 
 
@@ -73,10 +85,14 @@ def test_the_key_is_that_of_the_data(table):
     own, keys = th.key_of(REBOUND, table), set()
     assert th.key_of(REBOUND, table) == own
     noisier = REBOUND.samples.assign_attrs(noise=0.2)
-    later = REBOUND.samples.assign_coords(time=REBOUND.samples["time"] + np.arange(REBOUND.samples.sizes["time"]))
+    later = REBOUND.samples.assign_coords(
+        time=REBOUND.samples["time"] + np.arange(REBOUND.samples.sizes["time"])
+    )
     fewer = REBOUND.samples.copy(deep=True)
     fewer["status"].values[5] = 6
-    heavier = replace(CASE, vehicle=replace(CASE.vehicle, inertia_kg_m2=1.01 * CASE.vehicle.inertia_kg_m2))
+    heavier = replace(
+        CASE, vehicle=replace(CASE.vehicle, inertia_kg_m2=1.01 * CASE.vehicle.inertia_kg_m2)
+    )
     heavier.__dict__["telemetry"] = CASE.telemetry
     for samples in (noisier, later, fewer):
         keys.add(th.key_of(replace(REBOUND, samples=samples), table))
@@ -91,10 +107,18 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     path = CASE.folder / th.SHIPPED
     shipped = th.from_json(path.read_text("utf-8"), str(path), "shipped with the case")
     assert shipped.n == 400 and 4.0 < shipped.factor()[0] < 5.1
-    assert np.mean(shipped.ratio < 3.04) < 0.8  # the factor of panels as drawn, with which nine of ten were held
-    grid = Start.on_grid(CASE.vehicle, list(rb.grid(CASE).values()), REBOUND.sun_B, rb.nominal_speed(CASE.vehicle))
-    whole = Table(HistogramRows(CASE.vehicle, grid, REBOUND.window_s), np.zeros((0, 1)), np.zeros(0))
-    assert th.key_of(REBOUND, whole) == shipped.key, "the built-in telemetry needs another calibration: threshold.ship"
+    assert (
+        np.mean(shipped.ratio < 3.04) < 0.8
+    )  # the factor of panels as drawn, with which nine of ten were held
+    grid = Start.on_grid(
+        CASE.vehicle, list(rb.grid(CASE).values()), REBOUND.sun_B, rb.nominal_speed(CASE.vehicle)
+    )
+    whole = Table(
+        HistogramRows(CASE.vehicle, grid, REBOUND.window_s), np.zeros((0, 1)), np.zeros(0)
+    )
+    assert th.key_of(REBOUND, whole) == shipped.key, (
+        "the built-in telemetry needs another calibration: threshold.ship"
+    )
     assert th.calibration(CASE, REBOUND, table, 0) is None  # another grid: another key
     monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
     assert th.calibration(CASE, REBOUND, table, 0).source == "shipped with the case"
@@ -106,7 +130,11 @@ def test_a_file_of_a_calibration_can_be_read_again():
     again = th.from_json(th.to_json(found), "here", "here")
     np.testing.assert_allclose(again.ratio, found.ratio, rtol=1e-5)
     assert again.key == found.key and again.n == 40
-    for text in ("{}", "no", '{"key": "a", "seed": 0, "ratio": [1], "emd_min": [], "directions": [1]}'):
+    for text in (
+        "{}",
+        "no",
+        '{"key": "a", "seed": 0, "ratio": [1], "emd_min": [], "directions": [1]}',
+    ):
         with pytest.raises(InputError, match="no calibration of a threshold"):
             th.from_json(text, "here", "here")
 
@@ -121,7 +149,11 @@ def test_synthetic_rebounds_are_the_same_alone_and_in_company():
 
 def test_brightness_and_noise_are_those_that_the_telemetry_was_made_with():
     assert th._scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
-    assert NOISE.lit == pytest.approx(0.09, rel=0.15) and NOISE.dark == 0 and NOISE.lit_threshold == 0.001
+    assert (
+        NOISE.lit == pytest.approx(0.09, rel=0.15)
+        and NOISE.dark == 0
+        and NOISE.lit_threshold == 0.001
+    )
 
 
 @pytest.mark.parametrize("kind", ["both signs", "cut at zero", "size only"])
@@ -131,7 +163,9 @@ def test_noise_on_dark_panels_lights_none(kind):
     data, rng = case.telemetry.copy(deep=True), np.random.default_rng(0)
     power = data["power_W"].values
     noise = 0.02 * rng.standard_normal(power.shape)
-    noise = {"both signs": noise, "cut at zero": np.maximum(noise, 0), "size only": np.abs(noise)}[kind]
+    noise = {"both signs": noise, "cut at zero": np.maximum(noise, 0), "size only": np.abs(noise)}[
+        kind
+    ]
     data["power_W"].values[:] = np.where(power == 0, noise, power)
     sigma, count = dark_sigma(case.vehicle, data["power_W"].values)
     assert sigma == pytest.approx(0.02, rel=0.35) and count > 50
@@ -162,12 +196,25 @@ def test_what_a_calibration_depends_on_is_in_its_key():
         case = rb.with_telemetry(ss.load_case("philae", changes), CASE.telemetry)
         case = with_own_noise(case, carries.whole_panels(case, case.telemetry))[0]
         rebound = rb.rebound_of(case, ss.sun_directions(case.vehicle, case.telemetry))
-        start = Start.on_grid(case.vehicle, list(rb.grid(case).values()), rebound.sun_B, rb.nominal_speed(case.vehicle))
+        start = Start.on_grid(
+            case.vehicle,
+            list(rb.grid(case).values()),
+            rebound.sun_B,
+            rb.nominal_speed(case.vehicle),
+        )
         return th.key_of(rebound, SimpleNamespace(rows=SimpleNamespace(start=start)))
 
     assert key() == shipped == key("collision.restitution=0.3", "study.confidence=0.8")
     assert key("body.mass_kg*=0.9", "leg[2].tip_B_m[0]+=0.1") == shipped
-    others = ["wheel.speed_rad_s=833", "body.inertia_kg_m2[2][2]*=0.99", "wheel.friction=printed", "study.lead_s=30",
-              "study.mask=everywhere", "study.target_weights=interval", "panel[6].gain*=1.05", "telemetry.noise=0.1"]  # fmt: skip
+    others = [
+        "wheel.speed_rad_s=833",
+        "body.inertia_kg_m2[2][2]*=0.99",
+        "wheel.friction=printed",
+        "study.lead_s=30",
+        "study.mask=everywhere",
+        "study.target_weights=interval",
+        "panel[6].gain*=1.05",
+        "telemetry.noise=0.1",
+    ]
     keys = {key(change) for change in others}
     assert len(keys) == len(others) and shipped not in keys

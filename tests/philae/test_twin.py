@@ -41,22 +41,38 @@ def free_flight():
 @pytest.mark.evidence("twin", "verified", "the file that comes with the package")
 def test_the_committed_file_follows_from_its_seed(made):
     # the file holds 6 decimals and whole milliseconds
-    np.testing.assert_allclose(committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6)
+    np.testing.assert_allclose(
+        committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6
+    )
     np.testing.assert_allclose(committed["time"].values, made["time"].values, rtol=0, atol=1e-6)
     assert np.array_equal(phase, made["phase"].values)
     for key, value in truth.items():
         expected = made.attrs[f"truth_{key}"]
-        assert value == (expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-9, abs=1e-12))
+        assert value == (
+            expected if isinstance(expected, str) else pytest.approx(expected, rel=1e-9, abs=1e-12)
+        )
 
 
-@pytest.mark.evidence("twin", "verified", "the file that came with the package before, panels as drawn")
+@pytest.mark.evidence(
+    "twin", "verified", "the file that came with the package before, panels as drawn"
+)
 def test_the_former_file_follows_from_its_seed():
     again = philae_twin(FORMER_TRUTH["seed"], tilt_rad=0.0, turned_rad=0.0, rest_seen=False)
-    np.testing.assert_allclose(AS_DRAWN.telemetry["power_W"].values, again["power_W"].values, rtol=0, atol=0.51e-6)
-    assert "truth_tilt_B_rad" not in again.attrs and "--seed 16 telemetry.csv" in FORMER.read_text("utf-8")
-    free = is_reconstructed(SUN_AS_DRAWN["status"]) & np.isin(former_phase, ["descent", "first_rebound", "second_rebound"])
-    assert SUN_AS_DRAWN["delta"].values[free].mean() == pytest.approx(published["delta_mean"], abs=0.0015)
-    assert 14 <= is_reconstructed(SUN_AS_DRAWN["status"])[former_phase == "first_rebound"].sum() <= 17
+    np.testing.assert_allclose(
+        AS_DRAWN.telemetry["power_W"].values, again["power_W"].values, rtol=0, atol=0.51e-6
+    )
+    assert "truth_tilt_B_rad" not in again.attrs and "--seed 16 telemetry.csv" in FORMER.read_text(
+        "utf-8"
+    )
+    free = is_reconstructed(SUN_AS_DRAWN["status"]) & np.isin(
+        former_phase, ["descent", "first_rebound", "second_rebound"]
+    )
+    assert SUN_AS_DRAWN["delta"].values[free].mean() == pytest.approx(
+        published["delta_mean"], abs=0.0015
+    )
+    assert (
+        14 <= is_reconstructed(SUN_AS_DRAWN["status"])[former_phase == "first_rebound"].sum() <= 17
+    )
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_others(made):
@@ -82,10 +98,15 @@ def test_phases_are_those_of_the_timeline():
     first, last = published["descent_samples"]
     assert count["deployment"] == first - 1
     assert times[first - 1] == case.timeline.event("descent_fit_begins").t_s
-    assert (times[last - 1] - times[first - 1]) / 3600 == pytest.approx(published["descent_span"], abs=10 / 3600)
+    assert (times[last - 1] - times[first - 1]) / 3600 == pytest.approx(
+        published["descent_span"], abs=10 / 3600
+    )
     assert count["first_rebound"] in (22, 23)
     assert count["second_rebound"] == published["samples_after_collision"]
-    assert times[phase == "first_rebound"][0] == case.timeline.event("first_sample_after_touchdown").t_s
+    assert (
+        times[phase == "first_rebound"][0]
+        == case.timeline.event("first_sample_after_touchdown").t_s
+    )
 
 
 def test_sample_times_are_irregular_by_seconds():
@@ -112,16 +133,22 @@ def test_folded_legs_show_in_delta_and_height():
     assert np.all((sun["delta"].values[checked] > low) & (sun["delta"].values[checked] < high))
     assert sun["sun_B"].values[checked, 2].mean() == pytest.approx(published["nz_folded"], abs=0.05)
     descent = (phase == "descent") & is_reconstructed(sun["status"])
-    assert sun["sun_B"].values[descent, 2].mean() == pytest.approx(published["nz_descent"], abs=0.01)
+    assert sun["sun_B"].values[descent, 2].mean() == pytest.approx(
+        published["nz_descent"], abs=0.01
+    )
 
 
 def test_lit_patterns_are_possible_until_the_second_touchdown_and_panel_1_explains_those_after(sun):
-    expected = {tuple(str(panel) for panel in pattern) for pattern in published["lit_patterns_at_rest"]}
+    expected = {
+        tuple(str(panel) for panel in pattern) for pattern in published["lit_patterns_at_rest"]
+    }
     for data, found in ((committed, sun), (AS_DRAWN.telemetry, SUN_AS_DRAWN)):
         before = data["time"].values < case.timeline.event("second_touchdown").t_s
         assert not np.any(found["status"].values[before] == SunStatus.IMPOSSIBLE)
         health = ss.panel_health(vehicle, data)
-        assert set(health["impossible"]) <= expected and (data is committed or set(health["impossible"]) == expected)
+        assert set(health["impossible"]) <= expected and (
+            data is committed or set(health["impossible"]) == expected
+        )
         assert health["explanations"] == [(str(published["shadowed_panel"]),)]
 
 
@@ -138,9 +165,13 @@ def test_the_first_direction_after_the_touchdown_is_the_published_one(sun):
     expected = np.array(published["first_sun"])
     for found, at in ((sun, phase), (SUN_AS_DRAWN, former_phase)):
         i = np.flatnonzero(at == "first_rebound")[0]
-        np.testing.assert_allclose(found["sun_B"].values[i], expected / np.linalg.norm(expected), atol=1e-6)
+        np.testing.assert_allclose(
+            found["sun_B"].values[i], expected / np.linalg.norm(expected), atol=1e-6
+        )
     np.testing.assert_array_equal(FORMER_TRUTH["sun_B"], expected)
-    assert 0.01 < np.linalg.norm(np.array(truth["sun_B"]) - expected) < 0.35  # what turned panels show is not where the Sun stands
+    assert (
+        0.01 < np.linalg.norm(np.array(truth["sun_B"]) - expected) < 0.35
+    )  # what turned panels show is not where the Sun stands
 
 
 def test_the_true_rate_is_on_line_L3_and_turns_in_13_s_at_the_collision():
@@ -149,30 +180,46 @@ def test_the_true_rate_is_on_line_L3_and_turns_in_13_s_at_the_collision():
     assert np.linalg.norm(np.cross(offset, along)) < 1e-12
     times = [truth["t_s"], truth["collision_t_s"]]
     run = ss.propagate(vehicle, truth["omega_B"], truth["sun_B"], truth["wheel_speed_rad_s"], times)
-    assert 2 * np.pi / np.linalg.norm(run["omega_B"].values[-1]) == pytest.approx(SPIN_PERIOD_S, rel=1e-9)
-    np.testing.assert_allclose(run["omega_B"].values[-1], truth["collision_omega_before_B"], atol=1e-9)
+    assert 2 * np.pi / np.linalg.norm(run["omega_B"].values[-1]) == pytest.approx(
+        SPIN_PERIOD_S, rel=1e-9
+    )
+    np.testing.assert_allclose(
+        run["omega_B"].values[-1], truth["collision_omega_before_B"], atol=1e-9
+    )
 
 
 def test_the_collision_is_a_sticking_impact_at_the_published_speed_from_below():
     velocity = np.array(truth["collision_velocity_B"])
     assert np.linalg.norm(velocity) == pytest.approx(published["collision_speed"], rel=1e-12)
     assert velocity[2] < 0
-    after = ss.impact(vehicle, truth["collision_omega_before_B"], 0.0, velocity, truth["collision_leg"])
+    after = ss.impact(
+        vehicle, truth["collision_omega_before_B"], 0.0, velocity, truth["collision_leg"]
+    )
     np.testing.assert_allclose(after["omega_B"].values, truth["collision_omega_after_B"], atol=1e-9)
 
 
 def test_the_sun_is_continuous_through_the_collision_and_below_the_panels_after_it(made):
     t = made["time"].values
-    last, first = np.flatnonzero(phase == "first_rebound")[-1], np.flatnonzero(phase == "second_rebound")[0]
+    last, first = (
+        np.flatnonzero(phase == "first_rebound")[-1],
+        np.flatnonzero(phase == "second_rebound")[0],
+    )
     end, sun_B = truth["collision_t_s"], truth["collision_sun_B"]
     # the wheel has stopped before the last sample, so the way back to it knows no wheel
     back = ss.propagate(
-        vehicle, truth["collision_omega_before_B"], sun_B, 0.0, [end, t[last]], stopped_at_s=t[last] - 1
+        vehicle,
+        truth["collision_omega_before_B"],
+        sun_B,
+        0.0,
+        [end, t[last]],
+        stopped_at_s=t[last] - 1,
     )
     speed = truth["collision_wheel_speed_after_rad_s"]
     onward = ss.propagate(vehicle, truth["collision_omega_after_B"], sun_B, speed, [end, t[first]])
     np.testing.assert_allclose(back["sun_B"].values[-1], made["true_sun_B"].values[last], atol=1e-8)
-    np.testing.assert_allclose(onward["sun_B"].values[-1], made["true_sun_B"].values[first], atol=1e-8)
+    np.testing.assert_allclose(
+        onward["sun_B"].values[-1], made["true_sun_B"].values[first], atol=1e-8
+    )
     assert (made["true_sun_B"].values[phase == "second_rebound", 2] < 0).sum() >= 4
 
 
@@ -180,7 +227,9 @@ def test_without_noise_the_directions_come_back():
     clean = philae_twin(truth["seed"], noise=0.0, tilt_rad=0.0, turned_rad=0.0)
     found = ss.sun_directions(vehicle, clean)
     at = free_flight() & is_reconstructed(found["status"])
-    true = clean["true_sun_B"].values / np.linalg.norm(clean["true_sun_B"].values, axis=1, keepdims=True)
+    true = clean["true_sun_B"].values / np.linalg.norm(
+        clean["true_sun_B"].values, axis=1, keepdims=True
+    )
     assert at.sum() > 100
     np.testing.assert_allclose(found["sun_B"].values[at], true[at], rtol=0, atol=1e-9)
     assert np.abs(found["delta"].values[at]).max() < 1e-9
@@ -200,7 +249,11 @@ def tilted():
     return philae_twin(3, tilt_rad=np.radians(1.0), turned_rad=np.radians(5.0), rest_seen=True)
 
 
-@pytest.mark.evidence("twin", "modelled", "turned panels: the published first direction, forbidden patterns, directions at rest")
+@pytest.mark.evidence(
+    "twin",
+    "modelled",
+    "turned panels: the published first direction, forbidden patterns, directions at rest",
+)
 def test_a_landing_with_turned_panels_shows_what_flew(tilted):
     """Of turned panels the first direction is still what is shown; the truth lies behind it; no pattern becomes forbidden."""
     at, seen = tilted["phase"].values, ss.sun_directions(vehicle, tilted)
@@ -211,26 +264,50 @@ def test_a_landing_with_turned_panels_shows_what_flew(tilted):
     assert np.radians(0.5) < np.arccos(true @ expected) < np.radians(20)
     known = is_reconstructed(seen["status"])
     free = known & np.isin(at, ["descent", "first_rebound", "second_rebound"])
-    off = np.arccos(np.clip(np.sum(seen["sun_B"].values[free] * tilted["true_sun_B"].values[free], axis=1), -1, 1))
+    off = np.arccos(
+        np.clip(
+            np.sum(seen["sun_B"].values[free] * tilted["true_sun_B"].values[free], axis=1), -1, 1
+        )
+    )
     assert np.radians(2) < np.sqrt(np.mean(off**2)) < np.radians(20)
     delta = seen["delta"].values
     assert delta[free].mean() == pytest.approx(published["delta_mean"], abs=0.004)
     assert np.count_nonzero(known & (at == "rest")) == 5
     assert delta[known & (at == "rest")].min() > 3 * delta[free].mean()
     turns = tilted.attrs["truth_tilt_B_rad"].reshape(6, 3)
-    assert turns.std(axis=0).max() < np.radians(4) and np.linalg.norm(turns.mean(axis=0)) > np.radians(1)
+    assert turns.std(axis=0).max() < np.radians(4) and np.linalg.norm(
+        turns.mean(axis=0)
+    ) > np.radians(1)
 
 
 def test_the_command_says_how_the_panels_were_turned(tmp_path):
-    assert main(["--seed", "3", "--tilt", "1", "--turn", "5", "--no-rest-seen", str(tmp_path / "twin.csv")]) == 0
+    assert (
+        main(
+            [
+                "--seed",
+                "3",
+                "--tilt",
+                "1",
+                "--turn",
+                "5",
+                "--no-rest-seen",
+                str(tmp_path / "twin.csv"),
+            ]
+        )
+        == 0
+    )
     again = ss.read_telemetry(tmp_path / "twin.csv", vehicle)
     assert "--seed 3 --tilt 1 --turn 5 --no-rest-seen twin.csv" in again.attrs["comments"]
     known = tomllib.loads((tmp_path / "twin_truth.toml").read_text("utf-8"))
-    assert known["turned_sigma_rad"] == pytest.approx(np.radians(5)) and len(known["tilt_B_rad"]) == 18
+    assert (
+        known["turned_sigma_rad"] == pytest.approx(np.radians(5)) and len(known["tilt_B_rad"]) == 18
+    )
     with pytest.raises(ss.InputError, match="no Sun makes panels turned so far"):
         ss.twin(case, seed=0, turned_rad=2.0)
     with pytest.raises(ss.InputError, match="no options of the landing .found tilt_rad"):
-        ss.twin(case, {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}, tilt_rad=0.1)
+        ss.twin(
+            case, {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}, tilt_rad=0.1
+        )
 
 
 # ---- twins of any vehicle --------------------------------------------------------------------------------------------
@@ -241,7 +318,11 @@ def test_a_twin_of_any_vehicle_carries_its_truth_and_gives_it_back():
     normals = np.concatenate([np.eye(3), -np.eye(3)])
     faces = [Panel(str(k), normal, 2.0) for k, normal in enumerate(normals)]
     cube = Vehicle("cube", np.diag([0.01, 0.012, 0.015]), 1.0, panels=faces, gain_unit="W")
-    known = {"omega_B": [0.1, -0.05, 0.2], "sun_B": [0.0, 0.6, 0.8], "t_s": np.arange(0.0, 600.0, 7.0)}
+    known = {
+        "omega_B": [0.1, -0.05, 0.2],
+        "sun_B": [0.0, 0.6, 0.8],
+        "t_s": np.arange(0.0, 600.0, 7.0),
+    }
     telemetry = ss.twin(cube, known, seed=4)
     run = ss.propagate(cube, known["omega_B"], known["sun_B"], None, known["t_s"])
     np.testing.assert_array_equal(telemetry["true_sun_B"].values, run["sun_B"].values)
@@ -250,14 +331,18 @@ def test_a_twin_of_any_vehicle_carries_its_truth_and_gives_it_back():
     assert telemetry.attrs["truth_noise"] == 0.0
     noisy = ss.twin(cube, known | {"noise": 0.01}, seed=4)
     lit = telemetry["power_W"].values > 0.1
-    assert (noisy["power_W"].values - telemetry["power_W"].values)[lit].std() == pytest.approx(0.01, rel=0.2)
+    assert (noisy["power_W"].values - telemetry["power_W"].values)[lit].std() == pytest.approx(
+        0.01, rel=0.2
+    )
     assert np.all(noisy["power_W"].values[telemetry["power_W"].values == 0] == 0)
 
 
 def test_relative_gains_are_scaled_to_the_noise_of_the_vehicle():
     known = {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}
     telemetry = ss.twin(case, known, seed=0)
-    assert telemetry.attrs["truth_scale"] * 254 * NOISE_OF_LARGEST == pytest.approx(vehicle.telemetry.noise)
+    assert telemetry.attrs["truth_scale"] * 254 * NOISE_OF_LARGEST == pytest.approx(
+        vehicle.telemetry.noise
+    )
     assert telemetry.attrs["truth_wheel_speed_rad_s"].tolist() == [865.0]
 
 
@@ -291,7 +376,9 @@ def test_the_command_writes_the_committed_file_and_replaces_nothing_unasked(tmp_
     out = tmp_path / "telemetry.csv"
     assert main(["--seed", str(truth["seed"]), str(out)]) == 0
     again = ss.read_telemetry(out, vehicle)
-    np.testing.assert_allclose(again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6)
+    np.testing.assert_allclose(
+        again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6
+    )
     written = out.read_bytes()
     assert main(["--seed", "1", str(out)]) == 2
     assert "the file exists" in capsys.readouterr().err

@@ -24,14 +24,39 @@ from sunspin.solve.linear import (
     symmetric_product,
 )
 
-MISRA1A = np.array([
-    [10.07, 77.6], [14.73, 114.9], [17.94, 141.1], [23.93, 190.8], [29.61, 239.9], [35.18, 289.0], [40.02, 332.8], [44.82, 378.4],
-    [50.76, 434.8], [55.05, 477.3], [61.01, 536.8], [66.40, 593.1], [75.47, 689.1], [81.78, 760.0],
-])  # fmt: skip
-MGH09 = np.array([
-    [0.1957, 4.0], [0.1947, 2.0], [0.1735, 1.0], [0.1600, 0.5], [0.0844, 0.25], [0.0627, 0.167], [0.0456, 0.125], [0.0342, 0.1],
-    [0.0323, 0.0833], [0.0235, 0.0714], [0.0246, 0.0625],
-])  # fmt: skip
+MISRA1A = np.array(
+    [
+        [10.07, 77.6],
+        [14.73, 114.9],
+        [17.94, 141.1],
+        [23.93, 190.8],
+        [29.61, 239.9],
+        [35.18, 289.0],
+        [40.02, 332.8],
+        [44.82, 378.4],
+        [50.76, 434.8],
+        [55.05, 477.3],
+        [61.01, 536.8],
+        [66.40, 593.1],
+        [75.47, 689.1],
+        [81.78, 760.0],
+    ]
+)
+MGH09 = np.array(
+    [
+        [0.1957, 4.0],
+        [0.1947, 2.0],
+        [0.1735, 1.0],
+        [0.1600, 0.5],
+        [0.0844, 0.25],
+        [0.0627, 0.167],
+        [0.0456, 0.125],
+        [0.0342, 0.1],
+        [0.0323, 0.0833],
+        [0.0235, 0.0714],
+        [0.0246, 0.0625],
+    ]
+)
 
 
 def misra1a(b):
@@ -44,18 +69,24 @@ def mgh09(b):
     x, y = MGH09[:, 1], MGH09[:, 0]
     above, below = x**2 + b[:, 1:2] * x, x**2 + b[:, 2:3] * x + b[:, 3:]
     model, first = b[:, :1] * above / below, b[:, :1] / below
-    return model - y, np.stack([above / below, first * x, -model * x / below, -model / below], axis=-1)
+    return model - y, np.stack(
+        [above / below, first * x, -model * x / below, -model / below], axis=-1
+    )
 
 
 def rosenbrock(b):
     one, zero = np.ones(len(b)), np.zeros(len(b))
     residual = np.stack([10 * (b[:, 1] - b[:, 0] ** 2), 1 - b[:, 0]], axis=1)
-    return residual, np.stack([np.stack([-20 * b[:, 0], 10 * one], axis=1), np.stack([-one, zero], axis=1)], axis=1)
+    return residual, np.stack(
+        [np.stack([-20 * b[:, 0], 10 * one], axis=1), np.stack([-one, zero], axis=1)], axis=1
+    )
 
 
 def powell(b):
     w, x, y, z = b.T
-    residual = np.stack([w + 10 * x, np.sqrt(5) * (y - z), (x - 2 * y) ** 2, np.sqrt(10) * (w - z) ** 2], axis=1)
+    residual = np.stack(
+        [w + 10 * x, np.sqrt(5) * (y - z), (x - 2 * y) ** 2, np.sqrt(10) * (w - z) ** 2], axis=1
+    )
     one, zero, a, c = np.ones(len(b)), np.zeros(len(b)), 2 * (x - 2 * y), 2 * np.sqrt(10) * (w - z)
     second = [zero, zero, np.sqrt(5) * one, -np.sqrt(5) * one]
     rows = [[one, 10 * one, zero, zero], second, [zero, a, -2 * a, zero], [c, zero, zero, -c]]
@@ -64,21 +95,44 @@ def powell(b):
 
 def solved(function, starts, steps=400, tolerance=0.0, **options):
     return least_squares(
-        lambda b: Dense.of(*function(b)), lambda b, step: b + step, dense, np.array(starts, dtype=float), steps=steps,
-        tolerance=tolerance, **options,
-    )  # fmt: skip
+        lambda b: Dense.of(*function(b)),
+        lambda b, step: b + step,
+        dense,
+        np.array(starts, dtype=float),
+        steps=steps,
+        tolerance=tolerance,
+        **options,
+    )
 
 
-@pytest.mark.parametrize("function, starts, certified, deviations, squares", [
-    (misra1a, [[500, 1e-4], [250, 5e-4]], [2.3894212918e2, 5.5015643181e-4], [2.7070075241, 7.2668688436e-6], 1.2455138894e-1),
-    (mgh09, [[25, 39, 41.5, 39], [0.25, 0.39, 0.415, 0.39]],
-     [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
-     [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2], 3.0750560385e-4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "function, starts, certified, deviations, squares",
+    [
+        (
+            misra1a,
+            [[500, 1e-4], [250, 5e-4]],
+            [2.3894212918e2, 5.5015643181e-4],
+            [2.7070075241, 7.2668688436e-6],
+            1.2455138894e-1,
+        ),
+        (
+            mgh09,
+            [[25, 39, 41.5, 39], [0.25, 0.39, 0.415, 0.39]],
+            [1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1],
+            [1.1435312227e-2, 1.9633220911e-1, 8.0842031232e-2, 9.0025542308e-2],
+            3.0750560385e-4,
+        ),
+    ],
+)
 def test_certified_values_of_nist(function, starts, certified, deviations, squares):
     found = solved(function, starts)
     free = len(function(np.array([certified]))[0][0]) - len(certified)
-    sigma = np.sqrt(2 * found.system.cost[:, None] / free * np.einsum("kii->ki", np.linalg.inv(found.system.matrix)))
+    sigma = np.sqrt(
+        2
+        * found.system.cost[:, None]
+        / free
+        * np.einsum("kii->ki", np.linalg.inv(found.system.matrix))
+    )
     assert found.state == pytest.approx(np.tile(certified, (2, 1)), rel=1e-6)
     assert sigma == pytest.approx(np.tile(deviations, (2, 1)), rel=1e-6)
     assert 2 * found.system.cost == pytest.approx(squares, rel=1e-9)
@@ -86,7 +140,9 @@ def test_certified_values_of_nist(function, starts, certified, deviations, squar
 
 
 def test_a_bent_valley_and_a_singular_minimum():
-    assert solved(rosenbrock, [[-1.2, 1.0], [1.2, 1.2]]).state == pytest.approx(np.ones((2, 2)), abs=1e-9)
+    assert solved(rosenbrock, [[-1.2, 1.0], [1.2, 1.2]]).state == pytest.approx(
+        np.ones((2, 2)), abs=1e-9
+    )
     flat = solved(powell, [[3.0, -1.0, 0.0, 1.0]], steps=60)
     assert np.abs(flat.state).max() < 1e-6 and flat.system.cost[0] < 1e-20
 
@@ -94,17 +150,25 @@ def test_a_bent_valley_and_a_singular_minimum():
 def test_a_batch_is_each_alone_bit_for_bit():
     starts = np.random.default_rng(0).uniform(-3, 3, (40, 2))
     together = solved(rosenbrock, starts, tolerance=1e-6)
-    halted = [solved(rosenbrock, starts, steps=n, tolerance=1e-6).stop == Stop.STEPS for n in (5, 15, 30)]
-    assert 0 < halted[2].sum() < halted[1].sum() <= halted[0].sum()  # they do stop at different times
+    halted = [
+        solved(rosenbrock, starts, steps=n, tolerance=1e-6).stop == Stop.STEPS for n in (5, 15, 30)
+    ]
+    assert (
+        0 < halted[2].sum() < halted[1].sum() <= halted[0].sum()
+    )  # they do stop at different times
     for i in range(len(starts)):
         alone = solved(rosenbrock, starts[i : i + 1], tolerance=1e-6)
-        assert np.array_equal(alone.state[0], together.state[i]) and alone.stop[0] == together.stop[i]
+        assert (
+            np.array_equal(alone.state[0], together.state[i]) and alone.stop[0] == together.stop[i]
+        )
         assert np.array_equal(alone.system.matrix[0], together.system.matrix[i])
 
 
 def test_more_steps_change_nothing_once_all_have_stopped():
     starts = np.random.default_rng(1).uniform(-3, 3, (10, 2))
-    assert np.array_equal(solved(rosenbrock, starts).state, solved(rosenbrock, starts, steps=4000).state)
+    assert np.array_equal(
+        solved(rosenbrock, starts).state, solved(rosenbrock, starts, steps=4000).state
+    )
 
 
 class Chain(NamedTuple):
@@ -117,10 +181,15 @@ class Chain(NamedTuple):
 
     @classmethod
     def drawn(cls, rng, k, nodes=5):
-        return cls(*(rng.normal(size=(nodes - 1, 6, m)) for m in (2, 2, 3)), rng.normal(size=(k, nodes - 1, 6)))
+        return cls(
+            *(rng.normal(size=(nodes - 1, 6, m)) for m in (2, 2, 3)),
+            rng.normal(size=(k, nodes - 1, 6)),
+        )
 
     def value(self, node, error):
-        line = np.einsum("nmi,kni->knm", self.first, node[:, :-1]) + np.einsum("nmi,kni->knm", self.second, node[:, 1:])
+        line = np.einsum("nmi,kni->knm", self.first, node[:, :-1]) + np.einsum(
+            "nmi,kni->knm", self.second, node[:, 1:]
+        )
         line = line + np.einsum("nmi,ki->knm", self.shared, error)
         return line + 0.1 * np.sin(line) - self.target, 1 + 0.1 * np.cos(line)
 
@@ -128,22 +197,33 @@ class Chain(NamedTuple):
         value, bend = self.value(*state)
         a, b, c = (bend[..., None] * part for part in (self.first, self.second, self.shared))
         k, n = state[0].shape[:2]
-        diagonal, slope, border = np.zeros((k, n, 2, 2)), np.zeros((k, n, 2)), np.zeros((k, n, 2, 3))
+        diagonal, slope, border = (
+            np.zeros((k, n, 2, 2)),
+            np.zeros((k, n, 2)),
+            np.zeros((k, n, 2, 3)),
+        )
         for place, part in ((slice(None, -1), a), (slice(1, None), b)):
             diagonal[:, place] += np.einsum("knmi,knmj->knij", part, part)
             slope[:, place] += np.einsum("knmi,knm->kni", part, value)
             border[:, place] += np.einsum("knmi,knmj->knij", part, c)
         cost = (value**2).sum(axis=(1, 2)) / 2 + (state[1] ** 2).sum(axis=1) / 2
-        upper, corner = np.einsum("knmi,knmj->knij", a, b), np.einsum("knmi,knmj->kij", c, c) + np.eye(3)
+        upper, corner = (
+            np.einsum("knmi,knmj->knij", a, b),
+            np.einsum("knmi,knmj->kij", c, c) + np.eye(3),
+        )
         downhill = np.einsum("knmi,knm->ki", c, value) + state[1]
         return Bordered(cost, diagonal, upper, slope, np.ones((k, 2)), border, corner, downhill)
 
     def fitted(self):
         k, n = self.target.shape[0], self.target.shape[1] + 1
         return least_squares(
-            lambda s: Chain(*self[:3], s[2]).bordered(s[:2]), lambda s, step: (s[0] + step[0], s[1] + step[1], s[2]), bordered,
-            (np.zeros((k, n, 2)), np.zeros((k, 3)), self.target), steps=50, tolerance=1e-14,
-        )  # fmt: skip
+            lambda s: Chain(*self[:3], s[2]).bordered(s[:2]),
+            lambda s, step: (s[0] + step[0], s[1] + step[1], s[2]),
+            bordered,
+            (np.zeros((k, n, 2)), np.zeros((k, 3)), self.target),
+            steps=50,
+            tolerance=1e-14,
+        )
 
 
 def whole(system, damping):
@@ -175,14 +255,23 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
     assert np.abs(off).max() < 1e-10
     matrix, told = whole(system, 0.0)[0], spread(system)
     inverse = np.linalg.inv(matrix)
-    assert np.abs(told.nodes[0] - np.array([inverse[i : i + 2, i : i + 2] for i in range(0, 10, 2)])).max() < 1e-10
+    assert (
+        np.abs(
+            told.nodes[0] - np.array([inverse[i : i + 2, i : i + 2] for i in range(0, 10, 2)])
+        ).max()
+        < 1e-10
+    )
     assert np.abs(told.border[0] - inverse[10:, 10:]).max() < 1e-10
     assert told.log_size[0] == pytest.approx(np.linalg.slogdet(matrix)[1])
-    assert told.answer[0].reshape(10, 3) == pytest.approx(-np.linalg.solve(matrix[:10, :10], matrix[:10, 10:]))
+    assert told.answer[0].reshape(10, 3) == pytest.approx(
+        -np.linalg.solve(matrix[:10, :10], matrix[:10, 10:])
+    )
     bare = system._replace(border=None, corner=None, border_slope=None)
     (change, step), _ = bordered(bare, np.full(3, 0.3))
     assert step is None
-    assert change[0].ravel() == pytest.approx(np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10]))
+    assert change[0].ravel() == pytest.approx(
+        np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10])
+    )
     assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
 
 
@@ -193,7 +282,9 @@ def test_chains_of_a_batch_are_each_alone_bit_for_bit():
     assert np.abs(whole(found.system, 0.0)[1]).max() < 1e-6  # no slope is left
     for i in range(6):
         alone = chain._replace(target=chain.target[i : i + 1]).fitted()
-        for part, every in zip((*alone.state, *alone.system), (*found.state, *found.system), strict=True):
+        for part, every in zip(
+            (*alone.state, *alone.system), (*found.state, *found.system), strict=True
+        ):
             assert np.array_equal(part[0], every[i])
 
 
@@ -205,7 +296,9 @@ def test_what_cannot_be_linearised_is_stepped_back_from():
             return Dense.of(np.log(x) - 3, np.where(x == 5.0, np.nan, 1 / x)[..., None])
 
     start = np.array([[0.01], [200.0], [-1.0], [5.0]])
-    found = least_squares(linearise, lambda x, step: x + step, dense, start, steps=200, tolerance=1e-20)
+    found = least_squares(
+        linearise, lambda x, step: x + step, dense, start, steps=200, tolerance=1e-20
+    )
     assert found.state[:2, 0] == pytest.approx(np.exp([3, 3]), rel=1e-8)
     assert found.state[2, 0] == -1.0 and found.stop[2] == Stop.LOST
     assert found.state[3, 0] == 5.0 and found.stop[3] == Stop.STUCK
@@ -225,14 +318,24 @@ def test_no_state_is_beyond_its_limit_and_no_step_too_long():
         return Dense.of(*rosenbrock(b))
 
     found = least_squares(
-        linearise, lambda b, step: b + step, dense, np.array([[-0.4, 0.1], [0.1, 0.1]]), steps=300, tolerance=0.0,
-        limit=lambda b: shortened(b, 0.5), longest=lambda b, step: np.linalg.norm(step, axis=1) / 0.05,
-    )  # fmt: skip
+        linearise,
+        lambda b, step: b + step,
+        dense,
+        np.array([[-0.4, 0.1], [0.1, 0.1]]),
+        steps=300,
+        tolerance=0.0,
+        limit=lambda b: shortened(b, 0.5),
+        longest=lambda b, step: np.linalg.norm(step, axis=1) / 0.05,
+    )
     assert max(np.linalg.norm(b, axis=1).max() for b in seen) <= 0.5 * (1 + 1e-15)
     assert max(np.abs(seen[k + 1] - seen[0]).max() for k in range(4)) <= 4 * 0.05
     angle = np.linspace(0, 2 * np.pi, 1_000_001)
-    ring = (rosenbrock(0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1))[0] ** 2).sum(axis=1).min() / 2
-    assert found.system.cost == pytest.approx([ring, ring], rel=0.02)  # the least on the limit, nearly: the step is not along it
+    ring = (rosenbrock(0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1))[0] ** 2).sum(
+        axis=1
+    ).min() / 2
+    assert found.system.cost == pytest.approx(
+        [ring, ring], rel=0.02
+    )  # the least on the limit, nearly: the step is not along it
 
 
 def test_nothing_that_is_handed_in_is_changed_and_no_problem_is_none():
@@ -249,16 +352,25 @@ def test_extreme_eigenvalues_are_those_of_lapack():
     axes = np.linalg.qr(root)[0]
     moments = ([2.0, 2.0, 2.0], [1.0, 1.0, 3.0], [1.0, 3.0, 3.0], [1.0, 1 + 1e-9, 2.0])
     alike = [axes * some @ axes.swapaxes(1, 2) for some in moments]
-    for matrix, allowed in ((root @ root.swapaxes(1, 2), 1e-13), *((each, 1e-8) for each in alike), (np.zeros((1, 3, 3)), 0.0)):
+    for matrix, allowed in (
+        (root @ root.swapaxes(1, 2), 1e-13),
+        *((each, 1e-8) for each in alike),
+        (np.zeros((1, 3, 3)), 0.0),
+    ):
         expected = np.linalg.eigvalsh(matrix)
-        for found, wanted in zip(extreme_eigenvalues(matrix), (expected[:, 0], expected[:, 2]), strict=True):
+        for found, wanted in zip(
+            extreme_eigenvalues(matrix), (expected[:, 0], expected[:, 2]), strict=True
+        ):
             assert np.abs(found - wanted).max() <= allowed * max(np.abs(expected).max(), 1e-300)
 
 
 def test_symmetric_inverses_are_those_of_lapack():
     """Bodies whose moments differ by up to a thousand, in any axes; and a product with the inverse undoes the matrix."""
     rng = np.random.default_rng(6)
-    axes, moments = np.linalg.qr(rng.normal(size=(2, 500, 3, 3)))[0], 10.0 ** rng.uniform(-1.5, 1.5, (2, 500, 3))
+    axes, moments = (
+        np.linalg.qr(rng.normal(size=(2, 500, 3, 3)))[0],
+        10.0 ** rng.uniform(-1.5, 1.5, (2, 500, 3)),
+    )
     matrix = axes * moments[:, :, None] @ axes.swapaxes(-1, -2)
     inverse = symmetric_inverse(matrix)
     whole = inverse[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
@@ -267,4 +379,6 @@ def test_symmetric_inverses_are_those_of_lapack():
     assert np.all(np.abs(whole - np.linalg.inv(matrix)).max(axis=(-1, -2)) < 1e-13 * worst)
     vector = rng.normal(size=(2, 500, 3))
     back = symmetric_product(inverse, (matrix @ vector[..., None])[..., 0])
-    assert np.all(np.abs(back - vector).max(axis=-1) < 1e-12 * moments.max(axis=-1) / moments.min(axis=-1))
+    assert np.all(
+        np.abs(back - vector).max(axis=-1) < 1e-12 * moments.max(axis=-1) / moments.min(axis=-1)
+    )

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.solve.rotations import cross_matrix, matrix_of, moved, seen_turned, smallest_turn, tangents, turn, turn_between
+from sunspin.solve.rotations import (
+    cross_matrix,
+    matrix_of,
+    moved,
+    seen_turned,
+    smallest_turn,
+    tangents,
+    turn,
+    turn_between,
+)
 
 
 def units(n, seed=0):
@@ -16,9 +25,14 @@ def units(n, seed=0):
 
 def test_a_body_that_turns_about_z_sees_the_sun_go_round_backward():
     quarter = np.array([0.0, 0.0, np.pi / 2])
-    assert seen_turned(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert seen_turned(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx(
+        [0.0, -1.0, 0.0], abs=1e-15
+    )
     assert turn(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
-    assert np.array_equal(cross_matrix(np.array([1.0, 2.0, 3.0])) @ [0.0, 0.0, 1.0], np.cross([1.0, 2.0, 3.0], [0.0, 0.0, 1.0]))
+    assert np.array_equal(
+        cross_matrix(np.array([1.0, 2.0, 3.0])) @ [0.0, 0.0, 1.0],
+        np.cross([1.0, 2.0, 3.0], [0.0, 0.0, 1.0]),
+    )
 
 
 def test_turns_of_any_shape_are_found_again():
@@ -40,9 +54,13 @@ def test_turns_are_those_of_scipy(size):
     assert end == pytest.approx(expected, abs=5e-15)
     found = turn_between(start, end)
     assert Rotation.from_rotvec(-found).as_matrix() @ start == pytest.approx(expected, abs=1e-14)
-    assert np.linalg.norm(found, axis=1) == pytest.approx(np.full(50, min(size, 2 * np.pi - size)), abs=1e-14, rel=1e-12)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(
+        np.full(50, min(size, 2 * np.pi - size)), abs=1e-14, rel=1e-12
+    )
     quaternion = Rotation.from_rotvec(angle).as_quat()
-    assert matrix_of(-2 * quaternion) == pytest.approx(Rotation.from_rotvec(angle).as_matrix(), abs=5e-15)
+    assert matrix_of(-2 * quaternion) == pytest.approx(
+        Rotation.from_rotvec(angle).as_matrix(), abs=5e-15
+    )
 
 
 def test_the_smallest_turn_takes_one_direction_to_the_other_and_leaves_what_is_across():
@@ -58,4 +76,6 @@ def test_steps_on_the_sphere_are_as_long_as_they_say():
     assert np.einsum("ni,ni->n", np.cross(e1, e2), a) == pytest.approx(np.ones(20))
     angle = np.linalg.norm(step, axis=1)
     assert np.einsum("ni,ni->n", a, moved(a, step)) == pytest.approx(np.cos(angle))
-    assert np.einsum("ni,ni->n", moved(a, 1e-7 * step) - a, e1) / 1e-7 == pytest.approx(step[:, 0], abs=1e-6)
+    assert np.einsum("ni,ni->n", moved(a, 1e-7 * step) - a, e1) / 1e-7 == pytest.approx(
+        step[:, 0], abs=1e-6
+    )

@@ -32,7 +32,9 @@ ROWS = (("0", "1.0", "0.5", "4.0", "3.0"), ("1", "0.25", "0", "8.0", "4.0"))
 
 
 def file_with(path, header: str, rows=ROWS):
-    lines = [",".join((f"2026-01-01T00:00:0{row[0]}Z", *row[1 : header.count(",") + 1])) for row in rows]
+    lines = [
+        ",".join((f"2026-01-01T00:00:0{row[0]}Z", *row[1 : header.count(",") + 1])) for row in rows
+    ]
     path.write_text(header + "\n" + "\n".join(lines) + "\n")
     return path
 
@@ -46,10 +48,15 @@ def misspelt(name: str, rng: random.Random) -> str:
     """The name with one slip of the fingers, as people make them."""
     at = rng.randrange(len(name))
     letters = "abcdefghijklmnopqrstuvwxyz"
-    return rng.choice([
-        name[:at] + rng.choice(letters) + name[at:], name[:at] + name[at + 1 :] if len(name) > 3 else name + "_",
-        name.upper() + "s", name + "_", f"{name} 1",
-    ])  # fmt: skip
+    return rng.choice(
+        [
+            name[:at] + rng.choice(letters) + name[at:],
+            name[:at] + name[at + 1 :] if len(name) > 3 else name + "_",
+            name.upper() + "s",
+            name + "_",
+            f"{name} 1",
+        ]
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -63,7 +70,9 @@ def test_a_misspelt_sensor_column_is_named(tmp_path, seed):
     made.telemetry.write_text(text.replace(f",{name}", f",{other}", 1))
     with pytest.raises(ss.TelemetryError) as told:
         read(made.vehicle.read_text(), made.telemetry)
-    assert repr(name) in str(told.value) and ("gyro" in str(told.value) or "wheel MW" in str(told.value))
+    assert repr(name) in str(told.value) and (
+        "gyro" in str(told.value) or "wheel MW" in str(told.value)
+    )
 
 
 def test_the_nearest_name_is_told(tmp_path):
@@ -81,7 +90,10 @@ def test_a_sensor_of_which_the_file_has_nothing_is_listed_and_no_error(tmp_path)
     bare = tmp_path / "bare.csv"
     bare.write_text("\n".join(",".join(row[:7]) for row in rows) + "\n")
     attrs = read(made.vehicle.read_text(), bare).attrs
-    assert attrs["missing_sensors"] == "gyro (gx, gy, gz); speed of wheel MW (mw_rpm)" and attrs["unused_columns"] == ""
+    assert (
+        attrs["missing_sensors"] == "gyro (gx, gy, gz); speed of wheel MW (mw_rpm)"
+        and attrs["unused_columns"] == ""
+    )
 
 
 def test_columns_that_nothing_uses(tmp_path):
@@ -95,7 +107,11 @@ def test_columns_that_nothing_uses(tmp_path):
         ('voltage_column = "u"', "", [[4.0, 4.0], [8.0, 8.0]]),
         ('voltage_column = "u"\nvoltage_scale = 0.5', "", [[2.0, 2.0], [4.0, 4.0]]),
         ("", '[telemetry.voltage_columns]\n"+X" = "u"\n"-X" = "w"', [[4.0, 3.0], [8.0, 4.0]]),
-        ('voltage_column = "w"', '[telemetry.voltage_columns]\n"+X" = "u"', [[4.0, 3.0], [8.0, 4.0]]),
+        (
+            'voltage_column = "w"',
+            '[telemetry.voltage_columns]\n"+X" = "u"',
+            [[4.0, 3.0], [8.0, 4.0]],
+        ),
         ('voltage_column = "u"\nscale = 0.001\nzero = -1', "", [[4.0, 4.0], [8.0, 8.0]]),
     ],
 )
@@ -111,11 +127,15 @@ def test_power_is_current_times_voltage(tmp_path, telemetry, tables, volts):
 
 def test_a_voltage_that_is_none(tmp_path):
     text = BASE.format(telemetry='voltage_column = "u"', tables="")
-    path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,u", [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")])
+    path = file_with(
+        tmp_path / "t.csv", "time,i_px,i_mx,u", [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")]
+    )
     with pytest.raises(ss.TelemetryError, match="line 2, column 'u': a voltage is a number"):
         read(text, path)
     flagged = read(text.replace("[telemetry]", '[telemetry]\nbad_rows = "flag"'), path)
-    assert flagged["flag"].values.tolist() == [1, 0] and np.isnan(flagged["power_W"].values[0]).all()
+    assert (
+        flagged["flag"].values.tolist() == [1, 0] and np.isnan(flagged["power_W"].values[0]).all()
+    )
 
 
 @pytest.mark.parametrize(
@@ -134,5 +154,7 @@ def test_wrong_voltages_in_the_vehicle_file(telemetry, tables, said):
 
 def test_a_missing_voltage_column(tmp_path):
     path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,bus_v")
-    with pytest.raises(ss.TelemetryError, match="'bus_V' .voltage of panel .X.*did you mean 'bus_v'"):
+    with pytest.raises(
+        ss.TelemetryError, match="'bus_V' .voltage of panel .X.*did you mean 'bus_v'"
+    ):
         read(BASE.format(telemetry='voltage_column = "bus_V"', tables=""), path)

@@ -57,14 +57,25 @@ def test_a_json_file_says_what_the_csv_does(form, tmp_path):
     text = TEMPLATE.joinpath("telemetry.csv").read_text("utf-8")
     vehicle = parse_vehicle(TEMPLATE.joinpath("vehicle.toml").read_text("utf-8"), "template")
     expected = read(tmp_path, text, vehicle)
-    rows = [{key: value if key == "time_utc" else float(value) for key, value in row.items()}
-            for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#"))]  # fmt: skip
+    rows = [
+        {key: value if key == "time_utc" else float(value) for key, value in row.items()}
+        for row in csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#"))
+    ]
     if form == "decoded":  # as SatNOGS has it: the fields as a text beside the frame
-        rows = [{"timestamp": row.pop("time_utc"), "frame": "00FF", "decoded": json.dumps(row)} for row in rows]
+        rows = [
+            {"timestamp": row.pop("time_utc"), "frame": "00FF", "decoded": json.dumps(row)}
+            for row in rows
+        ]
         columns = {panel: f"decoded.{name}" for panel, name in vehicle.telemetry.columns.items()}
-        vehicle = replace(vehicle, telemetry=replace(vehicle.telemetry, time_column="timestamp", columns=columns))
-    dumped = {"lines": "\n".join(map(json.dumps, rows)), "list": json.dumps(rows, indent=1),
-              "page": json.dumps({"next": None, "results": rows}), "decoded": "\n".join(map(json.dumps, rows))}[form]  # fmt: skip
+        vehicle = replace(
+            vehicle, telemetry=replace(vehicle.telemetry, time_column="timestamp", columns=columns)
+        )
+    dumped = {
+        "lines": "\n".join(map(json.dumps, rows)),
+        "list": json.dumps(rows, indent=1),
+        "page": json.dumps({"next": None, "results": rows}),
+        "decoded": "\n".join(map(json.dumps, rows)),
+    }[form]
     found = read(tmp_path, dumped, vehicle)
     np.testing.assert_array_equal(found["power_W"], expected["power_W"])
     np.testing.assert_array_equal(found["time"], expected["time"])
@@ -85,7 +96,10 @@ HOSTILE = {
     "no such column": ('{"t": "2026-01-01T00:00:00Z", "p": 1}', "column 'pa'"),
     "raw frames": ('[{"timestamp": "2026-01-01T00:00:00Z", "frame": "00FF"}]', "raw frames"),
     "raw frames, exported": ("2026-01-01 00:00:00|00FF\n", "raw frames"),
-    "many columns": ("{" + ",".join(f'"c{k}": 1' for k in range(10_001)) + "}", "more than 10000 columns"),
+    "many columns": (
+        "{" + ",".join(f'"c{k}": 1' for k in range(10_001)) + "}",
+        "more than 10000 columns",
+    ),
 }
 
 
@@ -97,16 +111,24 @@ def test_json_that_is_no_telemetry_is_a_sentence(text, told, tmp_path):
 
 
 def test_what_is_no_number_in_json_is_flagged(tmp_path):
-    rows = [ROW, ROW.replace("00Z", "10Z").replace("1,", "NaN,"), ROW.replace("00Z", "20Z").replace('"pa": 1', '"pa": null')]
+    rows = [
+        ROW,
+        ROW.replace("00Z", "10Z").replace("1,", "NaN,"),
+        ROW.replace("00Z", "20Z").replace('"pa": 1', '"pa": null'),
+    ]
     assert read(tmp_path, "\n".join(rows), craft())["flag"].values.tolist() == [0, 1, 1]
 
 
 def test_sun_vectors_of_any_length_are_directions_and_short_ones_are_none(tmp_path):
     vectors = ["0,300,400", "0,0,0", "30,0,0", "-500,0,0", "a,1,1"]
-    text = "t,sx,sy,sz\n" + "".join(f"2026-01-01T00:00:0{k}Z,{vector}\n" for k, vector in enumerate(vectors))
+    text = "t,sx,sy,sz\n" + "".join(
+        f"2026-01-01T00:00:0{k}Z,{vector}\n" for k, vector in enumerate(vectors)
+    )
     found = read(tmp_path, text, craft())
     none = 3 * [np.nan]
-    np.testing.assert_allclose(found["sun_sensor_B"], [[0, 0.6, 0.8], none, none, [-1, 0, 0], none], atol=1e-12)
+    np.testing.assert_allclose(
+        found["sun_sensor_B"], [[0, 0.6, 0.8], none, none, [-1, 0, 0], none], atol=1e-12
+    )
     across = found["sun_sensor_cov_B"].values[3]
     np.testing.assert_allclose(np.sqrt(np.diag(across)), [0.02, 0.02, 0.02], rtol=1e-9)
 
@@ -114,23 +136,39 @@ def test_sun_vectors_of_any_length_are_directions_and_short_ones_are_none(tmp_pa
 def test_rates_from_sun_vectors(tmp_path):
     t = 5.0 * np.arange(20)
     omega = np.array([0.02, -0.01, 0.03])
-    sun = ss.propagate(ss.Vehicle("sphere", inertia_kg_m2=np.eye(3)), omega, [0.6, 0.0, 0.8], None, t)["sun_B"].values
+    sun = ss.propagate(
+        ss.Vehicle("sphere", inertia_kg_m2=np.eye(3)), omega, [0.6, 0.0, 0.8], None, t
+    )["sun_B"].values
     sun = sun + 0.01 * np.random.default_rng(1).normal(size=sun.shape)
-    text = "t,sx,sy,sz\n" + "".join(f"{a},{x},{y},{z}\n" for a, (x, y, z) in zip(t, sun, strict=True))
+    text = "t,sx,sy,sz\n" + "".join(
+        f"{a},{x},{y},{z}\n" for a, (x, y, z) in zip(t, sun, strict=True)
+    )
     vehicle = craft('time_column = "t"\ntime_format = "unix"')
-    result = ss.rates(vehicle, read(tmp_path, text, vehicle), max_rate_rad_s=0.1, acceleration_noise=1e-6)
+    result = ss.rates(
+        vehicle, read(tmp_path, text, vehicle), max_rate_rad_s=0.1, acceleration_noise=1e-6
+    )
     assert result.attrs["source"] == "sun_sensor" and result["unique"].item()
-    assert np.all(np.abs(result["omega_mean_B"].values[0, 0] - omega) < 4 * result["omega_sigma_B"].values[0, 0])
+    assert np.all(
+        np.abs(result["omega_mean_B"].values[0, 0] - omega)
+        < 4 * result["omega_sigma_B"].values[0, 0]
+    )
 
 
 def test_stations_that_heard_one_frame_are_one_row_and_both_clocks_are_kept(tmp_path):
     form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
-    rows = ["500,2026-01-01T00:00:10,A,1,0", "500,2026-01-01T00:00:11,B,1,", "490,2026-01-01T00:00:00,B,0.5,1", "510,,A,0,1"]
+    rows = [
+        "500,2026-01-01T00:00:10,A,1,0",
+        "500,2026-01-01T00:00:11,B,1,",
+        "490,2026-01-01T00:00:00,B,0.5,1",
+        "510,,A,0,1",
+    ]
     text = "\n".join(["up,rx,station,pa,pb", *rows])
     found = read(tmp_path, text, craft(form))
     assert found.attrs["rows_merged"] == 1 and found.attrs["rows_sorted"] == 1
     assert found.attrs["epoch_utc"] == "2025-12-31T23:51:50Z"
-    assert found["time"].values.tolist() == [490, 500, 510] and found["power_W"].values[1].tolist() == [1, 0]
+    assert found["time"].values.tolist() == [490, 500, 510] and found["power_W"].values[
+        1
+    ].tolist() == [1, 0]
     np.testing.assert_array_equal(found["received_s"], [490, 500, np.nan])
     with pytest.raises(ss.TelemetryError, match="column 'rx'"):
         read(tmp_path, text.replace("rx", "received at"), craft(form))
@@ -152,9 +190,13 @@ def test_panels_read_in_turn_and_averaged():
     assert len(list(Instants(np.zeros(3)).shifts())) == 1
 
 
-@pytest.mark.parametrize("text", ['[telemetry.offset_s]\nc = 1', "averaged_s = -1", "[telemetry.offset_s]\na = inf"])
+@pytest.mark.parametrize(
+    "text", ["[telemetry.offset_s]\nc = 1", "averaged_s = -1", "[telemetry.offset_s]\na = inf"]
+)
 def test_offsets_that_make_no_sense_are_a_sentence(text):
-    with pytest.raises(ss.VehicleError, match="panel that the vehicle does not have|must not be negative|number"):
+    with pytest.raises(
+        ss.VehicleError, match="panel that the vehicle does not have|must not be negative|number"
+    ):
         craft('time_column = "t"\n' + text)
 
 
@@ -183,7 +225,9 @@ matrix = [[1, 0.1, 0], [0, 2, 0], [0, 0, 1]]
 
 
 def test_a_minus_before_a_column_reverses_it_after_its_zero(tmp_path):
-    (tmp_path / "t.csv").write_text("t,pa,pb,sx,sy,sz,gx,gy,gz,mx,my,mz\n2026-01-01T00:00:00Z,1,0,1,0,0,11,252,3,20,20,29\n")
+    (tmp_path / "t.csv").write_text(
+        "t,pa,pb,sx,sy,sz,gx,gy,gz,mx,my,mz\n2026-01-01T00:00:00Z,1,0,1,0,0,11,252,3,20,20,29\n"
+    )
     text = VEHICLE.format(telemetry='time_column = "t"').replace('"sx", "sy"', '"sy", "-sx"')
     data = ss.read_telemetry(tmp_path / "t.csv", parse_vehicle(text + REVERSED, "v.toml"))
     np.testing.assert_allclose(data["gyro_B"].values, [[0.06, 0.10, 0.0]], atol=1e-12)  # 252 is -4
@@ -196,23 +240,39 @@ def test_what_is_to_be_written_reads_a_sensor_so():
     """For each of the 48 ways: the keys that the sentence names, in the vehicle file, give the readings that were meant."""
     base = tomllib.loads(REVERSED)
     base["gyro"]["zero"] = {"value": [2, 1, 3], "sigma": [0.1, 0.2, 0.3]}
-    raw, header = np.random.default_rng(2).uniform(0, 255, (5, 6)), ["gx", "gy", "gz", "mx", "my", "mz"]
+    raw, header = (
+        np.random.default_rng(2).uniform(0, 255, (5, 6)),
+        ["gx", "gy", "gz", "mx", "my", "mz"],
+    )
     plain = VEHICLE.format(telemetry='time_column = "t"')
     for table in ("gyro", "magnetometer"):
-        old = parse_vehicle(plain + toml_text({table: base[table]}), "v.toml").sensors.with_columns[table]
+        old = parse_vehicle(plain + toml_text({table: base[table]}), "v.toml").sensors.with_columns[
+            table
+        ]
         seen = old.seen(raw[:, [header.index(name) for name in old.names]])[1]
         for _, order, sign in signed_axes():
-            told = to_write(table, old.read_as(order, sign)).removeprefix("set ").partition(" under ")[0]
+            told = (
+                to_write(table, old.read_as(order, sign))
+                .removeprefix("set ")
+                .partition(" under ")[0]
+            )
             keys = tomllib.loads(told.replace(" and ", "\n"))
-            new = parse_vehicle(plain + toml_text({table: base[table] | keys}), "v.toml").sensors.with_columns[table]
+            new = parse_vehicle(
+                plain + toml_text({table: base[table] | keys}), "v.toml"
+            ).sensors.with_columns[table]
             got = new.seen(raw[:, [header.index(name) for name in new.names]])[1]
             np.testing.assert_allclose(got, seen[:, order] * sign, atol=1e-9)
             np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])
 
 
-@pytest.mark.parametrize(("columns", "words"), [(["gx", "-gx", "gz"], "a column twice"), (["-", "gy", "gz"], "no column after it")])
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [(["gx", "-gx", "gz"], "a column twice"), (["-", "gy", "gz"], "no column after it")],
+)
 def test_columns_with_a_minus_that_make_no_sense_are_a_sentence(columns, words):
-    text = VEHICLE.format(telemetry='time_column = "t"') + SENSORS.replace('["gx", "gy", "gz"]', json.dumps(columns))
+    text = VEHICLE.format(telemetry='time_column = "t"') + SENSORS.replace(
+        '["gx", "gy", "gz"]', json.dumps(columns)
+    )
     with pytest.raises(ss.VehicleError, match=f"gyro.columns .*{words}"):
         parse_vehicle(text, "v.toml")
 
@@ -221,8 +281,10 @@ def test_columns_with_a_minus_that_make_no_sense_are_a_sentence(columns, words):
 def stored(tmp_path):
     """A vehicle, its telemetry with a gyro and a Sun vector, and the file of it as results folders have it."""
     vehicle = parse_vehicle(VEHICLE.format(telemetry='time_column = "t"') + SENSORS, "test")
-    (tmp_path / "t.csv").write_text("t,pa,pb,sx,sy,sz,gx,gy,gz,phase\n2026-01-01T00:00:00Z,1,0,1,0,0,1,2,4,dark\n"
-                                    "2026-01-01T00:01:00Z,0.5,1,0,1,0,1,5,4,lit\n")  # fmt: skip
+    (tmp_path / "t.csv").write_text(
+        "t,pa,pb,sx,sy,sz,gx,gy,gz,phase\n2026-01-01T00:00:00Z,1,0,1,0,0,1,2,4,dark\n"
+        "2026-01-01T00:01:00Z,0.5,1,0,1,0,1,5,4,lit\n"
+    )
     data = ss.read_telemetry(tmp_path / "t.csv", vehicle)
     return vehicle, data, write_netcdf(tmp_path / "telemetry.nc", data)
 
@@ -231,15 +293,24 @@ def test_what_a_results_folder_holds_is_read_as_it_was(stored):
     vehicle, data, path = stored
     again = ss.read_telemetry(path, vehicle)
     xr.testing.assert_identical(again.drop_attrs(), data.drop_attrs())
-    assert dict(again.attrs) == dict(data.attrs) and again["gyro_B"].values[1].tolist() == [0.0, 0.03, 0.01]
-    xr.testing.assert_identical(stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data)
+    assert dict(again.attrs) == dict(data.attrs) and again["gyro_B"].values[1].tolist() == [
+        0.0,
+        0.03,
+        0.01,
+    ]
+    xr.testing.assert_identical(
+        stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data
+    )
 
 
 SPOILT = {
-    "texts": lambda one: one.values.astype(str), "complex": lambda one: one.values.astype(complex),
-    "endless": lambda one: np.full(one.shape, np.inf), "huge": lambda one: np.full(one.shape, 1e300),
-    "truths": lambda one: np.ones(one.shape, dtype=bool), "objects": lambda one: np.full(one.shape, None),
-}  # fmt: skip
+    "texts": lambda one: one.values.astype(str),
+    "complex": lambda one: one.values.astype(complex),
+    "endless": lambda one: np.full(one.shape, np.inf),
+    "huge": lambda one: np.full(one.shape, 1e300),
+    "truths": lambda one: np.ones(one.shape, dtype=bool),
+    "objects": lambda one: np.full(one.shape, None),
+}
 
 
 @pytest.mark.parametrize("how", SPOILT)
@@ -251,7 +322,11 @@ def test_whatever_is_spoilt_in_stored_telemetry_is_named(stored, how):
         wrong = data.assign_coords({name: (one.dims, SPOILT[how](one))})
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
             stored_telemetry(wrong, vehicle, path)
-        other = data.rename_dims(time="row") if name == "time" else data.assign({name: one.mean("time")})
+        other = (
+            data.rename_dims(time="row")
+            if name == "time"
+            else data.assign({name: one.mean("time")})
+        )
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
             stored_telemetry(other, vehicle, path)
 

@@ -16,7 +16,9 @@ ALIVE = np.zeros(6, dtype=bool)
 def readings(craft, n, rng, noise=0.01):
     sun = rng.normal(size=(n, 3))
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)
-    return np.maximum(ss.panel_power(craft, sun) + noise * rng.normal(size=(n, len(craft.panels))), 0)
+    return np.maximum(
+        ss.panel_power(craft, sun) + noise * rng.normal(size=(n, len(craft.panels))), 0
+    )
 
 
 def test_gains_are_found_and_cover_the_truth_although_a_tenth_of_the_samples_is_spoiled():
@@ -46,6 +48,8 @@ def test_what_cannot_be_told_is_said_and_left_alone():
     rng = np.random.default_rng(2)
     sides = Vehicle("sides", gain_unit="W", panels=CUBE.panels[:2] + CUBE.panels[3:5])
     for craft, n, word in ((sides, 60, "do not look all around"), (CUBE, 8, "fewer than")):
-        found = estimate_gains(craft, readings(craft, n, rng), 1.0, np.zeros(len(craft.panels), dtype=bool))
+        found = estimate_gains(
+            craft, readings(craft, n, rng), 1.0, np.zeros(len(craft.panels), dtype=bool)
+        )
         assert word in found.told and found.spread is None
         np.testing.assert_array_equal(found.factor, 1.0)

@@ -18,7 +18,10 @@ SIGMA = 4.0  # of readings whose full scale is 254: the committed telemetry's re
 
 def tetrahedron():
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
-    return Vehicle("tetrahedron", panels=[Panel("abcd"[k], corner, 100.0 + 20 * k) for k, corner in enumerate(corners)])
+    return Vehicle(
+        "tetrahedron",
+        panels=[Panel("abcd"[k], corner, 100.0 + 20 * k) for k, corner in enumerate(corners)],
+    )
 
 
 def random_suns(n, seed=0):
@@ -27,7 +30,9 @@ def random_suns(n, seed=0):
 
 
 def test_allowed_patterns_of_philae_are_the_sixteen_of_its_geometry():
-    allowed = set(ss.panel_health(PHILAE, panel_power(PHILAE, random_suns(5)), noise=SIGMA)["allowed"])
+    allowed = set(
+        ss.panel_health(PHILAE, panel_power(PHILAE, random_suns(5)), noise=SIGMA)["allowed"]
+    )
     without = {tuple(p) for p in ("1", "12", "123", "1234", "2345", "345", "45", "5")}
     assert allowed == without | {(*p, "6") for p in without}
 
@@ -39,7 +44,9 @@ def test_four_panels_on_a_tetrahedron_show_all_but_none_and_all():
     assert len(allowed) == 14 and {len(p) for p in allowed} == {1, 2, 3}
 
 
-@pytest.mark.evidence("panel_health", "validated", "the patterns that the paper reports after the second touchdown")
+@pytest.mark.evidence(
+    "panel_health", "validated", "the patterns that the paper reports after the second touchdown"
+)
 def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns():
     """Paper, section 4. By trial: remove each panel in turn from what random directions light."""
     patterns = [("2", "3", "6"), ("2", "3"), ("2",)]
@@ -62,7 +69,9 @@ def test_a_pair_is_found_only_where_no_single_panel_will_do():
 @pytest.mark.evidence("panel_health", "verified", "SciPy's Nelder-Mead from 25 starts")
 def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds(reached):
     rng = np.random.default_rng(3)
-    power = np.maximum(panel_power(PHILAE, random_suns(4, 2)) + SIGMA * rng.normal(size=(4, 6)), 0.0)
+    power = np.maximum(
+        panel_power(PHILAE, random_suns(4, 2)) + SIGMA * rng.normal(size=(4, 6)), 0.0
+    )
     power[0, 0], power[1, 2] = 0.0, 0.0  # lost panels
     made = noise_alone(PHILAE, power, SIGMA, 3 * SIGMA)
 
@@ -74,13 +83,18 @@ def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds(reach
     for reading, found in zip(power, made.chi_square, strict=True):
         starts = rng.normal(size=(25, 3))
         options = {"xatol": 1e-9, "fatol": 1e-10, "maxiter": 4000}
-        best = min(minimize(distance, s, args=(reading,), method="Nelder-Mead", options=options).fun for s in starts)
+        best = min(
+            minimize(distance, s, args=(reading,), method="Nelder-Mead", options=options).fun
+            for s in starts
+        )
         assert found <= best + 1e-6
         reached("chi-square above the best of the search", found - best, "", 1e-6)
         assert found == pytest.approx(best, rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.evidence("panel_health", "modelled", "500 noisy samples of whole panels, and of one panel dead")
+@pytest.mark.evidence(
+    "panel_health", "modelled", "500 noisy samples of whole panels, and of one panel dead"
+)
 @pytest.mark.parametrize("craft", [PHILAE, tetrahedron()], ids=["philae", "tetrahedron"])
 def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
     """The bound holds over many noisy samples of whole panels; the negative control has one panel dead."""
@@ -93,7 +107,10 @@ def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
     lost[:, 0] = 0.0
     bright = clean[:, 0] > 12 * SIGMA
     forbidden = ss.panel_health(craft, lost, noise=SIGMA, lit_threshold=2 * SIGMA)["impossible"]
-    names = [tuple(n for n, x in zip(craft.panel_names, row, strict=True) if x > 2 * SIGMA) for row in lost]
+    names = [
+        tuple(n for n, x in zip(craft.panel_names, row, strict=True) if x > 2 * SIGMA)
+        for row in lost
+    ]
     accused = bright & np.array([name in forbidden for name in names])
     assert accused.sum() > 0 or craft is not PHILAE
     if accused.any():
@@ -103,31 +120,51 @@ def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
 def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     rng = np.random.default_rng(1)
     grazing = np.tile([0.9, 0.02, 0.43], (200, 1))  # panel 1 near its edge
-    power = np.maximum(panel_power(PHILAE, grazing / np.linalg.norm(grazing[0])) + SIGMA * rng.normal(size=(200, 6)), 0.0)
+    power = np.maximum(
+        panel_power(PHILAE, grazing / np.linalg.norm(grazing[0]))
+        + SIGMA * rng.normal(size=(200, 6)),
+        0.0,
+    )
     told = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA)
     assert told["impossible"] and all(verdict.largest > 0.3 for verdict in told["noise"].values())
     assert noise_made(told, len(power))
-    lenient = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
+    lenient = ss.panel_health(
+        PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3
+    )
     assert lenient["impossible"] == told["impossible"] and lenient["explanations"] == []
     dead = panel_power(PHILAE, random_suns(300)) * [0, 1, 1, 1, 1, 1]
-    strict = ss.panel_health(PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3)
+    strict = ss.panel_health(
+        PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3
+    )
     assert strict["explanations"] == [("1",)] and not noise_made(strict, len(dead))
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
 
 
-@pytest.mark.evidence("panel_health", "modelled", "300 samples of panels turned within their stated sigmas; one of them dead")
+@pytest.mark.evidence(
+    "panel_health",
+    "modelled",
+    "300 samples of panels turned within their stated sigmas; one of them dead",
+)
 def test_panels_turned_within_their_stated_sigmas_are_not_accused():
     """Opposite panels that lean to one side are lit together. The same file is accused where no sigma is stated, and a dead panel
     is named whatever the sigmas."""
     normals = np.vstack([np.eye(3), -np.eye(3), np.ones(3) / np.sqrt(3)])
-    drawn = Vehicle("box", panels=[Panel("xyzXYZd"[k], normal, 100.0) for k, normal in enumerate(normals)])
-    stated = replace(drawn, facts={f"panel.{panel.name}.normal_B": Fact((0.0, 0.0, 0.0), 0.03) for panel in drawn.panels})
+    drawn = Vehicle(
+        "box", panels=[Panel("xyzXYZd"[k], normal, 100.0) for k, normal in enumerate(normals)]
+    )
+    stated = replace(
+        drawn,
+        facts={
+            f"panel.{panel.name}.normal_B": Fact((0.0, 0.0, 0.0), 0.03) for panel in drawn.panels
+        },
+    )
     tilt = np.zeros((300, 7, 3))
     tilt[:, 0, 1], tilt[:, 3, 1] = -0.05, 0.05  # x and X lean towards z
     power = drawn.response_in().power(random_suns(300, 6), tilt=tilt)
     noisy = np.maximum(power + 0.3 * np.random.default_rng(2).normal(size=power.shape), 0.0)
     as_drawn, found = (
-        ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5, could_be_turned=True) for craft in (drawn, stated)
+        ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5, could_be_turned=True)
+        for craft in (drawn, stated)
     )
     assert as_drawn["impossible"] and as_drawn["impossible"] == found["impossible"]
     assert (made_by(as_drawn, 300), made_by(found, 300)) == ("", TURNS)

@@ -11,15 +11,20 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
 CUBE = Vehicle(
-    "cube", gain_unit="A", panels=[Panel(f"p{k}", NORMALS[k], 0.5) for k in range(6)],
+    "cube",
+    gain_unit="A",
+    panels=[Panel(f"p{k}", NORMALS[k], 0.5) for k in range(6)],
     telemetry=TelemetryForm(quantity="current_A", noise=0.002),
-)  # fmt: skip
+)
 
 
 def telemetry(value, time=None, flag=None, vehicle=CUBE):
     n = len(value)
     return xr.Dataset(
-        {"current_A": (("time", "panel"), value), "flag": ("time", np.zeros(n, np.uint8) if flag is None else flag)},
+        {
+            "current_A": (("time", "panel"), value),
+            "flag": ("time", np.zeros(n, np.uint8) if flag is None else flag),
+        },
         {"time": np.arange(n) * 30.0 if time is None else time, "panel": list(vehicle.panel_names)},
     )
 
@@ -46,13 +51,18 @@ def test_a_dead_panel_is_named_and_left_out():
     assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
     assert np.isinf(quality["sigma"].values[:, 2]).all()
     assert quality["missed"].values.tolist() == [False, False, True, False, False, False]
-    assert Panels.read(CUBE, telemetry(value))[0].left_out == ("p2",) and not Panels.read(CUBE, telemetry(clean(60)[0]))[0].left_out
+    assert (
+        Panels.read(CUBE, telemetry(value))[0].left_out == ("p2",)
+        and not Panels.read(CUBE, telemetry(clean(60)[0]))[0].left_out
+    )
 
 
 def test_a_panel_that_was_never_in_the_sun_is_not_accused():
     sun = clean(60)[1]
     power = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
-    quality = panel_quality(CUBE, telemetry(power + 0.002 * np.random.default_rng(1).uniform(size=power.shape)))
+    quality = panel_quality(
+        CUBE, telemetry(power + 0.002 * np.random.default_rng(1).uniform(size=power.shape))
+    )
     assert quality["dead"].values.tolist() == [False, False, True, False, False, False]
     assert not quality["missed"].any()
 
@@ -63,16 +73,25 @@ def test_in_few_samples_only_light_that_is_missed_on_a_path_is_ground_to_call_a_
     value = ss.panel_power(CUBE, sun)
     value[:, 2] = 0.0
     found = panel_quality(CUBE, telemetry(value))
-    assert found["missed"].values.tolist() == found["dead"].values.tolist() == [False, False, True, False, False, False]
+    assert (
+        found["missed"].values.tolist()
+        == found["dead"].values.tolist()
+        == [False, False, True, False, False, False]
+    )
     whole = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
     assert not panel_quality(CUBE, telemetry(whole))["dead"].any()
-    anywhere = clean(10)[0]  # one sample of ten that a battery may have dimmed, and no path that says otherwise
+    anywhere = clean(10)[
+        0
+    ]  # one sample of ten that a battery may have dimmed, and no path that says otherwise
     anywhere[:, 2] = 0.0
     assert not panel_quality(CUBE, telemetry(anywhere))["missed"].any()
 
 
 @pytest.mark.evidence("panel_quality", "modelled", "currents scaled down")
-@pytest.mark.parametrize(("share", "use", "word"), [(0.6, DOWNWEIGHTED, "battery and not the Sun"), (0.2, DROPPED, "far below")])
+@pytest.mark.parametrize(
+    ("share", "use", "word"),
+    [(0.6, DOWNWEIGHTED, "battery and not the Sun"), (0.2, DROPPED, "far below")],
+)
 def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_sun(share, use, word):
     value, _ = clean(40)
     value[10:20] *= share
@@ -104,9 +123,11 @@ def test_spikes_stale_late_and_empty_frames_are_said():
 def test_noise_in_the_shadow_is_no_sun_that_stands_aside(told):
     """Four sides see nothing of a Sun along z, so noise on them looks like one; in the dark nothing but noise is read."""
     sides = Vehicle(
-        "sides", gain_unit="A", panels=[Panel(f"p{k}", n, 0.5) for k, n in enumerate(NORMALS[[0, 1, 3, 4]])],
+        "sides",
+        gain_unit="A",
+        panels=[Panel(f"p{k}", n, 0.5) for k, n in enumerate(NORMALS[[0, 1, 3, 4]])],
         telemetry=TelemetryForm(quantity="current_A", noise=0.015 if told == "stated" else None),
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(2)
     sun = rng.normal(size=(200, 3))
     sun /= np.linalg.norm(sun, axis=1, keepdims=True)
@@ -127,8 +148,12 @@ def test_albedo_is_estimated_from_faces_opposite_to_lit_ones():
     value, sun = clean(300)
     rng = np.random.default_rng(1)
     dark = sun @ NORMALS.T < 0
-    quality = panel_quality(CUBE, telemetry(value + dark * 0.5 * rng.uniform(0, 0.2, size=value.shape)))
-    assert quality.attrs["albedo"] == pytest.approx(0.168, abs=0.03)  # 84 % point of a uniform law up to 0.2
+    quality = panel_quality(
+        CUBE, telemetry(value + dark * 0.5 * rng.uniform(0, 0.2, size=value.shape))
+    )
+    assert quality.attrs["albedo"] == pytest.approx(
+        0.168, abs=0.03
+    )  # 84 % point of a uniform law up to 0.2
     assert panel_quality(CUBE, telemetry(value[:3])).attrs["albedo"] == ALBEDO_DEFAULT
 
 

@@ -27,18 +27,37 @@ def drawn(seed: int, i: int, dead: bool) -> tuple[Vehicle, xr.Dataset, str]:
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     sigma, names = np.radians(rng.uniform(1, 5)), [f"p{k}" for k in range(len(normals))]
     panels = tuple(Panel(name, normal, 1.0) for name, normal in zip(names, normals, strict=True))
-    craft = Vehicle("turned", inertia_kg_m2=np.diag([0.042, 0.05, 0.03]), gain_unit="W", panels=panels,
-                    telemetry=TelemetryForm(noise=NOISE))  # fmt: skip
+    craft = Vehicle(
+        "turned",
+        inertia_kg_m2=np.diag([0.042, 0.05, 0.03]),
+        gain_unit="W",
+        panels=panels,
+        telemetry=TelemetryForm(noise=NOISE),
+    )
     t = np.cumsum(rng.uniform(4, 18, int(rng.integers(15, 61))))
     omega, sun = rng.normal(size=(2, 3))
-    run = ss.propagate(craft, np.radians(rng.uniform(0.5, 4)) * omega / np.linalg.norm(omega), sun / np.linalg.norm(sun), None, t)
+    run = ss.propagate(
+        craft,
+        np.radians(rng.uniform(0.5, 4)) * omega / np.linalg.norm(omega),
+        sun / np.linalg.norm(sun),
+        None,
+        t,
+    )
     tilt = drawn_tilts(craft, sigma, rng)
-    power = craft.response_in().power(run["sun_B"].values, tilt=np.broadcast_to(tilt, (len(t), *tilt.shape)))
+    power = craft.response_in().power(
+        run["sun_B"].values, tilt=np.broadcast_to(tilt, (len(t), *tilt.shape))
+    )
     lost = int(rng.integers(len(names)))
     power[:, lost] *= not dead
     power = np.maximum(power + NOISE * rng.normal(size=power.shape), 0.0)
-    stated = replace(craft, facts={f"panel.{name}.normal_B": Fact((0.0, 0.0, 0.0), float(sigma)) for name in names})
-    variables = {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(len(t), dtype=np.uint8))}
+    stated = replace(
+        craft,
+        facts={f"panel.{name}.normal_B": Fact((0.0, 0.0, 0.0), float(sigma)) for name in names},
+    )
+    variables = {
+        "power_W": (("time", "panel"), power),
+        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
+    }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return stated, xr.Dataset(variables, {"time": t, "panel": names}, attrs), names[lost]
 
@@ -47,44 +66,80 @@ def blamed(craft: Vehicle, data: xr.Dataset) -> set[str]:
     """Panels that `check` calls dead, or whose loss it says would explain what is lit."""
     quality, health = panel_quality(craft, data), _about_panels(craft, data)[0]
     by_light = quality["panel"].values[quality["missed"].values].tolist()
-    by_pattern = [] if health["made_by"] else [name for lost in health["explanations"] for name in lost]
+    by_pattern = (
+        [] if health["made_by"] else [name for lost in health["explanations"] for name in lost]
+    )
     return {*by_light, *by_pattern}
 
 
-@pytest.mark.parametrize(("count", "named"), [(12, 7), pytest.param(70, 50, marks=pytest.mark.long)])
-@pytest.mark.evidence("panel_quality", "modelled", "files of panels turned within their stated sigmas, whole and with a dead one")
+@pytest.mark.parametrize(
+    ("count", "named"), [(12, 7), pytest.param(70, 50, marks=pytest.mark.long)]
+)
+@pytest.mark.evidence(
+    "panel_quality",
+    "modelled",
+    "files of panels turned within their stated sigmas, whole and with a dead one",
+)
 def test_a_dead_panel_is_named_although_panels_are_turned_and_a_whole_one_never(count, named):
-    found = [(blamed(craft, data), lost) for craft, data, lost in (drawn(0, i, True) for i in range(count))]
+    found = [
+        (blamed(craft, data), lost)
+        for craft, data, lost in (drawn(0, i, True) for i in range(count))
+    ]
     assert all(names <= {lost} for names, lost in found)
     assert sum(names == {lost} for names, lost in found) >= named
-    assert not any(blamed(craft, data) for craft, data, _ in (drawn(0, i, False) for i in range(count)))
+    assert not any(
+        blamed(craft, data) for craft, data, _ in (drawn(0, i, False) for i in range(count))
+    )
 
 
-@pytest.mark.parametrize(("count", "apart"), [(8, 1.0), pytest.param(60, 1.0, marks=pytest.mark.long), (12, 10.0)])
-@pytest.mark.evidence("panel_quality", "modelled", "whole files in which the battery dims samples, here and there or in a stretch")
+@pytest.mark.parametrize(
+    ("count", "apart"), [(8, 1.0), pytest.param(60, 1.0, marks=pytest.mark.long), (12, 10.0)]
+)
+@pytest.mark.evidence(
+    "panel_quality",
+    "modelled",
+    "whole files in which the battery dims samples, here and there or in a stretch",
+)
 def test_a_whole_panel_is_not_missed_where_the_battery_dims_samples(count, apart):
     accused = 0
     for i in range(count):
         craft, data, _ = drawn(9, i, False)
         rng = np.random.default_rng([9, i])
         power, n = data["power_W"].values, data.sizes["time"]
-        dim = rng.uniform(size=n) < 0.15 if i % 2 else np.abs(np.arange(n) - rng.integers(n)) < n // 8
+        dim = (
+            rng.uniform(size=n) < 0.15 if i % 2 else np.abs(np.arange(n) - rng.integers(n)) < n // 8
+        )
         power[dim] *= rng.uniform(0.1, 0.75)
-        shuffled = np.argsort(np.random.default_rng(i).random(n)) if apart > 1 else np.arange(n)  # a path that cannot be followed
+        shuffled = (
+            np.argsort(np.random.default_rng(i).random(n)) if apart > 1 else np.arange(n)
+        )  # a path that cannot be followed
         data = data.assign(power_W=(("time", "panel"), power[shuffled]))
         accused += bool(panel_quality(craft, data)["missed"].any())
     assert accused <= count // 60
 
 
 def test_samples_that_the_battery_limits_accuse_no_panel_that_was_never_lit():
-    craft = Vehicle("cube", gain_unit="W", panels=[Panel(f"p{k}", FACES[k], 1.0) for k in range(6)],
-                    telemetry=TelemetryForm(noise=0.01))  # fmt: skip
+    craft = Vehicle(
+        "cube",
+        gain_unit="W",
+        panels=[Panel(f"p{k}", FACES[k], 1.0) for k in range(6)],
+        telemetry=TelemetryForm(noise=0.01),
+    )
     rng = np.random.default_rng(3)
     sun = rng.normal(size=(60, 3)) * [1, 1, 0.5] - [0, 0, 1]
     sun[:, 2] = -np.abs(sun[:, 2])
     power = ss.panel_power(craft, sun / np.linalg.norm(sun, axis=1, keepdims=True))
     power[::5] *= 0.6
-    data = xr.Dataset({"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(60, dtype=np.uint8))},
-                      {"time": 10.0 * np.arange(60), "panel": list(craft.panel_names)})  # fmt: skip
-    assert panel_quality(craft, data)["dead"].values.tolist() == [False, False, True, False, False, False]
+    data = xr.Dataset(
+        {"power_W": (("time", "panel"), power), "flag": ("time", np.zeros(60, dtype=np.uint8))},
+        {"time": 10.0 * np.arange(60), "panel": list(craft.panel_names)},
+    )
+    assert panel_quality(craft, data)["dead"].values.tolist() == [
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+    ]
     assert not panel_quality(craft, data)["missed"].any()

@@ -48,26 +48,45 @@ def test_the_decoder_undoes_the_escapes_and_counts_what_it_cannot_read(tmp_path)
     assert beacons.rows["ADCS"] == [(1498201375, "OM3KAA", tuple(adcs))]
     assert beacons.kinds == {"ADCS": 1, "other": 1} and sum(beacons.unread.values()) == 4
     assert beacons_csv(beacons, "ADCS").splitlines()[0].startswith("unix_s_rx,station,adcsMode")
-    assert beacons_csv(beacons, "other").splitlines() == ["unix_s_rx,station,frame", "1498201379,OM3KAA,040102"]
+    assert beacons_csv(beacons, "other").splitlines() == [
+        "unix_s_rx,station,frame",
+        "1498201379,OM3KAA,040102",
+    ]
 
 
 @pytest.mark.parametrize("form", ["csv", "page", "lines"])
 def test_every_kind_of_beacon_of_a_satnogs_export_is_written(form, tmp_path):
-    beacons = {kind: bytes(16) + bytes([TYPE[kind]]) + KINDS[kind].form.pack(*numbers(kind)) for kind in KINDS}
+    beacons = {
+        kind: bytes(16) + bytes([TYPE[kind]]) + KINDS[kind].form.pack(*numbers(kind))
+        for kind in KINDS
+    }
     times = [f"2017-06-23 07:02:5{k}" for k in range(len(KINDS))]
-    objects = [{"timestamp": t.replace(" ", "T") + "Z", "frame": one.hex().upper(), "observer": "OM3KAA"}
-               for t, one in zip(times, beacons.values(), strict=True)]  # fmt: skip
-    text = {"csv": "".join(f"{t}|{one.hex().upper()}\n" for t, one in zip(times, beacons.values(), strict=True)),
-            "page": json.dumps({"next": None, "results": objects}), "lines": "\n".join(map(json.dumps, objects))}  # fmt: skip
+    objects = [
+        {"timestamp": t.replace(" ", "T") + "Z", "frame": one.hex().upper(), "observer": "OM3KAA"}
+        for t, one in zip(times, beacons.values(), strict=True)
+    ]
+    text = {
+        "csv": "".join(
+            f"{t}|{one.hex().upper()}\n" for t, one in zip(times, beacons.values(), strict=True)
+        ),
+        "page": json.dumps({"next": None, "results": objects}),
+        "lines": "\n".join(map(json.dumps, objects)),
+    }
     raw = tmp_path / "export"
     raw.write_text(text[form])
-    done = CliRunner().invoke(decode, [str(raw), "--out", str(tmp_path / "out"), "--json"], catch_exceptions=False)
+    done = CliRunner().invoke(
+        decode, [str(raw), "--out", str(tmp_path / "out"), "--json"], catch_exceptions=False
+    )
     assert json.loads(done.stdout)["frames"] == dict.fromkeys(KINDS, 1)
     for k, kind in enumerate(KINDS):
         with open(tmp_path / "out" / f"skcube_{kind.lower()}.csv", encoding="utf-8") as file:
             (row,) = csv.DictReader(file)
-        assert float(row.pop("unix_s_rx")) == 1498201370 + k and row.pop("station") == ("" if form == "csv" else "OM3KAA")
-        assert row == {name: str(n) for name, n in zip(KINDS[kind].columns, numbers(kind), strict=True)}
+        assert float(row.pop("unix_s_rx")) == 1498201370 + k and row.pop("station") == (
+            "" if form == "csv" else "OM3KAA"
+        )
+        assert row == {
+            name: str(n) for name, n in zip(KINDS[kind].columns, numbers(kind), strict=True)
+        }
 
 
 HOSTILE = {
@@ -90,7 +109,9 @@ def test_a_damaged_export_is_a_sentence(text, tmp_path):
 def test_unescape():
     assert unescape(b"\x01\xdb\xdc\x02\xdb\xdd\xdb") == b"\x01\xc0\x02\xdb\xdb"
     assert KINDS["ADCS"].form.size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
-    assert all(len(kind.form.unpack(bytes(kind.form.size))) == len(kind.columns) for kind in KINDS.values())
+    assert all(
+        len(kind.form.unpack(bytes(kind.form.size))) == len(kind.columns) for kind in KINDS.values()
+    )
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off"])
@@ -108,7 +129,9 @@ def test_a_file_that_is_no_zip_is_a_sentence(content, tmp_path):
 @pytest.mark.real_data
 def test_the_decoder_gives_the_published_table_number_by_number(data_dir, reached):
     beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
-    assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301} and set(beacons.unread) == {"too short for a beacon"}
+    assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301} and set(beacons.unread) == {
+        "too short for a beacon"
+    }
     ours = beacons_csv(beacons, "ADCS").splitlines()
     theirs = (data_dir / "skcube" / "skcube_adcs.csv").read_text().splitlines()[: len(ours)]
     assert ours == theirs
@@ -131,7 +154,9 @@ def free_passes(data_dir):
     return ss.rates(craft, data.drop_vars("gyro_B")), data
 
 
-@pytest.mark.evidence("rates", "validated", "the gyro of skCUBE, 25 to 27 June 2017 (calibrated on the same passes)")
+@pytest.mark.evidence(
+    "rates", "validated", "the gyro of skCUBE, 25 to 27 June 2017 (calibrated on the same passes)"
+)
 @pytest.mark.real_data
 def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes, reached):
     """The eight passes of 25 to 27 June with seven samples or more: the figures rest on 78 samples of them."""
@@ -142,13 +167,17 @@ def test_rates_from_sun_sensors_agree_with_the_gyro(free_passes, reached):
     use = known & (count >= 7)
     assert 70 <= use.sum() <= 110
     error = np.degrees(result["omega_B"].values - gyro)[use]
-    assert np.all(np.median(np.abs(error), axis=0) < [0.16, 0.14, 0.18])  # deg/s; the rates are 0.5 to 1.2 deg/s
+    assert np.all(
+        np.median(np.abs(error), axis=0) < [0.16, 0.14, 0.18]
+    )  # deg/s; the rates are 0.5 to 1.2 deg/s
     # coverage: error of a pass's mean against what it says, all modes counted, and the gyro's own zero (0.05 deg/s)
     square = []
     for number in np.unique(result["pass_of"].values[use]):
         at = result["pass_of"].values == number
         miss = np.degrees((result["omega_B"].values - gyro)[at].mean(axis=0))
-        square.append((miss / np.hypot(np.degrees(result["omega_sigma_all_B"].values[number]), 0.05)) ** 2)
+        square.append(
+            (miss / np.hypot(np.degrees(result["omega_sigma_all_B"].values[number]), 0.05)) ** 2
+        )
     assert 0.2 < np.mean(square) < 2.5
     reached("median error, worst axis", np.median(np.abs(error), axis=0), "deg/s")
     reached("squared error over stated variance", np.mean(square))
@@ -167,25 +196,35 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
     assert sum("far below full Sun" in text for text in why) == 35
     assert result.sizes["pass_id"] == 2
     sensors, _ = free_passes
-    shift = np.datetime64(data.attrs["epoch_utc"][:-1]) - np.datetime64(sensors.attrs["epoch_utc"][:-1])
+    shift = np.datetime64(data.attrs["epoch_utc"][:-1]) - np.datetime64(
+        sensors.attrs["epoch_utc"][:-1]
+    )
     start = result["time"].values + shift / np.timedelta64(1, "s")
     for number in range(2):
         when = start[result["pass_of"].values == number].mean()
         nearest = int(np.abs(sensors["time"].values - when).argmin())
         other = int(sensors["pass_of"].values[nearest])
         miss = result["omega_mean_B"].values[number, 0] - sensors["omega_mean_B"].values[other, 0]
-        sigma = np.hypot(result["omega_sigma_all_B"].values[number], sensors["omega_sigma_all_B"].values[other])
+        sigma = np.hypot(
+            result["omega_sigma_all_B"].values[number], sensors["omega_sigma_all_B"].values[other]
+        )
         assert np.all(np.abs(miss[:2]) < 2 * sigma[:2])
         assert np.abs(miss[2]) < 3 * sigma[2]
         reached("difference in stated sigma, worst axis", np.abs(miss / sigma), "", 3.0)
 
 
-@pytest.mark.evidence("rates", "validated", "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of docs/skcube_gyro.py")
+@pytest.mark.evidence(
+    "rates",
+    "validated",
+    "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of docs/skcube_gyro.py",
+)
 @pytest.mark.real_data
 @pytest.mark.long  # the quick test of the gyro's scale is that of the rates above, which are held against it
 def test_scale_and_zero_of_the_gyro_are_those_that_carry_the_sun_along(data_dir, reached):
     """140 pairs of beacons, the gyro of 28 June not read; the vehicle file's values agree within two sigma of both."""
-    spec = importlib.util.spec_from_file_location("skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py")
+    spec = importlib.util.spec_from_file_location(
+        "skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py"
+    )
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     craft = ss.load_vehicle("skcube")
@@ -197,5 +236,7 @@ def test_scale_and_zero_of_the_gyro_are_those_that_carry_the_sun_along(data_dir,
     both = np.hypot(sigma, [np.degrees(gyro.scale_sigma), *gyro.zero_sigma])
     assert np.all(np.abs(value - stated) < 2 * both)
     reached("scale, deg/s per count", value[0])
-    turned = found._replace(first=found.second, second=found.first)  # the control: the Sun carried the wrong way fits worse
+    turned = found._replace(
+        first=found.second, second=found.first
+    )  # the control: the Sun carried the wrong way fits worse
     assert script.fit(turned, craft.sensors.disturbance.acceleration_noise)[2] > cost + 10

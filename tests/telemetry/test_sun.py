@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.sun import SunStatus, best_directions, is_reconstructed, reconstructible_patterns
+from sunspin.telemetry.sun import (
+    SunStatus,
+    best_directions,
+    is_reconstructed,
+    reconstructible_patterns,
+)
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.response.panels import lit_patterns, panel_power
 
@@ -20,7 +25,9 @@ def directions(n: int, seed: int = 0) -> np.ndarray:
 def random_panels(seed: int, n: int) -> Vehicle:
     rng = np.random.default_rng(seed)
     normals = directions(n, seed + 1000)
-    return Vehicle("random", panels=[Panel(str(k), p, rng.uniform(0.5, 2)) for k, p in enumerate(normals)])
+    return Vehicle(
+        "random", panels=[Panel(str(k), p, rng.uniform(0.5, 2)) for k, p in enumerate(normals)]
+    )
 
 
 PHILAE = ss.load_vehicle("philae")
@@ -29,23 +36,45 @@ PHILAE = ss.load_vehicle("philae")
 @pytest.mark.evidence("panel_power", "verified", "computed by hand from Philae's table of panels")
 def test_power_by_hand():
     power = panel_power(PHILAE, [0.6, 0.0, 0.8])
-    np.testing.assert_allclose(power, [0, 162 * 0.6 / np.sqrt(2), 162 * 0.6, 162 * 0.6 / np.sqrt(2), 0, 230 * 0.8], rtol=1e-12)
+    np.testing.assert_allclose(
+        power,
+        [0, 162 * 0.6 / np.sqrt(2), 162 * 0.6, 162 * 0.6 / np.sqrt(2), 0, 230 * 0.8],
+        rtol=1e-12,
+    )
 
 
-@pytest.mark.evidence("panel_power", "verified", "the sixteen sets that the geometry allows, listed by hand")
+@pytest.mark.evidence(
+    "panel_power", "verified", "the sixteen sets that the geometry allows, listed by hand"
+)
 def test_philae_has_sixteen_lit_patterns():
-    side = [{"1"}, {"1", "2"}, {"1", "2", "3"}, {"1", "2", "3", "4"}, {"2", "3", "4", "5"}, {"3", "4", "5"}, {"4", "5"}, {"5"}]
+    side = [
+        {"1"},
+        {"1", "2"},
+        {"1", "2", "3"},
+        {"1", "2", "3", "4"},
+        {"2", "3", "4", "5"},
+        {"3", "4", "5"},
+        {"4", "5"},
+        {"5"},
+    ]
     expected = {frozenset(s) for s in side} | {frozenset(s | {"6"}) for s in side}
     assert set(lit_patterns(PHILAE)) == expected
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))])
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))]
+)
 def test_lit_patterns_of_any_vehicle_are_those_that_random_directions_show(seed):
     vehicle = random_panels(seed, 5)
     names = np.array(vehicle.panel_names)
-    shown = {frozenset(names[row].tolist()) for row in np.unique(panel_power(vehicle, directions(200_000)) > 0, axis=0)}
+    shown = {
+        frozenset(names[row].tolist())
+        for row in np.unique(panel_power(vehicle, directions(200_000)) > 0, axis=0)
+    }
     assert shown <= set(lit_patterns(vehicle))
-    assert len(set(lit_patterns(vehicle))) == 5 * 4 + 2  # n great circles in general position cut the sphere into n(n-1)+2
+    assert (
+        len(set(lit_patterns(vehicle))) == 5 * 4 + 2
+    )  # n great circles in general position cut the sphere into n(n-1)+2
 
 
 @pytest.mark.evidence("sun_directions", "verified", "5/16 of the sphere, from the normals by hand")
@@ -61,7 +90,9 @@ def test_philae_sees_five_sixteenths_of_the_sphere(reached):
     assert expected.mean() == pytest.approx(5 / 16, abs=0.01)
 
 
-@pytest.mark.evidence("sun_directions", "verified", "5,000 directions through the forward model and back")
+@pytest.mark.evidence(
+    "sun_directions", "verified", "5,000 directions through the forward model and back"
+)
 @pytest.mark.parametrize("case", ["philae", "skcube"])
 def test_noise_free_powers_give_the_direction_back(case, reached):
     vehicle, n = ss.load_vehicle(case), directions(5000, 3)
@@ -80,13 +111,17 @@ def misfit(vehicle, n, power):
     return 2.0 if size == 0 else np.linalg.norm(shape / size - power / np.linalg.norm(power))
 
 
-@pytest.mark.evidence("sun_directions", "verified", "SciPy's Nelder-Mead over the sphere, inconsistent powers too")
+@pytest.mark.evidence(
+    "sun_directions", "verified", "SciPy's Nelder-Mead over the sphere, inconsistent powers too"
+)
 @pytest.mark.parametrize("seed", range(8))
 def test_the_minimum_is_global_whatever_the_powers(seed, reached):
     """Random, also inconsistent powers, against a dense search with local polish."""
     rng = np.random.default_rng(seed)
     vehicle = PHILAE if seed % 2 else random_panels(seed, int(rng.integers(3, 7)))
-    power = rng.uniform(0, 1, (1, len(vehicle.panels))) * rng.integers(0, 2, (1, len(vehicle.panels)))
+    power = rng.uniform(0, 1, (1, len(vehicle.panels))) * rng.integers(
+        0, 2, (1, len(vehicle.panels))
+    )
     power[0, 0] += 0.1
     n, delta = best_directions(vehicle, power)
     grid = directions(20_000, 9)
@@ -97,7 +132,12 @@ def test_the_minimum_is_global_whatever_the_powers(seed, reached):
     best = 2.0
     for start in grid[np.argsort(found)[:5]]:
         options = {"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000}
-        best = min(best, minimize(lambda x: misfit(vehicle, x, power[0]), start, method="Nelder-Mead", options=options).fun)
+        best = min(
+            best,
+            minimize(
+                lambda x: misfit(vehicle, x, power[0]), start, method="Nelder-Mead", options=options
+            ).fun,
+        )
     assert delta[0] <= best + 1e-7
     reached("Delta above the best that the search found", delta[0] - best, "", 1e-7)
     assert misfit(vehicle, n[0], power[0]) == pytest.approx(delta[0], abs=1e-12)
@@ -150,13 +190,17 @@ def test_with_nothing_dark_to_bound_it_the_arc_is_half_a_circle():
 def test_below_the_side_panels_the_answer_is_an_arc():
     """At z < 0 the side powers fix the azimuth only: the arc runs from the horizon to the nadir."""
     n = np.array([0.7, -0.3, -0.5]) / np.linalg.norm([0.7, -0.3, -0.5])
-    arc = ss.sun_directions(PHILAE, panel_power(PHILAE, n[None]), lit_threshold=1e-9)["sun_arc_B"].values[0]
+    arc = ss.sun_directions(PHILAE, panel_power(PHILAE, n[None]), lit_threshold=1e-9)[
+        "sun_arc_B"
+    ].values[0]
     azimuth = np.array([0.7, -0.3, 0]) / np.linalg.norm([0.7, -0.3, 0])
     ends = sorted(arc.tolist(), key=lambda end: end[2])
     np.testing.assert_allclose(ends, [[0, 0, -1], azimuth], atol=1e-9)
 
 
-@pytest.mark.evidence("sun_directions", "verified", "4,000 noisy samples; half the noise assumed is noticed")
+@pytest.mark.evidence(
+    "sun_directions", "verified", "4,000 noisy samples; half the noise assumed is noticed"
+)
 def test_covariance_covers_as_stated_and_notices_a_wrong_noise(reached):
     rng = np.random.default_rng(0)
     n = np.array([0.5, 0.3, 0.81]) / np.linalg.norm([0.5, 0.3, 0.81])
@@ -174,8 +218,17 @@ def test_covariance_covers_as_stated_and_notices_a_wrong_noise(reached):
     reached("with half the noise assumed", chi2[1])
     assert chi2[0] == pytest.approx(2.0, abs=0.15)  # two degrees of freedom
     assert chi2[1] > 6.0
-    rms = np.sqrt((np.arccos(np.clip(ss.sun_directions(PHILAE, noisy, noise=2.0)["sun_B"].values @ n, -1, 1)) ** 2).mean())
-    assert np.median(ss.sun_directions(PHILAE, noisy, noise=2.0)["sigma_rad"].values) == pytest.approx(rms, rel=0.1)
+    rms = np.sqrt(
+        (
+            np.arccos(
+                np.clip(ss.sun_directions(PHILAE, noisy, noise=2.0)["sun_B"].values @ n, -1, 1)
+            )
+            ** 2
+        ).mean()
+    )
+    assert np.median(
+        ss.sun_directions(PHILAE, noisy, noise=2.0)["sigma_rad"].values
+    ) == pytest.approx(rms, rel=0.1)
 
 
 def test_noise_is_estimated_where_panels_are_redundant():
@@ -190,14 +243,19 @@ def test_noise_is_estimated_where_panels_are_redundant():
 @given(st.permutations(range(6)), st.integers(0, 1000))
 def test_status_does_not_depend_on_the_order_of_panels(order, seed):
     power = panel_power(PHILAE, directions(20, seed))
-    shuffled = Vehicle("shuffled", panels=[PHILAE.panels[k] for k in order], sun_rules=PHILAE.sun_rules)
+    shuffled = Vehicle(
+        "shuffled", panels=[PHILAE.panels[k] for k in order], sun_rules=PHILAE.sun_rules
+    )
     a = ss.sun_directions(PHILAE, power, lit_threshold=1.0)
     b = ss.sun_directions(shuffled, power[:, list(order)], lit_threshold=1.0)
     assert np.array_equal(a["status"].values, b["status"].values)
     np.testing.assert_allclose(a["sun_B"].values, b["sun_B"].values, atol=1e-9)
 
 
-@pytest.mark.parametrize("normals", [[[1, 0, 0]], [[1, 0, 0], [-1, 0, 0]], [[1, 0, 0], [1, 0, 0]], [[1, 0, 0], [0, 1, 0]]])
+@pytest.mark.parametrize(
+    "normals",
+    [[[1, 0, 0]], [[1, 0, 0], [-1, 0, 0]], [[1, 0, 0], [1, 0, 0]], [[1, 0, 0], [0, 1, 0]]],
+)
 def test_degenerate_vehicles_are_answered(normals):
     vehicle = Vehicle("few", panels=[Panel(str(k), p, 1.0) for k, p in enumerate(normals)])
     sun = ss.sun_directions(vehicle, panel_power(vehicle, directions(50)), lit_threshold=1e-9)
@@ -207,7 +265,9 @@ def test_degenerate_vehicles_are_answered(normals):
 
 def test_panel_health_explains_the_paper_patterns_by_panel_1():
     patterns = [["2", "3", "6"], ["2", "3"], ["2"]]
-    power = np.array([[float(name in pattern) for name in PHILAE.panel_names] for pattern in patterns])
+    power = np.array(
+        [[float(name in pattern) for name in PHILAE.panel_names] for pattern in patterns]
+    )
     health = ss.panel_health(PHILAE, power, lit_threshold=0.5)
     assert set(health["impossible"]) == {("2", "3", "6"), ("2", "3"), ("2",)}
     assert health["explanations"] == [("1",)]

@@ -21,10 +21,16 @@ def distances(assumed=PHILAE, noise=NOISE, offset=0.0, seed=0):
     power = ss.panel_power(PHILAE, sun)
     power = power[clear := (power > 0).sum(axis=1) >= 3]
     power = np.where(power > 0, power + rng.normal(size=power.shape) * NOISE + offset, 0.0)
-    enough = np.where(power != 0, power, np.inf).min(axis=1) > 6 * NOISE  # grazing panels are no longer linear
+    enough = (
+        np.where(power != 0, power, np.inf).min(axis=1) > 6 * NOISE
+    )  # grazing panels are no longer linear
     found = ss.sun_directions(assumed, power, noise=noise, lit_threshold=3 * NOISE)
     use = is_reconstructed(found["status"]) & enough
-    truth, told, covariance = sun[clear][use], found["sun_B"].values[use], found["sun_cov_B"].values[use]
+    truth, told, covariance = (
+        sun[clear][use],
+        found["sun_B"].values[use],
+        found["sun_cov_B"].values[use],
+    )
     basis = np.linalg.svd(told[:, None, :])[2][:, 1:]
     tangent = np.einsum("nai,nij,nbj->nab", basis, covariance, basis)
     error = np.einsum("nai,ni->na", basis, truth - told)
@@ -46,13 +52,20 @@ def test_the_covariance_covers_over_all_directions():
 
 
 def scaled(factor):
-    panels = [replace(p, gain=p.gain * (factor if k == 2 else 1.0)) for k, p in enumerate(PHILAE.panels)]
+    panels = [
+        replace(p, gain=p.gain * (factor if k == 2 else 1.0)) for k, p in enumerate(PHILAE.panels)
+    ]
     return replace(PHILAE, panels=panels)
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"noise": 1.3 * NOISE}, {"noise": NOISE / 1.3}, {"assumed": scaled(1.05)}, {"offset": 2.0 * NOISE}],
+    [
+        {"noise": 1.3 * NOISE},
+        {"noise": NOISE / 1.3},
+        {"assumed": scaled(1.05)},
+        {"offset": 2.0 * NOISE},
+    ],
     ids=["noise too large", "noise too small", "a gain 5 % off", "an offset"],
 )
 def test_it_fails_where_the_model_is_wrong(wrong):

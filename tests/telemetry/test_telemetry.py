@@ -12,7 +12,11 @@ GOOD = "time,a,b\n2026-01-01T00:00:00Z,1.0,2.0\n2026-01-01T00:02:00Z,1.5,0.0\n"
 
 
 def vehicle(**form) -> Vehicle:
-    return Vehicle("two", panels=[Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 1, 0], 1.0)], telemetry=TelemetryForm(**form))
+    return Vehicle(
+        "two",
+        panels=[Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 1, 0], 1.0)],
+        telemetry=TelemetryForm(**form),
+    )
 
 
 def read(tmp_path, text, craft=None):
@@ -32,7 +36,13 @@ def test_a_good_file(tmp_path):
 
 
 def test_unix_seconds_scale_current_and_named_columns(tmp_path):
-    craft = vehicle(quantity="current_A", time_column="t", time_format="unix", scale=0.001, columns={"a": "ia", "b": "ib"})
+    craft = vehicle(
+        quantity="current_A",
+        time_column="t",
+        time_format="unix",
+        scale=0.001,
+        columns={"a": "ia", "b": "ib"},
+    )
     data = read(tmp_path, "t,ia,ib,other\n1498633767,500,0,x\n1498633807.5,250,1,y\n", craft)
     np.testing.assert_allclose(data["current_A"].values, [[0.5, 0], [0.25, 0.001]], rtol=1e-12)
     np.testing.assert_allclose(data["time"].values, [0, 40.5], rtol=0, atol=1e-6)
@@ -99,18 +109,32 @@ def test_rows_are_sorted_and_repeats_merged_where_bad_rows_are_flagged(tmp_path)
     data = read(tmp_path, text, craft)
     np.testing.assert_array_equal(data["time"].values, [0, 10, 20, 30, 900])
     np.testing.assert_array_equal(data["power_W"].values[:, 0], [1, 2, 3, 4, 7])
-    assert not data["flag"].values.any() and data.attrs["rows_merged"] == 2 and data.attrs["rows_sorted"] == 6
+    assert (
+        not data["flag"].values.any()
+        and data.attrs["rows_merged"] == 2
+        and data.attrs["rows_sorted"] == 6
+    )
 
 
 def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
-    data = read(tmp_path, "time,a,b\n2026-01-01T00:01:00Z,2,1\n2026-01-01T00:00:00Z,1,1\n", vehicle(bad_rows="flag"))
-    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data["time"].values.tolist() == [0.0, 60.0]
+    data = read(
+        tmp_path,
+        "time,a,b\n2026-01-01T00:01:00Z,2,1\n2026-01-01T00:00:00Z,1,1\n",
+        vehicle(bad_rows="flag"),
+    )
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data["time"].values.tolist() == [
+        0.0,
+        60.0,
+    ]
 
 
 def test_times_without_a_zone_beside_local_ones_are_refused(tmp_path):
     """Nobody knows whether they are UTC; beside times in UTC they are."""
     rows = "time,a,b\n2026-01-01T00:00:00{},2,1\n2026-01-01T00:01:00,1,1\n"
-    with pytest.raises(ss.SunspinError, match=r"line 3, column 'time': other times of this file have a time zone .* or Z for UTC"):
+    with pytest.raises(
+        ss.SunspinError,
+        match=r"line 3, column 'time': other times of this file have a time zone .* or Z for UTC",
+    ):
         read(tmp_path, rows.format("+02:00"))
     assert read(tmp_path, rows.format("Z"))["time"].values.tolist() == [0, 60]
 
@@ -128,7 +152,9 @@ def test_without_a_stated_noise_the_file_tells_what_is_noise(tmp_path):
     craft = vehicle(time_format="elapsed", epoch_utc="2026-01-01")
 
     def text(values) -> str:
-        return "time,a,b\n" + "".join(f"{10 * k},{a:.4f},{b:.4f}\n" for k, (a, b) in enumerate(values))
+        return "time,a,b\n" + "".join(
+            f"{10 * k},{a:.4f},{b:.4f}\n" for k, (a, b) in enumerate(values)
+        )
 
     assert (noisy < -0.01).sum() > 3
     data = read(tmp_path, text(noisy), craft)
@@ -147,5 +173,7 @@ def test_skcube_beacons_read_and_say_what_they_can_tell(data_dir):
     data = ss.read_telemetry(data_dir / "skcube" / "skcube_pwr.csv", craft)
     assert data.sizes["time"] == 55
     sun = ss.sun_directions(craft, data)
-    assert is_reconstructed(sun["status"]).sum() == 6  # as counted by hand: six beacons with three lit faces
+    assert (
+        is_reconstructed(sun["status"]).sum() == 6
+    )  # as counted by hand: six beacons with three lit faces
     assert set(np.unique(sun["n_lit"].values)) <= {0, 1, 2, 3}

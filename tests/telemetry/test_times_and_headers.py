@@ -27,15 +27,22 @@ TEMPLATE = resources.files("sunspin").joinpath("template", "vehicle.toml").read_
 def test_a_time_that_is_none_says_how_to_write_it(tmp_path, time, words):
     file = tmp_path / "t.csv"
     file.write_text(f"time_utc,px,mx,py,my,pz\n{time},1,0,1,0,1\n")
-    with pytest.raises(ss.SunspinError, match=f"line 2, column 'time_utc': an ISO-8601 UTC time is expected .*{words}"):
+    with pytest.raises(
+        ss.SunspinError,
+        match=f"line 2, column 'time_utc': an ISO-8601 UTC time is expected .*{words}",
+    ):
         ss.read_telemetry(file, parse_vehicle(TEMPLATE, "v.toml"))
 
 
-@pytest.mark.parametrize("first", ["2026-01-01T00:00:00Z,0.000,0.000,1,2,3", "2026-01-01T00:00:00Z,,,1,2,3"])
+@pytest.mark.parametrize(
+    "first", ["2026-01-01T00:00:00Z,0.000,0.000,1,2,3", "2026-01-01T00:00:00Z,,,1,2,3"]
+)
 def test_a_file_without_a_header_says_so(tmp_path, first):
     file = tmp_path / "t.csv"
     file.write_text(f"{first}\n{first}\n")
-    with pytest.raises(ss.SunspinError, match="the first row holds numbers and no names of columns"):
+    with pytest.raises(
+        ss.SunspinError, match="the first row holds numbers and no names of columns"
+    ):
         ss.read_telemetry(file, parse_vehicle(TEMPLATE, "v.toml"))
 
 

@@ -27,7 +27,9 @@ def changed(text: str, table: str, key: str, factor: float) -> str:
     stands = line_of(text, table, key)
     assert stands is not None and stands[1].startswith(key)
     lines = text.splitlines()
-    lines[stands[0] - 1] = re.sub(r"\d[\d.e+-]*", lambda m: repr(float(m[0]) * factor), lines[stands[0] - 1], count=1)
+    lines[stands[0] - 1] = re.sub(
+        r"\d[\d.e+-]*", lambda m: repr(float(m[0]) * factor), lines[stands[0] - 1], count=1
+    )
     return "\n".join(lines)
 
 
@@ -36,7 +38,10 @@ def judged(text: str, telemetry) -> list:
     return wrong_units(vehicle, ss.read_telemetry(telemetry, vehicle))
 
 
-@pytest.fixture(params=[(make, seed) for make in MAKERS for seed in (1, 2)], ids=lambda p: f"{p[0].__name__}-{p[1]}")
+@pytest.fixture(
+    params=[(make, seed) for make in MAKERS for seed in (1, 2)],
+    ids=lambda p: f"{p[0].__name__}-{p[1]}",
+)
 def satellite(request, tmp_path):
     make, seed = request.param
     return make(tmp_path, np.random.default_rng(seed))
@@ -45,7 +50,10 @@ def satellite(request, tmp_path):
 @pytest.mark.parametrize("seed", range(6))
 def test_a_file_of_the_shadow_alone_is_in_no_wrong_unit(tmp_path, seed):
     """Noise that is cut off at zero leaves panels that agree on directions, but not samples on how bright their Sun is."""
-    made, rng = satellites.six_faces(tmp_path, np.random.default_rng(1)), np.random.default_rng(seed)
+    made, rng = (
+        satellites.six_faces(tmp_path, np.random.default_rng(1)),
+        np.random.default_rng(seed),
+    )
     vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
     noise = 0.012 * vehicle.input_gains * rng.normal(size=(90, len(vehicle.inputs)))
     assert panel_unit(vehicle, np.clip(noise, 0.0, None), best_directions) is None
@@ -53,14 +61,19 @@ def test_a_file_of_the_shadow_alone_is_in_no_wrong_unit(tmp_path, seed):
 
 @pytest.mark.parametrize("rows", [8, 20])
 @pytest.mark.parametrize("make", MAKERS)
-def test_of_a_hundred_small_files_of_the_shadow_at_most_one_is_in_a_wrong_unit(make, rows, tmp_path):
+def test_of_a_hundred_small_files_of_the_shadow_at_most_one_is_in_a_wrong_unit(
+    make, rows, tmp_path
+):
     """Whatever their size, cut off at zero or not, with noise alike for all panels or with their gains."""
     made, rng = make(tmp_path, np.random.default_rng(1)), np.random.default_rng(rows)
     vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
     gains, accused = vehicle.input_gains, 0
     for k in range(100):
         noise = 0.003 * (gains if k % 2 else gains.max()) * rng.normal(size=(rows, len(gains)))
-        accused += panel_unit(vehicle, np.clip(noise, 0.0, None) if k % 4 < 2 else noise, best_directions) is not None
+        accused += (
+            panel_unit(vehicle, np.clip(noise, 0.0, None) if k % 4 < 2 else noise, best_directions)
+            is not None
+        )
     assert accused <= 1
 
 
@@ -72,9 +85,13 @@ def test_twenty_rows_of_sunlight_are_enough_to_name_a_wrong_unit(make, tmp_path)
     for _ in range(20):
         sun = rng.normal(size=(20, 3))
         power = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
-        power = np.clip(power + 0.01 * vehicle.input_gains * rng.normal(size=power.shape), 0.0, None)
+        power = np.clip(
+            power + 0.01 * vehicle.input_gains * rng.normal(size=power.shape), 0.0, None
+        )
         named += panel_unit(vehicle, 1e-3 * power, best_directions) is not None
-    assert named >= (14 if make is satellites.four_faces else 19)  # of two lit panels every other order fits
+    assert named >= (
+        14 if make is satellites.four_faces else 19
+    )  # of two lit panels every other order fits
 
 
 def with_scale(text: str) -> str:
@@ -91,7 +108,9 @@ def test_thousandths_read_as_wholes(satellite, factor):
     text = with_scale(satellite.vehicle.read_text())
     right = parse_vehicle(text, "v.toml").telemetry.scale
     (found,) = judged(changed(text, "telemetry", "scale", factor), satellite.telemetry)
-    assert (found.table, found.key) == ("telemetry", "scale") and found.value == pytest.approx(right)
+    assert (found.table, found.key) == ("telemetry", "scale") and found.value == pytest.approx(
+        right
+    )
     assert "1000 times" in str(found) and "scale" in str(found)
 
 
@@ -103,15 +122,23 @@ def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key
     lines = [line for line in made.telemetry.read_text().splitlines() if not line.startswith("#")]
     path = tmp_path / "volts.csv"
     path.write_text("\n".join([f"{lines[0]},bus", *(f"{line},1.0" for line in lines[1:])]))
-    text = with_scale(made.vehicle.read_text()).replace("[telemetry]", '[telemetry]\nvoltage_column = "bus"\nvoltage_scale = 1.0')
+    text = with_scale(made.vehicle.read_text()).replace(
+        "[telemetry]", '[telemetry]\nvoltage_column = "bus"\nvoltage_scale = 1.0'
+    )
     assert judged(text, path) == []
     (found,) = judged(changed(text, "telemetry", key, factor), path)
-    assert found.key == "scale or voltage_scale" and found.value is None and "check scale or voltage_scale" in str(found)
+    assert (
+        found.key == "scale or voltage_scale"
+        and found.value is None
+        and "check scale or voltage_scale" in str(found)
+    )
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(satellite, factor):
-    vehicle = parse_vehicle(changed(with_scale(satellite.vehicle.read_text()), "telemetry", "scale", factor), "v.toml")
+    vehicle = parse_vehicle(
+        changed(with_scale(satellite.vehicle.read_text()), "telemetry", "scale", factor), "v.toml"
+    )
     samples = ss.read_telemetry(satellite.telemetry, vehicle)
     texts = {str(text) for text in panel_quality(vehicle, samples)["why"].values}
     assert any("1000 times" in text for text in texts) and "dropped: no panel lit" not in texts
@@ -120,7 +147,9 @@ def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(sate
 
 def test_rates_name_it_too(tmp_path):
     made = satellites.six_faces(tmp_path, np.random.default_rng(1))
-    vehicle = parse_vehicle(changed(with_scale(made.vehicle.read_text()), "telemetry", "scale", 1e-3), "v.toml")
+    vehicle = parse_vehicle(
+        changed(with_scale(made.vehicle.read_text()), "telemetry", "scale", 1e-3), "v.toml"
+    )
     with pytest.raises(ss.InputError, match="1000 times less.*set scale = 1 under"):
         ss.rates(vehicle, ss.read_telemetry(made.telemetry, vehicle))
 
@@ -132,7 +161,9 @@ def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
     text = made.vehicle.read_text()
     right = parse_vehicle(text, "v.toml").sensors.gyro.scale_rad_s
     (found,) = judged(changed(text, "gyro", "scale_rad_s", factor), made.telemetry)
-    assert (found.table, found.key) == ("gyro", "scale_rad_s") and found.value == pytest.approx(right, rel=1e-3)
+    assert (found.table, found.key) == ("gyro", "scale_rad_s") and found.value == pytest.approx(
+        right, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -148,7 +179,9 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
         read[:, order] = rate * sign  # what the columns hold, if they are to be read so
         found = wrong_gyro_axes(vehicle, samples.assign(gyro_B=(("time", "axis"), read)))
         columns = vehicle.sensors.gyro.read_as(order, sign)["columns"]
-        assert found is None or (f"the gyro {what} turns" in found and f"set columns = {json.dumps(columns)}" in found)
+        assert found is None or (
+            f"the gyro {what} turns" in found and f"set columns = {json.dumps(columns)}" in found
+        )
         named += found is not None
     assert named >= len(ways) / 2  # the others carry the Sun nearly as well
 
@@ -178,23 +211,40 @@ x_scale = 1.0
 x_sigma_rad = 0.02
 y_sigma_rad = 0.5
 """
-IN_TESLA = {"zero": np.array([2e-6, -1e-6, 3e-6]), "noise": 3e-7, "dipole": np.array([0.3, 0.1, -0.2])}
+IN_TESLA = {
+    "zero": np.array([2e-6, -1e-6, 3e-6]),
+    "noise": 3e-7,
+    "dipole": np.array([0.3, 0.1, -0.2]),
+}
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
-@pytest.mark.parametrize(("key", "at_fault"), [("zero", 1e3), ("noise", 1e6), ("noise", 1e-9), ("zero", 1e9), ("dipole", 1e6)])
+@pytest.mark.parametrize(
+    ("key", "at_fault"),
+    [("zero", 1e3), ("noise", 1e6), ("noise", 1e-9), ("zero", 1e9), ("dipole", 1e6)],
+)
 def test_units_of_a_magnetometer(tmp_path, unit, key, at_fault):
     """The columns may be in any unit, but zero, noise and dipole are in the same one (the dipole per unit)."""
     rng = np.random.default_rng(5)
     field = rng.normal(size=(60, 3))
     field = 4e-5 * field / np.linalg.norm(field, axis=1, keepdims=True) + IN_TESLA["zero"]
-    rows = [f"2026-01-01T00:00:{i:02d}Z,0.1," + ",".join(repr(float(b)) for b in unit * field[i]) for i in range(60)]
+    rows = [
+        f"2026-01-01T00:00:{i:02d}Z,0.1," + ",".join(repr(float(b)) for b in unit * field[i])
+        for i in range(60)
+    ]
     path = tmp_path / "field.csv"
     path.write_text("time,sx,bx,by,bz\n" + "\n".join(rows))
-    right = {"zero": unit * IN_TESLA["zero"], "noise": unit * IN_TESLA["noise"], "dipole": IN_TESLA["dipole"] / unit}
+    right = {
+        "zero": unit * IN_TESLA["zero"],
+        "noise": unit * IN_TESLA["noise"],
+        "dipole": IN_TESLA["dipole"] / unit,
+    }
 
     def judge(values):
-        told = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+        told = {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in values.items()
+        }
         return judged(MAGNETOMETER.format(**told), path)
 
     assert judge(right) == []
@@ -207,17 +257,32 @@ def test_degrees_of_a_sun_sensor(tmp_path, seed, reach_deg):
     """Also of a sensor that reads something while the Sun stands behind it."""
     rng = np.random.default_rng(seed)
     sun = rng.normal(size=(60, 3))
-    angle = np.degrees(np.arctan2(sun[:, 1], np.abs(sun[:, 0]) if reach_deg < 90 else sun[:, 0])) * reach_deg / 90
+    angle = (
+        np.degrees(np.arctan2(sun[:, 1], np.abs(sun[:, 0]) if reach_deg < 90 else sun[:, 0]))
+        * reach_deg
+        / 90
+    )
     path = tmp_path / "sun.csv"
-    path.write_text("time,sx\n" + "\n".join(f"2026-01-01T00:00:{i:02d}Z,{angle[i]:.3f}" for i in range(60)))
-    right = MAGNETOMETER.replace("x_scale = 1.0", f"x_scale = {np.pi / 180}").format(zero=[0, 0, 0], noise=1, dipole=[0, 0, 0])
+    path.write_text(
+        "time,sx\n" + "\n".join(f"2026-01-01T00:00:{i:02d}Z,{angle[i]:.3f}" for i in range(60))
+    )
+    right = MAGNETOMETER.replace("x_scale = 1.0", f"x_scale = {np.pi / 180}").format(
+        zero=[0, 0, 0], noise=1, dipole=[0, 0, 0]
+    )
     assert judged(right, path) == []
     (found,) = judged(right.replace(f"x_scale = {np.pi / 180}", "x_scale = 1.0"), path)
-    assert found.key == "x_scale" and found.value == pytest.approx(np.pi / 180) and "degrees read as radians" in str(found)
+    assert (
+        found.key == "x_scale"
+        and found.value == pytest.approx(np.pi / 180)
+        and "degrees read as radians" in str(found)
+    )
 
 
 def test_the_line_of_a_key():
     text = 'name = "v"\n[telemetry]\n# scale = 3\nscale = 2 # x\n[telemetry.columns]\nscale = "b"\n[[wheel]]\nname = "w"\n'
     assert line_of(text, "telemetry", "scale") == (4, "scale = 2 # x")
     assert line_of(text, "telemetry", "noise") == (2, "[telemetry]")
-    assert line_of(text, "[wheel]", "name") == (8, 'name = "w"') and line_of(text, "gyro", "zero") is None
+    assert (
+        line_of(text, "[wheel]", "name") == (8, 'name = "w"')
+        and line_of(text, "gyro", "zero") is None
+    )

@@ -31,7 +31,14 @@ assert_type(vehicle.require_noise(), float)
 assert_type(case.require_timeline().event("collision").t_s, float)
 assert_type(ss.rates(vehicle, seen, max_rate_rad_s=0.1), xr.Dataset)
 
-run = ss.propagate(vehicle, omega_B=[0.1, 0, 0], sun_B=[0, 0, 1], wheel_speed_rad_s=865, t_s=[0, 60.0], wheel_mode="hold")
+run = ss.propagate(
+    vehicle,
+    omega_B=[0.1, 0, 0],
+    sun_B=[0, 0, 1],
+    wheel_speed_rad_s=865,
+    t_s=[0, 60.0],
+    wheel_mode="hold",
+)
 assert_type(run, xr.Dataset)
 assert_type(ss.impact(vehicle, [0, 0, 0], 865, [0, 0, -0.2], "1"), xr.Dataset)
 assert_type(ss.fit_spin_down([0, 1, 2, 3], [4, 3, 2, 1], 0.0058).friction, ss.Friction)

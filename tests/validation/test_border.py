@@ -57,7 +57,9 @@ def test_every_whole_table_that_is_odd_is_a_result_or_a_sentence(home):
     for bomb in TABLE_BOMBS:
         (home / "bad.csv").write_bytes(bomb(good))
         told.append(judge(sunspin("check", "vehicle.toml", "bad.csv")))
-    assert [each for each in told if each.bad] == [] and sum(each.what == "refused" for each in told) > len(told) / 2
+    assert [each for each in told if each.bad] == [] and sum(
+        each.what == "refused" for each in told
+    ) > len(told) / 2
 
 
 @pytest.mark.slow
@@ -124,7 +126,12 @@ def test_a_defect_is_said_to_be_one(monkeypatch, home):
     monkeypatch.delenv("SUNSPIN_TRACEBACK", raising=False)
     monkeypatch.setattr("sunspin.vehicle.load_vehicle", broken)
     told = sunspin("check", "philae")
-    assert told.code == 1 and told.err.count("\n") == 1 and "fault of sunspin" in told.err and "oops" in told.err
+    assert (
+        told.code == 1
+        and told.err.count("\n") == 1
+        and "fault of sunspin" in told.err
+        and "oops" in told.err
+    )
     monkeypatch.setenv("SUNSPIN_TRACEBACK", "1")
     assert "TypeError" in sunspin("check", "philae").escaped
 
@@ -144,7 +151,9 @@ def test_a_defect_is_said_to_be_one(monkeypatch, home):
 )
 def test_vehicle_files_that_are_bombs_or_nonsense(text, said):
     with pytest.raises(ss.VehicleError, match=said.replace("+", r"\+")) as error:
-        parse_vehicle(text if text.startswith(("a", "name")) else f"name = 'v'\n[body]\n{text}", "v.toml")
+        parse_vehicle(
+            text if text.startswith(("a", "name")) else f"name = 'v'\n[body]\n{text}", "v.toml"
+        )
     assert str(error.value).isprintable()
 
 
@@ -160,7 +169,9 @@ def test_no_key_of_a_vehicle_file_names_a_file(home, tmp_path_factory):
     secret = tmp_path_factory.mktemp("other") / "secret.csv"
     secret.write_text("time_utc,px\n")
     text = (home / "vehicle.toml").read_text("utf-8")
-    (home / "v.toml").write_text(text.replace('"px"', f'"{secret}"').replace('"my satellite"', '"../../etc/passwd"'))
+    (home / "v.toml").write_text(
+        text.replace('"px"', f'"{secret}"').replace('"my satellite"', '"../../etc/passwd"')
+    )
     err = refused("sun", "v.toml", "telemetry.csv", words=["is missing"])
     assert "time_utc,px\n" not in err
 
@@ -179,9 +190,31 @@ def test_grids_by_typo_are_refused_with_an_estimate(home):
     huge = [f"--omega-{x}=-0.5:0.5:0.0001" for x in "xyz"]
     assert "2.8e+04 h of one core and 3e+04 GB" in refused(*files, *huge)
     refused(*files, "--omega-x=0:1:1e-12", words=["h of one core", "GB of memory", "larger step"])
-    refused("simulate", "philae", *START, "--duration=1e7", "--step=1", words=["output times", "GB of memory"])
-    refused("simulate", "philae", *START, "--duration=1e9", "--step=1e8", words=["rad", "would take some"])
-    refused("simulate", "philae", "--omega=1e5,0,0", "--sun=0,0.6,0.8", "--duration=1e4", "--step=1e3", words=["in rad/s"])
+    refused(
+        "simulate",
+        "philae",
+        *START,
+        "--duration=1e7",
+        "--step=1",
+        words=["output times", "GB of memory"],
+    )
+    refused(
+        "simulate",
+        "philae",
+        *START,
+        "--duration=1e9",
+        "--step=1e8",
+        words=["rad", "would take some"],
+    )
+    refused(
+        "simulate",
+        "philae",
+        "--omega=1e5,0,0",
+        "--sun=0,0.6,0.8",
+        "--duration=1e4",
+        "--step=1e3",
+        words=["in rad/s"],
+    )
 
 
 def test_results_that_no_machine_holds_are_refused_with_an_estimate():
@@ -194,7 +227,9 @@ def test_results_that_no_machine_holds_are_refused_with_an_estimate():
 @pytest.mark.parametrize("value", ["nan", "inf", "1e308", "1e-308"])
 def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
     refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "number"])
-    refused("simulate", "philae", f"--omega=0,{value},0", START[1], "--duration=1", words=["--omega"])
+    refused(
+        "simulate", "philae", f"--omega=0,{value},0", START[1], "--duration=1", words=["--omega"]
+    )
     refused("sun", "vehicle.toml", "telemetry.csv", f"--noise={value}", words=["--noise"])
 
 
@@ -205,7 +240,14 @@ def test_a_lead_of_ages_is_a_sentence(home):
 
 
 def test_too_many_turns_between_samples_are_refused(home):
-    refused("rates", "vehicle.toml", "telemetry.csv", "--max-rate=1e6", "--noise=1e-4", words=["whole turns", "--max-rate"])
+    refused(
+        "rates",
+        "vehicle.toml",
+        "telemetry.csv",
+        "--max-rate=1e6",
+        "--noise=1e-4",
+        words=["whole turns", "--max-rate"],
+    )
 
 
 def test_file_names_of_any_bytes_are_printed(home):
@@ -217,7 +259,10 @@ def test_file_names_of_any_bytes_are_printed(home):
 def test_results_and_their_page_in_a_folder_of_any_name(home, undrawn, framed):
     os.rename("telemetry.csv", "t\udce9.csv")
     folder = "caf\udce9 \u202e"
-    for command in (["simulate", "philae", *START, "--duration=5"], ["sun", "vehicle.toml", "t\udce9.csv"]):
+    for command in (
+        ["simulate", "philae", *START, "--duration=5"],
+        ["sun", "vehicle.toml", "t\udce9.csv"],
+    ):
         place = folder + command[0]
         told = sunspin(*command, f"--out={place}")
         assert not told.err and told.code == 0, told
@@ -225,7 +270,14 @@ def test_results_and_their_page_in_a_folder_of_any_name(home, undrawn, framed):
         told = sunspin("report", place)
         assert not told.err and told.code == 0, told
     pytest.importorskip("spiceypy")
-    refused("export", folder + "simulate", "--epoch=2026-01-01T00:00:00Z", "--format=ck", f"--out={folder}", words=["SPICE"])
+    refused(
+        "export",
+        folder + "simulate",
+        "--epoch=2026-01-01T00:00:00Z",
+        "--format=ck",
+        f"--out={folder}",
+        words=["SPICE"],
+    )
 
 
 def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, undrawn, framed, monkeypatch):
@@ -238,11 +290,15 @@ def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, undrawn, f
     data = bytearray((home / "results" / "trajectory.nc").read_bytes())
     data[200:260] = bytes(60)
     (home / "results" / "trajectory.nc").write_bytes(data)
-    (home / "results" / "summary.json").write_text('{"title": "\\ud800 <script>x</script>", "verdict": [1, {"a": null}]}')
+    (home / "results" / "summary.json").write_text(
+        '{"title": "\\ud800 <script>x</script>", "verdict": [1, {"a": null}]}'
+    )
     told = sunspin("report", "results")
     assert told.code == 0 and sunspin("report", "results") == told
     page = (home / "results" / "report.html").read_text("utf-8")
-    assert "bomb.nc could not be read" in page and "GB of memory" in page and "<script>x" not in page
+    assert (
+        "bomb.nc could not be read" in page and "GB of memory" in page and "<script>x" not in page
+    )
 
 
 @pytest.mark.parametrize("value", [pytest.param(0.0, marks=pytest.mark.long), 1e300, np.nan])
@@ -290,7 +346,14 @@ def test_files_in_columns_may_not_unpack_to_any_size(home, monkeypatch):
 
 def test_a_scan_that_is_none_is_a_sentence(home):
     xr.Dataset({"emd": ("x", [1.0])}).to_netcdf("scan.nc", engine="h5netcdf")
-    refused("outcomes", "vehicle.toml", "--scan=scan.nc", "--sun=0,0.6,0.8", "--after=60", words=["no scan"])
+    refused(
+        "outcomes",
+        "vehicle.toml",
+        "--scan=scan.nc",
+        "--sun=0,0.6,0.8",
+        "--after=60",
+        words=["no scan"],
+    )
 
 
 def test_kernels_that_are_none_are_a_sentence(home, undrawn):

@@ -18,7 +18,9 @@ FACES = ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1])
 def cube() -> Vehicle:
     panels = [Panel(str(k), normal, 1.0) for k, normal in enumerate(FACES)]
     form = TelemetryForm(quantity="current_A", noise=0.02)
-    return Vehicle("cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
+    return Vehicle(
+        "cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form
+    )
 
 
 @pytest.mark.long
@@ -27,9 +29,15 @@ def test_small_twins_are_recalled_and_resumed(tmp_path):
     first = calibrate(tmp_path, "unknown", 1, **options)
     files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json")}
     rows = calibrate(tmp_path, "unknown", 2, **options)
-    assert rows[0] == first[0] and all(path.stat().st_mtime_ns == when for path, when in files.items())
+    assert rows[0] == first[0] and all(
+        path.stat().st_mtime_ns == when for path, when in files.items()
+    )
     figures = tally(rows)
-    assert figures["twins"] == 2 and figures["confident_misses"] == 0 and set(figures["ranks_p"]) == set(QUANTITIES)
+    assert (
+        figures["twins"] == 2
+        and figures["confident_misses"] == 0
+        and set(figures["ranks_p"]) == set(QUANTITIES)
+    )
 
 
 def test_a_run_killed_while_it_removes_a_twins_stages_goes_on(tmp_path, monkeypatch):
@@ -56,7 +64,9 @@ def test_a_swapped_twin_is_the_same_but_for_the_swap():
     craft = cube()
     telemetry, truth, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)
     again, same, _, _ = make(craft, "swapped", 0.2, 12, 20.0, 0, 0)
-    assert np.array_equal(telemetry["current_A"], again["current_A"]) and np.array_equal(truth.omega, same.omega)
+    assert np.array_equal(telemetry["current_A"], again["current_A"]) and np.array_equal(
+        truth.omega, same.omega
+    )
 
 
 def test_a_vehicle_without_a_noise_is_refused_with_a_sentence():

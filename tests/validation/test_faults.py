@@ -23,14 +23,20 @@ def limited(kind, most, *arguments):
     """The command line in another process that may not have more of something; exit code, complaint."""
     command = [sys.executable, "-m", "sunspin.cli", *map(str, arguments)]
     done = subprocess.run(
-        command, env=environment(), capture_output=True, text=True, preexec_fn=lambda: resource.setrlimit(kind, (most, most))
+        command,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(kind, (most, most)),
     )
     return done.returncode, done.stderr
 
 
 def said(outcome, *words):
     code, complaint = outcome
-    assert code == 2 and complaint.startswith("sunspin: error: ") and complaint.count("\n") == 1, complaint
+    assert code == 2 and complaint.startswith("sunspin: error: ") and complaint.count("\n") == 1, (
+        complaint
+    )
     assert all(word in complaint for word in words), complaint
 
 
@@ -43,7 +49,15 @@ def test_no_room_for_results_is_said_and_no_half_file_stays(tmp_path):
 
 @pytest.mark.long
 def test_no_room_for_a_store_is_said(tmp_path):
-    given = ["outcomes", "philae", "--runs=64", "--workers=1", "--strategy=off", "--store", tmp_path / "rows"]
+    given = [
+        "outcomes",
+        "philae",
+        "--runs=64",
+        "--workers=1",
+        "--strategy=off",
+        "--store",
+        tmp_path / "rows",
+    ]
     said(limited(resource.RLIMIT_FSIZE, 500, *given), "free space", str(tmp_path), "nothing")
     assert not list(tmp_path.rglob("*.part*"))
 
@@ -94,7 +108,10 @@ def test_a_process_killed_while_it_writes_is_swept(tmp_path):
         "folder = results_folder(Path(sys.argv[1]), 'sun'); "
         "write_whole(folder / 'sun.nc', lambda part: (part.write_bytes(b'half'), os.kill(os.getpid(), 9)))"
     )
-    assert subprocess.run([sys.executable, "-c", code, tmp_path / "out"], env=environment()).returncode == -9
+    assert (
+        subprocess.run([sys.executable, "-c", code, tmp_path / "out"], env=environment()).returncode
+        == -9
+    )
     assert len(list((tmp_path / "out").iterdir())) == 3
     results_folder(tmp_path / "out", "sun")
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".sunspin-results"]
@@ -102,18 +119,41 @@ def test_a_process_killed_while_it_writes_is_swept(tmp_path):
 
 def test_only_our_own_files_are_removed(tmp_path):
     """What is not listed stays, whatever it is called; a list of somebody else's cannot name other files."""
-    folder, rng, ended = results_folder(tmp_path / "out", "sun"), random.Random(3), process_that_ended()
-    stems = (".thesis", ".sun.nc", "sun", f".sunspin-{ended}", f".sunspin-{ended}-{'0' * 16}", ".sunspin", ".sunspin-results")
-    theirs = [folder / f"{rng.choice(stems)}.{rng.choice(['4000000', str(ended), '1', 'x'])}.part" for _ in range(200)]
-    theirs += [folder / f".sunspin-{ended}-{'f' * 16}.part", tmp_path / "thesis.tex", folder / "thesis.tex"]
+    folder, rng, ended = (
+        results_folder(tmp_path / "out", "sun"),
+        random.Random(3),
+        process_that_ended(),
+    )
+    stems = (
+        ".thesis",
+        ".sun.nc",
+        "sun",
+        f".sunspin-{ended}",
+        f".sunspin-{ended}-{'0' * 16}",
+        ".sunspin",
+        ".sunspin-results",
+    )
+    theirs = [
+        folder / f"{rng.choice(stems)}.{rng.choice(['4000000', str(ended), '1', 'x'])}.part"
+        for _ in range(200)
+    ]
+    theirs += [
+        folder / f".sunspin-{ended}-{'f' * 16}.part",
+        tmp_path / "thesis.tex",
+        folder / "thesis.tex",
+    ]
     for path in theirs:
         path.write_bytes(b"mine")
-    listed = "\n".join(["../thesis.tex", "thesis.tex", *(path.name for path in theirs[:200]), str(theirs[-2])])
+    listed = "\n".join(
+        ["../thesis.tex", "thesis.tex", *(path.name for path in theirs[:200]), str(theirs[-2])]
+    )
     ours = begun(folder, ended)
     with open(folder / f".sunspin-{ended}.parts", "a") as file:
         file.write(listed)
     results_folder(folder, "sun")
-    assert all(path.read_bytes() == b"mine" for path in theirs) and not any(path.exists() for path in ours)
+    assert all(path.read_bytes() == b"mine" for path in theirs) and not any(
+        path.exists() for path in ours
+    )
     (folder / f".sunspin-{ended}.parts").symlink_to(tmp_path / "thesis.tex")
     results_folder(folder, "sun")
     assert (tmp_path / "thesis.tex").exists() and (folder / f".sunspin-{ended}.parts").is_symlink()
@@ -134,19 +174,36 @@ def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
 
 def test_no_result_hangs_on_the_clock():
     """Durations come from clocks that never jump; the time of day is written once, as the date of a message that must have one."""
-    jumping = {("time", "time"), ("datetime", "now"), ("datetime", "utcnow"), ("datetime", "today"), ("time", "localtime")}
+    jumping = {
+        ("time", "time"),
+        ("datetime", "now"),
+        ("datetime", "utcnow"),
+        ("datetime", "today"),
+        ("time", "localtime"),
+    }
     found = []
     for path in sorted(SOURCES.rglob("*.py")):
         for node in nodes_if(path, *(f"{clock}.{name}" for clock, name in jumping)):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and (node.value.id, node.attr) in jumping:
+            if (
+                isinstance(node, ast.Attribute)
+                and isinstance(node.value, ast.Name)
+                and (node.value.id, node.attr) in jumping
+            ):
                 found.append(path.name)
     assert found == ["aem.py"]
 
 
-@pytest.mark.parametrize(("name", "whole", "half"), [
-    ("a.json", b'{"a": 1}\n', b'{"a": '), ("a.html", b"<html></html>\n", b"<html>"), ("a.svg", b"<svg></svg>", b"<svg>"),
-    ("a.png", b"\x89PNG IEND\xaeB`\x82", b"\x89PNG"), ("a.csv", b"a\n", b""), ("a.nc", None, b"\x89HDF\r\n\x1a\n"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "whole", "half"),
+    [
+        ("a.json", b'{"a": 1}\n', b'{"a": '),
+        ("a.html", b"<html></html>\n", b"<html>"),
+        ("a.svg", b"<svg></svg>", b"<svg>"),
+        ("a.png", b"\x89PNG IEND\xaeB`\x82", b"\x89PNG"),
+        ("a.csv", b"a\n", b""),
+        ("a.nc", None, b"\x89HDF\r\n\x1a\n"),
+    ],
+)
 def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
     path = tmp_path / name
     path.write_bytes(half)
@@ -165,7 +222,11 @@ def test_the_campaign_would_notice_other_results(tmp_path, monkeypatch):
         "time.sleep(0.5); (out / 'a.json').write_text(json.dumps({'tries': n}))"
     )
     target = TARGETS[0]
-    monkeypatch.setattr(type(target), "command", lambda self, folder, small: [sys.executable, "-c", code, "--out", f"{folder}/out"])
+    monkeypatch.setattr(
+        type(target),
+        "command",
+        lambda self, folder, small: [sys.executable, "-c", code, "--out", f"{folder}/out"],
+    )
     told = campaign(target, 3, tmp_path, 0, say=lambda text: None)
     assert told.kills >= 3 and any("other results" in what for what in told.wrong)
 
@@ -181,8 +242,23 @@ def test_killed_runs_end_with_the_same_bits(target, tmp_path):
 def test_two_runs_on_one_store(tmp_path):
     """Both end well, or one is told that another run is writing; the results are those of one."""
     store = ["--store", str(tmp_path / "rows")]
-    given = [sys.executable, "-m", "sunspin.cli", "outcomes", "philae", "--runs=3000", "--strategy=off", "--json", *store]
-    runs = [subprocess.Popen(given, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    given = [
+        sys.executable,
+        "-m",
+        "sunspin.cli",
+        "outcomes",
+        "philae",
+        "--runs=3000",
+        "--strategy=off",
+        "--json",
+        *store,
+    ]
+    runs = [
+        subprocess.Popen(
+            given, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(2)
+    ]
     ended = [(run.communicate(timeout=300), run.returncode) for run in runs]
     good = [json.loads(out) for (out, _), code in ended if code == 0]
     assert good and all(result == good[0] for result in good)

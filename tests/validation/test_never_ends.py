@@ -18,7 +18,11 @@ from sunspin.estimate.posterior.modes import require_few
 from sunspin.telemetry.case import load_case
 from validation.border import Told, judge, sunspin
 
-KERNEL = [path for path in ("/proc/kmsg", "/dev/zero", "/dev/stdin", "/dev/full", "/proc/self/mem") if Path(path).exists()]
+KERNEL = [
+    path
+    for path in ("/proc/kmsg", "/dev/zero", "/dev/stdin", "/dev/full", "/proc/self/mem")
+    if Path(path).exists()
+]
 
 
 @pytest.fixture
@@ -48,10 +52,17 @@ def soon():
 
 
 COMMANDS = (
-    ("check", "{}"), ("check", "vehicle.toml", "{}"), ("sun", "vehicle.toml", "{}"), ("rates", "vehicle.toml", "{}"),
-    ("posterior", "vehicle.toml", "{}"), ("scan", "vehicle.toml", "{}"), ("decode", "{}", "--out", "out"), ("report", "{}"),
-    ("export", "{}", "--out", "out"), ("outcomes", "philae", "--scan", "{}"),
-)  # fmt: skip
+    ("check", "{}"),
+    ("check", "vehicle.toml", "{}"),
+    ("sun", "vehicle.toml", "{}"),
+    ("rates", "vehicle.toml", "{}"),
+    ("posterior", "vehicle.toml", "{}"),
+    ("scan", "vehicle.toml", "{}"),
+    ("decode", "{}", "--out", "out"),
+    ("report", "{}"),
+    ("export", "{}", "--out", "out"),
+    ("outcomes", "philae", "--scan", "{}"),
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: " ".join(command))

@@ -24,7 +24,9 @@ def test_the_simulator_agrees_with_the_propagator_beyond_the_stop_of_the_wheel()
     t = np.array([0.0, 60.0, 300.0, 800.0])
     friction = WHEEL.friction.coulomb_N_m, WHEEL.friction.viscous_N_m_s
     start = RATE, SUN, 150.0  # rad/s: it stands before 13 minutes
-    seen = posterior_cases.directions(PHILAE.require_inertia(), WHEEL.axis_B, WHEEL.inertia_kg_m2, friction, start, t)
+    seen = posterior_cases.directions(
+        PHILAE.require_inertia(), WHEEL.axis_B, WHEEL.inertia_kg_m2, friction, start, t
+    )
     run = ss.propagate(PHILAE, RATE, SUN, [150.0], t)
     assert run["wheel_speed_rad_s"].values[-1, 0] == 0 < run["wheel_speed_rad_s"].values[1, 0]
     np.testing.assert_allclose(seen, run["sun_B"].values, atol=1e-6)
@@ -37,14 +39,18 @@ def test_noise_on_dark_panels_does_not_change_the_brightness(number):
     telemetry, _, noise = posterior_cases.simulated(case)
     vehicle = replace(PHILAE, telemetry=replace(PHILAE.telemetry, noise=case.stated * noise))
     guess = brightness(vehicle, readings(vehicle, telemetry)[0])
-    assert guess == pytest.approx(posterior_cases.FULL_W / PHILAE.panel_gains.max(), rel=0.08)  # what starts are good for
+    assert guess == pytest.approx(
+        posterior_cases.FULL_W / PHILAE.panel_gains.max(), rel=0.08
+    )  # what starts are good for
 
 
 def test_the_speed_at_the_first_sample_is_that_with_which_a_motion_began():
     unknown, _ = model(PHILAE, {"max_rate_rad_s": 0.3}, 0.01)
     after = 400.0
     run = ss.propagate(PHILAE, RATE, SUN, [WHEEL.speed_rad_s], [0.0, after])
-    there = State(run["omega_B"].values[1:], run["sun_B"].values[1:], np.zeros((1, len(unknown.unknowns))))
+    there = State(
+        run["omega_B"].values[1:], run["sun_B"].values[1:], np.zeros((1, len(unknown.unknowns)))
+    )
     speed = cells.first_speed(replace(unknown, after_s=after), there)
     assert abs(np.linalg.norm(there.omega) - np.linalg.norm(RATE)) > 0.02
     assert speed[0] == pytest.approx(np.linalg.norm(RATE), rel=2e-3)
@@ -57,9 +63,23 @@ def test_more_motions_than_can_be_fitted_are_announced_with_a_rate_that_needs_no
     kept, note = search._followed(np.arange(3 * most), 5, chosen)
     assert len(kept) == most and note == MORE
     said = caplog.records[-1].getMessage()
-    assert f"{3 * most} motions may fit 5 samples; {most} of them" in said and "will not be complete" in said
+    assert (
+        f"{3 * most} motions may fit 5 samples; {most} of them" in said
+        and "will not be complete" in said
+    )
     smaller = float(said.split("max_rate_rad_s=")[1].split()[0])
     kept, note = search._followed(np.arange(int(3 * most * (smaller / 0.3) ** 3 * 0.95)), 5, chosen)
-    assert not note and len(caplog.records) == 2 and "following them takes about" in caplog.records[-1].getMessage()
-    modes = Modes(State(RATE[None], SUN[None], np.zeros((1, 0))), np.zeros(1), np.zeros((1, 5, 5)), np.ones(1, int), (), ())
+    assert (
+        not note
+        and len(caplog.records) == 2
+        and "following them takes about" in caplog.records[-1].getMessage()
+    )
+    modes = Modes(
+        State(RATE[None], SUN[None], np.zeros((1, 0))),
+        np.zeros(1),
+        np.zeros((1, 5, 5)),
+        np.ones(1, int),
+        (),
+        (),
+    )
     assert modes.complete and not replace(modes, notes=(f"{MORE} (5 samples)",)).complete

@@ -36,12 +36,16 @@ def make_folder(folder: Path) -> None:
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file, then give it its name. Raises what `write` raises, and OSError."""
     part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
-    listed = part.with_suffix(".parts")  # one for each file: another thread's must stay listed while it is written
+    listed = part.with_suffix(
+        ".parts"
+    )  # one for each file: another thread's must stay listed while it is written
     try:
         listed.write_text(f"{part.name}\n", "ascii")
         write(part)
         with open(part, "rb") as file:
-            os.fsync(file.fileno())  # or a power failure may leave an empty file under the final name
+            os.fsync(
+                file.fileno()
+            )  # or a power failure may leave an empty file under the final name
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
@@ -58,7 +62,10 @@ def left(folder: Path) -> set[Path]:
             with open(entry, "rb") as file:
                 names = file.read(MAX_LIST_BYTES).decode("ascii", "replace").splitlines()
             ours = (PART.fullmatch(name) for name in names)
-            found |= {entry, *(folder / part[0] for part in ours if part is not None and part[1] == named[1])}
+            found |= {
+                entry,
+                *(folder / part[0] for part in ours if part is not None and part[1] == named[1]),
+            }
     return found
 
 

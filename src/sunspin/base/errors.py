@@ -40,14 +40,18 @@ class Interrupted(SunspinError, KeyboardInterrupt):
 def printable(text: str) -> str:
     """Text from outside on one line, without characters that a terminal obeys or does not show: they become escapes."""
     line = " ".join(text.split())
-    return line if line.isprintable() else "".join(c if c.isprintable() else _escape(c) for c in line)
+    return (
+        line if line.isprintable() else "".join(c if c.isprintable() else _escape(c) for c in line)
+    )
 
 
 def _escape(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
-def sentence(what: str, *, got: object = None, do: str | None = None, where: str | None = None) -> str:
+def sentence(
+    what: str, *, got: object = None, do: str | None = None, where: str | None = None
+) -> str:
     """Build the one-sentence text of an error: ``where: what, got ...; do``."""
     text = f"{where}: {what}" if where else what
     if got is not None:
@@ -62,6 +66,8 @@ def sentence(what: str, *, got: object = None, do: str | None = None, where: str
 
 def _repr(value: object) -> str:
     try:
-        return value.isoformat() if isinstance(value, date | time) else repr(value)  # a date as the file has it
+        return (
+            value.isoformat() if isinstance(value, date | time) else repr(value)
+        )  # a date as the file has it
     except ValueError:  # a whole number of thousands of digits
         return "a number too long to print"

@@ -19,7 +19,9 @@ PAGE = "results"
 """Key under which a page of SatNOGS DB has its rows."""
 
 
-def json_rows(text: str, where: str, most_columns: int, most_cells: int) -> tuple[list[str], list[list[str]], list[int]]:
+def json_rows(
+    text: str, where: str, most_columns: int, most_cells: int
+) -> tuple[list[str], list[list[str]], list[int]]:
     """Names of the columns in the order in which they come, cells (empty where a row has no such key), the line of each row."""
     rows: list[dict[str, str]] = []
     lines: list[int] = []
@@ -27,18 +29,25 @@ def json_rows(text: str, where: str, most_columns: int, most_cells: int) -> tupl
     for line, item in _objects(text, where):
         at = f"{where}, line {line}"
         if not isinstance(item, dict):
-            raise TelemetryError(sentence("a row of a JSON file must be an object", got=str(item)[:60], where=at))
+            raise TelemetryError(
+                sentence("a row of a JSON file must be an object", got=str(item)[:60], where=at)
+            )
         row = dict(_cells(item, "", at, 0))
         for name in row:
             names.setdefault(name, len(names))
         if len(names) > most_columns:
-            raise TelemetryError(sentence(f"the file has more than {most_columns} columns", where=at))
+            raise TelemetryError(
+                sentence(f"the file has more than {most_columns} columns", where=at)
+            )
         rows.append(row)
         lines.append(line)
     if not rows or not names:
         raise TelemetryError(sentence("the file holds no samples", where=where))
     if len(rows) * len(names) > most_cells:
-        what, got = f"the file has more than {most_cells:.0e} cells", f"{len(rows)} rows of {len(names)}"
+        what, got = (
+            f"the file has more than {most_cells:.0e} cells",
+            f"{len(rows)} rows of {len(names)}",
+        )
         raise TelemetryError(sentence(what, got=got, do="cut it into parts", where=where))
     return list(names), [[row.get(name, "") for name in names] for row in rows], lines
 
@@ -69,11 +78,17 @@ def _parsed(text: str, where: str) -> Any:
         return json.loads(text, object_pairs_hook=_once)
     except json.JSONDecodeError as error:
         place = where if ", line " in where else f"{where}, line {error.lineno}"
-        raise TelemetryError(sentence(f"this is not valid JSON ({error.msg})", do="one object a line", where=place)) from None
+        raise TelemetryError(
+            sentence(f"this is not valid JSON ({error.msg})", do="one object a line", where=place)
+        ) from None
     except RecursionError:
-        raise TelemetryError(sentence("the file is nested too deeply to be telemetry", where=where)) from None
+        raise TelemetryError(
+            sentence("the file is nested too deeply to be telemetry", where=where)
+        ) from None
     except ValueError as error:  # a key twice, or a whole number of thousands of digits
-        raise TelemetryError(sentence(f"this JSON cannot be read ({str(error)[:100]})", where=where)) from None
+        raise TelemetryError(
+            sentence(f"this JSON cannot be read ({str(error)[:100]})", where=where)
+        ) from None
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -85,7 +100,9 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _cells(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, str]]:
     if depth > DEEPEST:
-        raise TelemetryError(sentence(f"objects lie more than {DEEPEST} deep in each other", where=where))
+        raise TelemetryError(
+            sentence(f"objects lie more than {DEEPEST} deep in each other", where=where)
+        )
     if isinstance(item, str) and item[:1] == "{" and item[-1:] == "}":
         try:
             item = json.loads(item, object_pairs_hook=_once)
@@ -93,7 +110,9 @@ def _cells(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, 
             pass  # a text that only looks like an object stays a text
     if isinstance(item, dict | list):
         for key, value in item.items() if isinstance(item, dict) else enumerate(item):
-            yield from _cells(value, f"{name}.{key}" if name else str(key).strip(), where, depth + 1)
+            yield from _cells(
+                value, f"{name}.{key}" if name else str(key).strip(), where, depth + 1
+            )
     else:
         yield name, _text(item)
 

@@ -30,7 +30,11 @@ class _Follower(MetaPathFinder):
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         if fullname != self.first:
             return None
-        others = (finder.find_spec(fullname, path, target) for finder in sys.meta_path if finder is not self)
+        others = (
+            finder.find_spec(fullname, path, target)
+            for finder in sys.meta_path
+            if finder is not self
+        )
         spec = next((one for one in others if one is not None), None)
         if spec is not None and spec.loader is not None:
             execute, loader = spec.loader.exec_module, spec.loader

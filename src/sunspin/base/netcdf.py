@@ -42,7 +42,9 @@ def read_elsewhere(paths: Sequence[Path]) -> bool:
     """Whether another process reads all of these files well: one start for many. Where not, each is to be read alone."""
     try:
         size = sum(path.stat().st_size for path in paths)
-        if size > MAX_BYTES or not all(is_plain(path) and _first_bytes(path) == SIGNATURE for path in paths):
+        if size > MAX_BYTES or not all(
+            is_plain(path) and _first_bytes(path) == SIGNATURE for path in paths
+        ):
             return False
         _in_another_process(*map(str, paths), size=size)
     except (OSError, Elsewhere):
@@ -50,7 +52,9 @@ def read_elsewhere(paths: Sequence[Path]) -> bool:
     return True
 
 
-def read_groups(path: Path, where: str, error_type: type[SunspinError], probe: bool = True) -> dict[str, xr.Dataset]:
+def read_groups(
+    path: Path, where: str, error_type: type[SunspinError], probe: bool = True
+) -> dict[str, xr.Dataset]:
     """The groups of a NetCDF-4 file by their paths, times undecoded; `probe` false for a file that this program wrote or that
     another process has read."""
     return _guarded(path, where, error_type, lambda: _tree(path), probe)
@@ -77,13 +81,22 @@ def _loaded(data: xr.Dataset, size: int, ours: bool) -> xr.Dataset:
     if size > MAX_BYTES:
         raise _Refused(f"the file would take {size / 1e9:.3g} GB of memory", "cut it into parts")
     if ours and (changed := changed_attribute(data.attrs, data.variables)):
-        raise _Refused(f"this file was changed after sunspin wrote it: {changed}", "make it again, or mend the attribute")
-    return data.load().drop_encoding()  # how a file from outside was packed is no rule for the files that are written from it
+        raise _Refused(
+            f"this file was changed after sunspin wrote it: {changed}",
+            "make it again, or mend the attribute",
+        )
+    return (
+        data.load().drop_encoding()
+    )  # how a file from outside was packed is no rule for the files that are written from it
 
 
-def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool) -> Any:
+def _guarded(
+    source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool
+) -> Any:
     if probe and (trouble := _probed(source)) is not None:
-        raise error_type(sentence(f"this NetCDF file cannot be read ({trouble})", do=MEND, where=where))
+        raise error_type(
+            sentence(f"this NetCDF file cannot be read ({trouble})", do=MEND, where=where)
+        )
     hook = sys.unraisablehook
     try:
         with warnings.catch_warnings(action="ignore"):  # of attributes that mean nothing to xarray
@@ -92,7 +105,11 @@ def _guarded(source: Any, where: str, error_type: type[SunspinError], read: Any,
         what = sentence(error.args[0], do=error.args[1], where=where)
     except Exception as error:
         sys.unraisablehook = lambda _: None
-        what = sentence(f"this NetCDF file cannot be read ({type(error).__name__}: {str(error)[:200]})", do=MEND, where=where)
+        what = sentence(
+            f"this NetCDF file cannot be read ({type(error).__name__}: {str(error)[:200]})",
+            do=MEND,
+            where=where,
+        )
     gc.collect()  # closes what was half opened, while nobody listens
     sys.unraisablehook = hook
     raise error_type(what)

@@ -30,7 +30,9 @@ def require_whole(group: Any, seen: set[Any]) -> None:
         item = group.get(name)
         if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
             raise ValueError("it takes data from another file")
-        if isinstance(item, h5py.Group) and item.id not in seen:  # a group may be linked into itself
+        if (
+            isinstance(item, h5py.Group) and item.id not in seen
+        ):  # a group may be linked into itself
             seen.add(item.id)
             require_whole(item, seen)
 

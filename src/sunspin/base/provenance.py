@@ -42,11 +42,12 @@ UNITS = {
         "rad": "sigma_rad sun_sigma_rad sun_sensor_angle",
         "N m s": "momentum_B momentum_before momentum_after",
         "m/s": "contact_speed leg_tip_speed leg_tip_bound speed_after velocity_change",
-        "W": "power_W", "A": "current_A",
+        "W": "power_W",
+        "A": "current_A",
         "1": "sun_B B_from_N curve_B_from_N attitude_B_from_N sun_sensor_B emd E delta",
     }.items()
     for name in names.split()
-}  # fmt: skip
+}
 """The unit of variables that are read back, which no reader converts."""
 
 
@@ -58,7 +59,9 @@ def version() -> str:
 
 def is_ours(attrs: Mapping[Any, Any]) -> bool:
     """Whether a file with these attributes is a result of our own; what is exported goes by the conventions of others."""
-    return (isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs) and "Conventions" not in attrs
+    return (
+        isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs
+    ) and "Conventions" not in attrs
 
 
 def changed_attribute(attrs: Mapping[str, Any], variables: Mapping[Any, Any]) -> str:
@@ -88,4 +91,9 @@ def provenance(kind: str, telemetry: Any = None, **said: Any) -> dict[str, Any]:
     What is said of a vehicle is its `said`: name, and what was changed in its file.
     """
     given = getattr(telemetry, "attrs", {})
-    return {"kind": kind, **{key: given[key] for key in CARRIED if key in given}, **said, "sunspin_version": version()}
+    return {
+        "kind": kind,
+        **{key: given[key] for key in CARRIED if key in given},
+        **said,
+        "sunspin_version": version(),
+    }

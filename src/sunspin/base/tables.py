@@ -63,16 +63,24 @@ class Table(NamedTuple):
         A cell may be damaged; `TelemetryError` is raised where the file writes its numbers in a form that is not read: with a
         decimal comma, or no number in a whole column.
         """
-        values = np.array([[plain_number(row[at]) for at in columns] for row in self.rows]).reshape(len(self.rows), len(columns))
+        values = np.array([[plain_number(row[at]) for at in columns] for row in self.rows]).reshape(
+            len(self.rows), len(columns)
+        )
         none = np.isnan(values)
         empty = np.flatnonzero(none.all(axis=0)).tolist()
         for i, k in np.argwhere(none):
             cell = self.rows[i][columns[k]]
             comma = DECIMAL_COMMA.fullmatch(cell)
             if comma or (k in empty and any(map(str.isdigit, cell))):
-                what = "the number has a decimal comma" if comma else "no cell of this column is a number"
+                what = (
+                    "the number has a decimal comma"
+                    if comma
+                    else "no cell of this column is a number"
+                )
                 do = "write plain decimals with a point, such as -1.5e-3"
-                raise TelemetryError(sentence(what, got=cell, do=do, where=self.place(i, columns[k])))
+                raise TelemetryError(
+                    sentence(what, got=cell, do=do, where=self.place(i, columns[k]))
+                )
         return values
 
     def place(self, row: int, column: int) -> str:
@@ -93,16 +101,28 @@ def _read(path: Path, where: str) -> Table:
         columns, data = _netcdf(content, where)
         return _from_columns(columns, where, content)._replace(data=data)
     if content[:3] == b"CDF":
-        raise TelemetryError(sentence("this is NetCDF of version 3", do="convert it to NetCDF-4 (nccopy -k nc4)", where=where))
+        raise TelemetryError(
+            sentence(
+                "this is NetCDF of version 3",
+                do="convert it to NetCDF-4 (nccopy -k nc4)",
+                where=where,
+            )
+        )
     return _from_text(content, where)
 
 
 def _from_text(content: bytes, where: str) -> Table:
     text = decoded(content, where, TelemetryError, "save it as CSV in UTF-8")
     if not text.strip():
-        raise TelemetryError(sentence("the file is empty", do="a CSV with a header and one row per sample", where=where))
+        raise TelemetryError(
+            sentence(
+                "the file is empty", do="a CSV with a header and one row per sample", where=where
+            )
+        )
     if "\0" in text:
-        raise TelemetryError(sentence("the file holds binary data", do="save it as CSV in UTF-8", where=where))
+        raise TelemetryError(
+            sentence("the file holds binary data", do="save it as CSV in UTF-8", where=where)
+        )
     sha256 = hashlib.sha256(content).hexdigest()
     if text.lstrip()[0] in "{[":
         return Table(*json_rows(text, where, MAX_COLUMNS, MAX_CELLS), [], sha256)
@@ -120,7 +140,9 @@ def _raw_frames(lines: list[str], where: str, sha256: str) -> Table:
             if not line.strip():
                 continue
             what = "a line of raw frames is a time, a bar and the frame in hexadecimal digits"
-            raise TelemetryError(sentence(what, got=line[:60], do="remove the line", where=f"{where}, line {number}"))
+            raise TelemetryError(
+                sentence(what, got=line[:60], do="remove the line", where=f"{where}, line {number}")
+            )
         rows.append(cells + [""] * (len(FRAME_COLUMNS) - len(cells)))
         numbers.append(number)
     return Table(list(FRAME_COLUMNS), rows, numbers, [], sha256)
@@ -139,7 +161,9 @@ def _split(text: str, where: str, sha256: str) -> Table:
     header = next(records, (0, []))[1]
     header = [cell.strip() for cell in header]
     if len(header) > MAX_COLUMNS:
-        raise TelemetryError(sentence(f"the file has more than {MAX_COLUMNS} columns", got=len(header), where=where))
+        raise TelemetryError(
+            sentence(f"the file has more than {MAX_COLUMNS} columns", got=len(header), where=where)
+        )
     rows, numbers = [], []
     for number, cells in records:
         if len(cells) != len(header):
@@ -159,7 +183,9 @@ def _split(text: str, where: str, sha256: str) -> Table:
         what, do = "the first row holds numbers and no names of columns", "write a header above it"
         raise TelemetryError(sentence(what, got=repeated[0] or "an empty cell", do=do, where=where))
     if repeated:
-        raise TelemetryError(sentence("two columns share a name", got=repeated[0], do="rename one", where=where))
+        raise TelemetryError(
+            sentence("two columns share a name", got=repeated[0], do="rename one", where=where)
+        )
     return Table(header, rows, numbers, [c for c in comments if c], sha256)
 
 
@@ -177,11 +203,20 @@ def _records(reader: Any, skipped: int, where: str) -> Iterator[tuple[int, list[
             return
         except csv.Error as error:
             raise TelemetryError(
-                sentence(f"this is not valid CSV ({error})", where=f"{where}, line {skipped + reader.line_num}")
+                sentence(
+                    f"this is not valid CSV ({error})",
+                    where=f"{where}, line {skipped + reader.line_num}",
+                )
             ) from None
         if reader.line_num > begins:
             what = "a text in quotes goes on in the next line"
-            raise TelemetryError(sentence(what, do="close the quotes, or remove them", where=f"{where}, line {skipped + begins}"))
+            raise TelemetryError(
+                sentence(
+                    what,
+                    do="close the quotes, or remove them",
+                    where=f"{where}, line {skipped + begins}",
+                )
+            )
         if cells and any(cell.strip() for cell in cells):
             yield skipped + reader.line_num, cells
 
@@ -192,21 +227,31 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
         import pyarrow.parquet as pq
     except ImportError:
         raise TelemetryError(
-            sentence("reading Parquet needs pyarrow", do='pip install "sunspin[parquet]", or save the file as CSV', where=where)
+            sentence(
+                "reading Parquet needs pyarrow",
+                do='pip install "sunspin[parquet]", or save the file as CSV',
+                where=where,
+            )
         ) from None
     try:
         about = pq.read_metadata(pa.BufferReader(content))
         if about.num_rows * max(about.num_columns, 1) > MAX_CELLS:
             raise TelemetryError(
-                sentence(f"the file has more than {MAX_CELLS:.0e} cells", got=f"{about.num_rows} rows of {about.num_columns}",
-                         do="cut it into parts", where=where)
-            )  # fmt: skip
+                sentence(
+                    f"the file has more than {MAX_CELLS:.0e} cells",
+                    got=f"{about.num_rows} rows of {about.num_columns}",
+                    do="cut it into parts",
+                    where=where,
+                )
+            )
         table = pq.read_table(pa.BufferReader(content))
         return {str(name): table[name].to_numpy() for name in table.column_names}
     except TelemetryError:
         raise
     except Exception as error:  # a damaged file makes the library raise whatever comes
-        raise TelemetryError(sentence(f"this Parquet file cannot be read ({str(error)[:200]})", where=where)) from None
+        raise TelemetryError(
+            sentence(f"this Parquet file cannot be read ({str(error)[:200]})", where=where)
+        ) from None
 
 
 def _netcdf(content: bytes, where: str) -> tuple[dict[str, np.ndarray], xr.Dataset]:
@@ -214,15 +259,25 @@ def _netcdf(content: bytes, where: str) -> tuple[dict[str, np.ndarray], xr.Datas
     from sunspin.base.netcdf import read_netcdf
 
     data = read_netcdf(io.BytesIO(content), where, TelemetryError)
-    sizes = {name: size for name, size in data.sizes.items() if name in data.coords or len(data.sizes) == 1}
-    axis = "time" if "time" in data.sizes else max(sizes, key=lambda name: sizes[name], default=None)
+    sizes = {
+        name: size
+        for name, size in data.sizes.items()
+        if name in data.coords or len(data.sizes) == 1
+    }
+    axis = (
+        "time" if "time" in data.sizes else max(sizes, key=lambda name: sizes[name], default=None)
+    )
     if axis is None:
-        raise TelemetryError(sentence("the NetCDF file has no dimension of samples", do="name it time", where=where))
+        raise TelemetryError(
+            sentence("the NetCDF file has no dimension of samples", do="name it time", where=where)
+        )
     found: dict[str, np.ndarray] = {}
     for name, variable in data.variables.items():
         if variable.dims == (axis,):
             found[str(name)] = variable.values
-        elif variable.ndim == 2 and axis in variable.dims and (other := set(variable.dims) - {axis}):
+        elif (
+            variable.ndim == 2 and axis in variable.dims and (other := set(variable.dims) - {axis})
+        ):
             (second,) = other
             labels = data[second].values if second in data.coords else range(data.sizes[second])
             for k, label in enumerate(labels):
@@ -236,12 +291,19 @@ def _from_columns(columns: dict[str, np.ndarray], where: str, content: bytes) ->
     rows = [list(row) for row in zip(*cells, strict=True)]
     if not rows:
         raise TelemetryError(sentence("the file holds no samples", where=where))
-    return Table(header, rows, list(range(1, len(rows) + 1)), [], hashlib.sha256(content).hexdigest())
+    return Table(
+        header, rows, list(range(1, len(rows) + 1)), [], hashlib.sha256(content).hexdigest()
+    )
 
 
 def _as_text(column: np.ndarray) -> list[str]:
     if np.issubdtype(column.dtype, np.datetime64):
-        return [str(value) + "Z" if value == value else "" for value in np.asarray(column, dtype="datetime64[us]")]
-    if np.issubdtype(column.dtype, np.number) and column.dtype.kind != "c":  # complex cells are no numbers of ours
+        return [
+            str(value) + "Z" if value == value else ""
+            for value in np.asarray(column, dtype="datetime64[us]")
+        ]
+    if (
+        np.issubdtype(column.dtype, np.number) and column.dtype.kind != "c"
+    ):  # complex cells are no numbers of ours
         return [repr(value) for value in column.astype(np.float64).tolist()]
     return [str(value) for value in column.tolist()]

@@ -11,17 +11,25 @@ MAX_DOTS = 1000
 """In one line: Python's reader of TOML takes a time that grows with the square of the parts of a dotted key."""
 
 
-def read_toml(text: str, where: str, error_type: type[SunspinError], do: str = "correct that line") -> dict[str, Any]:
+def read_toml(
+    text: str, where: str, error_type: type[SunspinError], do: str = "correct that line"
+) -> dict[str, Any]:
     """The table of a TOML text; `where` names the file in messages, `do` says what to do where it is no TOML."""
     for number, line in enumerate(text.splitlines(), 1):
         if line.count(".") > MAX_DOTS:
             what = f"the line has more than {MAX_DOTS} decimal points or dots"
-            raise error_type(sentence(what, do="write it as several lines", where=f"{where}, line {number}"))
+            raise error_type(
+                sentence(what, do="write it as several lines", where=f"{where}, line {number}")
+            )
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise error_type(sentence(f"this is not valid TOML: {error}", do=do, where=where)) from None
     except RecursionError:
-        raise error_type(sentence("the file is nested too deeply", do="give the right file", where=where)) from None
+        raise error_type(
+            sentence("the file is nested too deeply", do="give the right file", where=where)
+        ) from None
     except ValueError as error:  # tomllib hands on what int() says of thousands of digits
-        raise error_type(sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)) from None
+        raise error_type(
+            sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)
+        ) from None

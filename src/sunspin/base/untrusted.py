@@ -46,27 +46,45 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
         if stat.S_ISDIR(about.st_mode):
             raise error_type(sentence(f"this is a folder, not a {kind}", where=where))
         if not stat.S_ISREG(about.st_mode):
-            raise error_type(sentence(f"this is a device or a pipe, not a {kind}", do="save its content to a file", where=where))
+            raise error_type(
+                sentence(
+                    f"this is a device or a pipe, not a {kind}",
+                    do="save its content to a file",
+                    where=where,
+                )
+            )
         content = b""
         if 0 < about.st_size <= most:
             with open(path, "rb") as file:
                 content = file.read(most + 1)
     except OSError as error:
-        raise error_type(sentence(f"the {kind} cannot be read ({error.strerror or error})", do=do, where=where)) from None
+        raise error_type(
+            sentence(f"the {kind} cannot be read ({error.strerror or error})", do=do, where=where)
+        ) from None
     except ValueError as error:
         if isinstance(error, SunspinError):
             raise
-        raise error_type(sentence(f"this is not a path ({error})", do=do, where=repr(where))) from None
+        raise error_type(
+            sentence(f"this is not a path ({error})", do=do, where=repr(where))
+        ) from None
     if max(about.st_size, len(content)) > most:
         raise error_type(
-            sentence(f"a {kind} is smaller than {most / 1e6:g} MB", got=f"{about.st_size / 1e6:.0f} MB",
-                     do="cut it into parts, or give the right file", where=where)
-        )  # fmt: skip
+            sentence(
+                f"a {kind} is smaller than {most / 1e6:g} MB",
+                got=f"{about.st_size / 1e6:.0f} MB",
+                do="cut it into parts, or give the right file",
+                where=where,
+            )
+        )
     return content
 
 
 def decoded(
-    content: bytes, where: str, error_type: type[SunspinError], do: str, what: str = "the file is not UTF-8 text"
+    content: bytes,
+    where: str,
+    error_type: type[SunspinError],
+    do: str,
+    what: str = "the file is not UTF-8 text",
 ) -> str:
     """The text of a file in UTF-8, with or without its mark; what is none is named with the line where it stops being so."""
     try:
@@ -79,11 +97,15 @@ def decoded(
 def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
     """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
     if "<!" in text.replace("<!--", ""):
-        raise InputError(sentence("the XML defines entities", do=f"give a plain {kind}", where=where))
+        raise InputError(
+            sentence("the XML defines entities", do=f"give a plain {kind}", where=where)
+        )
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)) from None
+        raise InputError(
+            sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)
+        ) from None
 
 
 def is_plain(path: Path) -> bool:
@@ -132,7 +154,9 @@ def elsewhere(script: Path, *arguments: str, content: bytes = b"", seconds: int)
     # -P: the folder of the script is no place to import from
     command = [sys.executable, "-P", "-c", BOOT, str(seconds), str(MEMORY), str(script), *arguments]
     try:
-        done = subprocess.run(command, input=content, capture_output=True, timeout=60 + 20 * seconds)
+        done = subprocess.run(
+            command, input=content, capture_output=True, timeout=60 + 20 * seconds
+        )
     except subprocess.TimeoutExpired:
         raise Elsewhere("reading it does not end") from None
     if done.returncode < 0:

@@ -44,24 +44,34 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
-        if isinstance(getattr(sys, name), io.TextIOWrapper):  # a name from outside may be beyond what a terminal can show
+        if isinstance(
+            getattr(sys, name), io.TextIOWrapper
+        ):  # a name from outside may be beyond what a terminal can show
             getattr(sys, name).reconfigure(errors="backslashreplace")
     _heed_the_end()
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
-    except (click.Abort, KeyboardInterrupt) as stop:  # before the others: Interrupted is an error of sunspin too
+    except (
+        click.Abort,
+        KeyboardInterrupt,
+    ) as stop:  # before the others: Interrupted is an error of sunspin too
         code = _say(str(stop) or INTERRUPTED, 130)
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
     except click.ClickException as error:
-        code = _say(f"error: {_in_words(' '.join(error.format_message().split()).rstrip('.'))}{_hint(error)}", 2)
+        code = _say(
+            f"error: {_in_words(' '.join(error.format_message().split()).rstrip('.'))}{_hint(error)}",
+            2,
+        )
     except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except MemoryError:
-        code = _say("error: not enough memory for this input; use a coarser grid or a shorter file", 2)
+        code = _say(
+            "error: not enough memory for this input; use a coarser grid or a shorter file", 2
+        )
     except OSError as error:  # what files and folders answer where no better sentence was found
         what = error.filename or "a file or the output"
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
@@ -93,7 +103,10 @@ def _heed_the_end() -> None:
     """End as by Ctrl-C where somebody ends the process or closes its terminal: without a word, its copies would compute on."""
     if threading.current_thread() is threading.main_thread():
         for kind in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            if signal.getsignal(kind) in (signal.SIG_DFL, signal.default_int_handler):  # under nohup it is ignored, and stays so
+            if signal.getsignal(kind) in (
+                signal.SIG_DFL,
+                signal.default_int_handler,
+            ):  # under nohup it is ignored, and stays so
                 signal.signal(kind, _stop)
 
 

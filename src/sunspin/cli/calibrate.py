@@ -21,8 +21,12 @@ COPY = "calibrated.toml"
 @output_options(out=False)
 @data_option
 @orbit_options
-@click.option("--out", type=click.Path(path_type=Path), help="The calibrated copy of the vehicle file (FILE.toml), or a results "
-              "folder for it; neither may have one yet.")  # fmt: skip
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="The calibrated copy of the vehicle file (FILE.toml), or a results "
+    "folder for it; neither may have one yet.",
+)
 def calibrate_sensors(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma, out) -> None:
     """Calibrate panels, Sun sensors, magnetometer and gyro by the telemetry itself, and write a copy of the vehicle file.
 
@@ -46,7 +50,9 @@ def calibrate_sensors(vehicle, telemetry, as_json, quiet, data, elements, shift_
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     copy = None if out is None else out if out.suffix == ".toml" else out / COPY
     if copy is not None and os.path.lexists(copy):
-        raise OutputError(sentence("this file is there already", do="choose another --out", where=str(copy)))
+        raise OutputError(
+            sentence("this file is there already", do="choose another --out", where=str(copy))
+        )
     folder = out if copy != out else None
     claim(folder, "calibrate-sensors")
     result = run(craft, samples, orbit, progress=on_terminal(quiet))

@@ -15,15 +15,31 @@ if TYPE_CHECKING:
     from sunspin.vehicle.assumptions import Assumptions
 
 SHORT = {
-    "friction": ("wheel.friction", "NAME", "Wheel friction by the name of another law in the vehicle file, such as printed."),
-    "wheel_speed": ("wheel.speed_rad_s", "RAD_S", "Wheel speed at the first sample after the touchdown."),
+    "friction": (
+        "wheel.friction",
+        "NAME",
+        "Wheel friction by the name of another law in the vehicle file, such as printed.",
+    ),
+    "wheel_speed": (
+        "wheel.speed_rad_s",
+        "RAD_S",
+        "Wheel speed at the first sample after the touchdown.",
+    ),
     "lead": ("study.lead_s", "S", "From the first touchdown to the first sample after it."),
-    "target_weights": ("study.target_weights", "equal|interval", "What each measured direction counts."),
+    "target_weights": (
+        "study.target_weights",
+        "equal|interval",
+        "What each measured direction counts.",
+    ),
     "mask": ("study.mask", "reconstructible|everywhere", "Which simulated directions count."),
     "factor": ("study.near_minimum_factor", "FACTOR", "Near-minimum factor of the paper's set."),
     "confidence": ("study.confidence", "SHARE", "Of the calibrated set."),
     "restitution": ("collision.restitution", "SHARE", "Of the collision: 0 sticks."),
-    "damper": ("collision.damper", "SHARE", "Part of the blow that the landing gear takes along z."),
+    "damper": (
+        "collision.damper",
+        "SHARE",
+        "Part of the blow that the landing gear takes along z.",
+    ),
 }
 """Option -> key that it is a name for, its value, its help."""
 
@@ -58,8 +74,15 @@ class Changeable(click.Command):
         if any(word in ("list", "--set=list") for word in args):
             given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
             if "list" in given.get("sets", ()):
-                vehicle = given.get("vehicle")  # neither None nor a text where an argument is missing
-                _print_list(vehicle if isinstance(vehicle, str) else "philae", self.uses, self.idle, bool(given.get("as_json")))
+                vehicle = given.get(
+                    "vehicle"
+                )  # neither None nor a text where an argument is missing
+                _print_list(
+                    vehicle if isinstance(vehicle, str) else "philae",
+                    self.uses,
+                    self.idle,
+                    bool(given.get("as_json")),
+                )
                 ctx.exit()
         return super().parse_args(ctx, args)
 
@@ -67,7 +90,18 @@ class Changeable(click.Command):
 LANDING = ("body.mass_kg", "leg", "hull", "antenna")
 """What only collisions and landings use of a vehicle file."""
 
-READING = ("telemetry", "channel", "sun_sensor", "sun_vector", "gyro", "attitude", "magnetometer", "clock", "disturbance", "orbit")
+READING = (
+    "telemetry",
+    "channel",
+    "sun_sensor",
+    "sun_vector",
+    "gyro",
+    "attitude",
+    "magnetometer",
+    "clock",
+    "disturbance",
+    "orbit",
+)
 """What only those use who read telemetry."""
 
 SEEING = ("panel", "panel_response", "sun_rule", *READING)
@@ -81,11 +115,17 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
     def decorate(command: Any) -> Callable:
         for name in reversed(short):
             _, value, about = SHORT[name]
-            command = click.option(f"--{name.replace('_', '-')}", metavar=value, help=about)(command)
+            command = click.option(f"--{name.replace('_', '-')}", metavar=value, help=about)(
+                command
+            )
         command = click.option(
-            "--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change an assumption for this run, by its key in the "
+            "--set",
+            "sets",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Change an assumption for this run, by its key in the "
             "vehicle file: KEY=VALUE, KEY*=FACTOR or KEY+=STEP; `--set list` shows what can be set. Repeatable.",
-        )(command)  # fmt: skip
+        )(command)
         vars(command).update(uses=uses, idle=idle)
         return command
 
@@ -106,7 +146,13 @@ def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> 
         table = change.key.partition(".")[0]
         if table in TABLES and table not in uses and change.key not in uses:
             read_assumptions([change])  # a misspelt one is refused with the nearest name
-            raise InputError(sentence("this command does not use that assumption", got=change.key, do=_instead(change.key)))
+            raise InputError(
+                sentence(
+                    "this command does not use that assumption",
+                    got=change.key,
+                    do=_instead(change.key),
+                )
+            )
     return changes
 
 
@@ -119,14 +165,20 @@ def _instead(key: str) -> str:
 
 
 def _twice(key: str, option: str) -> InputError:
-    return InputError(sentence(f"{option} and --set {key} say the same thing", do="give one of them"))
+    return InputError(
+        sentence(f"{option} and --set {key} say the same thing", do="give one of them")
+    )
 
 
 def once(made: Opened, **options: Any) -> None:
     """Refuse an option, by its name, that says again what --set has changed: with the key that it stands for, if it was given."""
     keys = {one.key for one in (*made.craft.changes, *made.assumptions.changes)}
     for name, (key, given) in options.items():
-        same = [one for one in keys if one == key or (one.startswith("wheel") and one.partition(".")[2] == key)]
+        same = [
+            one
+            for one in keys
+            if one == key or (one.startswith("wheel") and one.partition(".")[2] == key)
+        ]
         if given is not None and same:
             raise _twice(same[0], f"--{name.replace('_', '-')}")
 
@@ -139,7 +191,10 @@ def say_idle(changes: Iterable[Any], idle: tuple[str, ...] | None = None) -> Non
     own = getattr(context.command, "idle", ())
     for change in changes:
         if _is_idle(change.key, own if idle is None else idle):
-            click.echo(f"sunspin: {change.key} changes nothing here: `sunspin {context.command.name}` does not use it", err=True)
+            click.echo(
+                f"sunspin: {change.key} changes nothing here: `sunspin {context.command.name}` does not use it",
+                err=True,
+            )
 
 
 def _is_idle(key: str, idle: tuple[str, ...]) -> bool:
@@ -166,7 +221,9 @@ def _print_list(vehicle: str, uses: tuple[str, ...], idle: tuple[str, ...], as_j
     from sunspin.vehicle.changes import settings, shown
     from sunspin.vehicle.file import VehicleFile, vehicle_table
 
-    found = [one for one in settings(vehicle_table(vehicle), VehicleFile) if not _is_idle(one.key, idle)]
+    found = [
+        one for one in settings(vehicle_table(vehicle), VehicleFile) if not _is_idle(one.key, idle)
+    ]
     for one in settings(assumptions_table(), AssumptionsFile):
         if one.key in uses or one.key.partition(".")[0] in uses:
             found.append(one._replace(source=LEFT_OUT.get(one.key, one.source)))
@@ -176,4 +233,6 @@ def _print_list(vehicle: str, uses: tuple[str, ...], idle: tuple[str, ...], as_j
     width = max(len(one.key) for one in found)
     for one in found:
         about = f"({one.source})" if one.source else ""
-        click.echo(f"{one.key:{width}}  {' '.join(filter(None, (shown(one.value), one.unit, about)))}")
+        click.echo(
+            f"{one.key:{width}}  {' '.join(filter(None, (shown(one.value), one.unit, about)))}"
+        )

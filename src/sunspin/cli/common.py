@@ -43,16 +43,28 @@ COMMANDS = {
     "init": Listed("init", YOURS, "Write a vehicle file and telemetry to start from."),
     "check": Listed("check", YOURS, "What is wrong with my files, in plain words."),
     "sun": Listed("sun", YOURS, "Directions to the Sun from panel powers or currents."),
-    "calibrate-sensors": Listed("calibrate", YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."),
+    "calibrate-sensors": Listed(
+        "calibrate", YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."
+    ),
     "rates": Listed("rates", YOURS, "Body rates and attitude of each pass, all motions that fit."),
-    "posterior": Listed("posterior", YOURS, "Every motion that the readings allow, with its probability."),
+    "posterior": Listed(
+        "posterior", YOURS, "Every motion that the readings allow, with its probability."
+    ),
     "report": Listed("report", YOURS, "A results folder as one page to look into."),
-    "export": Listed("export", YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."),
-    "compare": Listed("compare", YOURS, "What moved between two results; or rates against SPICE kernels."),
+    "export": Listed(
+        "export", YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."
+    ),
+    "compare": Listed(
+        "compare", YOURS, "What moved between two results; or rates against SPICE kernels."
+    ),
     "simulate": Listed("simulate", MOTIONS, "One trajectory of a vehicle with its wheels."),
     "scan": Listed("scan", MOTIONS, "Which initial rates fit, and the lines they lie on."),
-    "outcomes": Listed("outcomes", MOTIONS, "What a motion leads to: collision, landing, wheel strategies."),
-    "compile": Listed("compile", MOTIONS, "Compile what scans run now, so that the first need not wait."),
+    "outcomes": Listed(
+        "outcomes", MOTIONS, "What a motion leads to: collision, landing, wheel strategies."
+    ),
+    "compile": Listed(
+        "compile", MOTIONS, "Compile what scans run now, so that the first need not wait."
+    ),
     "reproduce": Listed("reproduce", PHILAE, "The whole Philae study: figures, tables, report."),
     "coverage": Listed("coverage", PHILAE, "How often the paper's method finds the truth."),
     "worth": Listed("coverage", PHILAE, "The earlier name of coverage."),
@@ -84,7 +96,9 @@ class Group(click.Group):
         if cmd_name not in COMMANDS:
             return None
         found = vars(import_module(f"sunspin.cli.{COMMANDS[cmd_name].module}")).values()
-        command = next(one for one in found if isinstance(one, click.Command) and one.name == cmd_name)
+        command = next(
+            one for one in found if isinstance(one, click.Command) and one.name == cmd_name
+        )
         for parameter in command.params:
             parameter.callback = parameter.callback or sensible
             parameter.type = strict(parameter.type)
@@ -93,7 +107,9 @@ class Group(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         for title in dict.fromkeys(one.section for one in COMMANDS.values()):
             with formatter.section(title):
-                formatter.write_dl([(name, one.summary) for name, one in COMMANDS.items() if one.section == title])
+                formatter.write_dl(
+                    [(name, one.summary) for name, one in COMMANDS.items() if one.section == title]
+                )
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does, but a misspelt command is answered with the likely ones."""
@@ -112,51 +128,76 @@ def output_options(default: str | None = None, out: bool = True) -> Callable:
 
     def decorate(command: Callable) -> Callable:
         command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
-        command = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")(command)
+        command = click.option(
+            "--json", "as_json", is_flag=True, help="Print the summary as JSON."
+        )(command)
         if not out:
             return command
         return click.option(
-            "--out", type=click.Path(path_type=Path), default=default, show_default=default is not None,
+            "--out",
+            type=click.Path(path_type=Path),
+            default=default,
+            show_default=default is not None,
             help="Results folder; made if needed.",
-        )(command)  # fmt: skip
+        )(command)
 
     return decorate
 
 
 def data_option(command: Callable) -> Callable:
     return click.option(
-        "--data", envvar="SUNSPIN_DATA", type=click.Path(path_type=Path),
+        "--data",
+        envvar="SUNSPIN_DATA",
+        type=click.Path(path_type=Path),
         help="Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
-    )(command)  # fmt: skip
+    )(command)
 
 
 def device_option(command: Callable) -> Callable:
-    return click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", show_default=True, help="Run motions on the "
-                        "processor, or on an NVIDIA GPU. The latter needs pip install \"sunspin[gpu]\".")(command)  # fmt: skip
+    return click.option(
+        "--device",
+        type=click.Choice(["cpu", "cuda"]),
+        default="cpu",
+        show_default=True,
+        help="Run motions on the "
+        'processor, or on an NVIDIA GPU. The latter needs pip install "sunspin[gpu]".',
+    )(command)
 
 
-def wheel_mode_option(about: str = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the "
-                      "vehicle's brake torque.") -> Callable:  # fmt: skip
+def wheel_mode_option(
+    about: str = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the "
+    "vehicle's brake torque.",
+) -> Callable:
     modes = click.Choice(["coast", "hold", "brake"])
     return click.option("--wheel-mode", type=modes, default="coast", show_default=True, help=about)
 
 
 def factor_option(command: Callable) -> Callable:
     least = click.FloatRange(1, min_open=True)
-    return click.option("--factor", type=least, default=1.1, show_default=True, help="Near-minimum factor.")(command)
+    return click.option(
+        "--factor", type=least, default=1.1, show_default=True, help="Near-minimum factor."
+    )(command)
 
 
-def store_option(about: str = "Folder that keeps what is computed: after a crash, a power cut or Ctrl-C the same command goes on "
-                 "where it stopped. Other inputs need another folder.") -> Callable:  # fmt: skip
+def store_option(
+    about: str = "Folder that keeps what is computed: after a crash, a power cut or Ctrl-C the same command goes on "
+    "where it stopped. Other inputs need another folder.",
+) -> Callable:
     return click.option("--store", type=click.Path(path_type=Path), help=about)
 
 
 def run_options(command: Callable) -> Callable:
     """--seed, --workers."""
-    command = click.option("--workers", type=click.IntRange(1, 4096), help="Threads; default one per core.")(command)
-    return click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random choices.")(
-        command
-    )
+    command = click.option(
+        "--workers", type=click.IntRange(1, 4096), help="Threads; default one per core."
+    )(command)
+    return click.option(
+        "--seed",
+        type=click.IntRange(0),
+        default=0,
+        show_default=True,
+        help="Seed of all random choices.",
+    )(command)
 
 
 def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Path:
@@ -169,7 +210,9 @@ def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Pa
         from sunspin.telemetry.case import case_telemetry
 
         if (own := case_telemetry(vehicle)) is None:
-            raise InputError(sentence("TELEMETRY is missing", do="only a built-in case comes with its own"))
+            raise InputError(
+                sentence("TELEMETRY is missing", do="only a built-in case comes with its own")
+            )
         return own
     if path == "-":
         return _from_standard_input()
@@ -192,7 +235,9 @@ def _from_standard_input() -> Path:
     from sunspin.base.tables import MAX_FILE_BYTES
 
     if sys.stdin is None or sys.stdin.isatty():
-        raise InputError(sentence("nothing is piped into standard input", do="pipe telemetry in, or name a file"))
+        raise InputError(
+            sentence("nothing is piped into standard input", do="pipe telemetry in, or name a file")
+        )
     folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
     path, size = Path(folder) / "standard-input", 0
     with open(path, "wb") as file:
@@ -216,10 +261,16 @@ def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool
         from sunspin.output.folder import plain
 
         text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
-        click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))  # half characters of file names become escapes
+        click.echo(
+            text.encode("utf-8", "backslashreplace").decode("utf-8")
+        )  # half characters of file names become escapes
     elif not quiet:
         for line in lines:
-            click.echo(line if line.isprintable() else line[: len(line) - len(line.lstrip(" "))] + printable(line))
+            click.echo(
+                line
+                if line.isprintable()
+                else line[: len(line) - len(line.lstrip(" "))] + printable(line)
+            )
 
 
 def claim(out: Path | None, command: str) -> None:
@@ -231,16 +282,25 @@ def claim(out: Path | None, command: str) -> None:
 
 
 def deliver(
-    result: Any, out: Path | None, as_json: bool, quiet: bool, vehicle: Any, telemetry: Any = None,
-    also: Mapping[str, Any] | None = None, lines: Sequence[str] = (), main: str = "",
-) -> None:  # fmt: skip
+    result: Any,
+    out: Path | None,
+    as_json: bool,
+    quiet: bool,
+    vehicle: Any,
+    telemetry: Any = None,
+    also: Mapping[str, Any] | None = None,
+    lines: Sequence[str] = (),
+    main: str = "",
+) -> None:
     """Save a result where a folder is given, and print what it says of itself; `also` and `lines`: more of it; `main`: its file."""
     import_module("sunspin.output.result")
     summary = result.sunspin.summary()
     told = [*summary.lines, *lines, *summary.notes]
     if out is not None:
         command = shlex.join(["sunspin", *sys.argv[1:]])
-        folder = result.sunspin.save(out, vehicle=vehicle, telemetry=telemetry, command=command, also=also)
+        folder = result.sunspin.save(
+            out, vehicle=vehicle, telemetry=telemetry, command=command, also=also
+        )
         told += [f"Results: {folder / main}", f"A page to look into it: sunspin report {folder}"]
     report({**summary, **(also or {})}, told, as_json, quiet)
 

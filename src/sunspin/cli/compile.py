@@ -26,6 +26,14 @@ def compile_kernels(vehicles, as_json, quiet) -> None:
     from sunspin.estimate.scan.volume import compile_kernels as compile_for
     from sunspin.vehicle import load_vehicle
 
-    names = list(vehicles) or ["philae", str(resources.files("sunspin").joinpath("template", "vehicle.toml"))]
+    names = list(vehicles) or [
+        "philae",
+        str(resources.files("sunspin").joinpath("template", "vehicle.toml")),
+    ]
     folder = compile_for([load_vehicle(name) for name in names])
-    report({"vehicles": names, "folder": str(folder)}, [f"Scans of {len(names)} vehicles are ready: {folder}"], as_json, quiet)
+    report(
+        {"vehicles": names, "folder": str(folder)},
+        [f"Scans of {len(names)} vehicles are ready: {folder}"],
+        as_json,
+        quiet,
+    )

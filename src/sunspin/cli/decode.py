@@ -11,7 +11,13 @@ from sunspin.cli.common import output_options, report
 
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
-@click.option("--decoder", type=click.Choice(["skcube"]), default="skcube", show_default=True, help="Whose frames these are.")
+@click.option(
+    "--decoder",
+    type=click.Choice(["skcube"]),
+    default="skcube",
+    show_default=True,
+    help="Whose frames these are.",
+)
 @output_options(default="skcube")
 def decode(raw: Path, decoder: str, out: Path, as_json: bool, quiet: bool) -> None:
     """Decode raw beacons of skCUBE, a table for each kind of beacon: skcube_adcs.csv, skcube_pwr.csv and so on.
@@ -31,8 +37,15 @@ def decode(raw: Path, decoder: str, out: Path, as_json: bool, quiet: bool) -> No
     files: dict[str, str] = {}
     for kind in beacons.rows:
         text, target = beacons_csv(beacons, kind), folder / f"{decoder}_{kind.lower()}.csv"
-        files[kind] = str(write_whole(target, lambda part, text=text: part.write_text(text, "utf-8")))
+        files[kind] = str(
+            write_whole(target, lambda part, text=text: part.write_text(text, "utf-8"))
+        )
     lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in beacons.kinds.items()]
     lines += [f"{n:6d}  not read: {why}" for why, n in beacons.unread.items()]
     attitude = {"attitude_beacons": beacons.kinds.get("ADCS", 0), "file": files.get("ADCS")}
-    report({"frames": beacons.kinds, "unread": beacons.unread, "files": files, **attitude}, lines, as_json, quiet)
+    report(
+        {"frames": beacons.kinds, "unread": beacons.unread, "files": files, **attitude},
+        lines,
+        as_json,
+        quiet,
+    )

@@ -23,5 +23,8 @@ def init(folder: Path, as_json: bool, quiet: bool) -> None:
     from sunspin.output.template import write_templates
 
     vehicle, telemetry = write_templates(folder)
-    lines = [f"Wrote {vehicle} and {telemetry} (synthetic samples).", f"Next: sunspin check {vehicle} {telemetry}"]
+    lines = [
+        f"Wrote {vehicle} and {telemetry} (synthetic samples).",
+        f"Next: sunspin check {vehicle} {telemetry}",
+    ]
     report({"vehicle": str(vehicle), "telemetry": str(telemetry)}, lines, as_json, quiet)

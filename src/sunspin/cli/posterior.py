@@ -19,7 +19,15 @@ from sunspin.cli.common import (
     store_option,
     wheel_mode_option,
 )
-from sunspin.cli.values import field, instants_of, observation, period_option, periods_of, prior, times
+from sunspin.cli.values import (
+    field,
+    instants_of,
+    observation,
+    period_option,
+    periods_of,
+    prior,
+    times,
+)
 
 BLOW = ("body.mass_kg", "leg", "collision")
 """What only predictions beyond a collision use."""
@@ -28,30 +36,86 @@ BLOW = ("body.mass_kg", "leg", "collision")
 @click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
-@click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
+@click.option(
+    "--from",
+    "begin",
+    help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.",
+)
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
-@click.option("--prior", "priors", multiple=True, help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
-              "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
-              "one may turn the body in this stretch, 300 unless given, 0: none), and in s how long "
-              "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.")
-@click.option("--rate", "rates", multiple=True, help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.")
-@click.option("--gyro", "gyros", multiple=True, help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.")
-@click.option("--field", "fields", multiple=True, help="A magnetic direction in the body, and its known angle from the Sun: "
-              "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.")
+@click.option(
+    "--prior",
+    "priors",
+    multiple=True,
+    help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
+    "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
+    "one may turn the body in this stretch, 300 unless given, 0: none), and in s how long "
+    "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.",
+)
+@click.option(
+    "--rate",
+    "rates",
+    multiple=True,
+    help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.",
+)
+@click.option(
+    "--gyro",
+    "gyros",
+    multiple=True,
+    help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.",
+)
+@click.option(
+    "--field",
+    "fields",
+    multiple=True,
+    help="A magnetic direction in the body, and its known angle from the Sun: "
+    "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.",
+)
 @wheel_mode_option("What the wheels do in this stretch.")
-@click.option("--predict", help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
-              "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.")
+@click.option(
+    "--predict",
+    help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
+    "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.",
+)
 @period_option("The draws are weighted by it beside the posterior, with what it decides.")
-@click.option("--draws", type=click.IntRange(100, 1_000_000), default=4000, show_default=True, help="Draws in the result.")
+@click.option(
+    "--draws",
+    type=click.IntRange(100, 1_000_000),
+    default=4000,
+    show_default=True,
+    help="Draws in the result.",
+)
 @store_option()
 @device_option
 @set_options("collision", short=("friction", "restitution", "damper"), idle=("hull", "antenna"))
 @output_options()
 @run_options
 @data_option
-def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, fields, wheel_mode, predict, periods, draws, store,
-              device, sets, out, as_json, quiet, seed, workers, data, **short) -> None:  # fmt: skip
+def posterior(
+    vehicle,
+    telemetry,
+    begin,
+    end,
+    phase,
+    priors,
+    rates,
+    gyros,
+    fields,
+    wheel_mode,
+    predict,
+    periods,
+    draws,
+    store,
+    device,
+    sets,
+    out,
+    as_json,
+    quiet,
+    seed,
+    workers,
+    data,
+    **short,
+) -> None:
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
@@ -75,17 +139,33 @@ def posterior(vehicle, telemetry, begin, end, phase, priors, rates, gyros, field
     if predict is None:
         say_idle(changes, BLOW)
     samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
-    seen = [observation("rate", text, 1) for text in rates] + [observation("gyro", text, 3) for text in gyros]
+    seen = [observation("rate", text, 1) for text in rates] + [
+        observation("gyro", text, 3) for text in gyros
+    ]
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
     evidence = periods_of(periods, samples)
     first_s, last_s = instants_of(samples, begin, end)
     claim(out, "posterior")
     tree = run(
-        craft, samples, dict(prior(text) for text in priors), seed, begin_s=first_s, end_s=last_s, phase=phase, observations=seen,
-        wheel_mode=wheel_mode, draws=draws, workers=workers, store=store, progress=on_terminal(quiet), device=device,
+        craft,
+        samples,
+        dict(prior(text) for text in priors),
+        seed,
+        begin_s=first_s,
+        end_s=last_s,
+        phase=phase,
+        observations=seen,
+        wheel_mode=wheel_mode,
+        draws=draws,
+        workers=workers,
+        store=store,
+        progress=on_terminal(quiet),
+        device=device,
         periods=evidence,
-    )  # fmt: skip
+    )
     if asked is not None:
-        with_predictions(craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision, workers)
+        with_predictions(
+            craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision, workers
+        )
     deliver(made.mark(tree), out, as_json, quiet, made.file, samples)

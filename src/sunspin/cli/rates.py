@@ -7,7 +7,15 @@ import math
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import announced, claim, data_option, deliver, on_terminal, output_options, read_both
+from sunspin.cli.common import (
+    announced,
+    claim,
+    data_option,
+    deliver,
+    on_terminal,
+    output_options,
+    read_both,
+)
 from sunspin.cli.orbit import orbit_options
 from sunspin.cli.values import between, period_option, periods_of
 from sunspin.cli.values import effort as effort_given
@@ -22,28 +30,94 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.argument("telemetry")
 @output_options()
 @data_option
-@click.option("--source", type=click.Choice(["panels", "sun_sensor"]), help="Where the Sun comes from; default: what is there.")
-@click.option("--max-rate", type=click.FloatRange(0, min_open=True), help="No rate is faster, deg/s; default: the vehicle's, "
-              "else one and a half turns in the usual interval.")
-@click.option("--noise", type=click.FloatRange(0, min_open=True), help="Angular acceleration noise, rad/s^1.5; default: the "
-              "vehicle's, else what the data support best.")
-@click.option("--gap", type=click.FloatRange(0, min_open=True), help="A longer gap parts two passes, s; default: six intervals.")
-@click.option("--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered from zero as in passes.csv.")
-@click.option("--from", "begin", help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.")
+@click.option(
+    "--source",
+    type=click.Choice(["panels", "sun_sensor"]),
+    help="Where the Sun comes from; default: what is there.",
+)
+@click.option(
+    "--max-rate",
+    type=click.FloatRange(0, min_open=True),
+    help="No rate is faster, deg/s; default: the vehicle's, "
+    "else one and a half turns in the usual interval.",
+)
+@click.option(
+    "--noise",
+    type=click.FloatRange(0, min_open=True),
+    help="Angular acceleration noise, rad/s^1.5; default: the "
+    "vehicle's, else what the data support best.",
+)
+@click.option(
+    "--gap",
+    type=click.FloatRange(0, min_open=True),
+    help="A longer gap parts two passes, s; default: six intervals.",
+)
+@click.option(
+    "--pass",
+    "pass_id",
+    type=click.IntRange(0),
+    help="Only this pass, numbered from zero as in passes.csv.",
+)
+@click.option(
+    "--from",
+    "begin",
+    help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.",
+)
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
-@click.option("--no-wirings", is_flag=True, help="Where a pass does not fit, do not try other wirings of panels and sensors.")
+@click.option(
+    "--no-wirings",
+    is_flag=True,
+    help="Where a pass does not fit, do not try other wirings of panels and sensors.",
+)
 @orbit_options
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
-@click.option("--effort", metavar="FLOAT", callback=effort_given, default="1.0", show_default=True, help="How much may be computed "
-              "in units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
-              "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
-              "says so and is never decided.")
-@click.option("--workers", type=click.IntRange(1, 4096), help="Processes that estimate passes side by side; default one "
-              "per core. The result does not depend on it.")
+@click.option(
+    "--effort",
+    metavar="FLOAT",
+    callback=effort_given,
+    default="1.0",
+    show_default=True,
+    help="How much may be computed "
+    "in units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
+    "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
+    "says so and is never decided.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 4096),
+    help="Processes that estimate passes side by side; default one "
+    "per core. The result does not depend on it.",
+)
 @period_option("The motions of its pass are weighted by it, and what it decides is said.")
-@click.option("--without", multiple=True, type=click.Choice(list(UNUSED)), help="Do not use this sensor; repeatable.")
-def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise, gap, pass_id, begin, end,
-          no_wirings, elements, shift_sigma, no_orbit, effort, workers, periods, without) -> None:  # fmt: skip
+@click.option(
+    "--without",
+    multiple=True,
+    type=click.Choice(list(UNUSED)),
+    help="Do not use this sensor; repeatable.",
+)
+def rates(
+    vehicle,
+    telemetry,
+    out,
+    as_json,
+    quiet,
+    data,
+    source,
+    max_rate,
+    noise,
+    gap,
+    pass_id,
+    begin,
+    end,
+    no_wirings,
+    elements,
+    shift_sigma,
+    no_orbit,
+    effort,
+    workers,
+    periods,
+    without,
+) -> None:
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
     All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
@@ -66,24 +140,46 @@ def rates(vehicle, telemetry, out, as_json, quiet, data, source, max_rate, noise
     from sunspin.output.check.orbit import orbit_used
 
     craft, samples = read_both(vehicle, telemetry, data)
-    used = between(samples, begin, end).drop_vars([UNUSED[name] for name in without if UNUSED[name] in samples])
+    used = between(samples, begin, end).drop_vars(
+        [UNUSED[name] for name in without if UNUSED[name] in samples]
+    )
     evidence = periods_of(periods, samples)
     claim(out, "rates")
     if no_orbit and (elements is not None or shift_sigma is not None):
-        raise InputError(sentence("--no-orbit says not to use an orbit, and elements or their shift are given", do="give one"))
+        raise InputError(
+            sentence(
+                "--no-orbit says not to use an orbit, and elements or their shift are given",
+                do="give one",
+            )
+        )
     say = announced("rates", quiet)
     if not no_orbit and elements_of(craft, elements, shift_sigma) is not None and say is not None:
         say(f"{samples.sizes['time']} samples; they judge the elements first")
     known = (None, None, {}, []) if no_orbit else orbit_used(craft, samples, elements, shift_sigma)
     orbit, calibration, orbit_summary, orbit_lines = known
     result = run(
-        craft, used, source=source, max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=noise, gap_s=gap, pass_id=pass_id, wirings=not no_wirings, environment=orbit, calibration=calibration,
-        periods=evidence, effort=effort, workers=worker_count(workers), progress=say or on_terminal(quiet),
-    )  # fmt: skip
-    from sunspin.output.check.samples import doubts  # after the search has begun: to import it takes a third of a second
+        craft,
+        used,
+        source=source,
+        max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
+        acceleration_noise=noise,
+        gap_s=gap,
+        pass_id=pass_id,
+        wirings=not no_wirings,
+        environment=orbit,
+        calibration=calibration,
+        periods=evidence,
+        effort=effort,
+        workers=worker_count(workers),
+        progress=say or on_terminal(quiet),
+    )
+    from sunspin.output.check.samples import (
+        doubts,
+    )  # after the search has begun: to import it takes a third of a second
 
     about, lines = doubts(craft, used, vehicle)
     doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
     lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]
-    deliver(result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines)
+    deliver(
+        result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines
+    )

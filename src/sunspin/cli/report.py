@@ -26,4 +26,9 @@ def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
 
     target = write_report(folder, figures=True)
     size = target.stat().st_size
-    report({"report": str(target), "bytes": size}, [f"Report: {target} ({size_text(size)})"], as_json, quiet)
+    report(
+        {"report": str(target), "bytes": size},
+        [f"Report: {target} ({size_text(size)})"],
+        as_json,
+        quiet,
+    )

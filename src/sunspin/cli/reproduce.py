@@ -13,24 +13,63 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
 @click.command(cls=Changeable)
 @output_options(default="results")
 @run_options
-@click.option("--telemetry", type=click.Path(path_type=Path), help="Panel powers to use in the place of the synthetic ones. Start "
-              "from a copy of telemetry.csv in an earlier results folder.")
-@click.option("--vehicle", type=click.Path(path_type=Path), help="Vehicle file of another body with one wheel and legs.")
-@click.option("--candidates", default="scan", show_default=True, metavar="scan|posterior|published|FILE",
-              help="Motions that the conclusions follow from: the 90 % set of the scan, the posterior of the readings "
-                  "(minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, "
-              "omega_y, omega_z (rad/s).")
-@click.option("--calibrate", type=click.IntRange(0, 100_000), metavar="N", help="Calibrate the set's threshold on N synthetic "
-              "flights like the data. Default: the shipped calibration where it fits them, else 60; 0: none.")
 @click.option(
-    "--coarser", type=click.IntRange(1, 50), default=1, show_default=True, help="Every n-th grid point only: a quick look."
+    "--telemetry",
+    type=click.Path(path_type=Path),
+    help="Panel powers to use in the place of the synthetic ones. Start "
+    "from a copy of telemetry.csv in an earlier results folder.",
 )
-@click.option("--data", envvar="SUNSPIN_DATA", type=click.Path(path_type=Path), help="Folder with philae_spk/, whose landing "
-              "kernel gives the collision's impulse: evidence beyond the paper (or set SUNSPIN_DATA).")
+@click.option(
+    "--vehicle",
+    type=click.Path(path_type=Path),
+    help="Vehicle file of another body with one wheel and legs.",
+)
+@click.option(
+    "--candidates",
+    default="scan",
+    show_default=True,
+    metavar="scan|posterior|published|FILE",
+    help="Motions that the conclusions follow from: the 90 % set of the scan, the posterior of the readings "
+    "(minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, "
+    "omega_y, omega_z (rad/s).",
+)
+@click.option(
+    "--calibrate",
+    type=click.IntRange(0, 100_000),
+    metavar="N",
+    help="Calibrate the set's threshold on N synthetic "
+    "flights like the data. Default: the shipped calibration where it fits them, else 60; 0: none.",
+)
+@click.option(
+    "--coarser",
+    type=click.IntRange(1, 50),
+    default=1,
+    show_default=True,
+    help="Every n-th grid point only: a quick look.",
+)
+@click.option(
+    "--data",
+    envvar="SUNSPIN_DATA",
+    type=click.Path(path_type=Path),
+    help="Folder with philae_spk/, whose landing "
+    "kernel gives the collision's impulse: evidence beyond the paper (or set SUNSPIN_DATA).",
+)
 @set_options("study", "collision", short=tuple(SHORT))
-def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | None, telemetry: Path | None, vehicle: Path | None,
-              candidates: str, calibrate: int | None, coarser: int, data: Path | None, sets: tuple[str, ...],
-              **short: str | None) -> None:  # fmt: skip
+def reproduce(
+    out: Path,
+    as_json: bool,
+    quiet: bool,
+    seed: int,
+    workers: int | None,
+    telemetry: Path | None,
+    vehicle: Path | None,
+    candidates: str,
+    calibrate: int | None,
+    coarser: int,
+    data: Path | None,
+    sets: tuple[str, ...],
+    **short: str | None,
+) -> None:
     """Run the whole Philae study: every figure and table of the paper, and where the paper contradicts itself.
 
     Every conclusion follows from the telemetry given. That which comes with the package is synthetic (the flown one is not public)
@@ -45,7 +84,16 @@ def reproduce(out: Path, as_json: bool, quiet: bool, seed: int, workers: int | N
     from sunspin.philae.reproduction import reproduce as run
 
     written = run(
-        out, telemetry, vehicle=vehicle, candidates=candidates, calibrate=calibrate, seed=seed, workers=workers, coarser=coarser,
-        changes=asked(sets, ("study", "collision"), **short), data=data, progress=on_terminal(quiet),
-    )  # fmt: skip
+        out,
+        telemetry,
+        vehicle=vehicle,
+        candidates=candidates,
+        calibrate=calibrate,
+        seed=seed,
+        workers=workers,
+        coarser=coarser,
+        changes=asked(sets, ("study", "collision"), **short),
+        data=data,
+        progress=on_terminal(quiet),
+    )
     report(written.summary, written.lines, as_json, quiet)

@@ -12,9 +12,17 @@ from sunspin.cli.common import claim, data_option, deliver, output_options, read
 @click.argument("telemetry")
 @output_options()
 @data_option
-@click.option("--noise", type=click.FloatRange(0, min_open=True), help="One sigma of a panel's value, in W or A.")
-@click.option("--lit-threshold", "threshold", type=click.FloatRange(0, min_open=True),
-              help="A panel is lit above this, in W or A; default: the vehicle's, else from noise and light on dark faces.")
+@click.option(
+    "--noise",
+    type=click.FloatRange(0, min_open=True),
+    help="One sigma of a panel's value, in W or A.",
+)
+@click.option(
+    "--lit-threshold",
+    "threshold",
+    type=click.FloatRange(0, min_open=True),
+    help="A panel is lit above this, in W or A; default: the vehicle's, else from noise and light on dark faces.",
+)
 def sun(vehicle, telemetry, out, as_json, quiet, data, noise, threshold) -> None:
     """Directions to the Sun from panel powers or currents, each with its uncertainty or the reason why there is none.
 
@@ -30,5 +38,7 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, threshold) -> None
 
     craft, samples = read_both(vehicle, telemetry, data)
     claim(out, "sun")
-    directions = sun_directions(craft, samples, noise=noise, lit_threshold=threshold or lit_threshold(craft, samples))
+    directions = sun_directions(
+        craft, samples, noise=noise, lit_threshold=threshold or lit_threshold(craft, samples)
+    )
     deliver(directions, out, as_json, quiet, vehicle, samples)

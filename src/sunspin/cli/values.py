@@ -23,9 +23,14 @@ def strict(kind: click.ParamType) -> click.ParamType:
     takes and no more of Python's forms."""
     if "convert" in vars(kind):
         return kind
-    made, is_number = copy(kind), isinstance(kind, click.types.FloatParamType | click.types.IntParamType)
+    made, is_number = (
+        copy(kind),
+        isinstance(kind, click.types.FloatParamType | click.types.IntParamType),
+    )
 
-    def convert(value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+    def convert(
+        value: Any, parameter: click.Parameter | None, context: click.Context | None
+    ) -> Any:
         if isinstance(value, str) and not value.strip():
             made.fail("the value is empty", parameter, context)
         if isinstance(value, str) and is_number and math.isnan(plain_number(value)):
@@ -40,14 +45,24 @@ def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
     """A positive number, or infinity."""
     given = math.inf if text == "inf" else plain_number(text)
     if not given > 0:
-        raise InputError(sentence(f"{parameter.opts[0]} must be a positive number or inf", got=text, do="1 is the usual effort"))
+        raise InputError(
+            sentence(
+                f"{parameter.opts[0]} must be a positive number or inf",
+                got=text,
+                do="1 is the usual effort",
+            )
+        )
     return given
 
 
 def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
     """Refuse numbers that are infinite, none, or beyond all measure."""
     name, kind = parameter.opts[0], parameter.type
-    sizes = SIZES.removeprefix("0 or ") if isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open else SIZES
+    sizes = (
+        SIZES.removeprefix("0 or ")
+        if isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open
+        else SIZES
+    )
     for value in given if isinstance(given, tuple) else (given,):
         if isinstance(value, float):
             _check_number(name, value, sizes)
@@ -73,8 +88,14 @@ def numbers(text: str | None, name: str, count: int | None = None, form: str = "
         for value in values:
             _check_number(name, value)
     if none or (count is not None and len(values) != count):
-        wanted = form or ("a number" if count == 1 else f"{count or ''} numbers separated by commas".lstrip())
-        do = None if form else f"for example {name}{'=' if name.startswith('--prior ') else ' '}{','.join(EXAMPLE[: count or 3])}"
+        wanted = form or (
+            "a number" if count == 1 else f"{count or ''} numbers separated by commas".lstrip()
+        )
+        do = (
+            None
+            if form
+            else f"for example {name}{'=' if name.startswith('--prior ') else ' '}{','.join(EXAMPLE[: count or 3])}"
+        )
         raise InputError(sentence(f"{name} takes {wanted}", got=text or "nothing", do=do))
     return values
 
@@ -87,7 +108,10 @@ def grid(text: str, name: str) -> np.ndarray:
 
     if ":" not in text:
         return np.array(numbers(text, name))
-    parts, do = text.split(":"), f"for example {name}=-0.1:0.1:0.02, which is 5.73 deg/s to each side"
+    parts, do = (
+        text.split(":"),
+        f"for example {name}=-0.1:0.1:0.02, which is 5.73 deg/s to each side",
+    )
     if len(parts) != 3:
         raise InputError(sentence(f"{name} must be low:high:step in rad/s", got=text, do=do))
     low, high, step = numbers(",".join(parts), name, 3)
@@ -97,7 +121,13 @@ def grid(text: str, name: str) -> np.ndarray:
         raise InputError(sentence(what, got=text, do=do))
     if count > MAX_GRID:
         check_size(count, 1, 1)
-        raise InputError(sentence(f"{name} has {count:.3g} values, more than {MAX_GRID}", got=text, do="use a larger step"))
+        raise InputError(
+            sentence(
+                f"{name} has {count:.3g} values, more than {MAX_GRID}",
+                got=text,
+                do="use a larger step",
+            )
+        )
     return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
 
 
@@ -110,7 +140,9 @@ def vertical(text: str | None) -> Any:
         return math.radians(values[0])
     if len(values) == 3:
         return tuple(values)
-    raise InputError(sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text))
+    raise InputError(
+        sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text)
+    )
 
 
 def prior(text: str) -> tuple[str, float]:
@@ -138,16 +170,28 @@ def period(text: str, epoch_utc: str | None) -> Any:
     value, _, rest = text.partition("+-")
     sigma, _, when = rest.partition("@")
     if not (value and sigma and when):
-        raise InputError(sentence("--period takes SECONDS+-SIGMA@TIME", got=text, do="for example --period 13.0+-0.5@15:50"))
-    return Period(next(iter(times(when, epoch_utc, "--period"))), *numbers(f"{value},{sigma}", "--period", 2))
+        raise InputError(
+            sentence(
+                "--period takes SECONDS+-SIGMA@TIME",
+                got=text,
+                do="for example --period 13.0+-0.5@15:50",
+            )
+        )
+    return Period(
+        next(iter(times(when, epoch_utc, "--period"))), *numbers(f"{value},{sigma}", "--period", 2)
+    )
 
 
 def period_option(what: str) -> Any:
     """--period of a command, with what it does there."""
     return click.option(
-        "--period", "periods", multiple=True, metavar="S+-SIGMA@TIME", help="A period seen from outside, such as 13.0+-0.5@15:50 "
+        "--period",
+        "periods",
+        multiple=True,
+        metavar="S+-SIGMA@TIME",
+        help="A period seen from outside, such as 13.0+-0.5@15:50 "
         f"(s; UTC or s from the epoch): of the precession, the spin or their sum. {what} Repeatable.",
-    )  # fmt: skip
+    )
 
 
 def periods_of(texts: tuple[str, ...], telemetry: Any) -> list[Any]:
@@ -164,7 +208,9 @@ def times(text: str, epoch_utc: str | None, option: str = "--predict") -> dict[f
         if ":" not in part:
             times[numbers(part, option, 1, WHEN)[0]] = f"{part} s"
         elif epoch_utc is None:
-            raise InputError(sentence("the telemetry has no epoch, so a time must be in s", got=part))
+            raise InputError(
+                sentence("the telemetry has no epoch, so a time must be in s", got=part)
+            )
         else:
             utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
             times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
@@ -179,22 +225,35 @@ def between(samples: Any, begin: str | None, end: str | None) -> Any:
 
     first, last = instants_of(samples, begin, end)
     t = samples["time"].values
-    inside = (t >= (-np.inf if first is None else first)) & (t <= (np.inf if last is None else last))
+    inside = (t >= (-np.inf if first is None else first)) & (
+        t <= (np.inf if last is None else last)
+    )
     if not inside.any():
         there = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"
-        raise InputError(sentence("no samples lie between --from and --to", got=got, do=f"the file has {there}"))
+        raise InputError(
+            sentence("no samples lie between --from and --to", got=got, do=f"the file has {there}")
+        )
     return samples.isel(time=np.flatnonzero(inside))
 
 
-def instants_of(samples: Any, begin: str | None, end: str | None) -> tuple[float | None, float | None]:
+def instants_of(
+    samples: Any, begin: str | None, end: str | None
+) -> tuple[float | None, float | None]:
     """Seconds from the epoch of --from and --to, None where they are not given."""
     epoch = samples.attrs["epoch_utc"]
-    return (None if begin is None else instant(begin, "--from", epoch), None if end is None else instant(end, "--to", epoch))
+    return (
+        None if begin is None else instant(begin, "--from", epoch),
+        None if end is None else instant(end, "--to", epoch),
+    )
 
 
 def instant(text: str, option: str, epoch_utc: str) -> float:
     """Seconds from the epoch of a time in UTC, or in seconds from there."""
     from sunspin.vehicle.timeline import utc_seconds
 
-    return utc_seconds(text, epoch_utc) if ":" in text or "T" in text else numbers(text, option, 1, WHEN)[0]
+    return (
+        utc_seconds(text, epoch_utc)
+        if ":" in text or "T" in text
+        else numbers(text, option, 1, WHEN)[0]
+    )

@@ -28,7 +28,10 @@ def command(work: Callable[[list[str] | None], None]) -> Main:
             work(arguments)
         except (KeyboardInterrupt, SunspinError) as error:
             stopped = isinstance(error, KeyboardInterrupt)
-            print(str(error) or "interrupted; the same command goes on where it stopped", file=sys.stderr)
+            print(
+                str(error) or "interrupted; the same command goes on where it stopped",
+                file=sys.stderr,
+            )
             return 130 if stopped else 2
         return 0
 
@@ -42,7 +45,11 @@ def rows_folder(folder: Path) -> Path:
         atomic_write.sweep(folder)
     except OSError as error:
         raise OutputError(
-            sentence(f"results cannot be written here ({error.strerror or error})", do="choose another folder", where=str(folder))
+            sentence(
+                f"results cannot be written here ({error.strerror or error})",
+                do="choose another folder",
+                where=str(folder),
+            )
         ) from None
     return folder
 
@@ -57,8 +64,15 @@ def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     except SunspinError:
         raise
     except (OSError, ValueError) as error:
-        raise OutputError(sentence(f"the row cannot be kept or read ({error})", do="delete the file or choose another folder",
-                                   where=str(path))) from None  # fmt: skip
+        raise OutputError(
+            sentence(
+                f"the row cannot be kept or read ({error})",
+                do="delete the file or choose another folder",
+                where=str(path),
+            )
+        ) from None
     if not isinstance(row, dict):
-        raise OutputError(sentence("this is no row of results", do="delete the file", where=str(path)))
+        raise OutputError(
+            sentence("this is no row of results", do="delete the file", where=str(path))
+        )
     return row

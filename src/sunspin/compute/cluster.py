@@ -50,16 +50,22 @@ def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Generat
         # sent once, as the result of a task: Dask knows how to get it again when the worker that has it dies
         shared = client.submit(_same, function, pure=False)
         executor = _Tasks(client)
-        threads: Any = client.nthreads()  # a coroutine only where the client is asynchronous, which this is not
+        threads: Any = (
+            client.nthreads()
+        )  # a coroutine only where the client is asynchronous, which this is not
 
         def abandon(futures: Iterable[Future]) -> list[Future]:
             with suppress(Exception):  # they may already be out of reach
                 executor.shutdown(wait=False)
-                wait(futures, SETTLE_S)  # results on their way would complain if the connection closed under them
+                wait(
+                    futures, SETTLE_S
+                )  # results on their way would complain if the connection closed under them
             return []  # nothing may be expected of a cluster that the same Ctrl-C has reached
 
         try:
-            yield Place(executor, CHUNKS_PER_THREAD * max(sum(threads.values()), 1), shared, abandon)
+            yield Place(
+                executor, CHUNKS_PER_THREAD * max(sum(threads.values()), 1), shared, abandon
+            )
         except KilledWorker as error:
             raise InputError(
                 sentence(
@@ -68,7 +74,11 @@ def on_cluster(function: RowFunction, scheduler: Any, n_workers: int) -> Generat
                 )
             ) from None
         except CancelledError:
-            raise InputError(sentence("the Dask scheduler has dropped the work", got=str(scheduler), do="run it again")) from None
+            raise InputError(
+                sentence(
+                    "the Dask scheduler has dropped the work", got=str(scheduler), do="run it again"
+                )
+            ) from None
         finally:
             with suppress(Exception):
                 shared.cancel()
@@ -112,7 +122,9 @@ class _Undisturbed(WorkerPlugin):
     """Lets Ctrl-C, which a terminal sends to all its processes, reach the client alone: it ends the workers in good order."""
 
     def setup(self, worker: Any) -> None:
-        with suppress(ValueError):  # a worker whose loop is not in the main thread gets no signals anyway
+        with suppress(
+            ValueError
+        ):  # a worker whose loop is not in the main thread gets no signals anyway
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -128,13 +140,20 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
         client = stack.enter_context(_client_at(scheduler))
     else:
         raise InputError(
-            sentence('scheduler must be "local", an address like tcp://host:8786, a Dask client or an executor', got=str(scheduler))
+            sentence(
+                'scheduler must be "local", an address like tcp://host:8786, a Dask client or an executor',
+                got=str(scheduler),
+            )
         )
     try:
         client.wait_for_workers(1, timeout=FIRST_WORKER_S)
     except TimeoutError:
         raise InputError(
-            sentence(f"the cluster got no worker within {FIRST_WORKER_S} s", got=str(scheduler), do="start workers")
+            sentence(
+                f"the cluster got no worker within {FIRST_WORKER_S} s",
+                got=str(scheduler),
+                do="start workers",
+            )
         ) from None
     return client
 
@@ -148,12 +167,19 @@ def local_cluster(n_workers: int) -> Generator[LocalCluster]:
     """
     # the ports of what would be the dashboards serve none, and are chosen by the system: the usual one may be taken
     quiet = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
-    options: dict[str, Any] = {"dashboard_address": None}  # none is what Dask documents, though it declares text
+    options: dict[str, Any] = {
+        "dashboard_address": None
+    }  # none is what Dask documents, though it declares text
     with dask.config.set({"distributed.deploy.lost-worker-timeout": f"{RESTART_S} s"}):
         cluster = LocalCluster(
-            n_workers=n_workers, threads_per_worker=1, processes=True, host="127.0.0.1", **options,
-            scheduler_kwargs=quiet, silence_logs=logging.CRITICAL,
-        )  # fmt: skip
+            n_workers=n_workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            **options,
+            scheduler_kwargs=quiet,
+            silence_logs=logging.CRITICAL,
+        )
         try:
             yield cluster
         finally:
@@ -163,7 +189,9 @@ def local_cluster(n_workers: int) -> Generator[LocalCluster]:
 def _client_at(address: str) -> Client:
     """A client of a running scheduler. The address is asked first: a Client that never connected cannot be closed in peace."""
     try:
-        with ThreadPoolExecutor(1) as aside:  # this thread may run an event loop of its own, as notebooks do
+        with ThreadPoolExecutor(
+            1
+        ) as aside:  # this thread may run an event loop of its own, as notebooks do
             kind = aside.submit(asyncio.run, _kind_at(address)).result()
         if kind != "Scheduler":
             raise ValueError(f"a {kind}")

@@ -32,7 +32,9 @@ def copying() -> Generator[None]:
     gc.freeze()
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "This process .* is multi-threaded", DeprecationWarning)
+            warnings.filterwarnings(
+                "ignore", "This process .* is multi-threaded", DeprecationWarning
+            )
             yield
     finally:
         gc.unfreeze()
@@ -66,7 +68,10 @@ def at_once(works: Sequence[Callable[[], Any]]) -> list[Any]:
         with here:
             try:
                 found[k::count] = here.recv()
-            except (EOFError, OSError):  # it failed, or was ended from outside, perhaps while it told
+            except (
+                EOFError,
+                OSError,
+            ):  # it failed, or was ended from outside, perhaps while it told
                 found[k::count] = _all(shares[k])
         copy.join()
     return found

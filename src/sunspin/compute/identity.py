@@ -15,9 +15,13 @@ from typing import Any
 import numpy as np
 
 PHYSICS = (
-    "vehicle", "environment", "dynamics", "compute/compiler.py", "telemetry/sun.py",
+    "vehicle",
+    "environment",
+    "dynamics",
+    "compute/compiler.py",
+    "telemetry/sun.py",
     *(f"estimate/scan/{name}.py" for name in ("rows", "histogram", "mask", "metrics")),
-)  # fmt: skip
+)
 """Files and folders of the package whose text decides what a row gives."""
 
 SMALL = 16
@@ -29,8 +33,16 @@ def plain(value: Any) -> Any:
     their fields `unsaid` where those say nothing: newer ones, whose absence keeps the identity that stored results have."""
     if is_dataclass(value) and not isinstance(value, type):
         beside, unsaid = (getattr(value, name, ()) for name in ("beside", "unsaid"))
-        said = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in beside}
-        return {name: plain(item) for name, item in said.items() if name not in unsaid or isinstance(item, np.ndarray) or item}
+        said = {
+            field.name: getattr(value, field.name)
+            for field in fields(value)
+            if field.name not in beside
+        }
+        return {
+            name: plain(item)
+            for name, item in said.items()
+            if name not in unsaid or isinstance(item, np.ndarray) or item
+        }
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -60,7 +72,9 @@ def bits(*arrays: np.ndarray) -> str:
 
 def fingerprint(identity: Mapping[str, Any]) -> str:
     """SHA-256 of an identity, whatever the order of its keys."""
-    return hashlib.sha256(json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()
+    ).hexdigest()
 
 
 @lru_cache(maxsize=8)
@@ -71,8 +85,10 @@ def code(*more: str) -> dict[str, str]:
         for path, file in _files(name, root.joinpath(name)):
             found.update(f"{path}\n".encode() + file.read_bytes())
     return {
-        "sunspin": metadata.version("sunspin"), "physics_sha256": found.hexdigest(), "numba": metadata.version("numba"),
-    }  # fmt: skip
+        "sunspin": metadata.version("sunspin"),
+        "physics_sha256": found.hexdigest(),
+        "numba": metadata.version("numba"),
+    }
 
 
 def _files(path: str, place: Traversable) -> Iterator[tuple[str, Traversable]]:

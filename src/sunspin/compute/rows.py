@@ -38,7 +38,11 @@ MEMORY_SHARE = 0.5
 def worker_count(workers: int | None) -> int:
     """The number of threads to use: as asked, else one per core that this process may use."""
     if workers is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else os.cpu_count() or 1
+        )
     return _whole("workers", workers)
 
 
@@ -96,7 +100,9 @@ def ensemble(
     n_workers, chunk = worker_count(workers), _whole("chunk", chunk)
     rows = None if index is None else _row_numbers(index, function.n_rows)
     if rows is not None and store is not None:
-        raise InputError(sentence("single rows are not kept in a store", do="leave out either index or store"))
+        raise InputError(
+            sentence("single rows are not kept in a store", do="leave out either index or store")
+        )
     n = function.n_rows if rows is None else len(rows)
     _check_memory(n, function.outputs)
     chunk = min(chunk, max(LEAST_CHUNK, -(-n // n_workers)))
@@ -106,13 +112,23 @@ def ensemble(
         with ExitStack() as stack:
             missing = [(0, n)] if n else []
             if store is not None and n:
-                from sunspin.compute.store import open_store  # Zarr is imported only by those who keep results
+                from sunspin.compute.store import (
+                    open_store,
+                )  # Zarr is imported only by those who keep results
 
                 taker.kept, missing = stack.enter_context(open_store(store, function, chunk, out))
             taker.rows = n - sum(stop - start for start, stop in missing)
             hidden = None if progress else True  # None: shown on a terminal only
             taker.bar = stack.enter_context(
-                tqdm(total=n, initial=taker.rows, unit="row", unit_scale=True, desc=label, disable=hidden, leave=False)
+                tqdm(
+                    total=n,
+                    initial=taker.rows,
+                    unit="row",
+                    unit_scale=True,
+                    desc=label,
+                    disable=hidden,
+                    leave=False,
+                )
             )
             if missing:
                 place = stack.enter_context(_place(function, scheduler, n_workers))
@@ -124,15 +140,23 @@ def ensemble(
 
 def _check_memory(n_rows: int, outputs: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
     """Refuse results that this machine cannot hold, with an estimate, rather than have it end for lack of memory."""
-    row = sum(np.dtype(dtype).itemsize * int(np.prod(shape, dtype=int)) for dtype, shape in outputs.values())
-    there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
+    row = sum(
+        np.dtype(dtype).itemsize * int(np.prod(shape, dtype=int))
+        for dtype, shape in outputs.values()
+    )
+    there = (
+        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if hasattr(os, "sysconf")
+        else np.inf
+    )
     if n_rows * row > MEMORY_SHARE * there:
         raise InputError(
             sentence(
                 f"the results of {n_rows:.3g} rows would take {n_rows * row / 1e9:.2g} GB of memory",
-                got=f"a machine with {there / 1e9:.2g} GB", do="ask for fewer rows",
+                got=f"a machine with {there / 1e9:.2g} GB",
+                do="ask for fewer rows",
             )
-        )  # fmt: skip
+        )
 
 
 def _row_numbers(index: npt.ArrayLike, n_rows: int) -> np.ndarray:
@@ -142,7 +166,9 @@ def _row_numbers(index: npt.ArrayLike, n_rows: int) -> np.ndarray:
         rows = np.empty((0, 0))
     whole = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
     if not whole or np.any((rows < 0) | (rows >= n_rows)):
-        raise InputError(sentence(f"index must be a list of row numbers from 0 to {n_rows - 1}", got=str(index)))
+        raise InputError(
+            sentence(f"index must be a list of row numbers from 0 to {n_rows - 1}", got=str(index))
+        )
     return rows.astype(np.int64)
 
 
@@ -156,7 +182,12 @@ class _Taker:
     """Puts results in their places, in memory and on disk, and knows how many rows are done."""
 
     def __init__(self, function: RowFunction, out: Values, store: Any) -> None:
-        self.n_rows, self.outputs, self.out, self.store = function.n_rows, function.outputs, out, store
+        self.n_rows, self.outputs, self.out, self.store = (
+            function.n_rows,
+            function.outputs,
+            out,
+            store,
+        )
         self.kept: Any = None
         self.bar: Any = None
         self.rows = 0
@@ -164,13 +195,20 @@ class _Taker:
     def __call__(self, piece: Piece, values: Values) -> None:
         start, stop = piece
         if set(values) != set(self.outputs):
-            raise InputError(sentence(f"the row function must return {sorted(self.outputs)}", got=str(sorted(values))))
+            raise InputError(
+                sentence(
+                    f"the row function must return {sorted(self.outputs)}", got=str(sorted(values))
+                )
+            )
         for name, array in values.items():
             target, given = self.out[name][start:stop], np.asarray(array)
             if given.shape != target.shape or given.dtype != target.dtype:
                 wanted = f"{target.dtype} of shape {target.shape}"
                 raise InputError(
-                    sentence(f"the row function must return {name} as {wanted}", got=f"{given.dtype} of shape {given.shape}")
+                    sentence(
+                        f"the row function must return {name} as {wanted}",
+                        got=f"{given.dtype} of shape {given.shape}",
+                    )
                 )
             target[...] = given
         if self.kept is not None:
@@ -194,7 +232,11 @@ def _run(place: Place, rows: np.ndarray | None, pieces: Iterator[Piece], take: _
     try:
         while True:
             while len(pending) < place.slots and (piece := next(pieces, None)) is not None:
-                some, span = (None, piece) if rows is None else (rows[slice(*piece)], (0, piece[1] - piece[0]))
+                some, span = (
+                    (None, piece)
+                    if rows is None
+                    else (rows[slice(*piece)], (0, piece[1] - piece[0]))
+                )
                 pending[place.executor.submit(run_piece, place.function, some, span)] = piece
             if not pending:
                 return
@@ -207,7 +249,9 @@ def _run(place: Place, rows: np.ndarray | None, pieces: Iterator[Piece], take: _
                 take(pending[future], future.result())
         raise
     except BaseException:
-        place.abandon(pending)  # what is running ends unheard: waiting for it would hold back the error
+        place.abandon(
+            pending
+        )  # what is running ends unheard: waiting for it would hold back the error
         raise
 
 
@@ -229,7 +273,10 @@ def _place(function: RowFunction, scheduler: Any, n_workers: int) -> Generator[P
             if error.name not in ("dask", "distributed"):
                 raise
             raise InputError(
-                sentence("a scheduler needs Dask, which is not installed", do='pip install "sunspin[cluster]"')
+                sentence(
+                    "a scheduler needs Dask, which is not installed",
+                    do='pip install "sunspin[cluster]"',
+                )
             ) from None
         with on_cluster(function, scheduler, n_workers) as place:
             yield place

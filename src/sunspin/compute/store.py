@@ -72,7 +72,9 @@ def _write_whole(target: Path, data: bytes) -> None:
         with open(part, "wb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())  # a power failure may still lose the name: then the record does not match, the chunk is redone
+            os.fsync(
+                file.fileno()
+            )  # a power failure may still lose the name: then the record does not match, the chunk is redone
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
@@ -86,7 +88,9 @@ def temporary(target: Path) -> Path:
 class RowStore:
     """An open store of `n_rows` rows in chunks of `chunk_rows`."""
 
-    def __init__(self, path: Path, group: zarr.Group, wanted: Mapping[str, Any], chunk_rows: int) -> None:
+    def __init__(
+        self, path: Path, group: zarr.Group, wanted: Mapping[str, Any], chunk_rows: int
+    ) -> None:
         self.path: Path = path
         self.chunk_rows: int = chunk_rows
         self.n_rows: int = wanted["rows"]
@@ -107,17 +111,26 @@ class RowStore:
         """Wait until nothing is being written."""
         self._writer.shutdown(wait=True)
 
-    def _array(self, group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: str) -> zarr.Array:
+    def _array(
+        self, group: zarr.Group, name: str, shape: tuple, chunks: tuple, dtype: str
+    ) -> zarr.Array:
         chunks = tuple(max(size, 1) for size in chunks)
-        names = ["row" if name != DONE else "record", *(f"{name}_{i}" for i in range(1, len(shape)))]
+        names = [
+            "row" if name != DONE else "record",
+            *(f"{name}_{i}" for i in range(1, len(shape))),
+        ]
         form: dict[str, Any] = {"shape": shape, "chunks": chunks, "dtype": dtype, "fill_value": 0}
         form |= {"compressors": None, "dimension_names": names}
         if not (self.path / name / "zarr.json").exists():  # new, or killed while it was made
             return group.create_array(name, **form)
         array = group[name]
-        made, wanted = (part.metadata.to_dict() for part in (array, zarr.create_array(MemoryStore(), **form)))
+        made, wanted = (
+            part.metadata.to_dict() for part in (array, zarr.create_array(MemoryStore(), **form))
+        )
         # the codecs too: a few bytes that somebody has changed could unpack to any size
-        if not isinstance(array, zarr.Array) or any(made.get(key) != wanted.get(key) for key in FORM):
+        if not isinstance(array, zarr.Array) or any(
+            made.get(key) != wanted.get(key) for key in FORM
+        ):
             raise ValueError(f"{name} does not have the form the group says")
         return array
 
@@ -145,7 +158,11 @@ class RowStore:
             record = np.asarray(self._done[number * RECORD : (number + 1) * RECORD])
             if record.any():
                 for name, array in self._arrays.items():
-                    chunk = self.path / name / array.metadata.encode_chunk_key((number,) + (0,) * (array.ndim - 1))
+                    chunk = (
+                        self.path
+                        / name
+                        / array.metadata.encode_chunk_key((number,) + (0,) * (array.ndim - 1))
+                    )
                     if chunk.stat().st_size != math.prod(array.chunks) * array.dtype.itemsize:
                         return False
                     out[name][rows] = array[rows]
@@ -180,7 +197,9 @@ class RowStore:
             for name, array in self._arrays.items():
                 array[rows] = out[name][rows]
             record = bytes.fromhex(self._digest(rows, out))
-            self._done[number * RECORD : (number + 1) * RECORD] = np.frombuffer(record, dtype=np.uint8)
+            self._done[number * RECORD : (number + 1) * RECORD] = np.frombuffer(
+                record, dtype=np.uint8
+            )
         except OSError as error:
             raise _cannot_write(self.path, error) from None
 
@@ -197,11 +216,17 @@ class RowStore:
 def _cannot_write(path: Path, error: OSError) -> OutputError:
     reason = error.strerror or str(error)
     what = f"the store cannot be written ({reason}); nothing that it holds is lost"
-    return OutputError(sentence(what, do="free space and run the same command, or choose another store", where=str(path)))
+    return OutputError(
+        sentence(
+            what, do="free space and run the same command, or choose another store", where=str(path)
+        )
+    )
 
 
 @contextmanager
-def open_store(path: Any, function: RowFunction, chunk: int, out: Values) -> Generator[tuple[RowStore, list[Piece]]]:
+def open_store(
+    path: Any, function: RowFunction, chunk: int, out: Values
+) -> Generator[tuple[RowStore, list[Piece]]]:
     """Open or make the store of a function's rows and read what it has into `out`; gives it and the ranges not yet done.
 
     Raises `InputError`, and changes nothing, where the path is something else, of other inputs, damaged or in use.
@@ -221,11 +246,23 @@ def open_store(path: Any, function: RowFunction, chunk: int, out: Values) -> Gen
 
 def _wanted(function: RowFunction) -> dict[str, Any]:
     """The identity of a run, as it comes back from JSON."""
-    outputs = {name: [np.dtype(dtype).str, list(shape)] for name, (dtype, shape) in function.outputs.items()}
-    names = {DONE, "zarr.json"} & set(outputs) or [name for name in outputs if name.startswith((".", "__")) or "/" in name]
+    outputs = {
+        name: [np.dtype(dtype).str, list(shape)]
+        for name, (dtype, shape) in function.outputs.items()
+    }
+    names = {DONE, "zarr.json"} & set(outputs) or [
+        name for name in outputs if name.startswith((".", "__")) or "/" in name
+    ]
     if names:
-        raise InputError(sentence("an output of this name cannot be kept in a store", got=", ".join(names)))
-    whole = {**function.identity(), "function": type(function).__name__, "rows": function.n_rows, "outputs": outputs}
+        raise InputError(
+            sentence("an output of this name cannot be kept in a store", got=", ".join(names))
+        )
+    whole = {
+        **function.identity(),
+        "function": type(function).__name__,
+        "rows": function.n_rows,
+        "outputs": outputs,
+    }
     return json.loads(json.dumps(plain(whole)))
 
 
@@ -238,8 +275,17 @@ def _find(folder: Path, wanted: Mapping[str, Any], mend: bool = False) -> RowSto
     if not (folder / "zarr.json").is_file():
         _require_room(folder)
         return None
-    damaged = InputError(sentence("the store is damaged and cannot be resumed", do="choose another or remove it", where=where))
-    if any(path.stat().st_size > MAX_METADATA_BYTES for path in (folder / "zarr.json", *folder.glob("*/zarr.json"))):
+    damaged = InputError(
+        sentence(
+            "the store is damaged and cannot be resumed",
+            do="choose another or remove it",
+            where=where,
+        )
+    )
+    if any(
+        path.stat().st_size > MAX_METADATA_BYTES
+        for path in (folder / "zarr.json", *folder.glob("*/zarr.json"))
+    ):
         raise damaged
     try:
         group = zarr.open_group(Disk(folder), mode="r+", zarr_format=3)
@@ -247,15 +293,29 @@ def _find(folder: Path, wanted: Mapping[str, Any], mend: bool = False) -> RowSto
     except UNREADABLE:
         raise damaged from None
     if about is None:
-        raise InputError(sentence("this Zarr group is not a store of sunspin", do="choose another folder", where=where))
+        raise InputError(
+            sentence(
+                "this Zarr group is not a store of sunspin", do="choose another folder", where=where
+            )
+        )
     if not isinstance(about, dict) or about.get("format") != FORMAT:
         raise InputError(
-            sentence("the store has a form that this version does not know", do="choose another folder", where=where)
+            sentence(
+                "the store has a form that this version does not know",
+                do="choose another folder",
+                where=where,
+            )
         )
     identity, chunk_rows = about.get("identity"), about.get("chunk_rows")
-    if not isinstance(identity, dict) or not isinstance(chunk_rows, int) or fingerprint(identity) != about.get("sha256"):
+    if (
+        not isinstance(identity, dict)
+        or not isinstance(chunk_rows, int)
+        or fingerprint(identity) != about.get("sha256")
+    ):
         raise damaged
-    if differs := sorted(key for key in {*identity, *wanted} if identity.get(key) != wanted.get(key)):
+    if differs := sorted(
+        key for key in {*identity, *wanted} if identity.get(key) != wanted.get(key)
+    ):
         raise InputError(
             sentence(
                 f"the store was made with other inputs, which differ in {', '.join(differs)}",
@@ -263,7 +323,9 @@ def _find(folder: Path, wanted: Mapping[str, Any], mend: bool = False) -> RowSto
                 where=where,
             )
         )
-    if not mend and not all((folder / name / "zarr.json").exists() for name in (*wanted["outputs"], DONE)):
+    if not mend and not all(
+        (folder / name / "zarr.json").exists() for name in (*wanted["outputs"], DONE)
+    ):
         return None
     try:
         return RowStore(folder, group, wanted, chunk_rows)
@@ -282,17 +344,28 @@ def _require_room(folder: Path) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise InputError(
-            sentence(f"this cannot be a store ({reason})", do="give a new folder", where=str(folder))
+            sentence(
+                f"this cannot be a store ({reason})", do="give a new folder", where=str(folder)
+            )
         ) from None
     if names:
         raise InputError(
-            sentence("the folder is not empty and not a store of sunspin", do="choose another folder", where=str(folder))
+            sentence(
+                "the folder is not empty and not a store of sunspin",
+                do="choose another folder",
+                where=str(folder),
+            )
         )
 
 
 def _create(folder: Path, wanted: Mapping[str, Any], chunk: int) -> RowStore:
     chunk_rows = min(max(chunk, -(-wanted["rows"] // MAX_FILES)), wanted["rows"])
-    about = {"format": FORMAT, "chunk_rows": chunk_rows, "sha256": fingerprint(wanted), "identity": wanted}
+    about = {
+        "format": FORMAT,
+        "chunk_rows": chunk_rows,
+        "sha256": fingerprint(wanted),
+        "identity": wanted,
+    }
     try:
         group = zarr.create_group(Disk(folder), zarr_format=3, attributes={KEY: about})
         return RowStore(folder, group, wanted, chunk_rows)
@@ -316,7 +389,11 @@ def _locked(folder: Path) -> Generator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(
-                sentence("another run is writing to this store", do="wait for it or choose another", where=str(folder))
+                sentence(
+                    "another run is writing to this store",
+                    do="wait for it or choose another",
+                    where=str(folder),
+                )
             ) from None
         except OSError as error:
             raise _cannot_write(folder, error) from None

@@ -54,7 +54,10 @@ class Bodies:
         """The numbers of vehicles (n) that differ in inertia and friction only."""
         variants = [cls.of(vehicle) for vehicle in vehicles]
         names = [field.name for field in fields(cls)[:-1]]
-        return replace(variants[0], **{name: np.stack([getattr(body, name) for body in variants]) for name in names})
+        return replace(
+            variants[0],
+            **{name: np.stack([getattr(body, name) for body in variants]) for name in names},
+        )
 
     def take(self, index: np.ndarray) -> Bodies:
         """The variants of these numbers; a single one is repeated."""
@@ -67,11 +70,17 @@ class Bodies:
     def vehicle(self, vehicle: Vehicle, row: int) -> Vehicle:
         """`vehicle` with the inertia and friction of one of the variants."""
         wheels = tuple(
-            replace(wheel, inertia_kg_m2=float(self.wheel_inertia_kg_m2[row, i]), friction=replace(
-                wheel.friction, coulomb_N_m=float(self.coulomb_N_m[row, i]), viscous_N_m_s=float(self.viscous_N_m_s[row, i])
-            ))
+            replace(
+                wheel,
+                inertia_kg_m2=float(self.wheel_inertia_kg_m2[row, i]),
+                friction=replace(
+                    wheel.friction,
+                    coulomb_N_m=float(self.coulomb_N_m[row, i]),
+                    viscous_N_m_s=float(self.viscous_N_m_s[row, i]),
+                ),
+            )
             for i, wheel in enumerate(vehicle.wheels)
-        )  # fmt: skip
+        )
         return replace(vehicle, inertia_kg_m2=self.inertia_kg_m2[row], wheels=wheels)
 
     @property

@@ -53,10 +53,14 @@ class SpinDownFit(xr.Dataset):
 
     def __call__(self, t_s: npt.ArrayLike) -> FloatArray:
         """The fitted wheel speed (rad/s) at `t_s`."""
-        return spin_down_curve(np.asarray(t_s, dtype=np.float64), self.c1_rad_s, self.c2_per_s, self.c3_rad_s)
+        return spin_down_curve(
+            np.asarray(t_s, dtype=np.float64), self.c1_rad_s, self.c2_per_s, self.c3_rad_s
+        )
 
 
-def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_kg_m2: float) -> SpinDownFit:
+def fit_spin_down(
+    t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_kg_m2: float
+) -> SpinDownFit:
     """Fit the friction of a wheel that runs down freely on a fixed body (paper, section 2.2).
 
     Parameters
@@ -88,7 +92,10 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     start = _first_guess(t - t[0], speed)
     # scaled to numbers near one, so that the fit is the same whatever the units of the record suggest
     scale = np.array([speed.max(), 1.0 / span, speed.max()])
-    bounds = (np.array([0.0, -np.inf, -np.inf]), np.array([np.inf, 0.0, 0.0]))  # friction never drives the wheel
+    bounds = (
+        np.array([0.0, -np.inf, -np.inf]),
+        np.array([np.inf, 0.0, 0.0]),
+    )  # friction never drives the wheel
 
     def scaled(x, a, b, c):
         return spin_down_curve(x, *(np.array([a, b, c]) * scale))
@@ -101,26 +108,47 @@ def fit_spin_down(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike, inertia_
     rms = float(np.sqrt(np.mean((spin_down_curve(t - t[0], c1, c2, c3) - speed) ** 2)))
     c1, covariance = _moved_to_time_zero(c1, c2, covariance, t[0])
     c1, c2, c3 = float(c1), float(c2), float(c3)
-    return _fit(t, speed, (c1, c2, c3), covariance, rms, Friction.from_spin_down(c1, c2, c3, inertia_kg_m2))
+    return _fit(
+        t, speed, (c1, c2, c3), covariance, rms, Friction.from_spin_down(c1, c2, c3, inertia_kg_m2)
+    )
 
 
 def _fit(
-    t: FloatArray, speed: FloatArray, found: tuple[float, float, float], covariance: FloatArray, rms: float, friction: Friction
+    t: FloatArray,
+    speed: FloatArray,
+    found: tuple[float, float, float],
+    covariance: FloatArray,
+    rms: float,
+    friction: Friction,
 ) -> SpinDownFit:
     of_rate = {"units": "rad s-1"}
     return SpinDownFit(
         {
-            "c1_rad_s": ((), found[0], of_rate), "c2_per_s": ((), found[1], {"units": "s-1"}), "c3_rad_s": ((), found[2], of_rate),
-            "covariance": (("coefficient", "coefficient2"), covariance, {"long_name": "of c1, c2, c3, in products of their units"}),
+            "c1_rad_s": ((), found[0], of_rate),
+            "c2_per_s": ((), found[1], {"units": "s-1"}),
+            "c3_rad_s": ((), found[2], of_rate),
+            "covariance": (
+                ("coefficient", "coefficient2"),
+                covariance,
+                {"long_name": "of c1, c2, c3, in products of their units"},
+            ),
             "rms_rad_s": ((), rms, of_rate | {"long_name": "rms of the residual"}),
             "coulomb_N_m": ((), friction.coulomb_N_m, {"units": "N m"}),
             "viscous_N_m_s": ((), friction.viscous_N_m_s, {"units": "N m s"}),
-            "recorded_rad_s": ("time", speed, of_rate | {"long_name": "size of the wheel's speed, recorded"}),
-            "fitted_rad_s": ("time", spin_down_curve(t, *found), of_rate | {"long_name": "the same as fitted"}),
+            "recorded_rad_s": (
+                "time",
+                speed,
+                of_rate | {"long_name": "size of the wheel's speed, recorded"},
+            ),
+            "fitted_rad_s": (
+                "time",
+                spin_down_curve(t, *found),
+                of_rate | {"long_name": "the same as fitted"},
+            ),
         },
         coords={"time": ("time", t, {"units": "s"}), "coefficient": ["c1", "c2", "c3"]},
         attrs=provenance("spin_down", source="paper, section 2.2"),
-    )  # fmt: skip
+    )
 
 
 def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float) -> float:
@@ -138,7 +166,9 @@ def spin_down_time(friction: Friction, inertia_kg_m2: float, speed_rad_s: float)
     return inertia_kg_m2 / viscous * float(np.log1p(viscous * speed / coulomb))
 
 
-def spin_down_curve(t: FloatArray | float, c1: FloatArray | float, c2: float, c3: float) -> FloatArray:
+def spin_down_curve(
+    t: FloatArray | float, c1: FloatArray | float, c2: float, c3: float
+) -> FloatArray:
     """Speed c1 exp(c2 t) + c3 (rad/s) at times t (s) of a wheel that runs down (paper, section 2.2)."""
     return c1 * np.exp(c2 * t) + c3
 
@@ -148,7 +178,11 @@ LONGEST_BACK = 300.0
 
 
 def spin_down_speed(
-    coulomb_N_m: Any, viscous_N_m_s: Any, inertia_kg_m2: Any, speed_rad_s: npt.ArrayLike, t: npt.ArrayLike
+    coulomb_N_m: Any,
+    viscous_N_m_s: Any,
+    inertia_kg_m2: Any,
+    speed_rad_s: npt.ArrayLike,
+    t: npt.ArrayLike,
 ) -> FloatArray:
     """Speed (rad/s) at times t (s) of a wheel begun at `speed_rad_s` on a fixed body; zero once it has stopped.
 
@@ -159,7 +193,9 @@ def spin_down_speed(
     decay = np.maximum(decay, -LONGEST_BACK)
     small = np.abs(decay) < 1e-8
     relaxed = np.where(small, 1.0 - 0.5 * decay, -np.expm1(-decay) / np.where(small, 1.0, decay))
-    left = np.abs(speed_rad_s) * np.exp(-decay) - coulomb_N_m / inertia_kg_m2 * np.asarray(t) * relaxed
+    left = (
+        np.abs(speed_rad_s) * np.exp(-decay) - coulomb_N_m / inertia_kg_m2 * np.asarray(t) * relaxed
+    )
     return np.sign(speed_rad_s) * np.maximum(left, 0.0)
 
 
@@ -168,14 +204,20 @@ def _record(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike) -> tuple[Float
     if t.ndim != 1 or t.shape != speed.shape or t.size < MIN_SAMPLES:
         raise MotionError(
             sentence(
-                f"a spin-down needs {MIN_SAMPLES} or more times and as many speeds", got=f"{t.shape} and {speed.shape}"
+                f"a spin-down needs {MIN_SAMPLES} or more times and as many speeds",
+                got=f"{t.shape} and {speed.shape}",
             )
         )
     if not (np.all(np.isfinite(t)) and np.all(np.isfinite(speed)) and np.all(np.diff(t) > 0)):
-        raise MotionError(sentence("the times of a spin-down must increase, and times and speeds be finite"))
+        raise MotionError(
+            sentence("the times of a spin-down must increase, and times and speeds be finite")
+        )
     if np.any(speed == 0) or np.any(np.sign(speed) != np.sign(speed[0])):
         raise MotionError(
-            sentence("the wheel stops or reverses within the record", do="cut the record before the wheel stops")
+            sentence(
+                "the wheel stops or reverses within the record",
+                do="cut the record before the wheel stops",
+            )
         )
     speed = np.abs(speed)
     if not speed[-1] < speed[0]:
@@ -201,7 +243,9 @@ def _first_guess(t: FloatArray, speed: FloatArray) -> FloatArray:
     return best
 
 
-def _moved_to_time_zero(c1: float, c2: float, covariance: FloatArray, t0: float) -> tuple[float, FloatArray]:
+def _moved_to_time_zero(
+    c1: float, c2: float, covariance: FloatArray, t0: float
+) -> tuple[float, FloatArray]:
     """c1 and the covariance for time counted from zero instead of from the first sample t0."""
     factor = np.exp(-c2 * t0)
     jacobian = np.array([[factor, -c1 * t0 * factor, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -29,7 +29,9 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.vehicle import Vehicle
 
 Scalar = Any  # a float, a heyoka expression or a SymPy symbol
-Vector: TypeAlias = Sequence[Any] | np.ndarray  # scalars, or an array whose first axis are the components
+Vector: TypeAlias = (
+    Sequence[Any] | np.ndarray
+)  # scalars, or an array whose first axis are the components
 
 
 class WheelParameters(NamedTuple):
@@ -105,7 +107,9 @@ def wheel_torque(h_i: Scalar, omega: Vector, wheel: WheelParameters) -> Scalar:
     return wheel.free * (-wheel.coulomb - wheel.viscous * wheel_speed(h_i, omega, wheel))
 
 
-def momentum_rate(H: Vector, omega: Vector, directions: Directions, p: Parameters, t_s: Scalar) -> Vector:
+def momentum_rate(
+    H: Vector, omega: Vector, directions: Directions, p: Parameters, t_s: Scalar
+) -> Vector:
     """dH/dt (N m, B): as seen from the turning body, and by the torques from outside."""
     moment = cross(H, omega)
     vectors = {name: direction.vector for name, direction in directions.items()}
@@ -124,7 +128,13 @@ def direction_rate(direction: Direction, omega: Vector) -> tuple[Scalar, ...]:
 
 
 def rhs(
-    H: Vector, h: Vector, directions: Directions, p: Parameters, t_s: Scalar = 0, spin: Scalar = 0, axis: Vector | None = None
+    H: Vector,
+    h: Vector,
+    directions: Directions,
+    p: Parameters,
+    t_s: Scalar = 0,
+    spin: Scalar = 0,
+    axis: Vector | None = None,
 ) -> tuple[Vector, tuple[Scalar, ...], tuple[Scalar, ...]]:
     """Time derivatives in body axes of H, h and, one after the other, the directions with their turning rates.
 
@@ -140,10 +150,18 @@ def rhs(
         left = tuple(omega[k] - spin * axis[k] for k in range(3))
         sun, *others = directions.values()
         rates = (x for direction in others for x in direction_rate(direction, omega))
-        return momentum_rate(H, omega, directions, p, t_s), torques, (*direction_rate(sun, left), *rates, *cross(axis, left))
+        return (
+            momentum_rate(H, omega, directions, p, t_s),
+            torques,
+            (*direction_rate(sun, left), *rates, *cross(axis, left)),
+        )
     left = tuple(omega[k] - spin * H[k] for k in range(3)) if spin != 0 else omega
     moment = momentum_rate(H, left, directions, p, t_s)
-    return moment, torques, tuple(x for direction in directions.values() for x in direction_rate(direction, left))
+    return (
+        moment,
+        torques,
+        tuple(x for direction in directions.values() for x in direction_rate(direction, left)),
+    )
 
 
 def spun(H: Vector, r: Vector, cosine: Scalar, sine: Scalar, along: Scalar) -> tuple[Scalar, ...]:
@@ -159,7 +177,12 @@ def quaternion_rate(q: Vector, omega: Vector) -> tuple[Scalar, Scalar, Scalar, S
     """dq/dt of q = B_from_N, scalar last: -1/2 (omega, 0) * q."""
     x, y, z, w = q
     a, b, c = (0.5 * component for component in omega)
-    return (-(a * w + b * z - c * y), -(b * w + c * x - a * z), -(c * w + a * y - b * x), a * x + b * y + c * z)
+    return (
+        -(a * w + b * z - c * y),
+        -(b * w + c * x - a * z),
+        -(c * w + a * y - b * x),
+        a * x + b * y + c * z,
+    )
 
 
 def body_acceleration(
@@ -175,7 +198,13 @@ def body_acceleration(
 
 
 def holding_torque(
-    H: Vector, h: Vector, p: Parameters, wheel: WheelParameters, inertia: Scalar, directions: Directions, t_s: Scalar = 0
+    H: Vector,
+    h: Vector,
+    p: Parameters,
+    wheel: WheelParameters,
+    inertia: Scalar,
+    directions: Directions,
+    t_s: Scalar = 0,
 ) -> Scalar:
     """J u.domega/dt (N m): the torque on a held wheel that keeps its speed; a stuck one breaks away beyond mu0 (eq. 6)."""
     return inertia * dot(wheel.axis, body_acceleration(H, h, p, directions, t_s))
@@ -195,20 +224,26 @@ def free_inertia(vehicle: Vehicle | Bodies, free: Sequence[bool]) -> np.ndarray:
     return tensor
 
 
-def total_momentum(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
+def total_momentum(
+    vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray
+) -> np.ndarray:
     """H = Theta omega + sum J W u (..., 3) in N m s, from omega_B (..., 3) and wheel speeds (..., n_wheel)."""
     bodies = Bodies.of(vehicle)
     spins = bodies.wheel_inertia_kg_m2 * wheel_speed_rad_s
     return np.einsum("...i,...ij->...j", omega_B, bodies.inertia_kg_m2) + spins @ bodies.axes_B
 
 
-def axial_momenta(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
+def axial_momenta(
+    vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray
+) -> np.ndarray:
     """h = J (W + u.omega) (..., n_wheel) in N m s."""
     bodies = Bodies.of(vehicle)
     return bodies.wheel_inertia_kg_m2 * (wheel_speed_rad_s + omega_B @ bodies.axes_B.T)
 
 
-def kinetic_energy(vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray) -> np.ndarray:
+def kinetic_energy(
+    vehicle: Vehicle | Bodies, omega_B: np.ndarray, wheel_speed_rad_s: np.ndarray
+) -> np.ndarray:
     """Rotational kinetic energy (...) in J, wheels included: omega.A omega / 2 + sum h^2 / (2 J)."""
     bodies = Bodies.of(vehicle)
     tensor = free_inertia(bodies, [True] * bodies.n_wheels)

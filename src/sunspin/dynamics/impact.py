@@ -94,13 +94,28 @@ def impact(
     impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip, damper)
     impulse = impulse if restitution == 0 else (1 + restitution) * impulse
     kick = each_row(np.cross(tip, impulse), inverse)
-    turned = [np.zeros(3) if h else -np.asarray(w.axis_B) for w, h in zip(vehicle.wheels, held, strict=True)]
+    turned = [
+        np.zeros(3) if h else -np.asarray(w.axis_B)
+        for w, h in zip(vehicle.wheels, held, strict=True)
+    ]
     speeds_after = speeds + (each_row(kick, np.stack(turned, axis=-1)) if turned else 0.0)
-    return _dataset(vehicle, batch, omega + kick, velocity + impulse / vehicle.require_mass(), impulse, speeds_after)
+    return _dataset(
+        vehicle,
+        batch,
+        omega + kick,
+        velocity + impulse / vehicle.require_mass(),
+        impulse,
+        speeds_after,
+    )
 
 
 def _impulse(
-    inverse: np.ndarray, mass: float, omega: np.ndarray, velocity: np.ndarray, tip: np.ndarray, damper: float
+    inverse: np.ndarray,
+    mass: float,
+    omega: np.ndarray,
+    velocity: np.ndarray,
+    tip: np.ndarray,
+    damper: float,
 ) -> np.ndarray:
     """F (..., 3) in N s from K F = -(v + omega x l); with a damper, mixed with that of x and y alone."""
     lever = cross_matrix(tip)
@@ -117,7 +132,11 @@ def _impulse(
 def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:
     vectors = np.asarray(value, dtype=np.float64)
     if vectors.ndim == 0 or vectors.shape[-1] != 3 or not np.all(np.isfinite(vectors)):
-        raise InputError(sentence(f"{name} must be finite with three components last", got=f"shape {vectors.shape}"))
+        raise InputError(
+            sentence(
+                f"{name} must be finite with three components last", got=f"shape {vectors.shape}"
+            )
+        )
     return vectors
 
 
@@ -142,18 +161,26 @@ def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
     if isinstance(leg, str):
         if leg not in names:
             raise InputError(
-                sentence(f"vehicle {vehicle.name!r} has no leg of this name", got=leg, do=f"known: {names or 'none'}")
+                sentence(
+                    f"vehicle {vehicle.name!r} has no leg of this name",
+                    got=leg,
+                    do=f"known: {names or 'none'}",
+                )
             )
         return vehicle.legs[names.index(leg)].tip_B_m
     index = np.asarray(leg)
     # a list of three whole numbers is a point; only an array of integers can mean positions in the list of legs
-    is_index = np.issubdtype(index.dtype, np.integer) and (index.ndim == 0 or isinstance(leg, np.ndarray))
+    is_index = np.issubdtype(index.dtype, np.integer) and (
+        index.ndim == 0 or isinstance(leg, np.ndarray)
+    )
     if not is_index:
         return _vectors(leg, "leg")
     if index.size and not (0 <= index.min() and index.max() < len(names)):
         raise InputError(
             sentence(
-                f"vehicle {vehicle.name!r} has {len(names)} leg(s)", got=leg, do="count them from 0, or give a point"
+                f"vehicle {vehicle.name!r} has {len(names)} leg(s)",
+                got=leg,
+                do="count them from 0, or give a point",
             )
         )
     return np.array([item.tip_B_m for item in vehicle.legs])[index]
@@ -162,7 +189,11 @@ def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
 def _held(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> list[bool]:
     modes = [wheel_mode] * len(vehicle.wheels) if isinstance(wheel_mode, str) else list(wheel_mode)
     if len(modes) != len(vehicle.wheels) or any(mode not in COMMANDS for mode in modes):
-        raise InputError(sentence(f"wheel_mode must be one of {', '.join(COMMANDS)}, or one per wheel", got=wheel_mode))
+        raise InputError(
+            sentence(
+                f"wheel_mode must be one of {', '.join(COMMANDS)}, or one per wheel", got=wheel_mode
+            )
+        )
     return [mode == "hold" for mode in modes]
 
 
@@ -171,11 +202,34 @@ def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
     n = len(vehicle.wheels)
     return xr.Dataset(
         {
-            "omega_B": ((*runs, "axis"), np.broadcast_to(omega, (*batch, 3)).copy(), {"units": "rad s-1"}),
-            "wheel_speed_rad_s": ((*runs, "wheel"), np.broadcast_to(speeds, (*batch, n)).copy(), {"units": "rad s-1"}),
-            "velocity_B": ((*runs, "axis"), np.broadcast_to(velocity, (*batch, 3)).copy(), {"units": "m s-1"}),
-            "impulse_B": ((*runs, "axis"), np.broadcast_to(impulse, (*batch, 3)).copy(), {"units": "N s"}),
+            "omega_B": (
+                (*runs, "axis"),
+                np.broadcast_to(omega, (*batch, 3)).copy(),
+                {"units": "rad s-1"},
+            ),
+            "wheel_speed_rad_s": (
+                (*runs, "wheel"),
+                np.broadcast_to(speeds, (*batch, n)).copy(),
+                {"units": "rad s-1"},
+            ),
+            "velocity_B": (
+                (*runs, "axis"),
+                np.broadcast_to(velocity, (*batch, 3)).copy(),
+                {"units": "m s-1"},
+            ),
+            "impulse_B": (
+                (*runs, "axis"),
+                np.broadcast_to(impulse, (*batch, 3)).copy(),
+                {"units": "N s"},
+            ),
         },
-        coords={"axis": ["x", "y", "z"], "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_)},
-        attrs=provenance("impact", **vehicle.said, source="paper, eqs. 8-11: inelastic sticking impact at one point"),
+        coords={
+            "axis": ["x", "y", "z"],
+            "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
+        },
+        attrs=provenance(
+            "impact",
+            **vehicle.said,
+            source="paper, eqs. 8-11: inelastic sticking impact at one point",
+        ),
     )

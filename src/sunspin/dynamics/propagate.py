@@ -78,7 +78,15 @@ class _Run:
 
     def settled(self) -> tuple[m.WheelState, ...]:
         """The wheels, those let go that friction cannot hold."""
-        return m.settle(self.vehicle, self.momentum, self.wheels, self.axial, self.outside, self.directions, self.t)
+        return m.settle(
+            self.vehicle,
+            self.momentum,
+            self.wheels,
+            self.axial,
+            self.outside,
+            self.directions,
+            self.t,
+        )
 
     def note(self, wheel: int, what: str) -> None:
         self.events.append((self.t, self.vehicle.wheels[wheel].name, what))
@@ -140,7 +148,9 @@ def propagate(
     """
     t = _times(t_s)
     forces = acting(torques, environment, t[0])
-    run, plan = _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N)
+    run, plan = _start(
+        vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N
+    )
     ta = integrator(len(vehicle.wheels), forces.torques, _tolerance(rtol))
     y = np.empty((t.size, run.y.size))
     omega = np.empty((t.size, 3))
@@ -166,8 +176,18 @@ def propagate(
 def _times(t_s: npt.ArrayLike) -> np.ndarray:
     t = np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + 0.0  # no minus zero
     steps = np.diff(t)
-    if t.ndim != 1 or t.size == 0 or not np.all(np.isfinite(t)) or not (np.all(steps > 0) or np.all(steps < 0)):
-        raise MotionError(sentence("t_s must be finite times that all increase, or all decrease", got=f"shape {t.shape}"))
+    if (
+        t.ndim != 1
+        or t.size == 0
+        or not np.all(np.isfinite(t))
+        or not (np.all(steps > 0) or np.all(steps < 0))
+    ):
+        raise MotionError(
+            sentence(
+                "t_s must be finite times that all increase, or all decrease",
+                got=f"shape {t.shape}",
+            )
+        )
     return t
 
 
@@ -181,14 +201,20 @@ def _tolerance(rtol: float) -> float:
 def _vector(value: npt.ArrayLike, name: str) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise MotionError(sentence(f"{name} must be three finite numbers", got=f"shape {vector.shape}: {value}"))
+        raise MotionError(
+            sentence(f"{name} must be three finite numbers", got=f"shape {vector.shape}: {value}")
+        )
     return vector
 
 
 def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> np.ndarray:
     """The public wheel-speed argument (None, number or one per wheel) as an array (n_wheel) in rad/s."""
     n = len(vehicle.wheels)
-    speeds = np.zeros(0) if wheel_speed_rad_s is None else np.atleast_1d(np.asarray(wheel_speed_rad_s, dtype=np.float64))
+    speeds = (
+        np.zeros(0)
+        if wheel_speed_rad_s is None
+        else np.atleast_1d(np.asarray(wheel_speed_rad_s, dtype=np.float64))
+    )
     if speeds.shape != (n,) or not np.all(np.isfinite(speeds)):
         raise MotionError(
             sentence(
@@ -199,32 +225,66 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
     return speeds
 
 
-def _start(vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N) -> tuple[_Run, tuple]:
+def _start(
+    vehicle, omega_B, sun_B, wheel_speed_rad_s, t, wheel_mode, stopped_at_s, forces, B_from_N
+) -> tuple[_Run, tuple]:
     from scipy.spatial.transform import Rotation
 
     omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
     if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
         raise MotionError(
-            sentence("sun_B must be a unit vector", got=f"length {np.linalg.norm(sun):.6g}", do="divide it by its length")
+            sentence(
+                "sun_B must be a unit vector",
+                got=f"length {np.linalg.norm(sun):.6g}",
+                do="divide it by its length",
+            )
         )
     speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
     fastest = max(np.abs(omega).max(), np.abs(speeds).max(initial=0.0))
     if fastest > MAX_RATE:
-        raise MotionError(sentence(f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"))
+        raise MotionError(
+            sentence(
+                f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"
+            )
+        )
     plan = m.schedules(vehicle, wheel_mode)
-    stopped = stopped_at_s if isinstance(stopped_at_s, Sequence) else (stopped_at_s,) * len(vehicle.wheels)
+    stopped = (
+        stopped_at_s
+        if isinstance(stopped_at_s, Sequence)
+        else (stopped_at_s,) * len(vehicle.wheels)
+    )
     if len(stopped) != len(vehicle.wheels):
-        raise MotionError(sentence("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s))
+        raise MotionError(
+            sentence("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
+        )
     attitude = forces.attitude(B_from_N, sun)
     bodies = Bodies.of(vehicle)
-    carried = forces.carried(Rotation.from_quat(attitude).as_matrix()[None], own=forces.own(bodies))[0]
+    carried = forces.carried(
+        Rotation.from_quat(attitude).as_matrix()[None], own=forces.own(bodies)
+    )[0]
     y = np.concatenate(
-        [g.total_momentum(vehicle, omega, speeds), g.axial_momenta(vehicle, omega, speeds), sun, carried, attitude]
+        [
+            g.total_momentum(vehicle, omega, speeds),
+            g.axial_momenta(vehicle, omega, speeds),
+            sun,
+            carried,
+            attitude,
+        ]
     )
     wheels = tuple(m.WheelState(m.Turning.HELD, "hold", float(speed), 0.0, 0.0) for speed in speeds)
     backward = t.size > 1 and t[-1] < t[0]
     values = forces.values(bodies)
-    return _Run(vehicle, float(t[0]), y, wheels, backward, tuple(stopped), [], acting=forces, outside_values=values), plan
+    return _Run(
+        vehicle,
+        float(t[0]),
+        y,
+        wheels,
+        backward,
+        tuple(stopped),
+        [],
+        acting=forces,
+        outside_values=values,
+    ), plan
 
 
 def _command(run: _Run, plan: tuple, t: float) -> None:
@@ -244,18 +304,25 @@ def _command(run: _Run, plan: tuple, t: float) -> None:
 def _refresh(run: _Run) -> None:
     """Bring the speeds noted in `run.wheels`, and h of wheels that were not free, up to the present state."""
     omega, speeds = _observe(run.vehicle, run.wheels, run.y[None])
-    exact = [s if w.turning is m.Turning.FREE else w.speed for s, w in zip(speeds[0], run.wheels, strict=True)]
+    exact = [
+        s if w.turning is m.Turning.FREE else w.speed
+        for s, w in zip(speeds[0], run.wheels, strict=True)
+    ]
     run.wheels = tuple(replace(w, speed=float(s)) for w, s in zip(run.wheels, exact, strict=True))
     run.y[3 : 3 + len(exact)] = g.axial_momenta(run.vehicle, omega[0], np.array(exact))
 
 
-def _observe(vehicle: Vehicle, wheels: tuple[m.WheelState, ...], y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _observe(
+    vehicle: Vehicle, wheels: tuple[m.WheelState, ...], y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """omega (n, 3) and wheel speeds (n, n_wheel) of states y (n, ...) while the wheels are in these states."""
     p = m.parameters(vehicle, wheels)
     H, h = y[:, :3].T, y[:, 3 : 3 + len(wheels)].T
     omega = g.body_rate(H, h, p)
     speeds = [
-        g.wheel_speed(h[i], omega, p.wheels[i]) if state.turning is m.Turning.FREE else np.full(len(y), state.speed)
+        g.wheel_speed(h[i], omega, p.wheels[i])
+        if state.turning is m.Turning.FREE
+        else np.full(len(y), state.speed)
         for i, state in enumerate(wheels)
     ]
     return np.stack(omega, axis=-1), np.stack(speeds, axis=-1) if speeds else np.zeros((len(y), 0))
@@ -269,13 +336,24 @@ def _piece(run: _Run, ta, t_stop: float):
     target = max(t_stop, run.t - longest) if run.backward else min(t_stop, run.t + longest)
     if run.backward:
         for state, stopped in zip(run.wheels, run.stopped_at, strict=True):
-            if state.turning is m.Turning.STUCK and stopped is not None and target < stopped < run.t:
+            if (
+                state.turning is m.Turning.STUCK
+                and stopped is not None
+                and target < stopped < run.t
+            ):
                 target = stopped
     for state in run.wheels:
         if state.watch_from is not None:
-            target = max(target, state.watch_from) if run.backward else min(target, state.watch_from)
+            target = (
+                max(target, state.watch_from) if run.backward else min(target, state.watch_from)
+            )
     if target == run.t:
-        raise MotionError(sentence(f"the body turns too fast to be followed at t = {run.t:zg} s", do="check the rates' unit"))
+        raise MotionError(
+            sentence(
+                f"the body turns too fast to be followed at t = {run.t:zg} s",
+                do="check the rates' unit",
+            )
+        )
     ta.pars[:] = values
     ta.state[:] = run.y
     ta.time = run.t
@@ -285,14 +363,21 @@ def _piece(run: _Run, ta, t_stop: float):
     run.pending = -outcome - 1 if -2 * len(run.wheels) <= outcome < 0 else None
     run.t = float(ta.time if run.pending is not None else target)
     if not np.all(np.isfinite(run.y)):
-        raise MotionError(sentence(f"the motion left the range of numbers at t = {run.t:zg} s", do="check the rates' unit"))
+        raise MotionError(
+            sentence(
+                f"the motion left the range of numbers at t = {run.t:zg} s",
+                do="check the rates' unit",
+            )
+        )
     return dense
 
 
 def _change_modes(run: _Run, ta) -> None:
     """Handle what ended the piece: an event of a wheel, or the known stop of a stuck wheel on the way back."""
     if len(run.events) > MAX_EVENTS:
-        raise MotionError(sentence(f"more than {MAX_EVENTS} wheel events by t = {run.t:zg} s: the wheel chatters"))
+        raise MotionError(
+            sentence(f"more than {MAX_EVENTS} wheel events by t = {run.t:zg} s: the wheel chatters")
+        )
     if run.pending is not None:
         wheel, is_breakaway = divmod(run.pending, 2)
         _breakaway(run, wheel) if is_breakaway else _stop(run, wheel)
@@ -314,11 +399,15 @@ def _watch_slipping_wheels(run: _Run) -> None:
             continue
         if state.watch_from == run.t:
             gathered = state.sign * state.speed > 0
-            turning = state if gathered else replace(state, turning=m.Turning.STUCK, speed=0.0, sign=0.0)
+            turning = (
+                state if gathered else replace(state, turning=m.Turning.STUCK, speed=0.0, sign=0.0)
+            )
             _set_wheel(run, i, replace(turning, watch_from=None))
         elif state.watch_from is None and abs(state.speed) < ROUNDING_SPEED:
             delay = TAKE_OFF_ANGLE / max(omega, 1e-6)
-            _set_wheel(run, i, replace(state, watch_from=run.t + (-delay if run.backward else delay)))
+            _set_wheel(
+                run, i, replace(state, watch_from=run.t + (-delay if run.backward else delay))
+            )
 
 
 def _set_wheel(run: _Run, i: int, state: m.WheelState) -> None:
@@ -355,10 +444,19 @@ def _breakaway(run: _Run, i: int) -> None:
             )
         )
     before = run.wheels[i]
-    p, inertia = m.parameters(run.vehicle, run.wheels, run.outside), run.vehicle.wheels[i].inertia_kg_m2
-    torque = g.holding_torque(run.momentum, run.axial, p, p.wheels[i], inertia, run.directions, run.t)
+    p, inertia = (
+        m.parameters(run.vehicle, run.wheels, run.outside),
+        run.vehicle.wheels[i].inertia_kg_m2,
+    )
+    torque = g.holding_torque(
+        run.momentum, run.axial, p, p.wheels[i], inertia, run.directions, run.t
+    )
     _refresh(run)
-    _set_wheel(run, i, m.WheelState(m.Turning.FREE, before.command, 0.0, -float(np.sign(torque)), before.limit))
+    _set_wheel(
+        run,
+        i,
+        m.WheelState(m.Turning.FREE, before.command, 0.0, -float(np.sign(torque)), before.limit),
+    )
     run.wheels = run.settled()
     run.note(i, "breaks away")
 
@@ -385,7 +483,9 @@ def _require_known_past(run: _Run, i: int) -> None:
     if state.turning is m.Turning.STUCK and stopped is not None and stopped >= run.t:
         if stopped > run.t:
             raise MotionError(
-                sentence(f"stopped_at_s = {stopped:g} s lies after t = {run.t:zg} s, at which the wheel is already at rest")
+                sentence(
+                    f"stopped_at_s = {stopped:g} s lies after t = {run.t:zg} s, at which the wheel is already at rest"
+                )
             )
         _release_backward(run, i)
 
@@ -396,20 +496,47 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
     return xr.Dataset(
         {
             "omega_B": (body, omega, {"units": "rad s-1", "long_name": "body rate, body axes"}),
-            "sun_B": (body, y[:, 3 + n : 6 + n], {"units": "1", "long_name": "direction to the Sun, body axes"}),
-            "wheel_speed_rad_s": (("time", "wheel"), speeds, {"units": "rad s-1", "long_name": "relative to the body"}),
-            "momentum_B": (body, y[:, :3], {"units": "N m s", "long_name": "total angular momentum, body axes"}),
+            "sun_B": (
+                body,
+                y[:, 3 + n : 6 + n],
+                {"units": "1", "long_name": "direction to the Sun, body axes"},
+            ),
+            "wheel_speed_rad_s": (
+                ("time", "wheel"),
+                speeds,
+                {"units": "rad s-1", "long_name": "relative to the body"},
+            ),
+            "momentum_B": (
+                body,
+                y[:, :3],
+                {"units": "N m s", "long_name": "total angular momentum, body axes"},
+            ),
             "B_from_N": (
                 ("time", "quaternion"),
                 y[:, -4:],
-                {"units": "1", "long_name": "attitude, scalar last; N is " + _named_frame(environment)},
+                {
+                    "units": "1",
+                    "long_name": "attitude, scalar last; N is " + _named_frame(environment),
+                },
             ),
             **{
-                f"{name}_B": (body, y[:, at : at + 3], {"units": "1", "long_name": f"direction of the {name}, body axes"})
-                for name, at in zip(needed(run.acting.torques), range(6 + n, y.shape[1], PER_DIRECTION), strict=False)
+                f"{name}_B": (
+                    body,
+                    y[:, at : at + 3],
+                    {"units": "1", "long_name": f"direction of the {name}, body axes"},
+                )
+                for name, at in zip(
+                    needed(run.acting.torques),
+                    range(6 + n, y.shape[1], PER_DIRECTION),
+                    strict=False,
+                )
                 if name != OWN
             },
-            "event_time_s": ("event", np.array([e[0] for e in events], dtype=np.float64), {"units": "s"}),
+            "event_time_s": (
+                "event",
+                np.array([e[0] for e in events], dtype=np.float64),
+                {"units": "s"},
+            ),
             "event_wheel": ("event", np.array([e[1] for e in events], dtype=np.str_)),
             "event_what": ("event", np.array([e[2] for e in events], dtype=np.str_)),
         },
@@ -419,8 +546,10 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
             "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=provenance("trajectory", **vehicle.said) | {
-            "rtol": rtol, "frame_N": BODY_AT_START if environment is None else environment.frame_N,
+        attrs=provenance("trajectory", **vehicle.said)
+        | {
+            "rtol": rtol,
+            "frame_N": BODY_AT_START if environment is None else environment.frame_N,
             "source": "paper, eqs. 3-7; Taylor integration by heyoka",
         },
     )

@@ -14,7 +14,13 @@ import numpy as np
 
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_parameters, outside
+from sunspin.dynamics.torques.acting import (
+    Torque,
+    carried_names,
+    directions_of,
+    n_parameters,
+    outside,
+)
 from sunspin.dynamics.wheel_modes import Turning, WheelState, parameters
 from sunspin.vehicle import Vehicle
 
@@ -69,7 +75,9 @@ def _compiled(n_wheels: int, torques: tuple[Torque, ...], tol: float):
         events.append(hk.t_event(stop, direction=hk.event_direction.negative))
         overload = sense * (torque * torque * inverse_limit2 - 1.0)
         events.append(hk.t_event(overload, direction=hk.event_direction.positive))
-    rates = [rate + 0.0 * variables[0] if not isinstance(rate, hk.expression) else rate for rate in rates]
+    rates = [
+        rate + 0.0 * variables[0] if not isinstance(rate, hk.expression) else rate for rate in rates
+    ]
     pars = [0.0] * (_COMMON + _PER_WHEEL * n_wheels + n_parameters(torques))
     system = list(zip(variables, rates, strict=True))
     hk.set_logger_level_error()  # without a folder for its cache it warns on standard output
@@ -86,7 +94,9 @@ def integrator(n_wheels: int, torques: tuple[Torque, ...], tol: float) -> Any:
     return cache[n_wheels, torques, tol]
 
 
-def parameter_values(vehicle: Vehicle, states: tuple[WheelState, ...], backward: bool, outside_values: np.ndarray) -> np.ndarray:
+def parameter_values(
+    vehicle: Vehicle, states: tuple[WheelState, ...], backward: bool, outside_values: np.ndarray
+) -> np.ndarray:
     """The run-time parameters for this vehicle with its wheels in these states, those of torques last."""
     p = parameters(vehicle, states)
     values = [*p.inverse, *p.held_momentum]

@@ -45,7 +45,9 @@ class WheelState:
     speed: float  # rad/s at the start of the interval
     sign: float  # of the speed, for the friction law; 0 where there is no dry friction
     limit: float  # N m, dry friction (and brake) that can hold the wheel
-    watch_from: float | None = None  # s; a wheel that has just begun to slip is watched for a stop only from here on
+    watch_from: float | None = (
+        None  # s; a wheel that has just begun to slip is watched for a stop only from here on
+    )
 
 
 def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:
@@ -54,7 +56,10 @@ def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:
     if isinstance(wheel_mode, str) or _is_schedule(wheel_mode):
         return (_schedule(wheel_mode, vehicle.wheels),) * n
     if isinstance(wheel_mode, Sequence) and len(wheel_mode) == n:
-        return tuple(_schedule(item, (wheel,)) for item, wheel in zip(wheel_mode, vehicle.wheels, strict=True))
+        return tuple(
+            _schedule(item, (wheel,))
+            for item, wheel in zip(wheel_mode, vehicle.wheels, strict=True)
+        )
     raise MotionError(
         sentence(
             "wheel_mode must be a command, a schedule [(t_s, command), ...] or one of these per wheel",
@@ -81,16 +86,24 @@ def _schedule(item: Any, wheels: Sequence[Wheel]) -> Schedule:
     else:
         raise MotionError(sentence("a wheel's mode must be a command or a schedule", got=item))
     times = [t for t, _ in entries]
-    if any(not later > earlier for earlier, later in zip(times, times[1:], strict=False)) or np.isnan(times).any():
+    if (
+        any(not later > earlier for earlier, later in zip(times, times[1:], strict=False))
+        or np.isnan(times).any()
+    ):
         raise MotionError(sentence("the times of a wheel schedule must increase", got=times))
     for _, command in entries:
         if command not in COMMANDS:
-            raise MotionError(sentence(f"wheel mode must be one of {', '.join(COMMANDS)}", got=command))
+            raise MotionError(
+                sentence(f"wheel mode must be one of {', '.join(COMMANDS)}", got=command)
+            )
         if command == "brake":
             for wheel in wheels:
                 if wheel.brake_torque_N_m is None:
                     raise MotionError(
-                        sentence(f"wheel {wheel.name!r} has no brake", do="add brake_torque_N_m to it in the vehicle file")
+                        sentence(
+                            f"wheel {wheel.name!r} has no brake",
+                            do="add brake_torque_N_m to it in the vehicle file",
+                        )
                     )
     return entries
 
@@ -111,7 +124,9 @@ def switch_times(all_schedules: Sequence[Schedule], t_from: float, t_to: float) 
     return sorted(times, reverse=bool(t_to < t_from))
 
 
-def state_under(wheel: Wheel, command: str, speed: float, coulomb_N_m: float | None = None) -> WheelState:
+def state_under(
+    wheel: Wheel, command: str, speed: float, coulomb_N_m: float | None = None
+) -> WheelState:
     """How a wheel of this speed turns under a command; one at rest counts as stuck until `settle` has judged it."""
     limit = float(friction_limit(wheel, command, coulomb_N_m))
     if command == "hold":
@@ -151,9 +166,14 @@ def parameters(
 
 
 def settle(
-    vehicle: Vehicle, H: np.ndarray, states: Sequence[WheelState], h: np.ndarray, outside: tuple[g.OutsideTorque, ...],
-    directions: g.Directions, t_s: float,
-) -> tuple[WheelState, ...]:  # fmt: skip
+    vehicle: Vehicle,
+    H: np.ndarray,
+    states: Sequence[WheelState],
+    h: np.ndarray,
+    outside: tuple[g.OutsideTorque, ...],
+    directions: g.Directions,
+    t_s: float,
+) -> tuple[WheelState, ...]:
     """Decide which of the wheels at rest (turning STUCK) stay stuck; those that cannot begin to slip.
 
     Stuck wheels couple, so the one that is most overloaded is released first and the others are judged again.
@@ -171,6 +191,10 @@ def settle(
         if worst < 0:
             return states
         slipping = WheelState(
-            Turning.FREE, states[worst].command, 0.0, -float(np.sign(worst_torque)), states[worst].limit
+            Turning.FREE,
+            states[worst].command,
+            0.0,
+            -float(np.sign(worst_torque)),
+            states[worst].limit,
         )
         states = states[:worst] + (slipping,) + states[worst + 1 :]

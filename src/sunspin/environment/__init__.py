@@ -47,22 +47,44 @@ class Circular:
         begin, normal = np.array(self.nadir_N), np.array(self.normal_N)
         nadir = np.cos(angle) * begin + np.sin(angle) * np.cross(normal, begin)
         turn = np.tile(self.rate_rad_s * normal, (len(angle), 1))
-        return Surroundings(np.tile([0.0, 0.0, 1.0], (len(angle), 1)), nadir_N=nadir, nadir_turn_N=turn)
+        return Surroundings(
+            np.tile([0.0, 0.0, 1.0], (len(angle), 1)), nadir_N=nadir, nadir_turn_N=turn
+        )
 
 
-def circular(rate_rad_s: float, normal_N: npt.ArrayLike, nadir_N: npt.ArrayLike = (1.0, 0.0, 0.0)) -> Environment:
+def circular(
+    rate_rad_s: float, normal_N: npt.ArrayLike, nadir_N: npt.ArrayLike = (1.0, 0.0, 0.0)
+) -> Environment:
     """A circular orbit at this rate (rad/s) about the direction `normal_N` (3), for tests and first studies.
 
     `nadir_N` (3): where the nadir is at t = 0; its part along the normal is taken out. The Sun stands still along z of N.
     `InputError` for a rate that is not positive, or directions that leave no nadir.
     """
     normal, nadir = (np.asarray(vector, dtype=np.float64) for vector in (normal_N, nadir_N))
-    if normal.shape != (3,) or nadir.shape != (3,) or not (np.isfinite(normal).all() and np.isfinite(nadir).all()):
-        raise InputError(sentence("normal and nadir of an orbit must be three finite numbers each", got=f"{normal_N}, {nadir_N}"))
+    if (
+        normal.shape != (3,)
+        or nadir.shape != (3,)
+        or not (np.isfinite(normal).all() and np.isfinite(nadir).all())
+    ):
+        raise InputError(
+            sentence(
+                "normal and nadir of an orbit must be three finite numbers each",
+                got=f"{normal_N}, {nadir_N}",
+            )
+        )
     if not 0 < rate_rad_s < np.inf:
-        raise InputError(sentence("the rate of an orbit must be positive, in rad/s", got=rate_rad_s))
+        raise InputError(
+            sentence("the rate of an orbit must be positive, in rad/s", got=rate_rad_s)
+        )
     across = np.cross(np.cross(normal, nadir), normal)
-    if np.linalg.norm(across) < 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir) or not normal.any():
-        raise InputError(sentence("the nadir lies along the orbit's normal", do="give a nadir across it"))
-    normal, nadir = (tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across))
+    if (
+        np.linalg.norm(across) < 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)
+        or not normal.any()
+    ):
+        raise InputError(
+            sentence("the nadir lies along the orbit's normal", do="give a nadir across it")
+        )
+    normal, nadir = (
+        tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across)
+    )
     return Circular(float(rate_rad_s), normal, nadir)

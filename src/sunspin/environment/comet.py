@@ -27,7 +27,9 @@ def comet_from_J2000(tdb_s: float) -> np.ndarray:
     """Matrix (3, 3) from components in J2000 to those in comet axes, at TDB seconds past J2000; z is the pole, x the meridian."""
     right_ascension, declination = POLE_DEG
     meridian = (MERIDIAN_DEG + DEG_PER_DAY * tdb_s / 86400.0) % 360.0
-    turns = Rotation.from_euler("ZXZ", [90.0 + right_ascension, 90.0 - declination, meridian], degrees=True)
+    turns = Rotation.from_euler(
+        "ZXZ", [90.0 + right_ascension, 90.0 - declination, meridian], degrees=True
+    )
     return turns.as_matrix().T
 
 

@@ -43,7 +43,9 @@ class Instants(NamedTuple):
 
         moment = datetime.fromisoformat(epoch_utc.replace("Z", "+00:00"))
         day = moment.toordinal() + 1_721_424.5
-        fraction = (moment.hour * 3600 + moment.minute * 60 + moment.second + moment.microsecond / 1e6) / DAY_S
+        fraction = (
+            moment.hour * 3600 + moment.minute * 60 + moment.second + moment.microsecond / 1e6
+        ) / DAY_S
         with warnings.catch_warnings():  # years beyond the announced leap seconds
             warnings.simplefilter("ignore", erfa.ErfaWarning)
             tai_ahead = float(erfa.dat(moment.year, moment.month, moment.day, fraction))

@@ -43,13 +43,29 @@ LINE_2 = re.compile(
 """Columns of the two lines, checksum included."""
 
 KEYS = (
-    "EPOCH", "MEAN_MOTION", "ECCENTRICITY", "INCLINATION", "RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "MEAN_ANOMALY", "NORAD_CAT_ID",
-    "BSTAR", "MEAN_MOTION_DOT", "MEAN_MOTION_DDOT",
-)  # fmt: skip
+    "EPOCH",
+    "MEAN_MOTION",
+    "ECCENTRICITY",
+    "INCLINATION",
+    "RA_OF_ASC_NODE",
+    "ARG_OF_PERICENTER",
+    "MEAN_ANOMALY",
+    "NORAD_CAT_ID",
+    "BSTAR",
+    "MEAN_MOTION_DOT",
+    "MEAN_MOTION_DDOT",
+)
 """What SGP4 needs of an OMM."""
 
-ASSUMED = {"EPHEMERIS_TYPE": "0", "CLASSIFICATION_TYPE": "U", "ELEMENT_SET_NO": "0", "REV_AT_EPOCH": "0", "OBJECT_ID": "",
-           "OBJECT_NAME": "", "MEAN_MOTION_DDOT": "0"}  # fmt: skip
+ASSUMED = {
+    "EPHEMERIS_TYPE": "0",
+    "CLASSIFICATION_TYPE": "U",
+    "ELEMENT_SET_NO": "0",
+    "REV_AT_EPOCH": "0",
+    "OBJECT_ID": "",
+    "OBJECT_NAME": "",
+    "MEAN_MOTION_DDOT": "0",
+}
 
 
 @dataclass(frozen=True)
@@ -69,12 +85,16 @@ class Elements:
     def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (n, 3) m and velocities (n, 3) m/s in the true equator and mean equinox of date, at UTC Julian dates (n) and
         fractions of a day (n). `InputError` where SGP4 gives none: the orbit has decayed, or is none."""
-        error, place, speed = _satrec(self.given).sgp4_array(np.ascontiguousarray(jd), np.ascontiguousarray(fraction))
+        error, place, speed = _satrec(self.given).sgp4_array(
+            np.ascontiguousarray(jd), np.ascontiguousarray(fraction)
+        )
         if error.any():
             from sgp4.api import SGP4_ERRORS
 
             what = f"these elements cannot be propagated to the telemetry: {SGP4_ERRORS[int(error[error > 0][0])]}"
-            raise InputError(sentence(what, do="give elements of the telemetry's time", where=self.where))
+            raise InputError(
+                sentence(what, do="give elements of the telemetry's time", where=self.where)
+            )
         return 1e3 * place, 1e3 * speed
 
     def require(self, jd: np.ndarray) -> None:
@@ -110,8 +130,12 @@ def read_elements(path: Path | str) -> tuple[Elements, ...]:
         Naming file, line, what was found there and what to do.
     """
     path = Path(path)
-    content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE or OMM file")
-    return parse_elements(decoded(content, str(path), InputError, "give a TLE or OMM file"), str(path))
+    content = read_bytes(
+        path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE or OMM file"
+    )
+    return parse_elements(
+        decoded(content, str(path), InputError, "give a TLE or OMM file"), str(path)
+    )
 
 
 def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
@@ -128,7 +152,13 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
     else:
         found = list(_lines(text, where))
     if not found:
-        raise InputError(sentence("no orbital elements here", do="give two lines that begin with 1 and 2, or an OMM", where=where))
+        raise InputError(
+            sentence(
+                "no orbital elements here",
+                do="give two lines that begin with 1 and 2, or an OMM",
+                where=where,
+            )
+        )
     numbers = sorted({one.number for one in found})
     if len(numbers) > 1:
         what = f"the file has elements of {len(numbers)} satellites"
@@ -152,16 +182,31 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
         if not line or line.startswith("#"):
             continue
         if first is None and line.startswith("2 ") and len(line) > 60:
-            raise InputError(sentence("line 2 of the elements comes before line 1", do="exchange the two lines", where=at))
+            raise InputError(
+                sentence(
+                    "line 2 of the elements comes before line 1",
+                    do="exchange the two lines",
+                    where=at,
+                )
+            )
         if first is None and line.startswith("1 ") and len(line) > 60:
             first = _checked(line, LINE_1, at)
         elif first is not None:
             if not line.startswith("2 "):
-                raise InputError(sentence("line 2 of the elements must follow their line 1", got=line, where=at))
+                raise InputError(
+                    sentence("line 2 of the elements must follow their line 1", got=line, where=at)
+                )
             yield _from_lines(first, _checked(line, LINE_2, at), name, at)
             name, first = "", None
         elif line.startswith(("1 ", "2 ")):
-            raise InputError(sentence("a line of elements has 69 characters", got=f"{len(line)}", do="copy it whole", where=at))
+            raise InputError(
+                sentence(
+                    "a line of elements has 69 characters",
+                    got=f"{len(line)}",
+                    do="copy it whole",
+                    where=at,
+                )
+            )
         else:
             name = line.removeprefix("0 ").strip()[:100]
     if first is not None:
@@ -170,22 +215,46 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
 
 def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     if len(line) != 69:
-        raise InputError(sentence("a line of elements has 69 characters", got=f"{len(line)}", do="copy it whole", where=at))
+        raise InputError(
+            sentence(
+                "a line of elements has 69 characters",
+                got=f"{len(line)}",
+                do="copy it whole",
+                where=at,
+            )
+        )
     total = sum(int(c) if c in DIGITS else c == "-" for c in line[:68]) % 10
     if line[68] != str(total):
         what = f"the checksum of the line is {total}, but its last character says {line[68]!r}"
-        raise InputError(sentence(what, do="the line was damaged or edited: copy it anew", where=at))
+        raise InputError(
+            sentence(what, do="the line was damaged or edited: copy it anew", where=at)
+        )
     if not form.fullmatch(line):
-        raise InputError(sentence("the columns are not those of a line of elements", got=line, do="copy it anew", where=at))
+        raise InputError(
+            sentence(
+                "the columns are not those of a line of elements",
+                got=line,
+                do="copy it anew",
+                where=at,
+            )
+        )
     return line
 
 
 def _from_lines(first: str, second: str, name: str, at: str) -> Elements:
     if first[2:7] != second[2:7]:
         what = "the two lines are of different satellites"
-        raise InputError(sentence(what, got=f"{first[2:7]} and {second[2:7]}", do="keep those of yours", where=at))
+        raise InputError(
+            sentence(
+                what, got=f"{first[2:7]} and {second[2:7]}", do="keep those of yours", where=at
+            )
+        )
     if not 1 <= float(first[20:32]) < 367:
-        raise InputError(sentence("the epoch's day of the year must be from 1 to 366", got=first[20:32], where=at))
+        raise InputError(
+            sentence(
+                "the epoch's day of the year must be from 1 to 366", got=first[20:32], where=at
+            )
+        )
     return _elements((first, second), name, at)
 
 
@@ -193,29 +262,60 @@ def _elements(given: tuple, name: str, at: str) -> Elements:
     try:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
-        raise InputError(sentence(f"the elements cannot be read ({error})", do="copy them anew", where=at)) from None
+        raise InputError(
+            sentence(f"the elements cannot be read ({error})", do="copy them anew", where=at)
+        ) from None
     if satellite.error or not satellite.no_kozai > 0:
-        raise InputError(sentence("the elements are those of no orbit", do="check mean motion and eccentricity", where=at))
-    return Elements(given, int(satellite.satnum), name, (satellite.jdsatepoch, satellite.jdsatepochF), at)
+        raise InputError(
+            sentence(
+                "the elements are those of no orbit",
+                do="check mean motion and eccentricity",
+                where=at,
+            )
+        )
+    return Elements(
+        given, int(satellite.satnum), name, (satellite.jdsatepoch, satellite.jdsatepochF), at
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------------------- OMM
 
 
 def _from_omm(fields: dict[str, Any], where: str) -> Elements:
-    known = ASSUMED | {str(key).strip(): str(value).strip() for key, value in fields.items() if key and value not in (None, "")}
+    known = ASSUMED | {
+        str(key).strip(): str(value).strip()
+        for key, value in fields.items()
+        if key and value not in (None, "")
+    }
     missing = [key for key in KEYS if key not in known]
     if missing:
-        raise InputError(sentence("the OMM lacks a key", got=missing[0], do="give the whole message", where=where))
+        raise InputError(
+            sentence(
+                "the OMM lacks a key", got=missing[0], do="give the whole message", where=where
+            )
+        )
     theory = known.get("MEAN_ELEMENT_THEORY", "SGP4")
     if theory.upper().replace("/", "") not in ("SGP4", "SGP", "SGPSGP4"):
-        raise InputError(sentence("the OMM's elements are not for SGP4", got=theory, do="give SGP4 elements", where=where))
+        raise InputError(
+            sentence(
+                "the OMM's elements are not for SGP4",
+                got=theory,
+                do="give SGP4 elements",
+                where=where,
+            )
+        )
     for key in KEYS[1:]:
         if np.isnan(plain_number(known[key])):
             raise InputError(sentence(f"{key} must be a number", got=known[key], where=where))
     epoch = known["EPOCH"].rstrip("Z")
     if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?", epoch, re.ASCII):
-        raise InputError(sentence("EPOCH must be a UTC time such as 2026-01-31T12:00:00.0", got=known["EPOCH"], where=where))
+        raise InputError(
+            sentence(
+                "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0",
+                got=known["EPOCH"],
+                where=where,
+            )
+        )
     known["EPOCH"] = epoch if "." in epoch else epoch + ".0"
     wanted = {key: known[key] for key in (*KEYS, *ASSUMED)}
     return _elements(tuple(sorted(wanted.items())), known["OBJECT_NAME"][:100], where)
@@ -241,10 +341,18 @@ def _json(text: str, where: str) -> list[dict[str, Any]]:
     try:
         table = json.loads(text)
     except (ValueError, RecursionError):
-        raise InputError(sentence("this is not valid JSON", do="give the whole file", where=where)) from None
+        raise InputError(
+            sentence("this is not valid JSON", do="give the whole file", where=where)
+        ) from None
     table = table if isinstance(table, list) else [table]
     if not all(isinstance(one, dict) for one in table):
-        raise InputError(sentence("the JSON is not an OMM", do="give a list of messages with the keys of an OMM", where=where))
+        raise InputError(
+            sentence(
+                "the JSON is not an OMM",
+                do="give a list of messages with the keys of an OMM",
+                where=where,
+            )
+        )
     return table
 
 

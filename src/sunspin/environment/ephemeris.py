@@ -18,7 +18,14 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.lazy import lazy
 from sunspin.base.tables import TelemetryError, read_table
 from sunspin.base.untrusted import Elsewhere, decoded, elsewhere, plain_number, read_bytes, xml_root
-from sunspin.environment.earth import DAY_S, EQUATOR_M, MU_M3_S2, Instants, J2000_from_TEME, earth_from_J2000
+from sunspin.environment.earth import (
+    DAY_S,
+    EQUATOR_M,
+    MU_M3_S2,
+    Instants,
+    J2000_from_TEME,
+    earth_from_J2000,
+)
 from sunspin.environment.elements import Elements, read_elements
 
 if TYPE_CHECKING:
@@ -99,11 +106,16 @@ class Ephemeris:
 
     @property
     def span_jd(self) -> tuple[float, float]:
-        return (self.stretches[0].jd + self.stretches[0].t_s[0] / DAY_S, self.stretches[-1].jd + self.stretches[-1].t_s[-1] / DAY_S)
+        return (
+            self.stretches[0].jd + self.stretches[0].t_s[0] / DAY_S,
+            self.stretches[-1].jd + self.stretches[-1].t_s[-1] / DAY_S,
+        )
 
     @property
     def period_s(self) -> float:
-        place, speed = self._at(self.stretches[0], self.stretches[0].t_s[len(self.stretches[0].t_s) // 2])
+        place, speed = self._at(
+            self.stretches[0], self.stretches[0].t_s[len(self.stretches[0].t_s) // 2]
+        )
         energy = speed @ speed / 2 - MU_M3_S2 / np.linalg.norm(place)
         return float(2 * np.pi * np.sqrt(max(-MU_M3_S2 / (2 * energy), EQUATOR_M) ** 3 / MU_M3_S2))
 
@@ -137,14 +149,20 @@ class Ephemeris:
         if missing.any():
             got = f"{utc_of(self.span_jd[0])} to {utc_of(self.span_jd[1])}, but not {utc_of(float(jd[missing][0]))}"
             do = "give one that does, or only the telemetry that it covers"
-            raise InputError(sentence("the ephemeris does not cover the telemetry", got=got, do=do, where=self.where))
+            raise InputError(
+                sentence(
+                    "the ephemeris does not cover the telemetry", got=got, do=do, where=self.where
+                )
+            )
 
     @staticmethod
     def _at(stretch: Stretch, t_s: Any) -> tuple[np.ndarray, np.ndarray]:
         return stretch.spline(t_s), stretch.spline(t_s, 1)
 
 
-def _along_ellipse(place: np.ndarray, speed: np.ndarray, t_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _along_ellipse(
+    place: np.ndarray, speed: np.ndarray, t_s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities (n, 3) after `t_s` (n) on Kepler's ellipse through these; those with 0 s stay as they are."""
     out = np.flatnonzero(t_s)
     place, speed = place.copy(), speed.copy()
@@ -161,7 +179,10 @@ def _along_ellipse(place: np.ndarray, speed: np.ndarray, t_s: np.ndarray) -> tup
     g = t - (change - np.sin(change)) / mean
     later = f[:, None] * r + g[:, None] * v
     reached = np.linalg.norm(later, axis=1)
-    f_dot, g_dot = -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change), 1 - axis / reached * (1 - np.cos(change))
+    f_dot, g_dot = (
+        -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change),
+        1 - axis / reached * (1 - np.cos(change)),
+    )
     place[out], speed[out] = later, f_dot[:, None] * r + g_dot[:, None] * v
     return place, speed
 
@@ -180,16 +201,29 @@ class _Table(NamedTuple):
 def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
     """Elements (TLE, OMM) or an ephemeris (OEM, CSV, SPK), whichever the file has; errors as of `read_ephemeris`."""
     path = Path(path)
-    content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE, OMM, OEM, CSV or SPK")
+    content = read_bytes(
+        path,
+        MAX_FILE_BYTES,
+        "file of elements",
+        InputError,
+        "give the path of a TLE, OMM, OEM, CSV or SPK",
+    )
     text = content[:20_000].decode("utf-8-sig", "replace")
-    if content[:4] in (b"DAF/", b"NAIF") or "CCSDS_OEM_VERS" in text or "<oem" in text or _is_table(text):
+    if (
+        content[:4] in (b"DAF/", b"NAIF")
+        or "CCSDS_OEM_VERS" in text
+        or "<oem" in text
+        or _is_table(text)
+    ):
         return (read_ephemeris(path),)
     return read_elements(path)
 
 
 def _is_table(text: str) -> bool:
     """Whether the first line that is no comment names the columns of an ephemeris."""
-    head = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    head = next(
+        (line for line in text.splitlines() if line.strip() and not line.startswith("#")), ""
+    )
     return bool(re.search(r"\b(time_utc|[xyz]_k?m)\b", head))
 
 
@@ -205,11 +239,19 @@ def read_ephemeris(path: Path | str) -> Ephemeris:
         Naming file, line, what was found there and what to do.
     """
     path = Path(path)
-    content = read_bytes(path, MAX_FILE_BYTES, "ephemeris", InputError, "give the path of an OEM, a CSV or an SPK")
+    content = read_bytes(
+        path, MAX_FILE_BYTES, "ephemeris", InputError, "give the path of an OEM, a CSV or an SPK"
+    )
     where = str(path)
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
         return _ephemeris([_spk(path)], "", path.stem, where)
-    text = decoded(content, where, InputError, "give an OEM, a CSV or an SPK", "the file is neither text nor an SPK")
+    text = decoded(
+        content,
+        where,
+        InputError,
+        "give an OEM, a CSV or an SPK",
+        "the file is neither text nor an SPK",
+    )
     if text.lstrip()[:1] == "<":
         meta, tables = _oem_xml(text, where)
     elif "CCSDS_OEM_VERS" in text[:10_000]:
@@ -223,30 +265,51 @@ def _ephemeris(tables: list[_Table], number: str, name: str, where: str) -> Ephe
     stretches = [one for table in tables for one in _stretches(table, where)]
     if not stretches:
         what = f"the ephemeris has no {FEWEST} positions in a row"
-        raise InputError(sentence(what, do="give one with a position every minute or so", where=where))
+        raise InputError(
+            sentence(what, do="give one with a position every minute or so", where=where)
+        )
     stretches.sort(key=lambda one: one.jd + one.t_s[0] / DAY_S)
     if (worst := max(one.error_m() for one in stretches)) > COARSEST_M:
         step = float(np.median(np.diff(stretches[0].t_s)))
         what = f"the positions are {step:.0f} s apart, between which an orbit is known to {worst:.0f} m only"
-        raise InputError(sentence(what, do=f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit", where=where))
+        raise InputError(
+            sentence(
+                what,
+                do=f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit",
+                where=where,
+            )
+        )
     return Ephemeris(tuple(stretches), number[:100], name[:100], where)
 
 
 def _stretches(table: _Table, where: str) -> list[Stretch]:
     if np.any(np.diff(table.t_s) <= 0):
-        raise InputError(sentence("the times of the ephemeris do not increase", do="sort its rows, remove repeats", where=where))
+        raise InputError(
+            sentence(
+                "the times of the ephemeris do not increase",
+                do="sort its rows, remove repeats",
+                where=where,
+            )
+        )
     radius = np.linalg.norm(table.place, axis=1)
     if not np.all((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M)):
         bad = radius[~((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M))][0]
-        what, got = "a position is not one of an orbit about the Earth", f"{bad / 1e3:.6g} km from its centre"
-        raise InputError(sentence(what, got=got, do="check the unit (km in an OEM) and the centre", where=where))
+        what, got = (
+            "a position is not one of an orbit about the Earth",
+            f"{bad / 1e3:.6g} km from its centre",
+        )
+        raise InputError(
+            sentence(what, got=got, do="check the unit (km in an OEM) and the centre", where=where)
+        )
     when = _instants(table, where)
     place, speed = _in_J2000(table, when, where)
     step = np.median(np.diff(table.t_s)) if len(radius) > 1 else 0.0
     found = []
     jd = float(when.jd[0])
     t_s = (when.jd - jd + when.fraction) * DAY_S
-    for part in np.split(np.arange(len(radius)), np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1):
+    for part in np.split(
+        np.arange(len(radius)), np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1
+    ):
         if len(part) < FEWEST:
             continue
         stretch = Stretch(jd, t_s[part], place[part])
@@ -264,15 +327,30 @@ def _instants(table: _Table, where: str) -> Instants:
     try:
         when = Instants.of(_iso(table.epoch), table.t_s)
     except ValueError:
-        raise InputError(sentence("this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where)) from None
+        raise InputError(
+            sentence("this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where)
+        ) from None
     tai_ahead = when.tt_ahead * DAY_S - 32.184
     tt_ahead = tai_ahead + 32.184
-    tdb_ahead = tt_ahead + 1.657e-3 * np.sin(6.24 + 0.017202 * (when.middle - 2451545.0))  # Astronomical Almanac, page B7
-    behind = {"UTC": 0.0, "UT1": 0.0, "TAI": tai_ahead, "TT": tt_ahead, "TDT": tt_ahead, "TDB": tdb_ahead,
-              "GPS": tai_ahead - TAI_AHEAD_OF_GPS_S}  # fmt: skip
+    tdb_ahead = tt_ahead + 1.657e-3 * np.sin(
+        6.24 + 0.017202 * (when.middle - 2451545.0)
+    )  # Astronomical Almanac, page B7
+    behind = {
+        "UTC": 0.0,
+        "UT1": 0.0,
+        "TAI": tai_ahead,
+        "TT": tt_ahead,
+        "TDT": tt_ahead,
+        "TDB": tdb_ahead,
+        "GPS": tai_ahead - TAI_AHEAD_OF_GPS_S,
+    }
     if table.scale not in behind:
         do = f"give one of {', '.join(behind)}"
-        raise InputError(sentence("the time system of the ephemeris is not known", got=table.scale, do=do, where=where))
+        raise InputError(
+            sentence(
+                "the time system of the ephemeris is not known", got=table.scale, do=do, where=where
+            )
+        )
     return when.later(-behind[table.scale])
 
 
@@ -288,7 +366,9 @@ def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np
         turn = np.swapaxes(earth_from_J2000(when), -1, -2)
         return (turn @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
     do = f"give positions in one of {', '.join(sorted(INERTIAL))}, TEME, ITRF"
-    raise InputError(sentence("the frame of the ephemeris is not known", got=table.frame, do=do, where=where))
+    raise InputError(
+        sentence("the frame of the ephemeris is not known", got=table.frame, do=do, where=where)
+    )
 
 
 # -------------------------------------------------------------------------------------------------------------------------- OEM
@@ -326,39 +406,84 @@ def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
     root = xml_root(text, "OEM", where)
     tables, meta = [], {}
     for segment in root.iter("segment"):
-        meta = {leaf.tag: (leaf.text or "").strip() for part in segment.iter("metadata") for leaf in part if not len(leaf)}
+        meta = {
+            leaf.tag: (leaf.text or "").strip()
+            for part in segment.iter("metadata")
+            for leaf in part
+            if not len(leaf)
+        }
         rows = []
         for vector in segment.iter("stateVector"):
             cells = {leaf.tag: (leaf.text or "").strip() for leaf in vector}
-            rows.append((cells.get("EPOCH", ""), [cells.get(key, "nan") for key in ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")]))
+            rows.append(
+                (
+                    cells.get("EPOCH", ""),
+                    [cells.get(key, "nan") for key in ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")],
+                )
+            )
         tables += [_oem_table(meta, rows, where)] if rows else []
     if not tables:
-        raise InputError(sentence("the XML is no OEM with positions", do="give an OEM, a CSV or an SPK", where=where))
+        raise InputError(
+            sentence(
+                "the XML is no OEM with positions", do="give an OEM, a CSV or an SPK", where=where
+            )
+        )
     return meta, tables
 
 
 def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _Table:
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
-            raise InputError(sentence("the OEM lacks a key", got=key, do="give the whole message", where=where))
+            raise InputError(
+                sentence("the OEM lacks a key", got=key, do="give the whole message", where=where)
+            )
     if meta["CENTER_NAME"].upper() != "EARTH":
-        raise InputError(sentence("the positions of the OEM are not about the Earth", got=meta["CENTER_NAME"], where=where))
+        raise InputError(
+            sentence(
+                "the positions of the OEM are not about the Earth",
+                got=meta["CENTER_NAME"],
+                where=where,
+            )
+        )
     return _table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
 
 
-def _table(rows: list[tuple[str, list[str]]], to_m: float, to_m_s: float, scale: str, frame: str, where: str) -> _Table:
+def _table(
+    rows: list[tuple[str, list[str]]],
+    to_m: float,
+    to_m_s: float,
+    scale: str,
+    frame: str,
+    where: str,
+) -> _Table:
     try:
         times = np.array([_iso(time) for time, _ in rows], dtype="datetime64[us]")
     except ValueError as error:
-        raise InputError(sentence(f"a time of the ephemeris cannot be read ({error})", where=where)) from None
+        raise InputError(
+            sentence(f"a time of the ephemeris cannot be read ({error})", where=where)
+        ) from None
     t_s = (times - times[0]) / np.timedelta64(1, "us") / 1e6
-    values = np.array([[plain_number(cell) for cell in (*cells, *["nan"] * (6 - len(cells)))] for _, cells in rows])
-    odd = [cell for _, cells in rows for cell in cells if cell not in ("", "nan") and np.isnan(plain_number(cell))]
+    values = np.array(
+        [
+            [plain_number(cell) for cell in (*cells, *["nan"] * (6 - len(cells)))]
+            for _, cells in rows
+        ]
+    )
+    odd = [
+        cell
+        for _, cells in rows
+        for cell in cells
+        if cell not in ("", "nan") and np.isnan(plain_number(cell))
+    ]
     if odd:
         do = "write plain decimals, such as -6778.137"
-        raise InputError(sentence("a coordinate of the ephemeris is no number", got=odd[0], do=do, where=where))
+        raise InputError(
+            sentence("a coordinate of the ephemeris is no number", got=odd[0], do=do, where=where)
+        )
     if not np.isfinite(values[:, :3]).all():
-        raise InputError(sentence("a coordinate of the ephemeris is missing or not finite", where=where))
+        raise InputError(
+            sentence("a coordinate of the ephemeris is missing or not finite", where=where)
+        )
     return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
 
 
@@ -383,25 +508,39 @@ def _csv(path: Path) -> _Table:
         table = read_table(path)
     except TelemetryError as error:
         raise InputError(str(error)) from None
-    frames = [match[1] for line in table.comments if (match := re.fullmatch(r"frame\s*[:=]\s*(\S+)", line, re.IGNORECASE))]
+    frames = [
+        match[1]
+        for line in table.comments
+        if (match := re.fullmatch(r"frame\s*[:=]\s*(\S+)", line, re.IGNORECASE))
+    ]
     unit = next((one for one in ("km", "m") if f"x_{one}" in table.header), "")
     wanted = ["time_utc", *(f"{axis}_{unit}" for axis in "xyz")]
     missing = [name for name in wanted if name not in table.header]
     if not unit or missing:
         do = "name them time_utc, x_km, y_km, z_km (or x_m, ...), and vx_km_s, ... if you have velocities"
         got = "columns " + ", ".join(table.header)
-        raise InputError(sentence("the table has no columns of an ephemeris", got=got, do=do, where=where))
+        raise InputError(
+            sentence("the table has no columns of an ephemeris", got=got, do=do, where=where)
+        )
     if not frames:
         what = "the ephemeris does not say its frame"
-        raise InputError(sentence(what, do="add a first line such as `# frame: J2000` (or TEME, ITRF)", where=where))
+        raise InputError(
+            sentence(
+                what, do="add a first line such as `# frame: J2000` (or TEME, ITRF)", where=where
+            )
+        )
     fast = next((one for one in ("km_s", "m_s") if f"vx_{one}" in table.header), None)
     names = [*wanted, *(f"v{axis}_{fast}" for axis in "xyz" if fast)]
     try:
         at = [table.header.index(name) for name in names]
     except ValueError as error:
-        raise InputError(sentence(f"a column of velocity is missing ({error})", where=where)) from None
+        raise InputError(
+            sentence(f"a column of velocity is missing ({error})", where=where)
+        ) from None
     rows = [(row[at[0]], [row[k] for k in at[1:]]) for row in table.rows]
-    return _table(rows, 1e3 if unit == "km" else 1.0, 1e3 if fast == "km_s" else 1.0, "UTC", frames[0], where)
+    return _table(
+        rows, 1e3 if unit == "km" else 1.0, 1e3 if fast == "km_s" else 1.0, "UTC", frames[0], where
+    )
 
 
 def _spk(path: Path) -> _Table:
@@ -410,7 +549,9 @@ def _spk(path: Path) -> _Table:
     try:
         import spiceypy  # noqa: F401
     except ImportError:
-        raise InputError(sentence("an SPK needs spiceypy", do='pip install "sunspin[spice]"', where=where)) from None
+        raise InputError(
+            sentence("an SPK needs spiceypy", do='pip install "sunspin[spice]"', where=where)
+        ) from None
     script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
     try:
         printed = elsewhere(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
@@ -421,7 +562,9 @@ def _spk(path: Path) -> _Table:
         raise InputError(sentence("the SPK has no states", where=where))
     begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
     epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
-    return _Table(epoch, "TDB", values[:, 0] - begin, 1e3 * values[:, 1:4], 1e3 * values[:, 4:], "J2000")
+    return _Table(
+        epoch, "TDB", values[:, 0] - begin, 1e3 * values[:, 1:4], 1e3 * values[:, 4:], "J2000"
+    )
 
 
 def utc_of(jd: float) -> str:

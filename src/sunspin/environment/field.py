@@ -52,7 +52,9 @@ class FieldMap(NamedTuple):
             others = np.delete(self.inverse, k)
             weight = np.prod((inverse[:, None] - others) / (node - others), axis=1)
             for axis in range(3):
-                field[:, axis] += weight * ndimage.map_coordinates(self.coefficients[k, axis], [row, column], prefilter=False)
+                field[:, axis] += weight * ndimage.map_coordinates(
+                    self.coefficients[k, axis], [row, column], prefilter=False
+                )
         return (field * inverse[:, None] ** 3).reshape(place.shape)
 
 
@@ -61,7 +63,9 @@ def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
     year = 2000 + (jd - 2451544.5) / 365.25
     if not YEARS[0] <= year < YEARS[1]:
         what = f"the Earth's field is known from {YEARS[0]:.0f} to {YEARS[1]:.0f} (IGRF-14)"
-        raise InputError(sentence(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry"))
+        raise InputError(
+            sentence(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry")
+        )
     step = 1e4
     low, high = step * np.floor(radius_m[0] / step), step * np.ceil(radius_m[1] / step)
     return _field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))
@@ -72,15 +76,23 @@ def _field_map(jd: float, low: float, high: float) -> FieldMap:
     span = REFERENCE_M / low - REFERENCE_M / high
     spheres = 3 + int(np.ceil(12 * span))
     bend = np.cos(np.pi * (np.arange(spheres) + 0.5) / spheres)
-    inverse = REFERENCE_M / high + span * (1 + bend) / 2 if span > 0 else np.array([REFERENCE_M / low])
+    inverse = (
+        REFERENCE_M / high + span * (1 + bend) / 2 if span > 0 else np.array([REFERENCE_M / low])
+    )
     latitude, longitude = np.arange(90, -91, -STEP_DEG), np.arange(0, 360, STEP_DEG)
     rows = []
     for value in inverse:
         field = value**-3 * _igrf(jd, REFERENCE_M / value, latitude, longitude)
         half = np.roll(field, len(longitude) // 2, axis=2)  # beyond a pole is the other side
-        field = np.concatenate([half[:, BEYOND:0:-1], field, half[:, -2 : -2 - BEYOND : -1]], axis=1)
-        rows.append(np.concatenate([field[:, :, -BEYOND:], field, field[:, :, : BEYOND + 1]], axis=2))
-    return FieldMap(np.array([[ndimage.spline_filter(part) for part in row] for row in rows]), inverse)
+        field = np.concatenate(
+            [half[:, BEYOND:0:-1], field, half[:, -2 : -2 - BEYOND : -1]], axis=1
+        )
+        rows.append(
+            np.concatenate([field[:, :, -BEYOND:], field, field[:, :, : BEYOND + 1]], axis=2)
+        )
+    return FieldMap(
+        np.array([[ndimage.spline_filter(part) for part in row] for row in rows]), inverse
+    )
 
 
 def _igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
@@ -90,7 +102,9 @@ def _igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarra
     date = datetime(2000, 1, 1) + timedelta(days=jd - 2451544.5)
     # at a pole itself the eastward component is 0 / 0
     colatitude = np.clip(90.0 - latitude, 1e-4, 180 - 1e-4)[:, None]
-    up, south, east = (part[0] * 1e-9 for part in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date))
+    up, south, east = (
+        part[0] * 1e-9 for part in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date)
+    )
     theta, phi = np.radians(colatitude), np.radians(longitude)[None]
     level = up * np.sin(theta) + south * np.cos(theta)
     x, y = level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi)

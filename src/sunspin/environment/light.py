@@ -41,7 +41,9 @@ def covered(apart: np.ndarray, disc: np.ndarray, before: np.ndarray) -> np.ndarr
     lens = disc**2 * np.arccos(x / disc) + before**2 * np.arccos(y / before) - apart * half
     partly = np.clip(lens / (np.pi * disc**2), 0, 1)
     whole = np.where(before >= disc, 1.0, (before / disc) ** 2)
-    return np.where(apart >= disc + before, 0.0, np.where(apart <= np.abs(before - disc), whole, partly))
+    return np.where(
+        apart >= disc + before, 0.0, np.where(apart <= np.abs(before - disc), whole, partly)
+    )
 
 
 def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
@@ -50,7 +52,9 @@ def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     along its normal. `place`, `sun` (n, 3) in m from the Earth's centre; the Earth is a sphere here."""
     if len(place) > CHUNK:
         cuts = range(0, len(place), CHUNK)
-        return np.concatenate([albedo_light(place[at : at + CHUNK], sun[at : at + CHUNK]) for at in cuts])
+        return np.concatenate(
+            [albedo_light(place[at : at + CHUNK], sun[at : at + CHUNK]) for at in cuts]
+        )
     distance = np.linalg.norm(place, axis=-1)
     down = -place / distance[:, None]
     across, third = tangents(down)
@@ -60,7 +64,9 @@ def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     sine = np.sqrt(1 - cosine**2)
     turn = 2 * np.pi * (np.arange(SPOKES) + 0.5) / SPOKES
     round_ = np.cos(turn)[:, None] * across[:, None] + np.sin(turn)[:, None] * third[:, None]
-    ray = cosine[:, :, None, None] * down[:, None, None] + sine[:, :, None, None] * round_[:, None]  # (n, rings, spokes, 3)
+    ray = (
+        cosine[:, :, None, None] * down[:, None, None] + sine[:, :, None, None] * round_[:, None]
+    )  # (n, rings, spokes, 3)
     way = distance[:, None] * (cosine - np.sqrt(np.maximum(cosine**2 - edge[:, None] ** 2, 0)))
     ground = (place[:, None, None] + way[:, :, None, None] * ray) / EQUATOR_M
     to_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)

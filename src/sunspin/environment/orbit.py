@@ -15,7 +15,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.environment.earth import EQUATOR_M, Instants, J2000_from_TEME, earth_from_J2000, sun_J2000_m
+from sunspin.environment.earth import (
+    EQUATOR_M,
+    Instants,
+    J2000_from_TEME,
+    earth_from_J2000,
+    sun_J2000_m,
+)
 from sunspin.environment.elements import OLD_DAYS
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
@@ -100,17 +106,27 @@ class Orbit:
 
     def ahead_sigma_s(self, when: Instants) -> np.ndarray:
         """One sigma (n) of the place along the track, s: of shift, drift and clock."""
-        return np.sqrt(self.shift_sigma_s**2 + (self.drift_sigma_s_day * self.days(when)) ** 2 + self.clock_sigma_s**2)
+        return np.sqrt(
+            self.shift_sigma_s**2
+            + (self.drift_sigma_s_day * self.days(when)) ** 2
+            + self.clock_sigma_s**2
+        )
 
     def instants(self, t_s: npt.ArrayLike) -> Instants:
         """The true times."""
-        return Instants.of(self.epoch_utc, np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + self.clock_s)
+        return Instants.of(
+            self.epoch_utc, np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + self.clock_s
+        )
 
-    def states(self, when: Instants, ahead_s: npt.ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def states(
+        self, when: Instants, ahead_s: npt.ArrayLike | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Positions and velocities (..., n, 3) in J2000, m and m/s, `ahead_s` (..., n) along the track; default: as known."""
         moved = when.later(self.ahead_s(when) if ahead_s is None else ahead_s)
         jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
-        which = np.abs((jd + fraction)[:, None] - [sum(one.epoch_jd) for one in self.elements]).argmin(axis=1)
+        which = np.abs(
+            (jd + fraction)[:, None] - [sum(one.epoch_jd) for one in self.elements]
+        ).argmin(axis=1)
         both = np.empty((2, len(jd), 3))
         for k in np.unique(which):
             both[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
@@ -140,29 +156,45 @@ class Orbit:
 
         here = seen(place)
         sides = [seen(self.states(when, ahead + side)[0]) for side in (-along, along)]
-        lit_sigma, field_sigma, light_sigma = (_spread(*three) for three in zip(here, *sides, strict=True))
+        lit_sigma, field_sigma, light_sigma = (
+            _spread(*three) for three in zip(here, *sides, strict=True)
+        )
         to_sun, distance = sun - place, np.linalg.norm(place, axis=1)
         turning = np.cross(place, speed) / distance[:, None] ** 2
         return Surroundings(
-            sun_N=to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True), sun_sigma_rad=np.full(len(place), SUN_SIGMA_RAD),
-            lit=here[0], lit_sigma=lit_sigma,
-            field_N=here[1], field_sigma_T=np.hypot(np.linalg.norm(field_sigma, axis=1), MODEL_SIGMA_T),
-            nadir_N=-place / distance[:, None], nadir_sigma_rad=np.linalg.norm(turning, axis=1) * along, nadir_turn_N=turning,
+            sun_N=to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True),
+            sun_sigma_rad=np.full(len(place), SUN_SIGMA_RAD),
+            lit=here[0],
+            lit_sigma=lit_sigma,
+            field_N=here[1],
+            field_sigma_T=np.hypot(np.linalg.norm(field_sigma, axis=1), MODEL_SIGMA_T),
+            nadir_N=-place / distance[:, None],
+            nadir_sigma_rad=np.linalg.norm(turning, axis=1) * along,
+            nadir_turn_N=turning,
             earth_radius_rad=np.arcsin(EQUATOR_M / distance),
             albedo_light_N=here[2],
-            albedo_sigma=np.hypot(np.linalg.norm(light_sigma, axis=1),
-                                  REFLECTIVITY_SIGMA / REFLECTIVITY * np.linalg.norm(here[2], axis=1)),
+            albedo_sigma=np.hypot(
+                np.linalg.norm(light_sigma, axis=1),
+                REFLECTIVITY_SIGMA / REFLECTIVITY * np.linalg.norm(here[2], axis=1),
+            ),
             field_along_N=(sides[1][1] - sides[0][1]) / 2,
-        )  # fmt: skip
+        )
 
     def notes(self, t_s: npt.ArrayLike) -> list[str]:
         """What has to be said of these elements at these times."""
         when = self.instants(t_s)
-        days = max(min(abs(one.days_to(jd)) for one in self.elements) for jd in (when.jd + when.fraction)[[0, -1]])
+        days = max(
+            min(abs(one.days_to(jd)) for one in self.elements)
+            for jd in (when.jd + when.fraction)[[0, -1]]
+        )
         known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
         if self.shift_sigma_s > self.elements[0].period_s / 4:
             known = "nothing is known of the place along the track; get elements of the days of the telemetry"
-        return [] if days < OLD_DAYS else [f"the elements are {days:.0f} days from the telemetry: {known}"]
+        return (
+            []
+            if days < OLD_DAYS
+            else [f"the elements are {days:.0f} days from the telemetry: {known}"]
+        )
 
 
 @dataclass(frozen=True)
@@ -181,7 +213,14 @@ class SunAlongZ:
         here = self.orbit.at(t_s)
         matrix = _along_z(here.sun_N)
         vectors = {name: getattr(here, name) for name in VECTORS}
-        return replace(here, **{name: turned(matrix, vector) for name, vector in vectors.items() if vector is not None})
+        return replace(
+            here,
+            **{
+                name: turned(matrix, vector)
+                for name, vector in vectors.items()
+                if vector is not None
+            },
+        )
 
     def N_from_J2000(self, t_s: npt.ArrayLike) -> np.ndarray:
         """Matrices (n, 3, 3) from J2000 to these axes."""
@@ -228,10 +267,22 @@ def in_orbit(
     module; by default the shift is as uncertain as the elements are old, and the clock by 1 s. The shift's drift is 0, as uncertain
     as :func:`drift_sigma_s_day` says.
     """
-    orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s)
+    orbit = Orbit(
+        epoch_utc,
+        elements,
+        shift_s,
+        0.0,
+        clock_s,
+        CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s,
+    )
     when = orbit.instants(t_s)
     elements[0].require(when.later(shift_s).jd + when.later(shift_s).fraction)
     middle = float((when.jd + when.fraction).mean())
     days = min((one.days_to(middle) for one in elements), key=abs)
     sigma = age_sigma_s(days) if shift_sigma_s is None else shift_sigma_s
-    return replace(orbit, shift_sigma_s=sigma, drift_sigma_s_day=drift_sigma_s_day(sigma, days), middle_jd=middle)
+    return replace(
+        orbit,
+        shift_sigma_s=sigma,
+        drift_sigma_s_day=drift_sigma_s_day(sigma, days),
+        middle_jd=middle,
+    )

@@ -37,11 +37,25 @@ class Effort:
     """
 
     def __init__(self, most: float, label: str | None = None, alone: bool = False) -> None:
-        self.most, self.outer, self.alone, self.spent, self.cut = most, _now.get(), alone, 0.0, False
+        self.most, self.outer, self.alone, self.spent, self.cut = (
+            most,
+            _now.get(),
+            alone,
+            0.0,
+            False,
+        )
         self._entered: list[Token[Effort | None]] = []
         self._said: set[str] = set()
         total = most if np.isfinite(most) else None
-        bar: Any = _Bar(total=total, desc=label, unit="motion", unit_scale=True, miniters=1, leave=False, disable=label is None)
+        bar: Any = _Bar(
+            total=total,
+            desc=label,
+            unit="motion",
+            unit_scale=True,
+            miniters=1,
+            leave=False,
+            disable=label is None,
+        )
         self.bar = bar
 
     def __enter__(self) -> Self:
@@ -109,6 +123,16 @@ def may_go_on() -> bool:
 
 def allowed(effort: float) -> float:
     """Motions for an effort as a caller gives it, in units of the usual one."""
-    if isinstance(effort, bool) or not isinstance(effort, int | float | np.number) or not effort > 0:
-        raise InputError(sentence("effort must be a positive number, or infinity", got=effort, do="1 is the usual effort"))
+    if (
+        isinstance(effort, bool)
+        or not isinstance(effort, int | float | np.number)
+        or not effort > 0
+    ):
+        raise InputError(
+            sentence(
+                "effort must be a positive number, or infinity",
+                got=effort,
+                do="1 is the usual effort",
+            )
+        )
     return USUAL * float(effort)

@@ -82,15 +82,23 @@ class Change:
     def applied(self, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Vehicle, xr.Dataset]:
         """Vehicle and telemetry as they are if the file is wrong in this way."""
         if self.reversed_panels:
-            turned = (replace(p, normal_B=-p.normal_B) if k in self.reversed_panels else p for k, p in enumerate(vehicle.panels))
+            turned = (
+                replace(p, normal_B=-p.normal_B) if k in self.reversed_panels else p
+                for k, p in enumerate(vehicle.panels)
+            )
             vehicle = replace(vehicle, panels=tuple(turned))
         if self.reversed_wheels:
-            turned = (replace(w, axis_B=-w.axis_B) if k in self.reversed_wheels else w for k, w in enumerate(vehicle.wheels))
+            turned = (
+                replace(w, axis_B=-w.axis_B) if k in self.reversed_wheels else w
+                for k, w in enumerate(vehicle.wheels)
+            )
             vehicle = replace(vehicle, wheels=tuple(turned))
         for name in READINGS if self.columns else ():
             if name in telemetry:
                 value = telemetry[name].transpose("time", "panel")
-                telemetry = telemetry.assign({name: (value.dims, value.values[:, list(self.columns)], value.attrs)})
+                telemetry = telemetry.assign(
+                    {name: (value.dims, value.values[:, list(self.columns)], value.attrs)}
+                )
         for name, matrix in self.axes.items():
             value = telemetry[name]
             telemetry = telemetry.assign({name: (value.dims, value.values @ matrix.T, value.attrs)})
@@ -107,7 +115,9 @@ def exchange(vehicle: Vehicle, a: int, b: int) -> Change:
     order[a], order[b] = b, a
     names = vehicle.input_names
     do = f"exchange the columns of {names[a]} and {names[b]} under [telemetry.columns] of the vehicle file"
-    return Change(f"the columns of panels {names[a]} and {names[b]} exchanged", columns=tuple(order), do=do)
+    return Change(
+        f"the columns of panels {names[a]} and {names[b]} exchanged", columns=tuple(order), do=do
+    )
 
 
 def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
@@ -122,7 +132,11 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[Change]:
     alone = sorted(one.panels[0] for one in vehicle.inputs if len(one.panels) == 1)
     names = vehicle.panel_names
     return pairs + [
-        Change(f"panel {names[k]} looking the other way", reversed_panels=(k,), do=f"reverse normal_B of panel {names[k]}")
+        Change(
+            f"panel {names[k]} looking the other way",
+            reversed_panels=(k,),
+            do=f"reverse normal_B of panel {names[k]}",
+        )
         for k in alone
     ]
 
@@ -166,12 +180,17 @@ class Observed:
         name = next((one for one in READINGS if one in telemetry), None)
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
-            share = np.nan_to_num(telemetry[name].transpose("time", "panel").values) / vehicle.input_gains
+            share = (
+                np.nan_to_num(telemetry[name].transpose("time", "panel").values)
+                / vehicle.input_gains
+            )
             known = vehicle.gain_unit == name[-1] or not len(share)
             bright = 1.0 if known else max(float(np.quantile(share.max(axis=1), BRIGHTEST)), 1e-300)
             lit = (share > LIT_SHARE * bright).sum(axis=0) >= LIT_SAMPLES
         read = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
-        known = frozenset(one for one in read if one in telemetry and bool(telemetry[one].notnull().any()))
+        known = frozenset(
+            one for one in read if one in telemetry and bool(telemetry[one].notnull().any())
+        )
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
         return cls(vehicle, lit, span_s=span, sensors=known, panels=name is not None, **more)
 
@@ -192,7 +211,11 @@ def equivalence(observed: Observed, first: Change, second: Change) -> np.ndarray
         return np.zeros((0, 3, 3))
     kept: list[tuple[float, np.ndarray]] = []
     for m, cost in _panel_maps(observed, first, second):
-        if cost > CLEARLY or not _sensors_agree(observed, first, second, m) or not _stays_dark(observed, second, m):
+        if (
+            cost > CLEARLY
+            or not _sensors_agree(observed, first, second, m)
+            or not _stays_dark(observed, second, m)
+        ):
             continue
         cost += _inertia_cost(observed.vehicle, m) + _wheel_cost(observed, first, second, m)
         if cost <= CLEARLY and all(np.abs(m - other).max() > AXES_ALIKE for _, other in kept):
@@ -206,7 +229,9 @@ def rate_under(matrix: np.ndarray, omega: np.ndarray) -> np.ndarray:
     return np.linalg.det(matrix) * (omega @ matrix.T)
 
 
-def alike(observed: Observed, first: Change, others: Sequence[Change]) -> list[tuple[Change, np.ndarray]]:
+def alike(
+    observed: Observed, first: Change, others: Sequence[Change]
+) -> list[tuple[Change, np.ndarray]]:
     """Those of the changes that look the same as the first, with the best M (3, 3) of each."""
     maps = [(one, equivalence(observed, first, one)) for one in others]
     return [(one, each[0]) for one, each in maps if len(each)]
@@ -221,7 +246,11 @@ def unseen_changes(observed: Observed, telemetry: xr.Dataset) -> list[tuple[Chan
     for level in (singles, symmetric_exchanges(observed.vehicle)):
         same = [(change, m) for change, m in alike(observed, AS_WRITTEN, level) if _moves(m)]
         if same:
-            return [(change, m) for change, m in same if change.errors == min(one.errors for one, _ in same)]
+            return [
+                (change, m)
+                for change, m in same
+                if change.errors == min(one.errors for one, _ in same)
+            ]
     return []
 
 
@@ -230,7 +259,9 @@ def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
     momenta = np.zeros((0, 1, 3))
     if vehicle.inertia_kg_m2 is not None:
         unit = np.trace(vehicle.inertia_kg_m2) / 3
-        each = [w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels]
+        each = [
+            w.inertia_kg_m2 * w.speed_rad_s / unit * np.asarray(w.axis_B) for w in vehicle.wheels
+        ]
         momenta = np.array(each).reshape(-1, 1, 3)
     observed = replace(Observed.of(vehicle, telemetry, momenta=momenta), sensors=frozenset())
     return not unseen_changes(observed, telemetry)
@@ -251,13 +282,17 @@ def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
     def order_of(m: np.ndarray) -> tuple[int, ...] | None:
         near = normals @ (normals @ m.T).T
         order = near.argmax(axis=0)
-        fits = near.max(axis=0).min(initial=1.0) > 1 - SAME_WAY and len(set(order.tolist())) == count
+        fits = (
+            near.max(axis=0).min(initial=1.0) > 1 - SAME_WAY and len(set(order.tolist())) == count
+        )
         return tuple(order.tolist()) if fits else None
 
     mirrors: list[np.ndarray] = []
     for a, b in combinations(range(count), 2):
         apart = normals[a] - normals[b]
-        if (size := float(apart @ apart)) > 1e-6 and order_of(m := np.eye(3) - 2 * np.outer(apart, apart) / size) is not None:
+        if (size := float(apart @ apart)) > 1e-6 and order_of(
+            m := np.eye(3) - 2 * np.outer(apart, apart) / size
+        ) is not None:
             mirrors += [] if any(np.abs(m - other).max() < AXES_ALIKE for other in mirrors) else [m]
     turns = [a @ b for a, b in combinations(mirrors, 2) if np.abs(a @ b - b @ a).max() < AXES_ALIKE]
     found: dict[tuple[int, ...], Change] = {}
@@ -269,7 +304,10 @@ def symmetric_exchanges(vehicle: Vehicle) -> list[Change]:
 
 def _panels_of(observed: Observed, change: Change) -> list[tuple[int, ...]]:
     """Panels whose light each column shows under a change: the readings of column `columns[k]` belong to input k."""
-    inputs, columns = observed.vehicle.inputs, change.columns or tuple(range(len(observed.vehicle.inputs)))
+    inputs, columns = (
+        observed.vehicle.inputs,
+        change.columns or tuple(range(len(observed.vehicle.inputs))),
+    )
     shown: list[tuple[int, ...]] = [()] * len(inputs)
     for k, column in enumerate(columns):
         shown[column] = inputs[k].panels
@@ -282,7 +320,9 @@ def _normals(observed: Observed, change: Change) -> np.ndarray:
     return normals
 
 
-def _panel_maps(observed: Observed, first: Change, second: Change) -> Iterator[tuple[np.ndarray, float]]:
+def _panel_maps(
+    observed: Observed, first: Change, second: Change
+) -> Iterator[tuple[np.ndarray, float]]:
     """Orthogonal matrices that may map the panels of lit columns under the first change onto those under the second, each with the
     log evidence that gains and normals cost."""
     vehicle = observed.vehicle
@@ -304,7 +344,9 @@ def _panel_maps(observed: Observed, first: Change, second: Change) -> Iterator[t
         gain_sigma[list(one.panels)] = value
     a = [k for column in lit for k in own[column]]
     log_gain = np.log(vehicle.panel_gains)
-    for assigned in islice(product(*(permutations(other[column]) for column in lit)), MOST_ASSIGNMENTS):
+    for assigned in islice(
+        product(*(permutations(other[column]) for column in lit)), MOST_ASSIGNMENTS
+    ):
         b = [k for panels in assigned for k in panels]
         gains = log_gain[a] - log_gain[b]
         weight = 1 / (gain_sigma[a] ** 2 + gain_sigma[b] ** 2)
@@ -330,7 +372,9 @@ def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Itera
             yield u @ np.diag([1.0, 1.0, side]) @ v
     else:
         for m in _any_maps(observed):
-            turned = u[:, :1] @ v[:1] + (np.eye(3) - u[:, :1] @ u[:, :1].T) @ m @ (np.eye(3) - v[:1].T @ v[:1])
+            turned = u[:, :1] @ v[:1] + (np.eye(3) - u[:, :1] @ u[:, :1].T) @ m @ (
+                np.eye(3) - v[:1].T @ v[:1]
+            )
             left, sizes, right = np.linalg.svd(turned)
             if sizes[2] > FLAT:
                 yield left @ right
@@ -411,7 +455,13 @@ def _sensors_agree(observed: Observed, first: Change, second: Change, m: np.ndar
         elif name == "sun_sensor_B":
             ways = [m @ own]
         else:  # the field: in space it is known only from elements
-            ways = [m @ own] if observed.in_orbit and side > 0 else [] if observed.in_orbit else [m @ own, -m @ own]
+            ways = (
+                [m @ own]
+                if observed.in_orbit and side > 0
+                else []
+                if observed.in_orbit
+                else [m @ own, -m @ own]
+            )
             if dipole is not None:  # its torque pulls another way
                 off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
                 ways = ways if off <= AXES_ALIKE * np.linalg.norm(dipole) else []

@@ -51,7 +51,11 @@ class Information:
         return np.einsum("kpi,kpj->kpij", slopes, slopes)
 
     def covariance(
-        self, samples: Any = slice(None), panels: Any = slice(None), noise: float = 1.0, fixed: Sequence[str] = (),
+        self,
+        samples: Any = slice(None),
+        panels: Any = slice(None),
+        noise: float = 1.0,
+        fixed: Sequence[str] = (),
         others: Any = slice(None),
     ) -> np.ndarray:
         """Covariance (5, 5) of rate and direction, everything else integrated out.
@@ -62,12 +66,21 @@ class Information:
         total = self._each[samples][:, panels].sum(axis=(0, 1)) / noise**2
         more = self.slopes[1][others]
         total = total + more.T @ more
-        kept = [*range(5), *(5 + i for i, x in enumerate(self.model.unknowns) if x.kind not in fixed)]
+        kept = [
+            *range(5),
+            *(5 + i for i, x in enumerate(self.model.unknowns) if x.kind not in fixed),
+        ]
         prior = np.zeros(len(total))
-        prior[:3], prior[3:5], prior[5:] = self.model.max_rate**-2, 1.0, 1.0  # all but flat: an answer where nothing is told
+        prior[:3], prior[3:5], prior[5:] = (
+            self.model.max_rate**-2,
+            1.0,
+            1.0,
+        )  # all but flat: an answer where nothing is told
         information = (total + np.diag(prior))[np.ix_(kept, kept)]
         scale = 1 / np.sqrt(np.diag(information))
-        return (np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))[:5, :5]
+        return (np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))[
+            :5, :5
+        ]
 
 
 def rate_volume(covariance: np.ndarray) -> float:

@@ -67,19 +67,33 @@ def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any
 
     each = ("pass_id", "mode")
     variables: dict[str, Any] = {
-        "utc_start": ("pass_id", [utc(one.first_s) for one in passes]), "utc_end": ("pass_id", [utc(one.last_s) for one in passes]),
+        "utc_start": ("pass_id", [utc(one.first_s) for one in passes]),
+        "utc_end": ("pass_id", [utc(one.last_s) for one in passes]),
         "samples": ("pass_id", [one.samples for one in passes]),
         "weight": (each, padded([one.weight for one in passes]), {"units": "1"}),
-        "decided": flags([one.answers.decided for one in passes]), "unique": flags([one.answers.unique for one in passes]),
-        **{f"informed_{axis}": flags([one.answers.informed[k] for one in passes]) for k, axis in enumerate("xyz")},
+        "decided": flags([one.answers.decided for one in passes]),
+        "unique": flags([one.answers.unique for one in passes]),
+        **{
+            f"informed_{axis}": flags([one.answers.informed[k] for one in passes])
+            for k, axis in enumerate("xyz")
+        },
         "fits": flags([one.answers.fits for one in passes]),
         "search_complete": flags([one.answers.search_complete for one in passes]),
-        "wiring": ("pass_id", [one.wiring for one in passes]), "utc_at": ("pass_id", [utc(one.at_s) for one in passes]),
-    }  # fmt: skip
+        "wiring": ("pass_id", [one.wiring for one in passes]),
+        "utc_at": ("pass_id", [utc(one.at_s) for one in passes]),
+    }
     for k, name in enumerate(("speed_low", "speed_median", "speed_high")):
-        variables[name] = (each, padded([one.speed[:, k] for one in passes]), {"units": "rad s-1", "quantile": SPEEDS[k]})
+        variables[name] = (
+            each,
+            padded([one.speed[:, k] for one in passes]),
+            {"units": "rad s-1", "quantile": SPEEDS[k]},
+        )
     for name in ("omega", "sigma"):
         for k, axis in enumerate("xyz"):
-            variables[f"{name}_{axis}"] = (each, padded([getattr(one, name)[:, k] for one in passes]), {"units": "rad s-1"})
+            variables[f"{name}_{axis}"] = (
+                each,
+                padded([getattr(one, name)[:, k] for one in passes]),
+                {"units": "rad s-1"},
+            )
     variables["why_not_decided"] = ("pass_id", [one.answers.why_not for one in passes])
     return variables

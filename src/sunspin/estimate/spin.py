@@ -84,7 +84,9 @@ class SpinFit:
 
     def rate(self, t_s: npt.ArrayLike) -> np.ndarray:
         """Rate (rad/s) at t_s."""
-        return np.polynomial.polynomial.polyval(np.asarray(t_s, dtype=np.float64), self.coefficients)
+        return np.polynomial.polynomial.polyval(
+            np.asarray(t_s, dtype=np.float64), self.coefficients
+        )
 
     def directions(self, t_s: npt.ArrayLike) -> np.ndarray:
         """Directions to the Sun (n, 3) at t_s, body axes."""
@@ -100,15 +102,24 @@ def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
 
 def turned(sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, angle: np.ndarray) -> np.ndarray:
     """The Sun's direction (n, 3) in body axes when the body has turned by each angle (n) about the axis."""
-    return seen_turned(np.asarray(sun_B, dtype=np.float64), np.asarray(angle)[:, None] * np.asarray(axis_B))
+    return seen_turned(
+        np.asarray(sun_B, dtype=np.float64), np.asarray(angle)[:, None] * np.asarray(axis_B)
+    )
 
 
-def error_of_rate(coefficients: npt.ArrayLike, t_s: np.ndarray, sun_B: np.ndarray, axis_B: npt.ArrayLike = (0, 0, 1)) -> float:
+def error_of_rate(
+    coefficients: npt.ArrayLike,
+    t_s: np.ndarray,
+    sun_B: np.ndarray,
+    axis_B: npt.ArrayLike = (0, 0, 1),
+) -> float:
     """E (paper, eq. 12) of a rate polynomial with the direction at the start chosen best; samples t_s (n), sun_B (n, 3)."""
     return float(errors_of_rates(np.asarray(coefficients)[None], t_s, sun_B, axis_B)[0])
 
 
-def errors_of_rates(coefficients: np.ndarray, t_s: np.ndarray, sun_B: np.ndarray, axis_B: npt.ArrayLike = (0, 0, 1)) -> np.ndarray:
+def errors_of_rates(
+    coefficients: np.ndarray, t_s: np.ndarray, sun_B: np.ndarray, axis_B: npt.ArrayLike = (0, 0, 1)
+) -> np.ndarray:
     """The same (m) for many polynomials (m, degree + 1)."""
     along, across, _ = _split(sun_B, axis_B)
     return _error(along, np.mean(across * np.exp(1j * phase(coefficients, t_s)), axis=-1))
@@ -142,15 +153,22 @@ def fit_spin(
     """
     t, n, axis = _checked(t_s, sun_B, axis_B, degree)
     along, across, basis = _split(n, axis)
-    low, high = rate_range or _default_range(np.asarray(t_s, dtype=np.float64))  # of all samples, with a direction or not
+    low, high = rate_range or _default_range(
+        np.asarray(t_s, dtype=np.float64)
+    )  # of all samples, with a direction or not
     if not low < high:
         raise InputError(sentence("rate_range must be (low, high) in rad/s", got=(low, high)))
     scan_rate, scan_E, drift = _scan(t, along, across, low, high)
     middle, half = (t[0] + t[-1]) / 2, (t[-1] - t[0]) / 2
-    fits = [_refine(t, along, across, degree, float(scan_rate[i]), float(drift[i]), tolerance) for i in _deepest(scan_E)]
+    fits = [
+        _refine(t, along, across, degree, float(scan_rate[i]), float(drift[i]), tolerance)
+        for i in _deepest(scan_E)
+    ]
     kept = _distinct(fits, DISTINCT / (2 * half))
     error, legendre = kept[0]
-    variance = 4 * t.size * error / max(2 * t.size - degree - 3, 1)  # of one tangent component, rad2
+    variance = (
+        4 * t.size * error / max(2 * t.size - degree - 3, 1)
+    )  # of one tangent component, rad2
     gap = 4 * t.size * (kept[1][0] - error) / max(variance, 1e-300) if len(kept) > 1 else np.inf
     to_power = _legendre_to_power(degree, middle, half)
     coefficients = to_power @ legendre
@@ -158,9 +176,16 @@ def fit_spin(
     mean = np.mean(across * np.exp(1j * phase(coefficients, t)))
     start = along.mean() * axis + basis @ [mean.real, mean.imag]
     return SpinFit(
-        coefficients, spread, error, start / np.linalg.norm(start), axis,
-        np.array([(legendre[0], e) for e, legendre in kept]), float(gap), scan_rate, scan_E,
-    )  # fmt: skip
+        coefficients,
+        spread,
+        error,
+        start / np.linalg.norm(start),
+        axis,
+        np.array([(legendre[0], e) for e, legendre in kept]),
+        float(gap),
+        scan_rate,
+        scan_E,
+    )
 
 
 def _checked(
@@ -169,13 +194,20 @@ def _checked(
     t, n, axis = (np.asarray(x, dtype=np.float64) for x in (t_s, sun_B, axis_B))
     if t.ndim != 1 or n.shape != (t.size, 3) or not np.all(np.diff(t) > 0):
         shapes = f"{t.shape}, {n.shape}"
-        raise InputError(sentence("t_s must be increasing times (n) and sun_B their directions (n, 3)", got=shapes))
+        raise InputError(
+            sentence(
+                "t_s must be increasing times (n) and sun_B their directions (n, 3)", got=shapes
+            )
+        )
     if axis.shape != (3,) or abs(np.linalg.norm(axis) - 1) > 1e-3:
         raise InputError(sentence("axis_B must be a unit vector of three components", got=axis_B))
     known = np.all(np.isfinite(n), axis=1)
     if known.sum() < degree + 4:
         raise InputError(
-            sentence(f"a rate of degree {degree} needs at least {degree + 4} directions", got=f"{known.sum()} of {t.size} samples")
+            sentence(
+                f"a rate of degree {degree} needs at least {degree + 4} directions",
+                got=f"{known.sum()} of {t.size} samples",
+            )
         )
     return t[known], n[known], axis / np.linalg.norm(axis)
 
@@ -199,14 +231,19 @@ def _default_range(t: np.ndarray) -> tuple[float, float]:
     return -2 * distance, 2 * distance
 
 
-def _scan(t: np.ndarray, along: np.ndarray, across: np.ndarray, low: float, high: float) -> tuple[np.ndarray, ...]:
+def _scan(
+    t: np.ndarray, along: np.ndarray, across: np.ndarray, low: float, high: float
+) -> tuple[np.ndarray, ...]:
     """Mean rates, E least over the drifts, and the drift (rad/s, first Legendre coefficient) where it is least."""
     half = (t[-1] - t[0]) / 2
     x = (t - t[0]) / half - 1
     rates = np.linspace(low, high, max(int(np.ceil((high - low) * half / PHASE_STEP)) + 1, 2))
     bends = np.arange(-DRIFT_PHASE, DRIFT_PHASE + 1e-9, PHASE_STEP)
     wheel = np.exp(1j * np.outer(rates, half * x))
-    means = np.stack([np.abs(wheel @ (across * np.exp(1j * bend * (x**2 - 1)))) for bend in bends]) / t.size
+    means = (
+        np.stack([np.abs(wheel @ (across * np.exp(1j * bend * (x**2 - 1)))) for bend in bends])
+        / t.size
+    )
     best = np.argmax(means, axis=0)
     return rates, _error(along, means[best, np.arange(rates.size)]), 2 * bends[best] / half
 
@@ -230,7 +267,13 @@ def _legendre_phases(t: np.ndarray, degree: int) -> np.ndarray:
 
 
 def _refine(
-    t: np.ndarray, along: np.ndarray, across: np.ndarray, degree: int, rate: float, drift: float, tolerance: float
+    t: np.ndarray,
+    along: np.ndarray,
+    across: np.ndarray,
+    degree: int,
+    rate: float,
+    drift: float,
+    tolerance: float,
 ) -> tuple[float, np.ndarray]:
     """E and Legendre coefficients of the nearest minimum: least squares of chords, whose squares add up to 4 E n."""
     design = _legendre_phases(t, degree)
@@ -251,11 +294,20 @@ def _refine(
         turn = 1j * (design / scale) * spun[:, None]
         shift = turn.mean(axis=0)
         length = np.hypot(abs(mean), height)
-        off = turn - shift / length + mean * (mean.real * shift.real + mean.imag * shift.imag) / length**3
+        off = (
+            turn
+            - shift / length
+            + mean * (mean.real * shift.real + mean.imag * shift.imag) / length**3
+        )
         return np.concatenate([off.real, off.imag])
 
     jacobian: Any = slopes  # SciPy declares nothing, and the default of this argument is a word
-    found = least_squares(chords, start * scale, jacobian, xtol=tolerance, ftol=tolerance, gtol=tolerance).x / scale
+    found = (
+        least_squares(
+            chords, start * scale, jacobian, xtol=tolerance, ftol=tolerance, gtol=tolerance
+        ).x
+        / scale
+    )
     return float(_error(along, np.mean(across * np.exp(1j * design @ found)))), found
 
 
@@ -268,7 +320,9 @@ def _distinct(fits: list[tuple[float, np.ndarray]], apart: float) -> list[tuple[
     return kept
 
 
-def _covariance(t: np.ndarray, across: np.ndarray, legendre: np.ndarray, variance: float) -> np.ndarray:
+def _covariance(
+    t: np.ndarray, across: np.ndarray, legendre: np.ndarray, variance: float
+) -> np.ndarray:
     """Of the Legendre coefficients: the phase at each sample is known to sigma over the distance from the axis."""
     design = _legendre_phases(t, legendre.size - 1)
     centred = np.column_stack([design, np.ones(t.size)])  # the phase at the start is free as well

@@ -13,7 +13,13 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Torque
-from sunspin.telemetry.synthetic import drawn_tilts, generator, noisy_power, on_time_grid, telemetry_dataset
+from sunspin.telemetry.synthetic import (
+    drawn_tilts,
+    generator,
+    noisy_power,
+    on_time_grid,
+    telemetry_dataset,
+)
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
@@ -47,7 +53,9 @@ class Truth:
     torques: Sequence[str | Torque] = ()
 
 
-def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0) -> xr.Dataset:
+def synthetic_telemetry(
+    vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0
+) -> xr.Dataset:
     """Telemetry of a vehicle that moves as `truth` says; see :func:`sunspin.twin`, which passes a vehicle on to here."""
     vehicle.require_panels()
     known = _truth(truth)
@@ -56,10 +64,20 @@ def synthetic_telemetry(vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed
     if speeds is None:
         speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
     t = on_time_grid(np.atleast_1d(known.t_s))
-    track = propagate(vehicle, known.omega_B, known.sun_B, speeds, t, wheel_mode=known.wheel_mode, torques=known.torques)
+    track = propagate(
+        vehicle,
+        known.omega_B,
+        known.sun_B,
+        speeds,
+        t,
+        wheel_mode=known.wheel_mode,
+        torques=known.torques,
+    )
     sun = track["sun_B"].values
     tilt = _tilt(known, vehicle, generator(seed, 1))
-    exact = panel_power(vehicle, sun) if tilt is None else vehicle.response_in().power(sun, tilt=tilt)
+    exact = (
+        panel_power(vehicle, sun) if tilt is None else vehicle.response_in().power(sun, tilt=tilt)
+    )
     power = noisy_power(vehicle, scale * exact, noise, generator(seed, 0))
     told = {
         "omega_B": np.array(known.omega_B, dtype=np.float64),
@@ -83,7 +101,9 @@ def _truth(truth: Truth | Mapping[str, Any]) -> Truth:
         raise InputError(
             sentence(
                 f"a truth has the fields {', '.join(names)}",
-                got=", ".join([f"unknown {name}" for name in unknown] + [f"no {name}" for name in missing]),
+                got=", ".join(
+                    [f"unknown {name}" for name in unknown] + [f"no {name}" for name in missing]
+                ),
             )
         )
     return Truth(**truth)
@@ -106,7 +126,11 @@ def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarra
     if not np.any(given):
         return None
     many = (len(vehicle.panels), 3)
-    if given.shape not in ((), many) or not np.all(np.isfinite(given)) or (given.ndim == 0 and given < 0):
+    if (
+        given.shape not in ((), many)
+        or not np.all(np.isfinite(given))
+        or (given.ndim == 0 and given < 0)
+    ):
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
         raise InputError(sentence(what, got=given.shape or float(given)))
     return given if given.ndim else drawn_tilts(vehicle, float(given), rng)

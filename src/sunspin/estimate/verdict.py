@@ -10,7 +10,10 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import than a short pass to estimate
+from scipy.special import (
+    chdtri,
+    ndtr,
+)  # scipy.stats takes longer to import than a short pass to estimate
 
 from sunspin.vehicle import Vehicle
 
@@ -75,14 +78,23 @@ class Answers(NamedTuple):
         if not self.unique:
             reasons.append("several motions")
         if len(known) < 3:
-            reasons.append(f"informed: {' '.join(known)} only" if known else "NOT INFORMED, the prior is given back")
+            reasons.append(
+                f"informed: {' '.join(known)} only"
+                if known
+                else "NOT INFORMED, the prior is given back"
+            )
         if not self.search_complete:
             reasons.append("search not complete" + (f" ({self.cure})" if self.cure else ""))
         return "; ".join(reasons)
 
 
 def answers(
-    unique: bool, sigma: np.ndarray, prior_sigma: float, misfits: Mapping[str, Misfit], explained: bool, search_complete: bool,
+    unique: bool,
+    sigma: np.ndarray,
+    prior_sigma: float,
+    misfits: Mapping[str, Misfit],
+    explained: bool,
+    search_complete: bool,
     cure: str = "",
 ) -> Answers:
     """The answers for one motion.
@@ -91,8 +103,12 @@ def answers(
     unit; `misfits` by sensor; `explained`: the misfit of all readings together is as of a motion of this kind.
     """
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
-    x, y, z = (bool(one < NARROWER * prior_sigma) for one in np.asarray(sigma))  # NaN is not informed
-    return Answers(bool(unique), (x, y, z), bool(explained and not wrong), bool(search_complete), wrong, cure)
+    x, y, z = (
+        bool(one < NARROWER * prior_sigma) for one in np.asarray(sigma)
+    )  # NaN is not informed
+    return Answers(
+        bool(unique), (x, y, z), bool(explained and not wrong), bool(search_complete), wrong, cure
+    )
 
 
 def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:

@@ -90,9 +90,14 @@ class Better(NamedTuple):
         if len(self.named) == 1:
             one = self.named[0].change
             do = f"; if it is so, {one.do}" if one.do else ""
-            check = "CHECK THE SIGNS" if one.reversed_wheels and not one.columns else "CHECK THE WIRING"
+            check = (
+                "CHECK THE SIGNS" if one.reversed_wheels and not one.columns else "CHECK THE WIRING"
+            )
             return f"{better} {one.what} {gain}: {check}{do}"
-        shown = [f"({chr(97 + k)}) {self._line(one, clock)}" for k, one in enumerate(self.named[:MOST_NAMED])]
+        shown = [
+            f"({chr(97 + k)}) {self._line(one, clock)}"
+            for k, one in enumerate(self.named[:MOST_NAMED])
+        ]
         more = len(self.named) - len(shown)
         others = f"; and {more} other changes" if more else ""
         at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
@@ -131,7 +136,9 @@ def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
     """The 48 ways to read three columns as axes, in words, with the column and the sign of each axis; the stated one first."""
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
-            axes = ", ".join(f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True))
+            axes = ", ".join(
+                f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True)
+            )
             yield f"read as ({axes}) of its columns", list(order), sign
 
 
@@ -149,7 +156,10 @@ def of_sensor(vehicle: Vehicle, name: str) -> list[Change]:
     """The 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
     table = TABLES[name]
     read = (_readings if table == "attitude" else _axes)(vehicle.sensors.with_columns[table])
-    return [Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys)) for what, matrix, keys in read]
+    return [
+        Change(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
+        for what, matrix, keys in read
+    ]
 
 
 Read = Iterator[tuple[str, np.ndarray, dict[str, Any]]]
@@ -168,11 +178,20 @@ def _readings(sensor: Attitude) -> Read:
     yield "read as stated", np.eye(4), sensor.read_as(False, False)
     yield "read the other way round (B_to_N for N_to_B)", away, sensor.read_as(False, True)
     yield "with its scalar at the other end", other_scalar, sensor.read_as(True, False)
-    yield "with its scalar at the other end and read the other way round", away @ other_scalar, sensor.read_as(True, True)
+    yield (
+        "with its scalar at the other end and read the other way round",
+        away @ other_scalar,
+        sensor.read_as(True, True),
+    )
 
 
 def better(
-    vehicle: Vehicle, telemetry: xr.Dataset, observed: Observed, evidence: Evidence, run: Run, field_turn_rate: float
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    observed: Observed,
+    evidence: Evidence,
+    run: Run,
+    field_turn_rate: float,
 ) -> Better | Culprit | None:
     """The changes that fit the telemetry of a pass, which does not fit as written; else the sensor that is in the way; else None.
 
@@ -189,33 +208,57 @@ def better(
             if found is not None:
                 return found
             if culprit is None:
-                culprit = _of_exchanged(observed, telemetry, name, motion, run, field_turn_rate) or Culprit(SENSORS[name])
+                culprit = _of_exchanged(
+                    observed, telemetry, name, motion, run, field_turn_rate
+                ) or Culprit(SENSORS[name])
     if culprit is not None or not observed.panels:
         return culprit
     return _of_panels(observed, telemetry, evidence, run)
 
 
-def _of_panels(observed: Observed, telemetry: xr.Dataset, evidence: Evidence, run: Run) -> Better | None:
+def _of_panels(
+    observed: Observed, telemetry: xr.Dataset, evidence: Evidence, run: Run
+) -> Better | None:
     """Changes of columns, panels and wheels, one of each class of those that look the same, by quick searches and then in full."""
     vehicle = observed.vehicle
     stated = evidence(vehicle, telemetry)
     if not np.isfinite(stated):
         return None
-    columns, wheels = column_changes(vehicle, telemetry), wheel_changes(vehicle) if len(observed.momenta) else []
+    columns, wheels = (
+        column_changes(vehicle, telemetry),
+        wheel_changes(vehicle) if len(observed.momenta) else [],
+    )
     every = [AS_WRITTEN, *columns, *wheels]
     cost = _sample_costs(vehicle, telemetry, every)
-    near = [int(k) for k in np.argsort(cost, kind="stable") if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
+    near = [
+        int(k)
+        for k in np.argsort(cost, kind="stable")
+        if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH
+    ]
     likely = [(every[k], cost[k]) for k in near]
     names = [wheel.name for wheel in vehicle.wheels]
-    both = [(one.with_wheels(w.reversed_wheels, names), c) for one, c in likely if one.columns for w in wheels]
+    both = [
+        (one.with_wheels(w.reversed_wheels, names), c)
+        for one, c in likely
+        if one.columns
+        for w in wheels
+    ]
     for level in (likely, both):
         changes, known = [one for one, _ in level], [(AS_WRITTEN, cost[0])]
         for one, c in level:  # what looks the same has the same dark panels, and so the same cost
-            if not any(abs(c - other_c) < CLEARLY and len(equivalence(observed, other, one)) for other, other_c in known):
+            if not any(
+                abs(c - other_c) < CLEARLY and len(equivalence(observed, other, one))
+                for other, other_c in known
+            ):
                 known.append((one, c))
         classes = [one for one, _ in known[1:]]
-        gains = [evidence(*one.applied(vehicle, telemetry)) - stated if may_go_on() else -np.inf for one in classes]
-        ranked = sorted((k for k in range(len(classes)) if gains[k] > CLEARLY), key=lambda k: -gains[k])
+        gains = [
+            evidence(*one.applied(vehicle, telemetry)) - stated if may_go_on() else -np.inf
+            for one in classes
+        ]
+        ranked = sorted(
+            (k for k in range(len(classes)) if gains[k] > CLEARLY), key=lambda k: -gains[k]
+        )
         named: list[Named] = []
         best, at_s = -np.inf, np.nan
         for k in ranked[:MOST_RUNS]:
@@ -230,7 +273,9 @@ def _of_panels(observed: Observed, telemetry: xr.Dataset, evidence: Evidence, ru
     return None
 
 
-def _members(observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]) -> list[Named]:
+def _members(
+    observed: Observed, change: Change, result: xr.Dataset, others: Sequence[Change]
+) -> list[Named]:
     """A change and all others that look the same, with their rates, where the estimate with the change gave a result."""
     omega, _ = _middle(result)
     seen = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
@@ -255,7 +300,9 @@ def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Cha
     """Log likelihood (m), less that of the best conceivable, that samples cost which are each compared by themselves with every
     direction of the Sun under each change."""
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
-    telemetry = telemetry.isel(time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)))
+    telemetry = telemetry.isel(
+        time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED))
+    )
     known_scale = vehicle.gain_unit is not None
     noise = 0.0 if vehicle.telemetry.noise is None else vehicle.telemetry.noise / float(gains.min())
     error = float(np.hypot(READING_ERROR, noise))
@@ -269,13 +316,19 @@ def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Cha
         whole = (read**2).sum(axis=1)[:, None]
         free = np.maximum(along, 0.0) / size
         best = np.argmin(whole - free * np.maximum(along, 0.0), axis=1)
-        scale = 1.0 if known_scale or not len(read) else float(np.quantile(free[np.arange(len(read)), best], 0.9))
+        scale = (
+            1.0
+            if known_scale or not len(read)
+            else float(np.quantile(free[np.arange(len(read)), best], 0.9))
+        )
         level = np.minimum(free, BRIGHTEST * scale)
         squares.append((whole + level * (level * size - 2 * along)).min(axis=1) / error**2)
     each = np.array(squares)
     if not each.size:
         return np.zeros(len(changes))
-    each /= max(1.0, float(np.median(each, axis=1).min()) / len(gains))  # where the Earth's light is more than that error
+    each /= max(
+        1.0, float(np.median(each, axis=1).min()) / len(gains)
+    )  # where the Earth's light is more than that error
     return np.minimum(each, MOST_SQUARE).sum(axis=1) / 2
 
 
@@ -284,12 +337,19 @@ def _fits(result: xr.Dataset | None) -> bool:
 
 
 def _of_second(
-    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
+    observed: Observed,
+    telemetry: xr.Dataset,
+    name: str,
+    motion: xr.Dataset,
+    run: Run,
+    field_turn_rate: float,
 ) -> Better | None:
     """Other axes of one sensor, judged by the motion that all others tell, with the exchanged columns that look the same."""
     vehicle, others = observed.vehicle, of_sensor(observed.vehicle, name)
     read = telemetry[name].sel(time=motion["time"].values).values
-    squares = [_squares(motion, read @ one.axes[name].T, name, vehicle, field_turn_rate) for one in others]
+    squares = [
+        _squares(motion, read @ one.axes[name].T, name, vehicle, field_turn_rate) for one in others
+    ]
     costs = np.array([square.clip(max=MOST_SQUARE).sum() / 2 for square in squares])
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])  # the first is the stated one
@@ -298,26 +358,44 @@ def _of_second(
     result = run(*others[best].applied(vehicle, telemetry))
     if result is None or not _fits(result):
         return None
-    ties = [k for k in np.flatnonzero(costs < costs[best] + CLEARLY) if k != best and costs[0] - costs[k] > CLEARLY]
+    ties = [
+        k
+        for k in np.flatnonzero(costs < costs[best] + CLEARLY)
+        if k != best and costs[0] - costs[k] > CLEARLY
+    ]
     ties.sort(key=lambda k: -np.trace(others[k].axes[name]))
     omega, at_s = _middle(result)
-    named = _members(observed, others[best], result, [*column_changes(vehicle, telemetry), *wheel_changes(vehicle)])
+    named = _members(
+        observed,
+        others[best],
+        result,
+        [*column_changes(vehicle, telemetry), *wheel_changes(vehicle)],
+    )
     return Better((*named, *(Named(others[k], omega) for k in ties)), gain, at_s)
 
 
 def _of_exchanged(
-    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, run: Run, field_turn_rate: float
+    observed: Observed,
+    telemetry: xr.Dataset,
+    name: str,
+    motion: xr.Dataset,
+    run: Run,
+    field_turn_rate: float,
 ) -> Better | None:
     """Changes of columns that the others cannot see, judged by a sensor that the motion without it contradicts: as these changes
     show the motion, it may fit."""
     vehicle = observed.vehicle
-    without = replace(observed, sensors=observed.sensors - {name}, sun_B=np.nan_to_num(motion["sun_B"].values))
+    without = replace(
+        observed, sensors=observed.sensors - {name}, sun_B=np.nan_to_num(motion["sun_B"].values)
+    )
     made = alike(without, AS_WRITTEN, column_changes(vehicle, telemetry))
     value = telemetry[name].sel(time=motion["time"].values).values
-    costs = np.array([
-        _squares(one, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2
-        for one in (motion, *(_mapped(motion, matrix) for _, matrix in made))
-    ])  # fmt: skip
+    costs = np.array(
+        [
+            _squares(one, value, name, vehicle, field_turn_rate).clip(max=MOST_SQUARE).sum() / 2
+            for one in (motion, *(_mapped(motion, matrix) for _, matrix in made))
+        ]
+    )
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
@@ -328,7 +406,11 @@ def _of_exchanged(
     omega, at_s = _middle(result)
     near = [k for k in np.argsort(costs) if costs[k] < costs[best] + CLEARLY and k]
     to_best = made[best - 1][1].T
-    return Better(tuple(Named(made[k - 1][0], rate_under(made[k - 1][1] @ to_best, omega)) for k in near), gain, at_s)
+    return Better(
+        tuple(Named(made[k - 1][0], rate_under(made[k - 1][1] @ to_best, omega)) for k in near),
+        gain,
+        at_s,
+    )
 
 
 def _mapped(motion: xr.Dataset, matrix: np.ndarray) -> xr.Dataset:
@@ -340,19 +422,31 @@ def _mapped(motion: xr.Dataset, matrix: np.ndarray) -> xr.Dataset:
     )
 
 
-def _squares(motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle, field_turn_rate: float) -> np.ndarray:
+def _squares(
+    motion: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle, field_turn_rate: float
+) -> np.ndarray:
     """Squared distances, in sigmas, of a sensor's readings (n, 3 or 4) from a motion, where both are known."""
     sensors, inside = vehicle.sensors, motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
     known = np.asarray(np.isfinite(value).all(axis=1))
     pairs = inside & known[1:] & known[:-1]
     if name == "gyro_B" and sensors.gyro is not None:
         gyro, spread = sensors.gyro, np.einsum("nii->ni", motion["omega_cov_B"].values)
-        own = gyro.noise_rad_s**2 + (gyro.scale_rad_s * gyro.zero_sigma) ** 2 + (value * gyro.scale_sigma / gyro.scale_rad_s) ** 2
+        own = (
+            gyro.noise_rad_s**2
+            + (gyro.scale_rad_s * gyro.zero_sigma) ** 2
+            + (value * gyro.scale_sigma / gyro.scale_rad_s) ** 2
+        )
         return ((value - motion["omega_B"].values) ** 2 / (spread + own)).sum(axis=1)[known]
     turned = Rotation.from_quat(motion["B_from_N"].values)
-    if name == "field_B" and sensors.magnetometer is not None and sensors.magnetometer.noise is not None:
+    if (
+        name == "field_B"
+        and sensors.magnetometer is not None
+        and sensors.magnetometer.noise is not None
+    ):
         fixed = turned.inv().apply(np.where(known[:, None], value, 0.0))
-        turning = field_turn_rate * np.diff(motion["time"].values) * np.linalg.norm(fixed[:-1], axis=1)
+        turning = (
+            field_turn_rate * np.diff(motion["time"].values) * np.linalg.norm(fixed[:-1], axis=1)
+        )
         spread = 2 * sensors.magnetometer.noise**2 + turning**2
         return ((np.diff(fixed, axis=0) ** 2).sum(axis=1) / spread)[pairs]
     if name == "attitude_B_from_N" and sensors.attitude is not None:

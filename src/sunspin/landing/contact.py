@@ -76,7 +76,9 @@ def shape_of(vehicle: Vehicle) -> Shape | None:
     return Shape(points, kind, legs, panels, *_facets(points, kind), bool(vehicle.hull))
 
 
-def _facets(points: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | tuple[None, None, None]:
+def _facets(
+    points: np.ndarray, kind: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | tuple[None, None, None]:
     """Normals, distances and kinds of the hull's facets; None where it has no volume or leaves the centre of mass out."""
     if len(points) < 4:
         return None, None, None
@@ -91,7 +93,9 @@ def _facets(points: np.ndarray, kind: np.ndarray) -> tuple[np.ndarray, np.ndarra
     facets = equations[np.sort(first)]
     outward, distances = facets[:, :3], -facets[:, 3]
     on = np.abs(points @ outward.T - distances) < 100 * COPLANAR * size  # (point, facet)
-    facet_kind = [0 if np.all(kind[part] == 0) else 1 if np.any(kind[part] == 1) else 2 for part in on.T]
+    facet_kind = [
+        0 if np.all(kind[part] == 0) else 1 if np.any(kind[part] == 1) else 2 for part in on.T
+    ]
     return outward, distances, np.array(facet_kind)
 
 
@@ -126,7 +130,12 @@ def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
     """
     outward, distances = shape.outward_B, shape.distances_m
     if outward is None or distances is None:
-        raise InputError(sentence("this shape has no facet to rest on", do="give a hull with a volume around the centre of mass"))
+        raise InputError(
+            sentence(
+                "this shape has no facet to rest on",
+                do="give a hull with a volume around the centre of mass",
+            )
+        )
     down = -up_B
     facet = np.full(len(up_B), -1)
     for _ in range(len(distances) + 1):
@@ -147,7 +156,9 @@ class Contact:
     omega_B: np.ndarray
 
 
-def first_contact(shape: Shape, t_s: np.ndarray, up_B: np.ndarray, omega_B: np.ndarray, approach_m_s: np.ndarray) -> Contact:
+def first_contact(
+    shape: Shape, t_s: np.ndarray, up_B: np.ndarray, omega_B: np.ndarray, approach_m_s: np.ndarray
+) -> Contact:
     """Where a vehicle that turns while it comes down first touches flat ground.
 
     Parameters
@@ -176,7 +187,12 @@ def first_contact(shape: Shape, t_s: np.ndarray, up_B: np.ndarray, omega_B: np.n
     u0, u1 = up_B[rows, before][:, None], up_B[rows, after][:, None]
     w0, w1 = omega_B[rows, before][:, None], omega_B[rows, after][:, None]
     slope0, slope1 = (np.cross(u, w) * span[:, None, None] for u, w in ((u0, w0), (u1, w1)))
-    up = u0 * (1 + 2 * s) * (1 - s) ** 2 + slope0 * s * (1 - s) ** 2 + u1 * s**2 * (3 - 2 * s) - slope1 * s**2 * (1 - s)
+    up = (
+        u0 * (1 + 2 * s) * (1 - s) ** 2
+        + slope0 * s * (1 - s) ** 2
+        + u1 * s**2 * (3 - 2 * s)
+        - slope1 * s**2 * (1 - s)
+    )
     up /= np.linalg.norm(up, axis=-1, keepdims=True)
     t = t_s[before][:, None] + span[:, None] * s[:, 0]
     reach, point = support(shape.points_B_m, -up)

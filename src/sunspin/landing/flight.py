@@ -40,21 +40,38 @@ def legs_of(schedule: Schedule, begin_s: float, end_s: float) -> list[tuple[floa
     return [(a, b, command_at(schedule, min(a, b))) for a, b in zip(edges, edges[1:], strict=False)]
 
 
-def fly(vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, times_s: np.ndarray) -> Track:
+def fly(
+    vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, times_s: np.ndarray
+) -> Track:
     """Run motions from `begin_s` and return them at `times_s` (n_t,): all later and increasing, or all earlier, decreasing."""
     times = np.asarray(times_s, dtype=np.float64)
     pieces, outcome = [], np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in legs_of(schedule, begin_s, times[-1]):
-        wanted = times[(times > begin) & (times <= end)] if end > begin else times[(times < begin) & (times >= end)]
+        wanted = (
+            times[(times > begin) & (times <= end)]
+            if end > begin
+            else times[(times < begin) & (times >= end)]
+        )
         stops = np.unique(np.concatenate([wanted, [end]]))
         stops = stops if end > begin else stops[::-1]
-        result = k.run_rows(vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR)
-        piece = Track(result.momentum_B, result.sun_B, result.omega_B, result.wheel_speed_rad_s, result.outcome)
+        result = k.run_rows(
+            vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR
+        )
+        piece = Track(
+            result.momentum_B,
+            result.sun_B,
+            result.omega_B,
+            result.wheel_speed_rad_s,
+            result.outcome,
+        )
         outcome = np.where(outcome == 0, result.outcome, outcome)
         rows = piece.at(-1)
         pieces.append((piece, np.isin(stops, wanted)))
     parts = ("momentum_B", "sun_B", "omega_B", "wheel_speed_rad_s")
-    joined = {name: np.concatenate([getattr(piece, name)[:, use] for piece, use in pieces], axis=1) for name in parts}
+    joined = {
+        name: np.concatenate([getattr(piece, name)[:, use] for piece, use in pieces], axis=1)
+        for name in parts
+    }
     return Track(**joined, outcome=outcome)
 
 
@@ -64,7 +81,9 @@ def sun_height_shares(
     """Share of the time (n, bins) that r_z spends in each of `bins` equal bins of [-1, 1], and the outcome (n)."""
     total, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in legs_of(schedule, begin_s, end_s):
-        result = k.run_rows(vehicle, rows, end - begin, wheel_mode=command, emd_error=k.EMD_ERROR, bins=bins)
+        result = k.run_rows(
+            vehicle, rows, end - begin, wheel_mode=command, emd_error=k.EMD_ERROR, bins=bins
+        )
         seconds = result.hist.astype(np.float64)
         total += seconds / seconds.sum(axis=1, keepdims=True) * ((end - begin) / (end_s - begin_s))
         outcome = np.where(outcome == 0, result.outcome, outcome)
@@ -85,7 +104,11 @@ def _unit(vector: np.ndarray, smallest: float = 0.0) -> np.ndarray:
     return np.where(length > smallest, vector / np.where(length > smallest, length, 1.0), np.nan)
 
 
-def carry(direction_B: np.ndarray, start: tuple[np.ndarray, np.ndarray], end: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def carry(
+    direction_B: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray],
+    end: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
     """Body components at the end of directions fixed in space.
 
     Parameters
@@ -103,7 +126,9 @@ def carry(direction_B: np.ndarray, start: tuple[np.ndarray, np.ndarray], end: tu
     return sum((fixed[..., i, None] * frames[..., i, :] for i in range(3)), np.zeros(3))
 
 
-def angle_about(vector: np.ndarray, axis: np.ndarray, zero: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def angle_about(
+    vector: np.ndarray, axis: np.ndarray, zero: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Angles (n) rad of vectors (n, 3) to an axis (n, 3), and about it from the side on which `zero` (n, 3) lies.
 
     NaN where a direction needed is not known.
@@ -111,5 +136,7 @@ def angle_about(vector: np.ndarray, axis: np.ndarray, zero: np.ndarray) -> tuple
     along = _unit(axis)
     cosine = np.sum(_unit(vector) * along, axis=-1)
     side = np.sum(along * np.cross(zero, vector), axis=-1)
-    ahead = np.sum(zero * vector, axis=-1) - np.sum(zero * along, axis=-1) * np.sum(vector * along, axis=-1)
+    ahead = np.sum(zero * vector, axis=-1) - np.sum(zero * along, axis=-1) * np.sum(
+        vector * along, axis=-1
+    )
     return np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan2(side, ahead)

@@ -26,18 +26,30 @@ DESCRIBED = {
     "momentum_after": ("N m s", "size of the total angular momentum after the collision"),
     "velocity_change": ("m/s", "impulse over mass at the collision"),
     "change_to_sun": ("rad", "angle between the change of velocity at the collision and the Sun"),
-    "change_about_sun": ("rad", "angle of that change about the Sun, from the side on which the touchdown's vertical lies"),
+    "change_about_sun": (
+        "rad",
+        "angle of that change about the Sun, from the side on which the touchdown's vertical lies",
+    ),
     "speed_after": ("m/s", "speed of the centre of mass after the collision"),
     "contact_point": ("1", "point that touches the ground first at the landing"),
-    "lowest_point": ("1", "lowest point at the time of landing, had the vehicle not turned while it came down"),
+    "lowest_point": (
+        "1",
+        "lowest point at the time of landing, had the vehicle not turned while it came down",
+    ),
     "contact_speed": ("m/s", "speed over ground of the point that touches first"),
     "leg_tip_speed": ("m/s", "largest speed over ground of an end of a leg at first contact"),
     "leg_tip_bound": ("m/s", "v + |l| |omega| at first contact (paper, section 4)"),
     "up_z": ("1", "cosine of the angle between z axis and the ground's normal at first contact"),
-    "antenna_share": ("1", "share of the time from collision to landing in which the antenna's cone holds the orbiter"),
+    "antenna_share": (
+        "1",
+        "share of the time from collision to landing in which the antenna's cone holds the orbiter",
+    ),
     "antenna_at_contact": ("1", "1: the cone holds the orbiter at first contact"),
     "antenna_at_rest": ("1", "1: the cone holds the orbiter once at rest"),
-    "rest_facet": ("1", "facet of the hull on which the vehicle comes to rest, rolling without speed"),
+    "rest_facet": (
+        "1",
+        "facet of the hull on which the vehicle comes to rest, rolling without speed",
+    ),
 }
 """Unit and meaning of each variable."""
 
@@ -56,7 +68,11 @@ def dataset(rows: Any, values: dict[str, np.ndarray]) -> xr.Dataset:
         data,
         coords={
             "run": np.arange(len(values["outcome"])),
-            "rz": ("rz", (edges[1:] + edges[:-1]) / 2, {"units": "1", "long_name": "middle of the bin of r_z"}),
+            "rz": (
+                "rz",
+                (edges[1:] + edges[:-1]) / 2,
+                {"units": "1", "long_name": "middle of the bin of r_z"},
+            ),
             "axis": ["x", "y", "z"],
         },
     )
@@ -65,7 +81,9 @@ def dataset(rows: Any, values: dict[str, np.ndarray]) -> xr.Dataset:
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
     result = _with_shape(result, rows.vehicle, shape).assign_attrs(_attrs(rows))
-    result.attrs["not_told"] = " ".join(filter(None, [result.attrs["not_told"], _without_attitude(rows, values)]))
+    result.attrs["not_told"] = " ".join(
+        filter(None, [result.attrs["not_told"], _without_attitude(rows, values)])
+    )
     return result
 
 
@@ -101,7 +119,8 @@ def _with_shape(result: xr.Dataset, vehicle: Vehicle, shape: Shape | None) -> xr
     if shape.outward_B is None:
         return result
     return result.assign_coords(
-        facet_normal_B=(("facet", "axis"), shape.outward_B, {"units": "1"}), facet_kind=("facet", names[shape.facet_kind])
+        facet_normal_B=(("facet", "axis"), shape.outward_B, {"units": "1"}),
+        facet_kind=("facet", names[shape.facet_kind]),
     )
 
 
@@ -132,20 +151,30 @@ def not_told(rows: Any) -> list[str]:
         found.append("There is no collision in this scenario, so nothing is told of one.")
     elif not rows.collides:
         missing = "legs" if not vehicle.legs else "mass"
-        found.append(f"Without {missing} in the vehicle file the collision cannot be computed, so the motion goes on undisturbed.")
+        found.append(
+            f"Without {missing} in the vehicle file the collision cannot be computed, so the motion goes on undisturbed."
+        )
     if shape is None:
-        found.append("Without a hull and legs in the vehicle file it cannot be told what touches the ground first.")
+        found.append(
+            "Without a hull and legs in the vehicle file it cannot be told what touches the ground first."
+        )
     elif not rows.lands:
         found.append(
             f"At {rows.scenario.landing_speed_m_s:g} m/s the last metres may take {rows.approach_s:.0f} s, longer than the "
             "flight: what touches the ground first cannot be told."
         )
     elif not shape.complete:
-        found.append("Without a hull in the vehicle file only the legs can touch first: nothing is told of body, panels and rest.")
+        found.append(
+            "Without a hull in the vehicle file only the legs can touch first: nothing is told of body, panels and rest."
+        )
     elif shape.outward_B is None:
-        found.append("The hull has no volume around the centre of mass, so it cannot be told on what the vehicle comes to rest.")
+        found.append(
+            "The hull has no volume around the centre of mass, so it cannot be told on what the vehicle comes to rest."
+        )
     if not vehicle.legs:
         found.append("Without legs in the vehicle file no speed of an end of a leg can be told.")
     if vehicle.antenna is None:
-        found.append("Without an antenna in the vehicle file it cannot be told whether it serves the orbiter.")
+        found.append(
+            "Without an antenna in the vehicle file it cannot be told whether it serves the orbiter."
+        )
     return found

@@ -62,7 +62,10 @@ class Candidates:
 
     def pick(self, uniform: np.ndarray) -> np.ndarray:
         """Numbers of the candidates that uniform numbers in [0, 1) fall on."""
-        return np.minimum(np.searchsorted(np.cumsum(self.probability), uniform, side="right"), len(self.omega_B) - 1)
+        return np.minimum(
+            np.searchsorted(np.cumsum(self.probability), uniform, side="right"),
+            len(self.omega_B) - 1,
+        )
 
     def rows(self, index: np.ndarray) -> k.Rows:
         return k.Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index])
@@ -77,19 +80,45 @@ def candidates_of(vehicle: Vehicle, given: Any, scenario: sc.Scenario) -> Candid
         omega = np.atleast_2d(np.asarray(held["omega_B"], dtype=np.float64))
     except (KeyError, TypeError, ValueError):
         omega = np.zeros(0)
-    if omega.ndim != 2 or omega.shape[1:] != (3,) or len(omega) == 0 or not np.all(np.isfinite(omega)):
-        raise InputError(sentence("candidates must be rates (m, 3) in rad/s, finite", got=f"shape {omega.shape}"))
+    if (
+        omega.ndim != 2
+        or omega.shape[1:] != (3,)
+        or len(omega) == 0
+        or not np.all(np.isfinite(omega))
+    ):
+        raise InputError(
+            sentence("candidates must be rates (m, 3) in rad/s, finite", got=f"shape {omega.shape}")
+        )
     m, n_wheel = len(omega), len(vehicle.wheels)
     own = wheel_speeds(vehicle, list(scenario.wheel_speed_rad_s) or None)
-    sun = np.asarray(held["sun_B"] if "sun_B" in held else np.tile(scenario.sun_B, (m, 1)), dtype=np.float64)
-    speeds = np.asarray(held["wheel_speed_rad_s"] if "wheel_speed_rad_s" in held else np.tile(own, (m, 1)), dtype=np.float64)
-    weight = np.asarray(held["log_weight"] if "log_weight" in held else np.zeros(m), dtype=np.float64)
-    if sun.shape != (m, 3) or speeds.shape != (m, n_wheel) or weight.shape != (m,) or not np.any(np.isfinite(weight)):
+    sun = np.asarray(
+        held["sun_B"] if "sun_B" in held else np.tile(scenario.sun_B, (m, 1)), dtype=np.float64
+    )
+    speeds = np.asarray(
+        held["wheel_speed_rad_s"] if "wheel_speed_rad_s" in held else np.tile(own, (m, 1)),
+        dtype=np.float64,
+    )
+    weight = np.asarray(
+        held["log_weight"] if "log_weight" in held else np.zeros(m), dtype=np.float64
+    )
+    if (
+        sun.shape != (m, 3)
+        or speeds.shape != (m, n_wheel)
+        or weight.shape != (m,)
+        or not np.any(np.isfinite(weight))
+    ):
         shapes = f"{sun.shape}, {speeds.shape}, {weight.shape}"
         wanted = f"({m}, 3), ({m}, {n_wheel}), ({m},)"
-        raise InputError(sentence(f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {wanted}", got=shapes))
+        raise InputError(
+            sentence(
+                f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {wanted}",
+                got=shapes,
+            )
+        )
     likely = np.nan_to_num(np.exp(weight - np.nanmax(weight)))
-    return Candidates(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds, likely / likely.sum())
+    return Candidates(
+        omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds, likely / likely.sum()
+    )
 
 
 @dataclass(frozen=True)
@@ -106,16 +135,29 @@ class OutcomeRows:
     verticals: np.ndarray = field(init=False, repr=False)
 
     outputs = {
-        "outcome": ("int8", ()), "candidate": ("int32", ()), "leg": ("int8", ()), "rz_share": ("float32", (BINS,)),
-        "omega_before_B": ("float64", (3,)), "omega_after_B": ("float64", (3,)),
-        "momentum_before": ("float64", ()), "momentum_after": ("float64", ()),
-        "velocity_change": ("float64", ()), "speed_after": ("float64", ()),
-        "change_to_sun": ("float64", ()), "change_about_sun": ("float64", ()),
-        "contact_point": ("int16", ()), "lowest_point": ("int16", ()), "contact_speed": ("float64", ()),
-        "leg_tip_speed": ("float64", ()), "leg_tip_bound": ("float64", ()), "up_z": ("float64", ()),
-        "antenna_share": ("float32", ()), "antenna_at_contact": ("int8", ()), "antenna_at_rest": ("int8", ()),
+        "outcome": ("int8", ()),
+        "candidate": ("int32", ()),
+        "leg": ("int8", ()),
+        "rz_share": ("float32", (BINS,)),
+        "omega_before_B": ("float64", (3,)),
+        "omega_after_B": ("float64", (3,)),
+        "momentum_before": ("float64", ()),
+        "momentum_after": ("float64", ()),
+        "velocity_change": ("float64", ()),
+        "speed_after": ("float64", ()),
+        "change_to_sun": ("float64", ()),
+        "change_about_sun": ("float64", ()),
+        "contact_point": ("int16", ()),
+        "lowest_point": ("int16", ()),
+        "contact_speed": ("float64", ()),
+        "leg_tip_speed": ("float64", ()),
+        "leg_tip_bound": ("float64", ()),
+        "up_z": ("float64", ()),
+        "antenna_share": ("float32", ()),
+        "antenna_at_contact": ("int8", ()),
+        "antenna_at_rest": ("int8", ()),
         "rest_facet": ("int16", ()),
-    }  # fmt: skip
+    }
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", shape_of(self.vehicle))
@@ -127,7 +169,11 @@ class OutcomeRows:
 
     @property
     def collides(self) -> bool:
-        return self.scenario.collision_speed_m_s is not None and bool(self.vehicle.legs) and self.vehicle.mass_kg is not None
+        return (
+            self.scenario.collision_speed_m_s is not None
+            and bool(self.vehicle.legs)
+            and self.vehicle.mass_kg is not None
+        )
 
     @property
     def lands(self) -> bool:
@@ -146,7 +192,10 @@ class OutcomeRows:
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         draw = sc.draws(self.seed, index)
-        out = {name: np.full((len(index), *shape), _nothing(dtype), dtype) for name, (dtype, shape) in self.outputs.items()}
+        out = {
+            name: np.full((len(index), *shape), _nothing(dtype), dtype)
+            for name, (dtype, shape) in self.outputs.items()
+        }
         out["candidate"][:] = self.candidates.pick(draw["candidate"])
         drawn, run_of = np.unique(out["candidate"], return_inverse=True)
         (touchdown, before), bad = self._to_collision(self.candidates.rows(drawn))
@@ -154,7 +203,10 @@ class OutcomeRows:
         after, impulse_B = self._collide(before, draw, out) if self.collides else (before, None)
         if self.collides:
             out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
-        momenta = [g.total_momentum(self.vehicle, x.omega_B, x.wheel_speed_rad_s) for x in (touchdown, before, after)]
+        momenta = [
+            g.total_momentum(self.vehicle, x.omega_B, x.wheel_speed_rad_s)
+            for x in (touchdown, before, after)
+        ]
         for name, momentum in zip(("momentum_before", "momentum_after"), momenta[1:], strict=True):
             out[name][:] = np.linalg.norm(momentum, axis=1)
         up = self.verticals[(draw["vertical"] * len(self.verticals)).astype(int)]
@@ -162,7 +214,9 @@ class OutcomeRows:
         ends = (momenta[0], touchdown.sun_B), (momenta[1], before.sun_B)
         fixed = carry(np.stack([up, orbiter]), *ends)
         if impulse_B is not None:
-            out["change_to_sun"][:], out["change_about_sun"][:] = angle_about(impulse_B, before.sun_B, fixed[0])
+            out["change_to_sun"][:], out["change_about_sun"][:] = angle_about(
+                impulse_B, before.sun_B, fixed[0]
+            )
         bad = self._after(after, momenta[2], fixed, draw, out, bad)
         return _without(out, bad)
 
@@ -190,27 +244,47 @@ class OutcomeRows:
         velocity = s.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])
         mode = command_at(self.strategy.schedule, s.collision_s)
         hit = impact(
-            self.vehicle, before.omega_B, before.wheel_speed_rad_s, velocity, leg, mode, restitution=s.restitution, damper=s.damper
+            self.vehicle,
+            before.omega_B,
+            before.wheel_speed_rad_s,
+            velocity,
+            leg,
+            mode,
+            restitution=s.restitution,
+            damper=s.damper,
         )
         out["leg"][:] = leg
-        out["velocity_change"][:] = np.linalg.norm(hit["impulse_B"].values, axis=1) / self.vehicle.require_mass()
+        out["velocity_change"][:] = (
+            np.linalg.norm(hit["impulse_B"].values, axis=1) / self.vehicle.require_mass()
+        )
         out["speed_after"][:] = np.linalg.norm(hit["velocity_B"].values, axis=1)
-        return k.Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values), hit["impulse_B"].values
+        return k.Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values), hit[
+            "impulse_B"
+        ].values
 
     def _orbiter(self, up: np.ndarray, draw: dict[str, np.ndarray]) -> np.ndarray:
         wanted = self.scenario.orbiter
         if not isinstance(wanted, str):
             return np.tile(np.array(wanted, float) / np.linalg.norm(wanted), (len(up), 1))
-        cosine = draw["orbiter_polar"] if wanted == "above_horizon" else 2 * draw["orbiter_polar"] - 1
+        cosine = (
+            draw["orbiter_polar"] if wanted == "above_horizon" else 2 * draw["orbiter_polar"] - 1
+        )
         return sc.about(up, cosine, draw["orbiter_azimuth"])
 
     def _after(
-        self, start: k.Rows, momentum: np.ndarray, fixed: np.ndarray, draw: dict[str, np.ndarray], out: dict[str, np.ndarray],
+        self,
+        start: k.Rows,
+        momentum: np.ndarray,
+        fixed: np.ndarray,
+        draw: dict[str, np.ndarray],
+        out: dict[str, np.ndarray],
         bad: np.ndarray,
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """From the collision to the landing: r_z, antenna, first contact, rest. `fixed` (2, n, 3): vertical and orbiter."""
         s, schedule = self.scenario, self.strategy.schedule
-        out["rz_share"][:], outcome = sun_height_shares(self.vehicle, start, schedule, s.collision_s, s.landing_s, BINS)
+        out["rz_share"][:], outcome = sun_height_shares(
+            self.vehicle, start, schedule, s.collision_s, s.landing_s, BINS
+        )
         bad = np.where(bad == 0, outcome, bad)
         flight = s.collision_s + s.after_s * (np.arange(FLIGHT_SAMPLES) + 0.5) / FLIGHT_SAMPLES
         approach = self._approach_times() if self.lands else flight[-1:]
@@ -219,14 +293,18 @@ class OutcomeRows:
         bad = np.where(bad == 0, track.outcome, bad)
         ends = (momentum, start.sun_B), (track.momentum_B, track.sun_B)
         up, orbiter = carry(fixed, *ends)
-        known = (bad == 0) & np.isfinite(up).all(axis=(1, 2)) & np.isfinite(orbiter).all(axis=(1, 2))
+        known = (
+            (bad == 0) & np.isfinite(up).all(axis=(1, 2)) & np.isfinite(orbiter).all(axis=(1, 2))
+        )
         if self.vehicle.antenna is not None:
             served = _served(self.vehicle.antenna, orbiter[:, np.isin(times, flight)])
             out["antenna_share"][:] = np.where(known, served.mean(axis=1), np.nan)
         if not self.lands:
             return bad
         last = np.isin(times, approach)
-        turned = np.linalg.norm(track.omega_B[:, last], axis=2).max(axis=1) * (times[last][1] - times[last][0])
+        turned = np.linalg.norm(track.omega_B[:, last], axis=2).max(axis=1) * (
+            times[last][1] - times[last][0]
+        )
         finer = np.zeros(len(bad), dtype=int)
         finer[known] = np.ceil(np.log2(np.maximum(turned[known] / APPROACH_TURN_RAD, 1.0)))
         pieces = up[:, last], orbiter[:, last], track.omega_B[:, last]
@@ -235,15 +313,22 @@ class OutcomeRows:
             t = self._approach_times(level)
             some = k.Rows(start.omega_B[rows], start.sun_B[rows], start.wheel_speed_rad_s[rows])
             track = fly(self.vehicle, some, schedule, s.collision_s, t)
-            again = carry(fixed[:, rows], (momentum[rows], some.sun_B), (track.momentum_B, track.sun_B))
+            again = carry(
+                fixed[:, rows], (momentum[rows], some.sun_B), (track.momentum_B, track.sun_B)
+            )
             bad[rows] = np.where(bad[rows] == 0, track.outcome, bad[rows])
             self._land_some(rows, t, (*again, track.omega_B), draw, out, np.arange(len(rows)))
         return bad
 
     def _land_some(
-        self, rows: np.ndarray, t: np.ndarray, pieces: tuple[np.ndarray, np.ndarray, np.ndarray], draw: dict[str, np.ndarray],
-        out: dict[str, np.ndarray], at: np.ndarray | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        rows: np.ndarray,
+        t: np.ndarray,
+        pieces: tuple[np.ndarray, np.ndarray, np.ndarray],
+        draw: dict[str, np.ndarray],
+        out: dict[str, np.ndarray],
+        at: np.ndarray | None = None,
+    ) -> None:
         """First contact and rest of some runs; `pieces`: vertical, orbiter, rate (n, n_t, 3), of which these are at `at`."""
         if not len(rows):
             return
@@ -255,29 +340,43 @@ class OutcomeRows:
 
     def _approach_times(self, finer: int = 0) -> np.ndarray:
         """The last instants, 2^finer times as close as usual."""
-        count = min(int(np.ceil(self.approach_s / APPROACH_STEP_S)), MAX_APPROACH_SAMPLES) * 2**finer
+        count = (
+            min(int(np.ceil(self.approach_s / APPROACH_STEP_S)), MAX_APPROACH_SAMPLES) * 2**finer
+        )
         return self.scenario.landing_s - self.approach_s * np.arange(count, -1, -1) / count
 
     def _land(
-        self, t: np.ndarray, up: np.ndarray, orbiter: np.ndarray, omega: np.ndarray, draw: dict[str, np.ndarray],
+        self,
+        t: np.ndarray,
+        up: np.ndarray,
+        orbiter: np.ndarray,
+        omega: np.ndarray,
+        draw: dict[str, np.ndarray],
         out: dict[str, np.ndarray],
-    ) -> None:  # fmt: skip
+    ) -> None:
         sine, shape, antenna = sc.STEEPEST_SINE, self.shape, self.vehicle.antenna
         assert shape is not None  # `lands`
-        normal = np.sqrt(sine**2 + (1 - sine**2) * draw["incidence"])  # cosine law: what a plane of any direction shows
+        normal = np.sqrt(
+            sine**2 + (1 - sine**2) * draw["incidence"]
+        )  # cosine law: what a plane of any direction shows
         speed = self.scenario.landing_speed_m_s
         contact = first_contact(shape, t, up, omega, speed * normal)
         velocity = speed * sc.about(-contact.up_B, normal, draw["heading"])
         out["contact_point"][:] = contact.point
         out["lowest_point"][:] = support(shape.points_B_m, -up[:, -1])[1]
         point = shape.points_B_m[contact.point]
-        out["contact_speed"][:] = np.linalg.norm(velocity + np.cross(contact.omega_B, point), axis=1)
+        out["contact_speed"][:] = np.linalg.norm(
+            velocity + np.cross(contact.omega_B, point), axis=1
+        )
         out["up_z"][:] = contact.up_B[:, 2]
         if self.vehicle.legs:
             tips = np.array([leg.tip_B_m for leg in self.vehicle.legs])
             at_tips = velocity[:, None] + np.cross(contact.omega_B[:, None], tips)
             out["leg_tip_speed"][:] = np.linalg.norm(at_tips, axis=2).max(axis=1)
-            rate, length = np.linalg.norm(contact.omega_B, axis=1), np.linalg.norm(tips, axis=1).max()
+            rate, length = (
+                np.linalg.norm(contact.omega_B, axis=1),
+                np.linalg.norm(tips, axis=1).max(),
+            )
             out["leg_tip_bound"][:] = speed + rate * length
         seen = _at(t, orbiter, contact.t_s)
         if antenna is not None:
@@ -286,7 +385,9 @@ class OutcomeRows:
             facet = rest_facet(shape, contact.up_B)
             out["rest_facet"][:] = facet
             if antenna is not None:
-                out["antenna_at_rest"][:] = _served(antenna, smallest_turn(contact.up_B, -shape.outward_B[facet], seen))
+                out["antenna_at_rest"][:] = _served(
+                    antenna, smallest_turn(contact.up_B, -shape.outward_B[facet], seen)
+                )
 
 
 def _served(antenna: Antenna, orbiter_B: np.ndarray) -> np.ndarray:
@@ -310,7 +411,10 @@ def _nothing(dtype: str) -> float:
 def _healthy(rows: k.Rows, instead: k.Rows, bad: np.ndarray) -> k.Rows:
     """Rows to go on with: failed ones restart from a finite state, and are blanked at the end."""
     use = (bad != 0)[:, None]
-    omega, sun = np.where(use, instead.omega_B, rows.omega_B), np.where(use, instead.sun_B, rows.sun_B)
+    omega, sun = (
+        np.where(use, instead.omega_B, rows.omega_B),
+        np.where(use, instead.sun_B, rows.sun_B),
+    )
     return k.Rows(omega, sun, np.where(use, instead.wheel_speed_rad_s, rows.wheel_speed_rad_s))
 
 
@@ -381,9 +485,20 @@ def outcomes(
     vehicle.require_inertia()
     scenario = scenario or own_scenario(vehicle)
     rows = OutcomeRows(
-        vehicle, scenario, sc.strategy_of(vehicle, strategy), candidates_of(vehicle, candidates, scenario), int(n), int(seed)
+        vehicle,
+        scenario,
+        sc.strategy_of(vehicle, strategy),
+        candidates_of(vehicle, candidates, scenario),
+        int(n),
+        int(seed),
     )
-    options: dict[str, Any] = {"workers": workers, "store": store, "scheduler": scheduler, "progress": progress, "chunk": chunk}
+    options: dict[str, Any] = {
+        "workers": workers,
+        "store": store,
+        "scheduler": scheduler,
+        "progress": progress,
+        "chunk": chunk,
+    }
     return dataset(rows, ensemble(rows, label="runs", **options))
 
 
@@ -391,5 +506,8 @@ def own_scenario(vehicle: Vehicle) -> sc.Scenario:
     if vehicle.name in case_names():
         return sc.case_scenario(replace(load_case(vehicle.name), vehicle=vehicle))
     raise InputError(
-        sentence(f"nothing is known of what happens to {vehicle.name!r}", do="give scenario=Scenario(...) with times and speeds")
+        sentence(
+            f"nothing is known of what happens to {vehicle.name!r}",
+            do="give scenario=Scenario(...) with times and speeds",
+        )
     )

@@ -90,7 +90,13 @@ def motions(unknown: Model, count: int, max_rate: float, seed: int) -> list[Stat
 def with_more_panels(vehicle: Vehicle) -> Vehicle:
     """The vehicle with cells on the sides that have none."""
     gain = float(np.mean(vehicle.panel_gains))
-    return replace(vehicle, panels=(*vehicle.panels, *(Panel(name, np.array(normal), gain) for name, normal in MORE_PANELS)))
+    return replace(
+        vehicle,
+        panels=(
+            *vehicle.panels,
+            *(Panel(name, np.array(normal), gain) for name, normal in MORE_PANELS),
+        ),
+    )
 
 
 def widths(vehicle: Vehicle, count: int = MOTIONS, seed: int = 0) -> Widths:
@@ -101,20 +107,33 @@ def widths(vehicle: Vehicle, count: int = MOTIONS, seed: int = 0) -> Widths:
     t = np.arange(0.0, WINDOW_S + 0.5 * finest, finest)
     full = float(vehicle.panel_gains.max())
     own = list(range(len(vehicle.panels)))
-    sets = {n: list(combinations(range(len(more.panels)), n)) for n in range(1, len(more.panels) + 1)}
+    sets = {
+        n: list(combinations(range(len(more.panels)), n)) for n in range(1, len(more.panels) + 1)
+    }
     speed = np.empty((len(NOISES), len(PERIODS_S), count))
-    volume, by_panels = np.empty_like(speed), {n: np.empty((len(chosen), count)) for n, chosen in sets.items()}
+    volume, by_panels = (
+        np.empty_like(speed),
+        {n: np.empty((len(chosen), count)) for n, chosen in sets.items()},
+    )
     for m, state in enumerate(motions(unknown, count, MAX_RATE, seed)):
         told = Information(unknown, exact_readings(unknown, state, t, USUAL_NOISE * full), state)
         for i, noise in enumerate(NOISES):
             for j, period in enumerate(PERIODS_S):
-                spread = told.covariance(slice(None, None, period // finest), own, noise / USUAL_NOISE)
-                speed[i, j, m], volume[i, j, m] = speed_sigma(spread, state.omega[0]), rate_volume(spread)
+                spread = told.covariance(
+                    slice(None, None, period // finest), own, noise / USUAL_NOISE
+                )
+                speed[i, j, m], volume[i, j, m] = (
+                    speed_sigma(spread, state.omega[0]),
+                    rate_volume(spread),
+                )
         for n, chosen in sets.items():
             for i, panels in enumerate(chosen):
                 spread = told.covariance(slice(None, None, USUAL_PERIOD_S // finest), list(panels))
                 by_panels[n][i, m] = speed_sigma(spread, state.omega[0])
-    names = {n: [tuple(more.panel_names[p] for p in panels) for panels in chosen] for n, chosen in sets.items()}
+    names = {
+        n: [tuple(more.panel_names[p] for p in panels) for panels in chosen]
+        for n, chosen in sets.items()
+    }
     return Widths(speed, volume, by_panels, names)
 
 
@@ -125,9 +144,13 @@ class Near(Search):
         super().__init__(workers, None, False)
         self.start = start
 
-    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
+    def starts(
+        self, model: Model, data: Readings, chosen: Plan, scale: float
+    ) -> tuple[State, np.ndarray]:
         """The given ones, each standing for itself, other unknowns at their centres."""
-        return replace(self.start, u=np.zeros((len(self.start), len(model.unknowns)))), np.ones(len(self.start), dtype=np.int64)
+        return replace(self.start, u=np.zeros((len(self.start), len(model.unknowns)))), np.ones(
+            len(self.start), dtype=np.int64
+        )
 
 
 def around(truth: State, period_s: float) -> State:
@@ -140,7 +163,9 @@ def around(truth: State, period_s: float) -> State:
     return State(truth.omega + grid, np.tile(truth.sun, (n, 1)), np.empty((n, 0)))
 
 
-def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, seed: int, workers: int | None) -> dict[str, Any]:
+def neighbours_left(
+    vehicle: Vehicle, period_s: float, irregular: bool, i: int, seed: int, workers: int | None
+) -> dict[str, Any]:
     """One twin: how many motions within a turn or so a period of the truth fit all samples, and the weight of the right one.
 
     Weights by Laplace's method; modes nearer to each other than a third of a turn a period, or than
@@ -153,14 +178,18 @@ def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, 
     t = np.arange(0.0, WINDOW_S + 1.0, period_s)
     jitter = rng.uniform(-IRREGULAR, IRREGULAR, len(t) - 1)
     t[1:] += period_s * jitter * irregular
-    telemetry = synthetic_telemetry(vehicle, Truth(state.omega[0], state.sun[0], t, scale=scale), seed=int(rng.integers(2**31)))
+    telemetry = synthetic_telemetry(
+        vehicle, Truth(state.omega[0], state.sun[0], t, scale=scale), seed=int(rng.integers(2**31))
+    )
     data, _, _ = readings(vehicle, telemetry)
     middle = np.arange(len(t) // 4, max(len(t) // 2, len(t) // 4 + 2))
     anchor = int(middle[np.argmax(data.lit[middle].sum(axis=1))])
     there = replace(unknown, after_s=float(data.t_s[anchor]))
     run = run_to(vehicle, unknown.rows(state), [there.after_s])
     truth = State(run["omega_B"][:, 0], run["sun_B"][:, 0], state.u)
-    chosen = Plan(anchor, np.array([anchor - 1, anchor + 1]), GRID_RAD / period_s, truth.sun, there.max_rate)
+    chosen = Plan(
+        anchor, np.array([anchor - 1, anchor + 1]), GRID_RAD / period_s, truth.sun, there.max_rate
+    )
     found = Near(around(truth, period_s), workers).modes(there, data.since(anchor), chosen, scale)
     log_weight = -found.objective - 0.5 * np.linalg.slogdet(found.hessian)[1]
     spread = np.linalg.inv(found.hessian)[:, :3, :3]
@@ -170,13 +199,19 @@ def neighbours_left(vehicle: Vehicle, period_s: float, irregular: bool, i: int, 
     each = np.array([logsumexp(log_weight[label == name]) for name in names])
     weight = np.exp(each - logsumexp(each))
     off = found.state.omega - truth.omega[0]
-    right = (np.linalg.norm(off, axis=1) < apart) | (np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) < NEAR_SIGMAS**2)
+    right = (np.linalg.norm(off, axis=1) < apart) | (
+        np.einsum("ni,nij,nj->n", off, np.linalg.inv(spread), off) < NEAR_SIGMAS**2
+    )
     of_true = np.isin(names, label[right])
     return {
-        "period_s": period_s, "irregular": irregular, "twin": i, "samples": len(t), "motions": int((weight >= 0.01).sum()),
+        "period_s": period_s,
+        "irregular": irregular,
+        "twin": i,
+        "samples": len(t),
+        "motions": int((weight >= 0.01).sum()),
         "weight_of_true": float(weight[of_true].sum()),
         "omega": state.omega[0].tolist(),
-    }  # fmt: skip
+    }
 
 
 def linked(points: np.ndarray, covariance: np.ndarray, apart: float) -> np.ndarray:
@@ -186,12 +221,19 @@ def linked(points: np.ndarray, covariance: np.ndarray, apart: float) -> np.ndarr
     """
     gap = points[:, None] - points[None]
     both = np.linalg.inv(covariance[:, None] + covariance[None])
-    near = (np.linalg.norm(gap, axis=-1) < apart) | (np.einsum("abi,abij,abj->ab", gap, both, gap) < LINK_SIGMAS**2)
+    near = (np.linalg.norm(gap, axis=-1) < apart) | (
+        np.einsum("abi,abij,abj->ab", gap, both, gap) < LINK_SIGMAS**2
+    )
     return connected_components(csr_matrix(near), directed=False)[1]
 
 
 def aliases(
-    vehicle: Vehicle, out: Path, twins: int, seed: int = 0, periods: Sequence[float] = ALIAS_PERIODS_S, workers: int | None = None
+    vehicle: Vehicle,
+    out: Path,
+    twins: int,
+    seed: int = 0,
+    periods: Sequence[float] = ALIAS_PERIODS_S,
+    workers: int | None = None,
 ) -> list[dict[str, Any]]:
     """Those of `twins` twins at every period, regular and irregular, reading what is in `out` already."""
     rows_folder(out)
@@ -199,27 +241,46 @@ def aliases(
     for i in range(twins):
         for period in periods:
             for irregular in (False, True):
-                path = out / f"{seed}-{period:g}-{'irregular' if irregular else 'regular'}-{i:03d}.json"
-                rows.append(kept(path, partial(neighbours_left, vehicle, float(period), irregular, i, seed, workers)))
+                path = (
+                    out
+                    / f"{seed}-{period:g}-{'irregular' if irregular else 'regular'}-{i:03d}.json"
+                )
+                rows.append(
+                    kept(
+                        path,
+                        partial(
+                            neighbours_left, vehicle, float(period), irregular, i, seed, workers
+                        ),
+                    )
+                )
     return rows
 
 
 @command
 def main(arguments: list[str] | None = None) -> None:
     """Compute widths and aliases, and print what they say."""
-    parser = argparse.ArgumentParser(prog="python -m sunspin.landing.sampling", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m sunspin.landing.sampling", description=main.__doc__
+    )
     parser.add_argument("out", type=Path)
     parser.add_argument("--twins", type=int, default=4)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--periods", type=lambda text: [float(x) for x in text.split(",")], default=ALIAS_PERIODS_S)
+    parser.add_argument(
+        "--periods", type=lambda text: [float(x) for x in text.split(",")], default=ALIAS_PERIODS_S
+    )
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
     craft = load_case("philae").vehicle
     found = widths(craft, seed=given.seed)
     usual = NOISES.index(USUAL_NOISE)
     for j, period in enumerate(PERIODS_S):
-        speed, volume = np.median(found.speed_by_noise[usual, j]), np.median(found.volume_by_noise[usual, j])
-        print(f"period {period:4d} s: sigma of the angular speed {speed:.2g} rad/s, 90 % volume {volume:.2g} (rad/s)^3")
+        speed, volume = (
+            np.median(found.speed_by_noise[usual, j]),
+            np.median(found.volume_by_noise[usual, j]),
+        )
+        print(
+            f"period {period:4d} s: sigma of the angular speed {speed:.2g} rad/s, 90 % volume {volume:.2g} (rad/s)^3"
+        )
     for n, values in found.speed_by_panels.items():
         each = np.median(values, axis=1)
         best = found.subsets[n][int(np.argmin(each))]

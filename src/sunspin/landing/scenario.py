@@ -23,7 +23,17 @@ SPIRAL = 20_000
 STEEPEST_SINE = 0.2
 """Landings flatter than this (normal speed over speed; 12 degrees) are left out: they would last too long to sample."""
 
-DRAWS = ("candidate", "leg", "polar", "azimuth", "vertical", "orbiter_polar", "orbiter_azimuth", "incidence", "heading")
+DRAWS = (
+    "candidate",
+    "leg",
+    "polar",
+    "azimuth",
+    "vertical",
+    "orbiter_polar",
+    "orbiter_azimuth",
+    "incidence",
+    "heading",
+)
 """What is drawn for each run, in this order: uniform numbers of its own generator. New ones are added at the end."""
 
 
@@ -69,26 +79,43 @@ class Scenario:
             object.__setattr__(self, name, tuple(float(x) for x in np.ravel(getattr(self, name))))
         sun = np.array(self.sun_B)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) < 1e-2:
-            raise InputError(sentence("sun_B must be a unit vector of three components", got=self.sun_B))
+            raise InputError(
+                sentence("sun_B must be a unit vector of three components", got=self.sun_B)
+            )
         axis = np.array(self.collision_axis_B)
         if axis.shape != (3,) or not (np.all(np.isfinite(axis)) and np.linalg.norm(axis) > 0):
-            raise InputError(sentence("collision_axis_B must be three numbers, not all zero", got=self.collision_axis_B))
+            raise InputError(
+                sentence(
+                    "collision_axis_B must be three numbers, not all zero",
+                    got=self.collision_axis_B,
+                )
+            )
         object.__setattr__(self, "collision_axis_B", tuple(axis / np.linalg.norm(axis)))
         if isinstance(self.orbiter, str):
             known = self.orbiter in ("above_horizon", "any")
         else:
             known = np.shape(self.orbiter) == (3,) and np.linalg.norm(self.orbiter) > 0
         if not known:
-            raise InputError(sentence('orbiter must be "above_horizon", "any" or three numbers', got=self.orbiter))
+            raise InputError(
+                sentence(
+                    'orbiter must be "above_horizon", "any" or three numbers', got=self.orbiter
+                )
+            )
         self._check_times_and_speeds()
 
     def _check_times_and_speeds(self) -> None:
         for name in ("restitution", "damper"):
             if not 0 <= getattr(self, name) <= 1:
-                raise InputError(sentence(f"{name} must be a share between 0 and 1", got=getattr(self, name)))
+                raise InputError(
+                    sentence(f"{name} must be a share between 0 and 1", got=getattr(self, name))
+                )
         for name in ("before_s", "lead_s"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(sentence(f"{name} must be zero or a positive time in s", got=getattr(self, name)))
+                raise InputError(
+                    sentence(
+                        f"{name} must be zero or a positive time in s", got=getattr(self, name)
+                    )
+                )
         for name in ("after_s", "landing_speed_m_s", "collision_speed_m_s"):
             value: float | None = getattr(self, name)
             if value is None and name == "collision_speed_m_s":
@@ -143,9 +170,10 @@ def times_of(timeline: Timeline | None) -> dict[str, float]:
 
 
 TIMES = {
-    "lead_s": ("first_touchdown", "first_sample_after_touchdown"), "before_s": ("first_sample_after_touchdown", "collision"),
+    "lead_s": ("first_touchdown", "first_sample_after_touchdown"),
+    "before_s": ("first_sample_after_touchdown", "collision"),
     "after_s": ("collision", "second_touchdown"),
-}  # fmt: skip
+}
 """Time of a scenario -> the events between which it is."""
 
 
@@ -155,8 +183,13 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     With `rebound` candidates are at the first direction of that telemetry.
     """
     if case.timeline is None or "kernel_speed_before" not in case.published:
-        raise InputError(sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own"))
-    published, times = case.published, {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()}
+        raise InputError(
+            sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own")
+        )
+    published, times = (
+        case.published,
+        {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()},
+    )
     if case.assumptions.study.lead_s is not None:
         times["lead_s"] = case.assumptions.study.lead_s
     if rebound is not None:
@@ -166,9 +199,12 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
         collision_speed_m_s=published["kernel_speed_before"].value,
         landing_speed_m_s=published["kernel_speed_before_landing"].value,
-        lead_s=times["lead_s"], before_s=times["before_s"], after_s=times["after_s"],
-        restitution=case.assumptions.collision.restitution, damper=case.assumptions.collision.damper,
-    )  # fmt: skip
+        lead_s=times["lead_s"],
+        before_s=times["before_s"],
+        after_s=times["after_s"],
+        restitution=case.assumptions.collision.restitution,
+        damper=case.assumptions.collision.damper,
+    )
 
 
 def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scenario:
@@ -182,12 +218,19 @@ def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scena
     timeline = timeline_of(vehicle)
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
-        return replace(case_scenario(replace(case, vehicle=craft, timeline=timeline or case.timeline)), **given)
+        return replace(
+            case_scenario(replace(case, vehicle=craft, timeline=timeline or case.timeline)), **given
+        )
     speeds = tuple(wheel.speed_rad_s for wheel in craft.wheels)
     known: dict[str, Any] = {"wheel_speed_rad_s": speeds, **times_of(timeline), **given}
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in known:
-            raise InputError(sentence(f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"))
+            raise InputError(
+                sentence(
+                    f"{option} is missing",
+                    do=f"no times and directions are known of {craft.name!r}",
+                )
+            )
     return Scenario(**known)
 
 
@@ -231,7 +274,9 @@ def strategy_of(vehicle: Vehicle, given: Any) -> Strategy:
         found = Strategy("schedule", tuple((float(t), str(command)) for t, command in given))
     else:
         known = f"{', '.join(NAMED)}, delay:SECONDS"
-        raise InputError(sentence("there is no wheel strategy of this name", got=given, do=f"known: {known}"))
+        raise InputError(
+            sentence("there is no wheel strategy of this name", got=given, do=f"known: {known}")
+        )
     schedules(vehicle, found.schedule)
     return found
 
@@ -255,7 +300,9 @@ def spiral(count: int = SPIRAL) -> np.ndarray:
     """Directions (count, 3) evenly spread over the sphere (Fibonacci spiral)."""
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
-    return np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=-1)
+    return np.stack(
+        [np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], axis=-1
+    )
 
 
 def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
@@ -267,10 +314,17 @@ def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
             return _legs_down(vehicle, shape_of(vehicle))
     elif np.ndim(wanted) == 0 and 0 < float(wanted) <= np.pi:
         up = standing_up(vehicle)
-        return spiral()[spiral() @ up >= np.cos(float(wanted))], f"within {np.degrees(float(wanted)):g} degrees of {up}"
+        return spiral()[
+            spiral() @ up >= np.cos(float(wanted))
+        ], f"within {np.degrees(float(wanted)):g} degrees of {up}"
     elif np.shape(wanted) == (3,) and np.linalg.norm(wanted) > 0:
         return np.atleast_2d(np.array(wanted, float) / np.linalg.norm(wanted)), "one direction"
-    raise InputError(sentence('vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers', got=wanted))
+    raise InputError(
+        sentence(
+            'vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers',
+            got=wanted,
+        )
+    )
 
 
 def standing_up(vehicle: Vehicle) -> np.ndarray:
@@ -288,7 +342,12 @@ def _legs_down(vehicle: Vehicle, shape: Shape | None) -> tuple[np.ndarray, str]:
         return spiral()[spiral() @ up > 0], "every direction on the legs' side (no hull is given)"
     found = spiral()[legs_down(shape, spiral())]
     if not len(found):
-        raise InputError(sentence("no leg of this vehicle can be its lowest point", do="check the hull, or give a vertical"))
+        raise InputError(
+            sentence(
+                "no leg of this vehicle can be its lowest point",
+                do="check the hull, or give a vertical",
+            )
+        )
     return found, "every direction for which an end of a leg was the lowest point at the touchdown"
 
 

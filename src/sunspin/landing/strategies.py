@@ -21,10 +21,22 @@ STRATEGIES = ("off", "held", "delay:1200", "delay:3000", "brake", "after_rest")
 DELAYS_S = (0.0, 300.0, 600.0, 1200.0, 1800.0, 2400.0, 3000.0, 3600.0, 4500.0, 5400.0, 6300.0)
 LEVELS = (0.05, 0.5, 0.95)
 TABLE = (
-    "touch_leg", "touch_panel", "touch_body", "rest_leg", "rest_panel", "leg_tip_speed", "contact_speed", "antenna_share",
-    "antenna_at_contact", "antenna_at_rest", "rz_time_below_0", "rz_time_below_-0.5", "rz_ever_below_-0.5", "rate_before",
+    "touch_leg",
+    "touch_panel",
+    "touch_body",
+    "rest_leg",
+    "rest_panel",
+    "leg_tip_speed",
+    "contact_speed",
+    "antenna_share",
+    "antenna_at_contact",
+    "antenna_at_rest",
+    "rz_time_below_0",
+    "rz_time_below_-0.5",
+    "rz_ever_below_-0.5",
+    "rate_before",
     "rate_after",
-)  # fmt: skip
+)
 """Quantities of a printed comparison."""
 
 BOOTSTRAP = 400
@@ -59,10 +71,16 @@ def compare(
     for strategy in strategies:
         name = strategy_of(vehicle, strategy).name
         own = None if store is None else Path(store) / name.replace(":", "-")
-        runs[name] = outcomes(vehicle, candidates, strategy, n, seed, scenario=scenario, store=own, **options)
+        runs[name] = outcomes(
+            vehicle, candidates, strategy, n, seed, scenario=scenario, store=own, **options
+        )
         if (runs[name]["outcome"].values != 0).all():
-            why = "; ".join(OUTCOME_TEXT[Outcome(code)] for code in np.unique(runs[name]["outcome"].values))
-            raise InputError(sentence(f"no run of the strategy {name!r} could be computed", got=why))
+            why = "; ".join(
+                OUTCOME_TEXT[Outcome(code)] for code in np.unique(runs[name]["outcome"].values)
+            )
+            raise InputError(
+                sentence(f"no run of the strategy {name!r} could be computed", got=why)
+            )
     names = list(runs)
     tallies = {name: tally(found) for name, found in runs.items()}
     quantities = list(tallies[names[0]])
@@ -87,15 +105,24 @@ def compare(
 
 
 def compared(
-    table: xr.Dataset, runs: Mapping[str, xr.Dataset], best: xr.Dataset | None = None, collision: xr.Dataset | None = None
+    table: xr.Dataset,
+    runs: Mapping[str, xr.Dataset],
+    best: xr.Dataset | None = None,
+    collision: xr.Dataset | None = None,
 ) -> xr.DataTree:
     """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy.
 
     With `best`, of :func:`best_delay`, as `best_delay`; and with `collision`, runs weighted by what is known of the blow.
     """
     nodes = {"strategies": table} | {f"runs/{name}": found for name, found in runs.items()}
-    nodes |= {name: part for name, part in (("best_delay", best), ("collision", collision)) if part is not None}
-    return xr.DataTree.from_dict({"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes})
+    nodes |= {
+        name: part
+        for name, part in (("best_delay", best), ("collision", collision))
+        if part is not None
+    }
+    return xr.DataTree.from_dict(
+        {"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes}
+    )
 
 
 def _quantiles(values: np.ndarray | None) -> np.ndarray:
@@ -109,7 +136,9 @@ def records(table: xr.Dataset) -> list[dict[str, Any]]:
     return [
         {"quantity": name}
         | {
-            str(s): Estimate(*(table[part].sel(strategy=s, quantity=name).item() for part in ("value", "error")))
+            str(s): Estimate(
+                *(table[part].sel(strategy=s, quantity=name).item() for part in ("value", "error"))
+            )
             for s in table["strategy"].values
         }
         for name in known
@@ -143,12 +172,24 @@ def best_delay(
     scenario = scenario or own_scenario(vehicle)
     if delays_s is None:
         end = scenario.landing_s
-        delays_s = DELAYS_S if end > DELAYS_S[-1] else np.linspace(0.0, end, len(DELAYS_S), endpoint=False).round(1).tolist()
-    table, runs = compare(vehicle, candidates, [delayed(t) for t in delays_s], n, seed, scenario, **options)
+        delays_s = (
+            DELAYS_S
+            if end > DELAYS_S[-1]
+            else np.linspace(0.0, end, len(DELAYS_S), endpoint=False).round(1).tolist()
+        )
+    table, runs = compare(
+        vehicle, candidates, [delayed(t) for t in delays_s], n, seed, scenario, **options
+    )
     each = [per_run(found).get(metric) for found in runs.values()]
     if each[0] is None or not np.isfinite(each[0]).any():
         known = ", ".join(table["quantity"].values)
-        raise InputError(sentence("these runs do not tell the quantity to be made largest", got=metric, do=f"known: {known}"))
+        raise InputError(
+            sentence(
+                "these runs do not tell the quantity to be made largest",
+                got=metric,
+                do=f"known: {known}",
+            )
+        )
     values = np.array(each)
     values = values[:, np.isfinite(values).all(axis=0)]
     best = int(np.argmax(values.mean(axis=1)))
@@ -157,14 +198,24 @@ def best_delay(
     delays = np.array(delays_s, dtype=np.float64)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n, len(delays))))
     size = values.shape[1]
-    winners = [delays[np.argmax(values[:, rng.integers(size, size=size)].mean(axis=1))] for _ in range(BOOTSTRAP)]
+    winners = [
+        delays[np.argmax(values[:, rng.integers(size, size=size)].mean(axis=1))]
+        for _ in range(BOOTSTRAP)
+    ]
     low, high = np.quantile(winners, [0.16, 0.84], method="nearest")
     by = "strategy"
-    return table.assign(
-        behind=(by, behind), behind_error=(by, error), as_good=(by, behind >= -2 * error)
-    ).assign_coords(delay_s=(by, delays, {"units": "s"})).assign_attrs(
-        kind="best_delay", metric=metric, best_s=float(delays[best]), spread_s=[float(low), float(high)]
-    )  # fmt: skip
+    return (
+        table.assign(
+            behind=(by, behind), behind_error=(by, error), as_good=(by, behind >= -2 * error)
+        )
+        .assign_coords(delay_s=(by, delays, {"units": "s"}))
+        .assign_attrs(
+            kind="best_delay",
+            metric=metric,
+            best_s=float(delays[best]),
+            spread_s=[float(low), float(high)],
+        )
+    )
 
 
 def settling(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, Any]]:
@@ -184,17 +235,30 @@ def settling(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, Any]]:
     weight = vehicle.require_mass() * gravity_m_s2 / feet
     found = []
     for wheel in vehicle.wheels:
-        friction = wheel.friction.coulomb_N_m + wheel.friction.viscous_N_m_s * abs(wheel.speed_rad_s)
+        friction = wheel.friction.coulomb_N_m + wheel.friction.viscous_N_m_s * abs(
+            wheel.speed_rad_s
+        )
         momentum = wheel.inertia_kg_m2 * abs(wheel.speed_rad_s)
-        ways = {"off": (friction, spin_down_time(wheel.friction, wheel.inertia_kg_m2, wheel.speed_rad_s))}
+        ways = {
+            "off": (
+                friction,
+                spin_down_time(wheel.friction, wheel.inertia_kg_m2, wheel.speed_rad_s),
+            )
+        }
         if wheel.brake_torque_N_m is not None:
             ways["brake"] = (friction + wheel.brake_torque_N_m, momentum / wheel.brake_torque_N_m)
         for way, (torque, time) in ways.items():
             force = torque / (feet * lever)
             found.append(
                 {
-                    "wheel": wheel.name, "way": way, "torque_N_m": torque, "momentum_N_m_s": momentum, "foot_force_N": force,
-                    "weight_per_foot_N": weight, "friction_coefficient": force / weight, "stop_s": float(time),
+                    "wheel": wheel.name,
+                    "way": way,
+                    "torque_N_m": torque,
+                    "momentum_N_m_s": momentum,
+                    "foot_force_N": force,
+                    "weight_per_foot_N": weight,
+                    "friction_coefficient": force / weight,
+                    "stop_s": float(time),
                 }
-            )  # fmt: skip
+            )
     return found

@@ -53,7 +53,9 @@ QUANTITIES = {
     "antenna_share": Quantity("antenna holds the orbiter, share of the time"),
     "antenna_at_contact": Quantity("antenna holds the orbiter at contact"),
     "antenna_at_rest": Quantity("antenna holds the orbiter at rest"),
-    "rz_time_below_-0.5": Quantity("Sun more than 120 deg from the z axis (r_z below -0.5), share of the time"),
+    "rz_time_below_-0.5": Quantity(
+        "Sun more than 120 deg from the z axis (r_z below -0.5), share of the time"
+    ),
     "rz_time_below_-0.2": Quantity("r_z below -0.2, share of the time"),
     "rz_time_below_0": Quantity("Sun below the body's equator (r_z below 0), share of the time"),
     "rz_ever_below_-0.5": Quantity("r_z ever below -0.5"),
@@ -94,13 +96,20 @@ def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Est
     x = np.asarray(values, dtype=np.float64)
     w = np.ones_like(x) if weights is None else np.asarray(weights, dtype=np.float64)
     if x.shape != w.shape or x.ndim != 1 or np.any(w < 0):
-        raise InputError(sentence("an estimate needs values (n) and as many weights, none negative", got=(x.shape, w.shape)))
+        raise InputError(
+            sentence(
+                "an estimate needs values (n) and as many weights, none negative",
+                got=(x.shape, w.shape),
+            )
+        )
     use = np.isfinite(x) & (w > 0)
     if not use.any():
         return Estimate(np.nan, np.nan)
     x, w = x[use], w[use]
     mean = float(w @ x / w.sum())
-    return Estimate(mean, float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum()) if x.size > 1 else np.nan)
+    return Estimate(
+        mean, float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum()) if x.size > 1 else np.nan
+    )
 
 
 def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
@@ -111,7 +120,9 @@ def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -
     found = estimate(x, weights)
     if found.value not in (0.0, 1.0):
         return found
-    n = effective_runs(np.isfinite(x) * (1.0 if weights is None else np.asarray(weights, dtype=np.float64)))
+    n = effective_runs(
+        np.isfinite(x) * (1.0 if weights is None else np.asarray(weights, dtype=np.float64))
+    )
     return Estimate(found.value, float(np.sqrt((n + 1) / n) / (n + 2)))
 
 
@@ -137,7 +148,9 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
     """
     share = runs["rz_share"].values.astype(np.float64)
     if merge < 1 or share.shape[1] % merge:
-        raise InputError(sentence(f"merge must divide the number of bins, {share.shape[1]}", got=merge))
+        raise InputError(
+            sentence(f"merge must divide the number of bins, {share.shape[1]}", got=merge)
+        )
     share = share.reshape(len(share), -1, merge).sum(axis=2)
     width = 2.0 / share.shape[1]
     pairs = [estimate(column, weights) for column in share.T]
@@ -154,7 +167,8 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
 def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, Estimate]:
     """Probabilities and means of all that the runs tell (names as in `per_run`); what they do not tell is absent."""
     found = {
-        name: (probability if name.startswith(TRUTHS) else estimate)(values, weights) for name, values in per_run(runs).items()
+        name: (probability if name.startswith(TRUTHS) else estimate)(values, weights)
+        for name, values in per_run(runs).items()
     }
     return {name: value for name, value in found.items() if np.isfinite(value.value)}
 
@@ -170,7 +184,15 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
     found = dict(_low_sun(runs))
     for name in ("omega_before_B", "omega_after_B"):
         found[f"rate_{name.split('_')[1]}"] = np.linalg.norm(runs[name].values, axis=1)
-    for name in ("velocity_change", "speed_after", "contact_speed", "leg_tip_speed", "leg_tip_bound", "up_z", "antenna_share"):
+    for name in (
+        "velocity_change",
+        "speed_after",
+        "contact_speed",
+        "leg_tip_speed",
+        "leg_tip_bound",
+        "up_z",
+        "antenna_share",
+    ):
         found[name] = runs[name].values
     for name in ("antenna_at_contact", "antenna_at_rest"):
         found[name] = told(runs[name].values)
@@ -195,7 +217,11 @@ def _low_sun(runs: xr.Dataset) -> Iterator[tuple[str, np.ndarray]]:
 def lowest_rz(runs: xr.Dataset) -> np.ndarray:
     """Lower edge (n) of the lowest bin of r_z that each run reaches."""
     share = runs["rz_share"].values
-    return np.where(np.isnan(share[:, 0]), np.nan, runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1])
+    return np.where(
+        np.isnan(share[:, 0]),
+        np.nan,
+        runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1],
+    )
 
 
 def _contacts(runs: xr.Dataset) -> dict[str, np.ndarray]:

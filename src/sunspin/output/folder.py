@@ -44,17 +44,29 @@ def results_folder(path: Any, command: str) -> Path:
         if is_own(marker):
             if (made := maker(marker)) != command:
                 raise OutputError(
-                    sentence(f"the folder holds results of `sunspin {made}`", do="choose another --out", where=str(folder))
+                    sentence(
+                        f"the folder holds results of `sunspin {made}`",
+                        do="choose another --out",
+                        where=str(folder),
+                    )
                 )
         elif {*folder.iterdir()} - atomic_write.left(folder):
             raise OutputError(
-                sentence("the folder is not empty and not a results folder", do="choose another --out", where=str(folder))
+                sentence(
+                    "the folder is not empty and not a results folder",
+                    do="choose another --out",
+                    where=str(folder),
+                )
             )
         atomic_write.sweep(folder)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(
-            sentence(f"results cannot be written here ({error.strerror or error})", do="choose another --out", where=str(folder))
+            sentence(
+                f"results cannot be written here ({error.strerror or error})",
+                do="choose another --out",
+                where=str(folder),
+            )
         ) from None
     return folder
 
@@ -71,15 +83,20 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
         return atomic_write.write_whole(target, write)
     except OSError as error:
         raise OutputError(
-            sentence(f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
-                     do="free space or choose another --out", where=str(target))
-        ) from None  # fmt: skip
+            sentence(
+                f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
+                do="free space or choose another --out",
+                where=str(target),
+            )
+        ) from None
 
 
 def write_json(target: Path, data: Any) -> Path:
     """Write plain data as JSON; numbers that are not finite become null, half characters of file names escapes."""
     text = json.dumps(plain(data), indent=1, ensure_ascii=False, allow_nan=False)
-    return write_whole(target, lambda part: part.write_bytes((text + "\n").encode("utf-8", "backslashreplace")))
+    return write_whole(
+        target, lambda part: part.write_bytes((text + "\n").encode("utf-8", "backslashreplace"))
+    )
 
 
 def plain(value: Any) -> Any:
@@ -120,7 +137,11 @@ def write_netcdf(target: Path, data: Any) -> Path:
 
 
 def write_run(
-    folder: Path, summary: dict[str, Any], vehicle: Any = None, telemetry: Any = None, pictures: Sequence[Picture] = ()
+    folder: Path,
+    summary: dict[str, Any],
+    vehicle: Any = None,
+    telemetry: Any = None,
+    pictures: Sequence[Picture] = (),
 ) -> None:
     """Write what a report of the run needs beside its results: `summary.json`, the vehicle's file, the samples, the captions.
 
@@ -137,5 +158,8 @@ def write_run(
     if telemetry is not None:
         write_netcdf(folder / "telemetry.nc", telemetry)
     if pictures:
-        write_json(folder / "figures.json", [{"file": p.path.name, "alt": p.alt, "caption": p.caption} for p in pictures])
+        write_json(
+            folder / "figures.json",
+            [{"file": p.path.name, "alt": p.alt, "caption": p.caption} for p in pictures],
+        )
     write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})

@@ -34,7 +34,9 @@ class Result:
         if not isinstance(name, str) or name not in KINDS:
             what = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
             do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
-            raise InputError(sentence(f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do))
+            raise InputError(
+                sentence(f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do)
+            )
         return KINDS[name]
 
     def summary(self) -> Summary:
@@ -66,11 +68,22 @@ class Result:
         """
         from sunspin.output.kinds.kind import Beside
 
-        known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, Beside(telemetry))}
+        known = {
+            drawing.name: drawing for drawing in self._kind.drawings(self._data, Beside(telemetry))
+        }
         if not known:
-            raise InputError(sentence(f"a result of kind {self._data.attrs['kind']!r} has no figure", do="print its summary()"))
+            raise InputError(
+                sentence(
+                    f"a result of kind {self._data.attrs['kind']!r} has no figure",
+                    do="print its summary()",
+                )
+            )
         if name is not None and name not in known:
-            raise InputError(sentence("there is no figure of this name", got=name, do=f"known: {', '.join(known)}"))
+            raise InputError(
+                sentence(
+                    "there is no figure of this name", got=name, do=f"known: {', '.join(known)}"
+                )
+            )
         return known[name or next(iter(known))].make()
 
     def save(
@@ -108,13 +121,19 @@ class Result:
         kind, beside = self._kind, Beside(telemetry, vehicle)
         path = results_folder(folder, kind.command)
         drawn = [*kind.drawings(self._data, beside), *drawings]
-        at_once([
-            lambda: kind.write(self._data, path, beside),
-            *(lambda one=one: save(one.make(), path, one.name) for one in drawn),
-        ])  # fmt: skip
+        at_once(
+            [
+                lambda: kind.write(self._data, path, beside),
+                *(lambda one=one: save(one.make(), path, one.name) for one in drawn),
+            ]
+        )
         pictures = [Picture(path / f"{one.name}.png", one.alt, one.caption) for one in drawn]
         said = {} if telemetry is None else telemetry.attrs
-        inputs = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}] if "sha256" in said else []
+        inputs = (
+            [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}]
+            if "sha256" in said
+            else []
+        )
         summary = {**self.summary(), **(also or {}), "command": command, "inputs": inputs}
         write_run(path, summary, vehicle, telemetry, pictures)
         return path

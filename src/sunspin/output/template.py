@@ -18,7 +18,11 @@ def write_templates(folder: Path) -> list[Path]:
     targets = [folder / name for name in TEMPLATES]
     for target in targets:
         if os.path.lexists(target):
-            raise OutputError(sentence("this file is there already", do="choose another folder", where=str(target)))
+            raise OutputError(
+                sentence(
+                    "this file is there already", do="choose another folder", where=str(target)
+                )
+            )
     written: list[Path] = []
     try:
         make_folder(folder)
@@ -30,6 +34,10 @@ def write_templates(folder: Path) -> list[Path]:
         for target in written:
             target.unlink(missing_ok=True)
         raise OutputError(
-            sentence(f"files cannot be written here ({error.strerror or error})", do="choose another folder", where=str(folder))
+            sentence(
+                f"files cannot be written here ({error.strerror or error})",
+                do="choose another folder",
+                where=str(folder),
+            )
         ) from None
     return targets

@@ -13,14 +13,19 @@ def number_text(value: Any, digits: int = 5) -> str:
     """A number with so many digits, lists in parentheses, sets of names as 2-3; 2-3-6, yes or no, anything else as it is."""
     value = plain(value)
     if isinstance(value, list):
-        if value and all(isinstance(one, list) and one and all(isinstance(name, str) for name in one) for one in value):
+        if value and all(
+            isinstance(one, list) and one and all(isinstance(name, str) for name in one)
+            for one in value
+        ):
             return "; ".join("-".join(names) for names in value)
         mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
         return "(" + mark.join(number_text(item, digits) for item in value) + ")"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
-        return "; ".join(f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items())
+        return "; ".join(
+            f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items()
+        )
     if isinstance(value, float):
         return f"{value:z.{digits}g}" if np.isfinite(value) else "none"
     return "none" if value is None else str(value)

@@ -63,7 +63,9 @@ def posterior_volume(tree: Any) -> float:
     return float(sum(rate_volume(c) for c in modes["omega_cov_B"].values[told]))
 
 
-def against(case: Case, tree: Any, coarser: int = 1, workers: int | None = None, progress: bool = False) -> Against:
+def against(
+    case: Case, tree: Any, coarser: int = 1, workers: int | None = None, progress: bool = False
+) -> Against:
     """Scan the grid against the case's telemetry and compare its level sets with the posterior of the same samples."""
     rebound = rb.rebound_samples(case, sun_directions(case.vehicle, case.telemetry))
     measured_z = rebound["sun_B"].values[is_reconstructed(rebound["status"]), 2]
@@ -82,16 +84,25 @@ def against(case: Case, tree: Any, coarser: int = 1, workers: int | None = None,
     lines = rb.published_lines(case)
     low, high = case.published["scan_omega_z"].value
     length = sum((high - low) / abs(direction[2]) for _, direction in lines)
-    sets["printed lines, one grid step wide"] = None, float(length * case.published["scan_step"].value ** 2)
+    sets["printed lines, one grid step wide"] = (
+        None,
+        float(length * case.published["scan_step"].value ** 2),
+    )
     omega = tree["posterior"]["omega_B"].values.reshape(-1, 3)
     origin, along = (np.array(part) for part in zip(*lines, strict=True))
     apart = distances(omega.mean(axis=0)[None], origin, along)[:, 0]
     return Against(
-        omega, posterior_volume(tree), sets, lines, int(np.argmin(apart)), float(apart.min()), rb.twin_truth(case), step,
-        (low, high), bool(case.telemetry.attrs.get("synthetic")),
+        omega,
+        posterior_volume(tree),
+        sets,
+        lines,
+        int(np.argmin(apart)),
+        float(apart.min()),
+        rb.twin_truth(case),
+        step,
+        (low, high),
+        bool(case.telemetry.attrs.get("synthetic")),
     )
-
-
 
 
 def along_line(line: tuple[np.ndarray, np.ndarray], low: float, high: float) -> np.ndarray:

@@ -96,7 +96,9 @@ class Candidates:
         """Least and largest of angles (n), rad, over the cells of the grid; `values` is one of the properties below."""
         if self.probable:
             return self.range(values)
-        return max(float((values - self.angle_cell).min()), 0.0), min(float((values + self.angle_cell).max()), np.pi)
+        return max(float((values - self.angle_cell).min()), 0.0), min(
+            float((values + self.angle_cell).max()), np.pi
+        )
 
     @property
     def smaller_angle(self) -> np.ndarray:
@@ -118,11 +120,17 @@ class Candidates:
         body = ("candidate", "axis")
         return xr.Dataset(
             {
-                "omega_B": (body, self.states.omega_B, {"units": "rad s-1"}), "sun_B": (body, self.states.sun_B, {"units": "1"}),
-                "wheel_speed_rad_s": (("candidate", "wheel"), self.states.wheel_speed_rad_s, {"units": "rad s-1"}),
+                "omega_B": (body, self.states.omega_B, {"units": "rad s-1"}),
+                "sun_B": (body, self.states.sun_B, {"units": "1"}),
+                "wheel_speed_rad_s": (
+                    ("candidate", "wheel"),
+                    self.states.wheel_speed_rad_s,
+                    {"units": "rad s-1"},
+                ),
             },
-            coords={"axis": ["x", "y", "z"]}, attrs={"about": self.about, "chain": self.chain},
-        )  # fmt: skip
+            coords={"axis": ["x", "y", "z"]},
+            attrs={"about": self.about, "chain": self.chain},
+        )
 
 
 @dataclass(frozen=True)
@@ -148,26 +156,62 @@ class Chain:
 
 
 def described(
-    rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, seed: int, probable: bool = False
+    rebound: rb.Rebound,
+    name: str,
+    chain: str,
+    about: str,
+    states: Rows,
+    seed: int,
+    probable: bool = False,
 ) -> Candidates:
     """Candidates that stand for themselves alone, with what is asked of them."""
-    speed = np.linalg.norm(rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR), axis=1)
+    speed = np.linalg.norm(
+        rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR), axis=1
+    )
     return _with_runs(rebound, name, chain, about, states, speed, seed, probable)
 
 
 def _with_runs(
-    rebound: rb.Rebound, name: str, chain: str, about: str, states: Rows, speed: np.ndarray, seed: int, probable: bool = False,
+    rebound: rb.Rebound,
+    name: str,
+    chain: str,
+    about: str,
+    states: Rows,
+    speed: np.ndarray,
+    seed: int,
+    probable: bool = False,
     cell_rad_s: float = 0.0,
-) -> Candidates:  # fmt: skip
+) -> Candidates:
     """The same with the speeds at the touchdown known; runs to the collision are made for even draws only."""
     vehicle = rebound.case.vehicle
-    draws = states if len(states) <= DRAWS else states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
-    speed_collision = np.linalg.norm(end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR), axis=1)
+    draws = (
+        states
+        if len(states) <= DRAWS
+        else states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
+    )
+    speed_collision = np.linalg.norm(
+        end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR), axis=1
+    )
     height = _heights(rebound, draws.take(np.arange(min(HEIGHT_DRAWS, len(draws)))))
     theta, alpha, momentum = rb.momentum_angles(vehicle, states)
-    turn = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1]) * cell_rad_s / max(float(np.median(momentum)), 1e-12)
+    turn = (
+        float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
+        * cell_rad_s
+        / max(float(np.median(momentum)), 1e-12)
+    )
     return Candidates(
-        name, chain, about, states, speed, theta, alpha, speed_collision, height, probable, cell_rad_s, float(np.arctan(turn))
+        name,
+        chain,
+        about,
+        states,
+        speed,
+        theta,
+        alpha,
+        speed_collision,
+        height,
+        probable,
+        cell_rad_s,
+        float(np.arctan(turn)),
     )
 
 
@@ -199,9 +243,15 @@ def scanned(rebound: rb.Rebound, table: Table, emd: np.ndarray) -> Scanned:
 
 
 def compute(
-    scan: Scanned, carries: Carries, source: str = "scan", twins: int | None = None, seed: int = 0, *, workers: int | None = None,
+    scan: Scanned,
+    carries: Carries,
+    source: str = "scan",
+    twins: int | None = None,
+    seed: int = 0,
+    *,
+    workers: int | None = None,
     progress: bool = False,
-) -> Chain:  # fmt: skip
+) -> Chain:
     """The candidates of this telemetry, from the source asked for.
 
     Parameters
@@ -217,24 +267,46 @@ def compute(
     """
     rebound, case = scan.rebound, scan.rebound.case
     if source != "published" and carries.reasons:
-        raise TelemetryError(sentence("nothing can be concluded from these readings", got="; ".join(carries.reasons),
-                                      do="check the panels' columns, gains and units"))  # fmt: skip
-    found = calibration(case, rebound, scan.table, twins, seed, workers=workers, progress=progress) if source == "scan" else None
+        raise TelemetryError(
+            sentence(
+                "nothing can be concluded from these readings",
+                got="; ".join(carries.reasons),
+                do="check the panels' columns, gains and units",
+            )
+        )
+    found = (
+        calibration(case, rebound, scan.table, twins, seed, workers=workers, progress=progress)
+        if source == "scan"
+        else None
+    )
     if source == "scan":
         _refuse_unfit(scan, found)
     start = scan.table.rows.start
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
     cell = float(np.linalg.norm(steps)) / 2
-    speeds = ensemble(rb.speeds_back(case, start, rebound.lead_s, DIRECTION_ERROR), workers=workers)["speed"]
+    speeds = ensemble(
+        rb.speeds_back(case, start, rebound.lead_s, DIRECTION_ERROR), workers=workers
+    )["speed"]
 
     def of(name: str, chain: str, about: str, chosen: np.ndarray) -> Candidates:
         index = np.flatnonzero(chosen & np.isfinite(scan.emd))
-        return _with_runs(rebound, name, chain, about, start.take(index), speeds[index], seed, cell_rad_s=cell)
+        return _with_runs(
+            rebound, name, chain, about, start.take(index), speeds[index], seed, cell_rad_s=cell
+        )
 
-    box = of("box", source, "the whole scanned box: what was possible before the data", np.ones(len(speeds), dtype=bool))
+    box = of(
+        "box",
+        source,
+        "the whole scanned box: what was possible before the data",
+        np.ones(len(speeds), dtype=bool),
+    )
     factor = case.assumptions.study.near_minimum_factor
-    recipe = of("recipe", "scan", f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest",
-                scan.emd < factor * scan.smallest)  # fmt: skip
+    recipe = of(
+        "recipe",
+        "scan",
+        f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest",
+        scan.emd < factor * scan.smallest,
+    )
     share, verdict = float("nan"), ""
     if source == "scan":
         assert found is not None
@@ -247,9 +319,14 @@ def compute(
         chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)
     elif source == "published":
         about = "the lines that the paper prints, whatever this telemetry says"
-        chosen = described(rebound, "set", source, about, rebound.states(rb.published_candidates(case)), seed)
+        chosen = described(
+            rebound, "set", source, about, rebound.states(rb.published_candidates(case)), seed
+        )
     else:
-        states, about = rebound.states(_from_file(Path(source))), f"the motions of {Path(source).name}"
+        states, about = (
+            rebound.states(_from_file(Path(source))),
+            f"the motions of {Path(source).name}",
+        )
         chosen = described(rebound, "set", Path(source).name, about, states, seed)
     return Chain(case, rebound, chosen, box, recipe, found, share, scan.smallest, verdict)
 
@@ -257,17 +334,20 @@ def compute(
 def _refuse_unfit(scan: Scanned, found: Calibration | None) -> None:
     if found is None:
         raise TelemetryError(
-            sentence("the threshold of the set is not calibrated for these data", do="run without --calibrate 0: it takes a minute")
+            sentence(
+                "the threshold of the set is not calibrated for these data",
+                do="run without --calibrate 0: it takes a minute",
+            )
         )
     if found.unusual(scan.smallest):
         raise TelemetryError(
             sentence(
                 "no motion of the model fits the heights of the Sun",
                 got=f"a smallest EMD of {scan.smallest:.4f}, where {found.n} synthetic rebounds like these data have "
-                    f"{found.emd_min.min():.4f} to {found.emd_min.max():.4f}",
+                f"{found.emd_min.min():.4f} to {found.emd_min.max():.4f}",
                 do="check the vehicle, the wheel's command and the panels' gains",
             )
-        )  # fmt: skip
+        )
 
 
 def _from_posterior(
@@ -278,14 +358,23 @@ def _from_posterior(
 
     case, times = rebound.case, rebound.samples["utc_s"].values
     tree = posterior(
-        case.vehicle, case.telemetry, seed=seed, begin_s=float(times[rebound.first]), end_s=float(times[-1]),
-        draws=POSTERIOR_DRAWS, workers=workers, progress=progress,
-    )  # fmt: skip
+        case.vehicle,
+        case.telemetry,
+        seed=seed,
+        begin_s=float(times[rebound.first]),
+        end_s=float(times[-1]),
+        draws=POSTERIOR_DRAWS,
+        workers=workers,
+        progress=progress,
+    )
     if tree.attrs["verdict_word"] == "not explained":
-        raise TelemetryError(sentence("no motion explains the readings of the rebound", got=tree.attrs["verdict"]))
+        raise TelemetryError(
+            sentence("no motion explains the readings of the rebound", got=tree.attrs["verdict"])
+        )
     drawn = tree["posterior"].to_dataset()
     omega, sun, speeds = (
-        drawn[name].values.reshape(-1, drawn[name].shape[-1]) for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
+        drawn[name].values.reshape(-1, drawn[name].shape[-1])
+        for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )
     states = Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
     about = f"{len(states)} draws of the posterior of the readings ({tree.attrs['verdict_word']})"
@@ -294,26 +383,49 @@ def _from_posterior(
     direction = rng.standard_normal((DRAWS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
-    before = described(rebound, "box", "posterior", f"even in the ball of {radius:g} rad/s of the posterior's "
-        "prior", ball, seed, True)
-    return described(rebound, "set", "posterior", about, states, seed, True), before, str(tree.attrs["verdict"])
+    before = described(
+        rebound,
+        "box",
+        "posterior",
+        f"even in the ball of {radius:g} rad/s of the posterior's prior",
+        ball,
+        seed,
+        True,
+    )
+    return (
+        described(rebound, "set", "posterior", about, states, seed, True),
+        before,
+        str(tree.attrs["verdict"]),
+    )
 
 
 def _from_file(path: Path) -> np.ndarray:
     """Rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4."""
     if not path.is_file():
         raise InputError(
-            sentence("--candidates takes scan, posterior, published or a file, and there is no such file", got=str(path),
-                     do="give a table with columns omega_x, omega_y, omega_z in rad/s")
-        )  # fmt: skip
+            sentence(
+                "--candidates takes scan, posterior, published or a file, and there is no such file",
+                got=str(path),
+                do="give a table with columns omega_x, omega_y, omega_z in rad/s",
+            )
+        )
     table = read_table(path)
     try:
         at = [table.header.index(name) for name in ("omega_x", "omega_y", "omega_z")]
     except ValueError as error:
         raise InputError(
-            sentence(f"candidates need columns omega_x, omega_y, omega_z, rad/s ({error})", where=str(path))
+            sentence(
+                f"candidates need columns omega_x, omega_y, omega_z, rad/s ({error})",
+                where=str(path),
+            )
         ) from None
     omega = table.numbers(at)
     if not len(omega) or not np.all(np.isfinite(omega)):
-        raise InputError(sentence("candidates must be finite rates, one row each", got=f"{len(omega)} rows", where=str(path)))
+        raise InputError(
+            sentence(
+                "candidates must be finite rates, one row each",
+                got=f"{len(omega)} rows",
+                where=str(path),
+            )
+        )
     return omega

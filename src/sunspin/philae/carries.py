@@ -79,7 +79,9 @@ class Carries:
     @property
     def descent_order(self) -> bool:
         """Whether the order of the descent's samples holds a spin."""
-        return self.descent_E is not None and self.descent_E < ORDERED * float(self.shuffled_E.min())
+        return self.descent_E is not None and self.descent_E < ORDERED * float(
+            self.shuffled_E.min()
+        )
 
     @property
     def first_line(self) -> str:
@@ -134,28 +136,51 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     """Look at the Sun directions of the whole landing (`sun_directions`) and at the descent's fit, if there is one."""
     status = sun["status"].values
     kept = is_reconstructed(status) & whole_panels(case, sun)
-    early = (sun["time"].values < rb.case_seconds(case, sun, "second_touchdown")) & (status != SunStatus.MISSING)
+    early = (sun["time"].values < rb.case_seconds(case, sun, "second_touchdown")) & (
+        status != SunStatus.MISSING
+    )
     forbidden = sun.isel(time=early & (status == SunStatus.IMPOSSIBLE))
     samples = rb.rebound_samples(case, sun)
     told = is_reconstructed(samples["status"])
     delta = float(sun["delta"].values[kept].mean()) if kept.any() else float("nan")
     rng = generator(seed, 9)
     limit = case.published["delta_max"].value
-    unexplained = int(np.count_nonzero((forbidden["delta"].values > limit) | ~_turned_show(case, forbidden["lit"].values)))
+    unexplained = int(
+        np.count_nonzero(
+            (forbidden["delta"].values > limit) | ~_turned_show(case, forbidden["lit"].values)
+        )
+    )
     error, shuffled = (None, np.zeros(0)) if descent is None else _descent_order(descent, rng)
     near, chance = _neighbours(samples["sun_B"].values[told], rng)
     reasons = []
     if delta > limit:
-        reasons.append(f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample")
+        reasons.append(
+            f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample"
+        )
     if unexplained > MOST_IMPOSSIBLE * int(early.sum()):
-        reasons.append(f"{unexplained} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
-            "Sun makes")
+        reasons.append(
+            f"{unexplained} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
+            "Sun makes"
+        )
     if told.sum() < LEAST_TOLD:
-        reasons.append(f"only {int(told.sum())} samples between first touchdown and collision give a direction")
+        reasons.append(
+            f"only {int(told.sum())} samples between first touchdown and collision give a direction"
+        )
     return Carries(
-        case, bool(sun.attrs.get("synthetic")), delta, int(kept.sum()), forbidden.sizes["time"], unexplained,
-        int(early.sum()), int(told.sum()), error, shuffled, near, chance, tuple(reasons),
-    )  # fmt: skip
+        case,
+        bool(sun.attrs.get("synthetic")),
+        delta,
+        int(kept.sum()),
+        forbidden.sizes["time"],
+        unexplained,
+        int(early.sum()),
+        int(told.sum()),
+        error,
+        shuffled,
+        near,
+        chance,
+        tuple(reasons),
+    )
 
 
 def _turned_show(case: Case, lit: np.ndarray) -> np.ndarray:
@@ -167,7 +192,9 @@ def _turned_show(case: Case, lit: np.ndarray) -> np.ndarray:
     if not len(lit) or not own.any():
         return np.zeros(len(lit), dtype=bool)
     rng, names = generator(0, 10), np.array(case.vehicle.input_names)
-    shown = patterns_of_turned(case.vehicle, np.array([drawn_tilts(case.vehicle, own, rng) for _ in range(TURNS)]))
+    shown = patterns_of_turned(
+        case.vehicle, np.array([drawn_tilts(case.vehicle, own, rng) for _ in range(TURNS)])
+    )
     return np.array([frozenset(names[row].tolist()) in shown for row in lit])
 
 
@@ -190,7 +217,9 @@ def _neighbours(directions: np.ndarray, rng: np.random.Generator) -> tuple[float
         return float(np.arccos(np.clip(cosine, -1, 1)).mean())
 
     own = mean_angle(np.arange(len(directions)))
-    others = np.array([mean_angle(rng.permutation(len(directions))) for _ in range(NEIGHBOUR_SHUFFLES)])
+    others = np.array(
+        [mean_angle(rng.permutation(len(directions))) for _ in range(NEIGHBOUR_SHUFFLES)]
+    )
     return own, float(np.mean(others <= own))
 
 
@@ -200,18 +229,49 @@ def rows(r: Carries) -> list[Row]:
     misfit, largest = case.published["delta_mean"].value, case.published["delta_max"].value
     found = [
         row(
-            case, "carries_patterns", r.impossible / max(r.early, 1), tolerance=MOST_IMPOSSIBLE,
-            holds=r.unexplained <= MOST_IMPOSSIBLE * r.early, whose=whose, impossible=r.impossible, early=r.early,
+            case,
+            "carries_patterns",
+            r.impossible / max(r.early, 1),
+            tolerance=MOST_IMPOSSIBLE,
+            holds=r.unexplained <= MOST_IMPOSSIBLE * r.early,
+            whose=whose,
+            impossible=r.impossible,
+            early=r.early,
             unexplained=r.unexplained,
         ),
-        row(case, "carries_delta", r.delta, published=misfit, holds=bool(r.delta <= largest), whose=whose, directions=r.directions),
-    ]  # fmt: skip
+        row(
+            case,
+            "carries_delta",
+            r.delta,
+            published=misfit,
+            holds=bool(r.delta <= largest),
+            whose=whose,
+            directions=r.directions,
+        ),
+    ]
     if r.descent_E is not None:
         least, most = r.shuffled_E.min(), r.shuffled_E.max()
         found.append(
             row(
-                case, "carries_descent_order", r.descent_E / float(least), tolerance=ORDERED, holds=r.descent_order, whose=whose,
-                best=r.descent_E, orders=len(r.shuffled_E), least=least, most=most,
+                case,
+                "carries_descent_order",
+                r.descent_E / float(least),
+                tolerance=ORDERED,
+                holds=r.descent_order,
+                whose=whose,
+                best=r.descent_E,
+                orders=len(r.shuffled_E),
+                least=least,
+                most=most,
             )
-        )  # fmt: skip
-    return [*found, row(case, "carries_rebound_order", r.chance, whose=whose, neighbours=np.degrees(r.neighbours_rad))]
+        )
+    return [
+        *found,
+        row(
+            case,
+            "carries_rebound_order",
+            r.chance,
+            whose=whose,
+            neighbours=np.degrees(r.neighbours_rad),
+        ),
+    ]

@@ -42,7 +42,11 @@ TDB_MINUS_UTC_S = 67.184
 
 def published_facts(case: Case) -> dict[str, float]:
     """The kernel's facts as they ship with the case: name without `kernel_` -> value in m/s (m)."""
-    return {key.removeprefix("kernel_"): fact.value for key, fact in case.published.items() if key.startswith("kernel_")}
+    return {
+        key.removeprefix("kernel_"): fact.value
+        for key, fact in case.published.items()
+        if key.startswith("kernel_")
+    }
 
 
 def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
@@ -62,7 +66,13 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
     path = Path(folder).joinpath(*KERNEL)
     facts = _read(path, lambda states: _facts(case, states))
     if not all(0 <= value < 1e3 * LARGEST for value in facts.values()):
-        raise InputError(sentence("the trajectory kernel holds no speeds of this landing", do="download it again", where=str(path)))
+        raise InputError(
+            sentence(
+                "the trajectory kernel holds no speeds of this landing",
+                do="download it again",
+                where=str(path),
+            )
+        )
     return facts
 
 
@@ -74,7 +84,9 @@ def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
 def _read(path: Path, asked: Callable[[_KernelStates], T]) -> T:
     """What is asked of a kernel's states; an `InputError` where it cannot be read."""
     try:
-        with np.errstate(all="ignore"):  # a damaged record may hold any numbers; they are judged by who asks
+        with np.errstate(
+            all="ignore"
+        ):  # a damaged record may hold any numbers; they are judged by who asks
             return asked(_KernelStates(path))
     except spice_errors() as error:
         short = " ".join(str(error).split()).strip("= ")[:200]
@@ -83,7 +95,9 @@ def _read(path: Path, asked: Callable[[_KernelStates], T]) -> T:
 
 
 def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
-    begin, collision, landing = (tdb_of(case, name) for name in ("first_touchdown", "collision", "second_touchdown"))
+    begin, collision, landing = (
+        tdb_of(case, name) for name in ("first_touchdown", "collision", "second_touchdown")
+    )
     before, after = states(collision), states(collision + 1.0)
     down, up = states(landing), states(landing + 1.0)
     path = np.array([states(t)[:3] for t in np.arange(np.ceil(begin), collision, 1.0)])
@@ -120,7 +134,11 @@ def _has_spk_summaries(path: Path) -> bool:
     with open(path, "rb") as file:
         record = file.read(1024)
     order = ">" if record[88:96] == b"BIG-IEEE" else "<"
-    return record[:7] == b"DAF/SPK" and len(record) == 1024 and struct.unpack(f"{order}ii", record[8:16]) == (2, 6)
+    return (
+        record[:7] == b"DAF/SPK"
+        and len(record) == 1024
+        and struct.unpack(f"{order}ii", record[8:16]) == (2, 6)
+    )
 
 
 class _KernelStates:
@@ -130,12 +148,22 @@ class _KernelStates:
         try:
             import spiceypy
         except ImportError:
-            raise InputError(sentence("reading a trajectory kernel needs spiceypy", do='pip install "sunspin[spice]"')) from None
+            raise InputError(
+                sentence(
+                    "reading a trajectory kernel needs spiceypy", do='pip install "sunspin[spice]"'
+                )
+            ) from None
         if not path.is_file():
             raise InputError(
-                sentence("the trajectory kernel is not there", do="docs/data.md says where it comes from", where=str(path))
+                sentence(
+                    "the trajectory kernel is not there",
+                    do="docs/data.md says where it comes from",
+                    where=str(path),
+                )
             )
-        damaged = InputError(sentence("the trajectory kernel is damaged", do="download it again", where=str(path)))
+        damaged = InputError(
+            sentence("the trajectory kernel is damaged", do="download it again", where=str(path))
+        )
         if not _has_spk_summaries(path):
             raise damaged
         self.spice = spiceypy
@@ -173,13 +201,20 @@ def weights(runs: xr.Dataset, facts: dict[str, float], sigma_m_s: float = SIGMA_
 def period_weights(rate_rad_s: np.ndarray, period_s: float) -> np.ndarray:
     """Likelihood (n) of rates if the magnetometer's period is that of the body rate, which is one reading of three."""
     with np.errstate(divide="ignore"):
-        return np.nan_to_num(np.exp(-0.5 * ((2 * np.pi / rate_rad_s - period_s) / SIGMA_PERIOD_S) ** 2), nan=0.0)
+        return np.nan_to_num(
+            np.exp(-0.5 * ((2 * np.pi / rate_rad_s - period_s) / SIGMA_PERIOD_S) ** 2), nan=0.0
+        )
 
 
 QUANTITIES = {
-    "effective_runs": "1", "rate_before": "rad s-1", "rate_after": "rad s-1", "spin_after": "rad s-1",
-    "precession_after": "rad s-1", "median_period_after": "s", "period_agrees": "1",
-}  # fmt: skip
+    "effective_runs": "1",
+    "rate_before": "rad s-1",
+    "rate_after": "rad s-1",
+    "spin_after": "rad s-1",
+    "precession_after": "rad s-1",
+    "median_period_after": "s",
+    "period_agrees": "1",
+}
 """What is said of each weighting -> its unit."""
 
 
@@ -201,32 +236,54 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
         of drawn collisions within two sigma of both facts; `fact_value (fact)`.
     """
     facts = facts or published_facts(case)
-    rate = {name: np.linalg.norm(runs[f"omega_{name}_B"].values, axis=1) for name in ("before", "after")}
+    rate = {
+        name: np.linalg.norm(runs[f"omega_{name}_B"].values, axis=1) for name in ("before", "after")
+    }
     spin = period_weights(rate["before"], case.published["romap_period_before"].value)
     by_sigma = {sigma: weights(runs, facts, sigma) for sigma in SIGMAS_M_S}
     cases = {"as drawn": np.isfinite(rate["after"]).astype(float)}
     cases |= {f"kernel, sigma {sigma:g} m/s": weight for sigma, weight in by_sigma.items()}
     cases |= {"13 s before": spin, "kernel and 13 s before": by_sigma[SIGMA_M_S] * spin}
     lines = [_line(weight, runs, rate, case) for weight in cases.values()]
-    near = np.hypot(runs["velocity_change"].values - facts["velocity_change"], runs["speed_after"].values - facts["speed_after"])
+    near = np.hypot(
+        runs["velocity_change"].values - facts["velocity_change"],
+        runs["speed_after"].values - facts["speed_after"],
+    )
     explained = estimate(np.where(np.isnan(near), np.nan, near < 2 * SIGMA_M_S))
     pure, by = {"units": "1"}, ("weighting", "quantity")
-    return runs[["velocity_change", "speed_after", "omega_before_B", "omega_after_B", "leg"]].assign(
-        weight=("run", by_sigma[SIGMA_M_S], pure | {"long_name": "likelihood under the kernel's speeds"}),
-        value=(by, [[line[name].value for name in QUANTITIES] for line in lines]),
-        error=(by, [[line[name].error for name in QUANTITIES] for line in lines]),
-        explained=((), explained.value, pure), explained_error=((), explained.error, pure),
-        fact_value=("fact", list(facts.values())),
-    ).assign_coords(
-        weighting=list(cases), quantity=list(QUANTITIES), unit=("quantity", list(QUANTITIES.values())),
-        fact=list(facts), fact_unit=("fact", ["m" if name == "path_length" else "m s-1" for name in facts]),
-    ).assign_attrs(
-        kind="collision", sigma_m_s=SIGMA_M_S, sigma_period_s=SIGMA_PERIOD_S,
-        period_after_s=float(case.published["romap_period_after"].value),
-    )  # fmt: skip
+    return (
+        runs[["velocity_change", "speed_after", "omega_before_B", "omega_after_B", "leg"]]
+        .assign(
+            weight=(
+                "run",
+                by_sigma[SIGMA_M_S],
+                pure | {"long_name": "likelihood under the kernel's speeds"},
+            ),
+            value=(by, [[line[name].value for name in QUANTITIES] for line in lines]),
+            error=(by, [[line[name].error for name in QUANTITIES] for line in lines]),
+            explained=((), explained.value, pure),
+            explained_error=((), explained.error, pure),
+            fact_value=("fact", list(facts.values())),
+        )
+        .assign_coords(
+            weighting=list(cases),
+            quantity=list(QUANTITIES),
+            unit=("quantity", list(QUANTITIES.values())),
+            fact=list(facts),
+            fact_unit=("fact", ["m" if name == "path_length" else "m s-1" for name in facts]),
+        )
+        .assign_attrs(
+            kind="collision",
+            sigma_m_s=SIGMA_M_S,
+            sigma_period_s=SIGMA_PERIOD_S,
+            period_after_s=float(case.published["romap_period_after"].value),
+        )
+    )
 
 
-def _line(weight: np.ndarray, runs: xr.Dataset, rate: dict[str, np.ndarray], case: Case) -> dict[str, Estimate]:
+def _line(
+    weight: np.ndarray, runs: xr.Dataset, rate: dict[str, np.ndarray], case: Case
+) -> dict[str, Estimate]:
     inertia = case.vehicle.require_inertia()
     across = (inertia[0, 0] + inertia[1, 1]) / 2
     wanted = case.published["romap_period_after"].value
@@ -238,7 +295,9 @@ def _line(weight: np.ndarray, runs: xr.Dataset, rate: dict[str, np.ndarray], cas
         "spin_after": estimate(np.abs(runs["omega_after_B"].values[:, 2]), weight),
         "precession_after": estimate(runs["momentum_after"].values / across, weight),
         "median_period_after": Estimate(weighted_median(period, weight), np.nan),
-        "period_agrees": estimate(np.where(np.isnan(period), np.nan, np.abs(period - wanted) < 2 * SIGMA_PERIOD_S), weight),
+        "period_agrees": estimate(
+            np.where(np.isnan(period), np.nan, np.abs(period - wanted) < 2 * SIGMA_PERIOD_S), weight
+        ),
     }
 
 

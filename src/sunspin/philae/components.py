@@ -66,21 +66,43 @@ class ComponentRows:
         return len(self.states)
 
     def identity(self) -> dict[str, Any]:
-        return {**code(), "rows": "histograms of all components", "vehicle": plain(self.vehicle), "duration_s": self.duration_s,
-                "mask": plain(self.mask)}  # fmt: skip
+        return {
+            **code(),
+            "rows": "histograms of all components",
+            "vehicle": plain(self.vehicle),
+            "duration_s": self.duration_s,
+            "mask": plain(self.mask),
+        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         t = np.arange(STEP_S, self.duration_s + STEP_S / 2, STEP_S)
-        track = k.run_rows(self.vehicle, self.states.take(index), t, direction_error=DIRECTION_ERROR).sun_B
-        seen = np.ones(track.shape[:-1], dtype=bool) if self.mask is None else allows(self.mask, track)
+        track = k.run_rows(
+            self.vehicle, self.states.take(index), t, direction_error=DIRECTION_ERROR
+        ).sun_B
+        seen = (
+            np.ones(track.shape[:-1], dtype=bool) if self.mask is None else allows(self.mask, track)
+        )
         place = np.clip(((track + 1) * BINS / 2).astype(int), 0, BINS - 1)
         number = np.broadcast_to(np.arange(len(index))[:, None], seen.shape)[seen] * BINS
-        count = [np.bincount(number + place[..., axis][seen], minlength=len(index) * BINS) for axis in range(3)]
-        return {"hist": np.stack(count, axis=0).reshape(3, len(index), BINS).swapaxes(0, 1).astype(np.float32)}
+        count = [
+            np.bincount(number + place[..., axis][seen], minlength=len(index) * BINS)
+            for axis in range(3)
+        ]
+        return {
+            "hist": np.stack(count, axis=0)
+            .reshape(3, len(index), BINS)
+            .swapaxes(0, 1)
+            .astype(np.float32)
+        }
 
 
 def compute(
-    case: Case, rebound: rb.Rebound, seed: int = 0, coarser: int = 1, workers: int | None = None, twins: int = TWINS
+    case: Case,
+    rebound: rb.Rebound,
+    seed: int = 0,
+    coarser: int = 1,
+    workers: int | None = None,
+    twins: int = TWINS,
 ) -> Components:
     """Scan with each component in turn, and calibrate each."""
     axes = rb.grid(case, coarser * COARSER).values()
@@ -91,14 +113,30 @@ def compute(
     hist = ensemble(rows, workers=workers, chunk=CHUNK)["hist"]
     found: dict[str, tuple[float, float, float]] = {}
     for axis, name in enumerate("xyz"):
-        scan, true = (np.ascontiguousarray(hist[part, axis]) for part in (slice(None, len(grid)), slice(len(grid), None)))
+        scan, true = (
+            np.ascontiguousarray(hist[part, axis])
+            for part in (slice(None, len(grid)), slice(len(grid), None))
+        )
         targets = [(one.seen_B[:, axis], one.weights) for one in alike]
-        ratio = [_distances(true[i : i + 1], *target)[0] / _distances(scan, *target).min() for i, target in enumerate(targets)]
-        factor = float(np.sort(ratio)[check_confidence(len(ratio), case.assumptions.study.confidence)])
+        ratio = [
+            _distances(true[i : i + 1], *target)[0] / _distances(scan, *target).min()
+            for i, target in enumerate(targets)
+        ]
+        factor = float(
+            np.sort(ratio)[check_confidence(len(ratio), case.assumptions.study.confidence)]
+        )
         emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis], rebound.weights)
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))
     emd_min, factor, share = ({name: values[i] for name, values in found.items()} for i in range(3))
-    return Components(case, emd_min, factor, share, bool(rebound.samples.attrs.get("synthetic")), len(alike), len(grid))
+    return Components(
+        case,
+        emd_min,
+        factor,
+        share,
+        bool(rebound.samples.attrs.get("synthetic")),
+        len(alike),
+        len(grid),
+    )
 
 
 def _distances(hist: np.ndarray, measured: np.ndarray, weights: np.ndarray | None) -> np.ndarray:
@@ -111,10 +149,20 @@ def rows(r: Components) -> list[Row]:
     """The paper's remark on r_x and r_y beside what the three scans leave."""
     shares = [r.share[name] for name in "xyz"]
     whose = "synthetic telemetry" if r.synthetic else "this telemetry"
-    each = "; ".join(f"r_{n}: smallest EMD {r.emd_min[n]:.4f}, set below {r.factor[n]:.2f} times it" for n in "xyz")
+    each = "; ".join(
+        f"r_{n}: smallest EMD {r.emd_min[n]:.4f}, set below {r.factor[n]:.2f} times it"
+        for n in "xyz"
+    )
     return [
         row(
-            r.case, "components", shares, agrees=bool(shares[2] < min(shares[:2])),
-            confidence=r.case.assumptions.study.confidence, whose=whose, each=each, twins=r.twins, motions=r.motions,
+            r.case,
+            "components",
+            shares,
+            agrees=bool(shares[2] < min(shares[:2])),
+            confidence=r.case.assumptions.study.confidence,
+            whose=whose,
+            each=each,
+            twins=r.twins,
+            motions=r.motions,
         )
-    ]  # fmt: skip
+    ]

@@ -46,10 +46,15 @@ def rows(result: Contradictions) -> list[Row]:
     """One row for each statement; `holds` says whether it stands."""
     case = result.case
     return [
-        *_direction_rows(case), *motion.model_rows(case), *_time_rows(case), *_descent_rows(case),
-        *motion.precession_rows(case, result.lines), *motion.collision_rows(case, result.lines), *motion.rest_rows(case),
+        *_direction_rows(case),
+        *motion.model_rows(case),
+        *_time_rows(case),
+        *_descent_rows(case),
+        *motion.precession_rows(case, result.lines),
+        *motion.collision_rows(case, result.lines),
+        *motion.rest_rows(case),
         *_text_rows(case),
-    ]  # fmt: skip
+    ]
 
 
 def _degrees_between(a: np.ndarray, b: np.ndarray) -> float:
@@ -65,11 +70,22 @@ def _direction_rows(case: Case) -> list[Row]:
     rms = float(np.degrees(2 * np.arcsin(np.sqrt(published["descent_E"]))))
     return [
         row(
-            case, "contradiction_first_direction_length", [length, apart], quoted=list(published["first_sun_E_study"]),
-            first=list(published["first_sun"]), other_z=other_z[2], still=_degrees_between(first, other_z), bound=(1 - length) / 2,
+            case,
+            "contradiction_first_direction_length",
+            [length, apart],
+            quoted=list(published["first_sun_E_study"]),
+            first=list(published["first_sun"]),
+            other_z=other_z[2],
+            still=_degrees_between(first, other_z),
+            bound=(1 - length) / 2,
         ),
-        row(case, "contradiction_two_errors", rms, published=float(np.degrees(published["delta_mean"]))),
-    ]  # fmt: skip
+        row(
+            case,
+            "contradiction_two_errors",
+            rms,
+            published=float(np.degrees(published["delta_mean"])),
+        ),
+    ]
 
 
 def _descent_spacing_s(case: Case) -> float:
@@ -79,27 +95,39 @@ def _descent_spacing_s(case: Case) -> float:
 
 
 def _time_rows(case: Case) -> list[Row]:
-    published, between = {key: figure.value for key, figure in case.published.items()}, case.require_timeline().seconds
+    published, between = (
+        {key: figure.value for key, figure in case.published.items()},
+        case.require_timeline().seconds,
+    )
     descent = _descent_spacing_s(case) / 60
     minutes, samples = published["duration_after_collision"], published["samples_after_collision"]
     usual, flight, stated = (
-        published["sampling_interval"], between("first_touchdown", "collision") / 60, published["window_before_collision"]
-    )  # fmt: skip
+        published["sampling_interval"],
+        between("first_touchdown", "collision") / 60,
+        published["window_before_collision"],
+    )
     z = published["nz_descent"]
     around = np.linspace(0.0, 2 * np.pi, TURN_POINTS, endpoint=False)
     seen = turned([np.sqrt(1 - z**2), 0.0, z], [0, 0, 1], around)
     share = float(np.mean(allows(reconstructible_mask(case.vehicle), seen)))
     return [
         row(
-            case, "contradiction_sampling_descent", [descent, minutes / samples], published=[usual, usual], share=100 * share,
+            case,
+            "contradiction_sampling_descent",
+            [descent, minutes / samples],
+            published=[usual, usual],
+            share=100 * share,
             seen=descent * share,
         ),
         row(case, "contradiction_window", flight, published=stated, times=(flight / stated) ** 2),
-    ]  # fmt: skip
+    ]
 
 
 def _descent_rows(case: Case) -> list[Row]:
-    published, between = {key: figure.value for key, figure in case.published.items()}, case.require_timeline().seconds
+    published, between = (
+        {key: figure.value for key, figure in case.published.items()},
+        case.require_timeline().seconds,
+    )
     cubic, duration = np.array(published["descent_rate_cubic"]), 3600.0 * published["descent_span"]
     t = np.linspace(0.0, duration, CUBIC_POINTS)
     rate = np.polynomial.polynomial.polyval(t, cubic)
@@ -107,7 +135,9 @@ def _descent_rows(case: Case) -> list[Row]:
     rounding = float(np.polynomial.polynomial.polyval(duration, HALF_DIGITS))
     inside = float(np.mean((rate >= low - 0.5e-5) & (rate <= high + 0.5e-5)))
     wheel, inertia = case.vehicle.wheels[0], case.vehicle.require_inertia()
-    change = [float(inertia[2, 2] * span / wheel.inertia_kg_m2) for span in (high - low, np.ptp(rate))]
+    change = [
+        float(inertia[2, 2] * span / wheel.inertia_kg_m2) for span in (high - low, np.ptp(rate))
+    ]
     early, spacing = between("descent_fit_begins", "unfolding_ends"), _descent_spacing_s(case)
     number = published["descent_samples"][0]
     interval = 60.0 * published["sampling_interval"]
@@ -117,15 +147,32 @@ def _descent_rows(case: Case) -> list[Row]:
     worst = max(error_of_rate([one], regular, seen) for one in tied)
     return [
         row(
-            case, "contradiction_cubic_range", [float(rate.min()), float(rate.max())], published=[low, high], rounding=rounding,
-            inside=100 * inside, change=change, wheel=wheel.speed_rad_s, largest_at=t[np.argmax(rate)], mean=rate.mean(),
+            case,
+            "contradiction_cubic_range",
+            [float(rate.min()), float(rate.max())],
+            published=[low, high],
+            rounding=rounding,
+            inside=100 * inside,
+            change=change,
+            wheel=wheel.speed_rad_s,
+            largest_at=t[np.argmax(rate)],
+            mean=rate.mean(),
         ),
         row(
-            case, "contradiction_descent_start", -early / 60, tolerance=published["sampling_interval"],
-            after=(number - 1) * spacing / 60, shadowed=early / spacing,
+            case,
+            "contradiction_descent_start",
+            -early / 60,
+            tolerance=published["sampling_interval"],
+            after=(number - 1) * spacing / 60,
+            shadowed=early / spacing,
         ),
         row(
-            case, "contradiction_descent_alias", tied.tolist(), interval=interval, slow=np.pi / interval, worst=max(worst, 1e-15)
+            case,
+            "contradiction_descent_alias",
+            tied.tolist(),
+            interval=interval,
+            slow=np.pi / interval,
+            worst=max(worst, 1e-15),
         ),
     ]
 
@@ -135,6 +182,9 @@ def _text_rows(case: Case) -> list[Row]:
     return [
         row(case, "contradiction_promised_probability", "no number given"),
         row(
-            case, "contradiction_section_5", [published["last_section"], 2.2], published=[published["cited_section"], 2.3]
+            case,
+            "contradiction_section_5",
+            [published["last_section"], 2.2],
+            published=[published["cited_section"], 2.3],
         ),
     ]

@@ -49,17 +49,25 @@ def lines(case: Case) -> Lines:
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
     rules = {
         f"evenly in omega_z over {list(rb.LINE_RANGE)}": [
-            point_at(point, along, 2, np.linspace(*rb.LINE_RANGE, LINE_POINTS)) for point, along in published
+            point_at(point, along, 2, np.linspace(*rb.LINE_RANGE, LINE_POINTS))
+            for point, along in published
         ],
-        "evenly along the lines within the scanned box": [_within(point, along, box) for point, along in published],
+        "evenly along the lines within the scanned box": [
+            _within(point, along, box) for point, along in published
+        ],
     }
     unit = np.array([_momentum_direction(case, point) for point, _ in published])
-    along_z = [[_momentum_direction(case, start)[2] for start in starts] for starts in next(iter(rules.values()))]
+    along_z = [
+        [_momentum_direction(case, start)[2] for start in starts]
+        for starts in next(iter(rules.values()))
+    ]
     return Lines(
-        {rule: _speeds(case, np.concatenate(starts)) for rule, starts in rules.items()}, float(_speeds(case, np.zeros((1, 3)))[0]),
-        np.arccos(unit[:, 2]), np.arccos(unit @ (rb.first_sun(case) / np.linalg.norm(rb.first_sun(case)))),
+        {rule: _speeds(case, np.concatenate(starts)) for rule, starts in rules.items()},
+        float(_speeds(case, np.zeros((1, 3)))[0]),
+        np.arccos(unit[:, 2]),
+        np.arccos(unit @ (rb.first_sun(case) / np.linalg.norm(rb.first_sun(case)))),
         np.arccos(np.array(along_z)),
-    )  # fmt: skip
+    )
 
 
 def _within(point: np.ndarray, along: np.ndarray, box: np.ndarray) -> np.ndarray:
@@ -69,36 +77,64 @@ def _within(point: np.ndarray, along: np.ndarray, box: np.ndarray) -> np.ndarray
 
 
 def _momentum_direction(case: Case, omega: np.ndarray) -> np.ndarray:
-    momentum = g.total_momentum(case.vehicle, omega[None], np.array([rb.nominal_speed(case.vehicle)]))[0]
+    momentum = g.total_momentum(
+        case.vehicle, omega[None], np.array([rb.nominal_speed(case.vehicle)])
+    )[0]
     return momentum / np.linalg.norm(momentum)
 
 
 def _speeds(case: Case, starts: np.ndarray) -> np.ndarray:
     vehicle, end = case.vehicle, rb.window_s(case)
-    return np.array([
-        np.linalg.norm(propagate(vehicle, omega, rb.first_sun(case), rb.nominal_speed(vehicle), [0.0, end], rtol=1e-8)
-                       ["omega_B"].values[-1]) for omega in starts
-    ])  # fmt: skip
+    return np.array(
+        [
+            np.linalg.norm(
+                propagate(
+                    vehicle,
+                    omega,
+                    rb.first_sun(case),
+                    rb.nominal_speed(vehicle),
+                    [0.0, end],
+                    rtol=1e-8,
+                )["omega_B"].values[-1]
+            )
+            for omega in starts
+        ]
+    )
 
 
 def model_rows(case: Case) -> list[Row]:
     """Speed of the wheel, sign of its friction (section 2.2 and appendix)."""
-    wheel, published = case.vehicle.wheels[0], {key: figure.value for key, figure in case.published.items()}
+    wheel, published = (
+        case.vehicle.wheels[0],
+        {key: figure.value for key, figure in case.published.items()},
+    )
     _, c2, c3 = published["spin_down_coefficients"]
     friction, speed, since = wheel.friction, wheel.speed_rad_s, rb.after_touchdown_s(case)
     slowing = -(friction.coulomb_N_m + friction.viscous_N_m_s * speed) / wheel.inertia_kg_m2
     coasted = rb.speed_at_first_sample(case)
-    both = [rb.smallest_on_lines(case, rb.published_lines(case), start) for start in (speed, coasted)]
+    both = [
+        rb.smallest_on_lines(case, rb.published_lines(case), start) for start in (speed, coasted)
+    ]
     before = _coasted(case, speed, -since)
-    losses = [speed - _coasted(case, speed, since + shift * SAMPLE_TIME_UNCERTAINTY_S) for shift in (-1, 1)]
+    losses = [
+        speed - _coasted(case, speed, since + shift * SAMPLE_TIME_UNCERTAINTY_S)
+        for shift in (-1, 1)
+    ]
     stop = spin_down_time(friction, wheel.inertia_kg_m2, before) / 60
     return [
         row(
-            case, "contradiction_wheel_speed_twice", coasted, published=published["wheel_speed"], losses=losses, before=before,
-            stop=stop, both=both, since=since,
+            case,
+            "contradiction_wheel_speed_twice",
+            coasted,
+            published=published["wheel_speed"],
+            losses=losses,
+            before=before,
+            stop=stop,
+            both=both,
+            since=since,
         ),
         row(case, "contradiction_friction_sign", c2 * (speed - c3), published=-slowing),
-    ]  # fmt: skip
+    ]
 
 
 def _coasted(case: Case, speed_rad_s: float, time_s: float) -> float:
@@ -120,20 +156,34 @@ def precession_rows(case: Case, found: Lines) -> list[Row]:
     left, before = mass * speed**2 / 2, published["touchdown_energy_before"]
     return [
         row(
-            case, "contradiction_axis_swing", swing.tolist(), published=[high - low] * 4, narrow=[narrow.min(), narrow.max()],
-            wide=[wide.min(), wide.max()], height=", ".join(f"{x:.0f}" for x in height),
+            case,
+            "contradiction_axis_swing",
+            swing.tolist(),
+            published=[high - low] * 4,
+            narrow=[narrow.min(), narrow.max()],
+            wide=[wide.min(), wide.max()],
+            height=", ".join(f"{x:.0f}" for x in height),
         ),
         row(
-            case, "contradiction_energy_absorbed", 100 * (1 - left / before), published=published["energy_absorbed"],
-            at_most_J=ENERGY_AT_MOST_J, of_most=100 * (1 - left / ENERGY_AT_MOST_J), left=left,
+            case,
+            "contradiction_energy_absorbed",
+            100 * (1 - left / before),
+            published=published["energy_absorbed"],
+            at_most_J=ENERGY_AT_MOST_J,
+            of_most=100 * (1 - left / ENERGY_AT_MOST_J),
+            left=left,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def collision_rows(case: Case, found: Lines) -> list[Row]:
     """Speeds and rates at the collision (sections 3.3 and 4)."""
     published = {key: figure.value for key, figure in case.published.items()}
-    slow, fast, rate = published["landing_speed"], published["collision_speed"], published["rate_at_collision"]
+    slow, fast, rate = (
+        published["landing_speed"],
+        published["collision_speed"],
+        published["rate_at_collision"],
+    )
     kernel, path = published["kernel_speed_before"], published["kernel_path_length"]
     longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     turn = 2 * np.pi / published["romap_period_before"]
@@ -145,20 +195,44 @@ def collision_rows(case: Case, found: Lines) -> list[Row]:
     passed = wheel.inertia_kg_m2 * wheel.speed_rad_s / case.vehicle.require_inertia()[2, 2]
     return [
         row(
-            case, "contradiction_speed_twice", [kernel, kernel, path], published=[slow, fast, published["path_length"]],
-            fast=fast + longest * rate, kernel=kernel + longest * rate, slow=slow + longest * rate, spun=fast + longest * turn,
+            case,
+            "contradiction_speed_twice",
+            [kernel, kernel, path],
+            published=[slow, fast, published["path_length"]],
+            fast=fast + longest * rate,
+            kernel=kernel + longest * rate,
+            slow=slow + longest * rate,
+            spun=fast + longest * turn,
         ),
         row(
-            case, "contradiction_rate_at_collision", list(means.values()), published=[rate] * len(means), slower=slower,
-            largest=largest, still=found.still, passed=passed, turn=turn, rules="; ".join(means),
+            case,
+            "contradiction_rate_at_collision",
+            list(means.values()),
+            published=[rate] * len(means),
+            slower=slower,
+            largest=largest,
+            still=found.still,
+            passed=passed,
+            turn=turn,
+            rules="; ".join(means),
             times=[min(means.values()) / rate, max(means.values()) / rate],
         ),
-    ]  # fmt: skip
+    ]
 
 
 def rest_rows(case: Case) -> list[Row]:
     """Whether switching the wheel off at rest would have moved the lander (section 4)."""
     published = {key: figure.value for key, figure in case.published.items()}
-    rest = next(entry for entry in settling(case.vehicle, published["gravity"]) if entry["way"] == "off")
+    rest = next(
+        entry for entry in settling(case.vehicle, published["gravity"]) if entry["way"] == "off"
+    )
     stated = [published["final_friction_torque"], published["final_foot_force"]]
-    return [row(case, "contradiction_final_torque", [rest["torque_N_m"], rest["foot_force_N"]], published=stated, rest=rest)]
+    return [
+        row(
+            case,
+            "contradiction_final_torque",
+            [rest["torque_N_m"], rest["foot_force_N"]],
+            published=stated,
+            rest=rest,
+        )
+    ]

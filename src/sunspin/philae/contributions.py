@@ -33,10 +33,18 @@ from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
 
 FIXED = {
-    "inertia known": ("inertia",), "friction known": ("coulomb", "viscous"),
-    "wheel speed known": ("wheel_speed", "wheel_inertia"), "brightness known": ("scale",),
-    "inertia, friction and wheel known": ("inertia", "coulomb", "viscous", "wheel_speed", "wheel_inertia"),
-}  # fmt: skip
+    "inertia known": ("inertia",),
+    "friction known": ("coulomb", "viscous"),
+    "wheel speed known": ("wheel_speed", "wheel_inertia"),
+    "brightness known": ("scale",),
+    "inertia, friction and wheel known": (
+        "inertia",
+        "coulomb",
+        "viscous",
+        "wheel_speed",
+        "wheel_inertia",
+    ),
+}
 """Unknowns that are taken as known, by kind."""
 
 
@@ -52,18 +60,39 @@ class Line:
 def best_state(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any) -> tuple[Any, Any, State]:
     """Model, readings and the most probable draw of a posterior (one row), at the first sample."""
     data, start, _ = readings(vehicle, telemetry, *window(tree))
-    if abs(start - float(tree.attrs["t_first_s"])) > 1e-3 or len(data) != int(tree.attrs["samples"]):
-        raise InputError(sentence("the telemetry is not that of the posterior", got=f"{len(data)} samples from {start:g} s"))
+    if abs(start - float(tree.attrs["t_first_s"])) > 1e-3 or len(data) != int(
+        tree.attrs["samples"]
+    ):
+        raise InputError(
+            sentence(
+                "the telemetry is not that of the posterior",
+                got=f"{len(data)} samples from {start:g} s",
+            )
+        )
     mode = json.loads(tree.attrs.get("wheel_mode", '"coast"'))
-    unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), brightness(vehicle, data), mode)
+    unknown, _ = model(
+        vehicle, json.loads(tree.attrs["priors_given"]), brightness(vehicle, data), mode
+    )
     if unknown.where("wheel_off"):
-        raise InputError(sentence("a posterior with an unknown release of the wheels cannot be taken apart here", got="wheel_off"))
+        raise InputError(
+            sentence(
+                "a posterior with an unknown release of the wheels cannot be taken apart here",
+                got="wheel_off",
+            )
+        )
     found = tree["posterior"]
     values = np.stack(
-        [found["wheel_speed_rad_s"].values[0][:, x.index] if x.kind == "wheel_speed" else found[x.name].values[0]
-         for x in unknown.unknowns], axis=1,
-    )  # fmt: skip
-    centre, sigma = (np.array([getattr(x, key) for x in unknown.unknowns]) for key in ("centre", "sigma"))
+        [
+            found["wheel_speed_rad_s"].values[0][:, x.index]
+            if x.kind == "wheel_speed"
+            else found[x.name].values[0]
+            for x in unknown.unknowns
+        ],
+        axis=1,
+    )
+    centre, sigma = (
+        np.array([getattr(x, key) for x in unknown.unknowns]) for key in ("centre", "sigma")
+    )
     draws = State(found["omega_B"].values[0], found["sun_B"].values[0], (values - centre) / sigma)
     best = int(np.argmax(found["log_likelihood_sum"].values[0] + unknown.log_prior(draws)))
     return unknown, data, draws.take([best])
@@ -78,8 +107,14 @@ def read_posterior(path: Path) -> xr.DataTree:
     tree = xr.DataTree.from_dict(read_groups(path, path.name, InputError))
     missing = sorted(NEEDED - set(tree.attrs)) + sorted({"posterior"} - set(tree.children))
     if missing:
-        raise InputError(sentence("this is no posterior", got=f"no {', '.join(missing)}", do="give posterior.nc of `sunspin "
-                                  "posterior`", where=str(path)))  # fmt: skip
+        raise InputError(
+            sentence(
+                "this is no posterior",
+                got=f"no {', '.join(missing)}",
+                do="give posterior.nc of `sunspin posterior`",
+                where=str(path),
+            )
+        )
     return tree
 
 
@@ -88,7 +123,9 @@ def window(tree: Any) -> tuple[float, float]:
     return float(tree.attrs["t_first_s"]) - 1e-6, float(tree.attrs["t_last_s"]) + 1e-6
 
 
-def contributions(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dict[str, Reading] | None = None) -> list[Line]:
+def contributions(
+    vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dict[str, Reading] | None = None
+) -> list[Line]:
     """The table: everything, without each sample and each panel, with each of `extra` (times after the first sample), with what
     is unknown taken as known."""
     unknown, data, state = best_state(vehicle, telemetry, tree)
@@ -103,11 +140,20 @@ def contributions(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any, extra: dic
     table = [line("everything")]
     for i in every:
         lit = ", ".join(np.array(vehicle.panel_names)[data.lit[i]]) or "none"
-        table.append(line(f"without the sample at {data.t_s[i]:.0f} s (lit: {lit})", samples=np.delete(every, i)))
-    table += [line(f"without panel {vehicle.panel_names[p]}", panels=np.delete(panels, p)) for p in panels]
+        table.append(
+            line(
+                f"without the sample at {data.t_s[i]:.0f} s (lit: {lit})",
+                samples=np.delete(every, i),
+            )
+        )
+    table += [
+        line(f"without panel {vehicle.panel_names[p]}", panels=np.delete(panels, p)) for p in panels
+    ]
     table += [line(f"the first {n} samples", samples=every[:n]) for n in range(6, len(data), 4)]
     for name, observation in (extra or {}).items():
-        table.append(line(f"with {name}", Information(unknown, replace(data, others=(observation,)), state)))
+        table.append(
+            line(f"with {name}", Information(unknown, replace(data, others=(observation,)), state))
+        )
     table += [line(what, fixed=kinds) for what, kinds in FIXED.items()]
     return table
 
@@ -118,7 +164,9 @@ def philae_extras(vehicle: Vehicle, tree: Any) -> dict[str, Reading]:
 
     case = load_case(vehicle.name)
     period = float(case.published["romap_period_before"].value)
-    t = float(window(tree)[1] - window(tree)[0])  # the last sample: within two minutes of the collision
+    t = float(
+        window(tree)[1] - window(tree)[0]
+    )  # the last sample: within two minutes of the collision
     rate = np.array([2 * np.pi / period])
     made = {}
     for sigma in (SIGMA_PERIOD_S, 0.1):
@@ -134,20 +182,28 @@ def text(table: list[Line]) -> list[str]:
     base = table[0]
     lines = [f"{'':52s} volume, (rad/s)^3   ln change   sigma of |omega|, rad/s"]
     for x in table:
-        lines.append(f"{x.what:52s} {x.volume:18.3g}   {np.log(x.volume / base.volume):+9.2f}   {x.speed_sigma:.5f}")
+        lines.append(
+            f"{x.what:52s} {x.volume:18.3g}   {np.log(x.volume / base.volume):+9.2f}   {x.speed_sigma:.5f}"
+        )
     return lines
 
 
 @command
 def main(arguments: list[str] | None = None) -> None:
     """Print what each observation contributes to a posterior written by `sunspin posterior`."""
-    parser = argparse.ArgumentParser(prog="python -m sunspin.philae.contributions", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m sunspin.philae.contributions", description=main.__doc__
+    )
     parser.add_argument("posterior", type=Path, help="posterior.nc of `sunspin posterior`")
     parser.add_argument("--vehicle", default="philae")
     parser.add_argument("--telemetry", type=Path, help="default: that of the built-in case")
     given = parser.parse_args(arguments)
     craft = load_vehicle(given.vehicle)
-    samples = load_case(given.vehicle).telemetry if given.telemetry is None else read_telemetry(given.telemetry, craft)
+    samples = (
+        load_case(given.vehicle).telemetry
+        if given.telemetry is None
+        else read_telemetry(given.telemetry, craft)
+    )
     tree = read_posterior(given.posterior)
     extra = philae_extras(craft, tree) if given.vehicle == "philae" else {}
     print("\n".join(text(contributions(craft, samples, tree, extra))))

@@ -56,12 +56,24 @@ def compute(
         rows = TwinRows(case.name, prior, n, seed, coarser, factor, asked)
         points = len(rows.ground(workers, progress).points)
         kept = None if store is None else Path(store) / prior
-        out = ensemble(rows, workers=workers, chunk=CHUNK, store=kept, progress=progress, label=f"twins, {prior}")
+        out = ensemble(
+            rows,
+            workers=workers,
+            chunk=CHUNK,
+            store=kept,
+            progress=progress,
+            label=f"twins, {prior}",
+        )
         found[prior] = _condensed(out)
     result = coverage_dataset(
-        found, seed=seed, coarser=coarser, factor=factor, grid_points=points, command=_command(n, seed, coarser, factor, asked),
+        found,
+        seed=seed,
+        coarser=coarser,
+        factor=factor,
+        grid_points=points,
+        command=_command(n, seed, coarser, factor, asked),
         **({"changes": "\n".join(map(str, case.changes))} if case.changes else {}),
-    )  # fmt: skip
+    )
     return _beside_the_paper(result, case, confidence)
 
 
@@ -77,26 +89,34 @@ def _condensed(out: dict[str, np.ndarray]) -> Twins:
     tables = []
     for name, at in (("level", LEVELS), ("factor", FACTORS)):
         count, speed = out[f"{name}_count"], out[f"{name}_speed"]
-        empty = np.where(np.isnan(speed), np.inf, speed)  # an empty set bounds nothing: it counts as a bound that fails
+        empty = np.where(
+            np.isnan(speed), np.inf, speed
+        )  # an empty set bounds nothing: it counts as a bound that fails
         tables.append(
             {
-                "at": at, "count": np.quantile(count, QUANTILES, axis=0).T,
+                "at": at,
+                "count": np.quantile(count, QUANTILES, axis=0).T,
                 "speed": np.quantile(empty, QUANTILES, axis=0, method="higher").T,
                 "holds": (empty <= truth[:, None]).sum(axis=0),
             }
-        )  # fmt: skip
+        )
     return Twins({name: out[name] for name in UNITS}, *tables)
 
 
 def _beside_the_paper(found: xr.Dataset, case: Case, confidence: float) -> xr.Dataset:
     """The result with what its figure and sentences compare it with."""
     return found.assign_attrs(
-        confidence=confidence, published_emd_min=case.published["emd_min"].value,
+        confidence=confidence,
+        published_emd_min=case.published["emd_min"].value,
         published_touchdown_speed_rad_s=case.published["rate_at_touchdown_min"].value,
-    )  # fmt: skip
+    )
 
 
 def shipped(case: Case) -> xr.Dataset | None:
     """The result that comes with the case, if one does."""
     path = case.folder / SHIPPED
-    return _beside_the_paper(from_json(path.read_text("utf-8"), str(path)), case, CONFIDENCE) if path.is_file() else None
+    return (
+        _beside_the_paper(from_json(path.read_text("utf-8"), str(path)), case, CONFIDENCE)
+        if path.is_file()
+        else None
+    )

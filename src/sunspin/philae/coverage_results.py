@@ -21,8 +21,19 @@ from sunspin.vehicle.assumptions import split
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.file import changed_file
 
-NAMES = ("version", "title", "command", "seed", "confidence", "seconds", "sentences", "changes", "figures", "folder",
-         "synthetic_telemetry")  # fmt: skip
+NAMES = (
+    "version",
+    "title",
+    "command",
+    "seed",
+    "confidence",
+    "seconds",
+    "sentences",
+    "changes",
+    "figures",
+    "folder",
+    "synthetic_telemetry",
+)
 """What a coverage answers to beside its variables."""
 
 
@@ -33,13 +44,23 @@ class Coverage(xr.Dataset):
     __slots__ = ()
 
     def __getitem__(self, key: Any) -> Any:
-        return self.said()[key] if isinstance(key, str) and key in NAMES else super().__getitem__(key)
+        return (
+            self.said()[key] if isinstance(key, str) and key in NAMES else super().__getitem__(key)
+        )
 
     def said(self) -> dict[str, Any]:
         """The summary with the time that it took, the version and the folder, as plain data."""
-        about = {"version": self.attrs["sunspin_version"], "command": self.attrs["command"], "seconds": self.attrs["seconds"]}
+        about = {
+            "version": self.attrs["sunspin_version"],
+            "command": self.attrs["command"],
+            "seconds": self.attrs["seconds"],
+        }
         changes = str(self.attrs.get("changes", "")).splitlines()
-        return about | self.sunspin.summary() | {"changes": changes, "folder": self.attrs.get("folder")}
+        return (
+            about
+            | self.sunspin.summary()
+            | {"changes": changes, "folder": self.attrs.get("folder")}
+        )
 
 
 def coverage(
@@ -82,16 +103,25 @@ def coverage(
     """
     began = time.perf_counter()
     known = load_case(case, changes)
-    folder = None if out is None else results_folder(out, "worth")  # refused before the work, not after it
+    folder = (
+        None if out is None else results_folder(out, "worth")
+    )  # refused before the work, not after it
     check_confidence(twins, confidence)
     found = study.compute(known, twins, confidence=confidence, changes=changes, **options)
     figures = json.dumps([asdict(row) for row in coverage_rows.rows(known, found)])
     seconds = round(time.perf_counter() - began, 1)
-    found = Coverage(found.data_vars, found.coords, found.attrs | {"figures": figures, "seconds": seconds})
+    found = Coverage(
+        found.data_vars, found.coords, found.attrs | {"figures": figures, "seconds": seconds}
+    )
     if folder is None:
         return found
     more = {"seconds": seconds, "changes": found["changes"]}
-    found.sunspin.save(folder, vehicle=changed_file(case, split(changes)[0]), command=found.attrs["command"], also=more)
+    found.sunspin.save(
+        folder,
+        vehicle=changed_file(case, split(changes)[0]),
+        command=found.attrs["command"],
+        also=more,
+    )
     write_report(folder, ours=True)
     return found.assign_attrs(folder=str(folder))
 

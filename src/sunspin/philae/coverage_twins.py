@@ -23,7 +23,13 @@ from sunspin.estimate.scan.lines import distances, fit_lines, line_deviation, ma
 from sunspin.estimate.scan.rows import distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import rebound as rb
-from sunspin.philae.twin_philae import CELL_W, MAX_DRAWS, drawn_panels, keep_direction, rebound_times
+from sunspin.philae.twin_philae import (
+    CELL_W,
+    MAX_DRAWS,
+    drawn_panels,
+    keep_direction,
+    rebound_times,
+)
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.telemetry.synthetic import noisy_power
@@ -104,10 +110,18 @@ class TwinRows:
         if self.prior not in PRIORS:
             raise InputError(sentence(f"prior must be one of {', '.join(PRIORS)}", got=self.prior))
         if not self.factor > 1:
-            raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=self.factor))
-        for name, value, least in (("n", self.n, 1), ("seed", self.seed, 0), ("coarser", self.coarser, 1)):
+            raise InputError(
+                sentence("the factor of the near-minimum set must exceed 1", got=self.factor)
+            )
+        for name, value, least in (
+            ("n", self.n, 1),
+            ("seed", self.seed, 0),
+            ("coarser", self.coarser, 1),
+        ):
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
+                raise InputError(
+                    sentence(f"{name} must be a whole number of at least {least}", got=value)
+                )
 
     @property
     def n_rows(self) -> int:
@@ -119,18 +133,37 @@ class TwinRows:
 
     def identity(self) -> dict[str, Any]:
         case = self.case
-        used = ("first_sun", "scan_step", "scan_omega_x", "scan_omega_y", "scan_omega_z", "scan_duration")
+        used = (
+            "first_sun",
+            "scan_step",
+            "scan_omega_x",
+            "scan_omega_y",
+            "scan_omega_z",
+            "scan_duration",
+        )
         return {
-            **code(), "study": "the method on twins", **plain(self), "vehicle": plain(case.vehicle),
-            "published": {key: plain(case.published[key].value) for key in used}, "lines": plain(rb.published_lines(case)),
-            "levels": plain(LEVELS), "factors": plain(FACTORS),
-        }  # fmt: skip
+            **code(),
+            "study": "the method on twins",
+            **plain(self),
+            "vehicle": plain(case.vehicle),
+            "published": {key: plain(case.published[key].value) for key in used},
+            "lines": plain(rb.published_lines(case)),
+            "levels": plain(LEVELS),
+            "factors": plain(FACTORS),
+        }
 
     def ground(self, workers: int | None = 1, progress: bool = False) -> Ground:
         """The shared part, made once in a process."""
         case = self.case
-        key = fingerprint({**code(), "case": self.case_name, "coarser": self.coarser, "vehicle": plain(case.vehicle),
-                           "assumptions": plain(case.assumptions)})  # fmt: skip
+        key = fingerprint(
+            {
+                **code(),
+                "case": self.case_name,
+                "coarser": self.coarser,
+                "vehicle": plain(case.vehicle),
+                "assumptions": plain(case.assumptions),
+            }
+        )
         with _LOCK:
             if key not in _GROUNDS:
                 _GROUNDS.clear()  # one at a time: the paper's grid takes 0.4 GB
@@ -139,8 +172,15 @@ class TwinRows:
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         case, ground = self.case, self.ground()
-        found = [_one(case, ground, self, np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(int(i),))))
-                 for i in index]  # fmt: skip
+        found = [
+            _one(
+                case,
+                ground,
+                self,
+                np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(int(i),))),
+            )
+            for i in index
+        ]
         return {
             name: np.array([row[name] for row in found], dtype=dtype).reshape(len(index), *shape)
             for name, (dtype, shape) in self.outputs.items()
@@ -150,10 +190,18 @@ class TwinRows:
 def _make_ground(case: Case, coarser: int, workers: int | None, progress: bool) -> Ground:
     axes, speeds = rb.grid(case, coarser), rb.nominal_speed(case.vehicle)
     table = make_table(
-        case.vehicle, rb.first_sun(case), axes, speeds, rb.window_s(case), workers=workers, progress=progress,
+        case.vehicle,
+        rb.first_sun(case),
+        axes,
+        speeds,
+        rb.window_s(case),
+        workers=workers,
+        progress=progress,
         mask=None if rb.counted(case) is None else "reconstructible",
-    )  # fmt: skip
-    speed = ensemble(rb.speeds_back(case, table.rows.start, rb.after_touchdown_s(case)), workers=workers)["speed"]
+    )
+    speed = ensemble(
+        rb.speeds_back(case, table.rows.start, rb.after_touchdown_s(case)), workers=workers
+    )["speed"]
     points = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1).reshape(-1, 3)
     return Ground(table, speed, points)
 
@@ -164,18 +212,32 @@ def _one(case: Case, ground: Ground, setup: TwinRows, rng: np.random.Generator) 
     smallest = float(emd.min())
     near = emd < setup.factor * smallest
     points = ground.points[near]
-    at_touchdown = np.linalg.norm(rb.run_back(case, _states(case, truth[None]), rb.after_touchdown_s(case)))
-    order = np.argsort(emd, kind="stable")[: max(int((emd < max(LEVELS[-1], FACTORS[-1] * smallest)).sum()), 1)]
+    at_touchdown = np.linalg.norm(
+        rb.run_back(case, _states(case, truth[None]), rb.after_touchdown_s(case))
+    )
+    order = np.argsort(emd, kind="stable")[
+        : max(int((emd < max(LEVELS[-1], FACTORS[-1] * smallest)).sum()), 1)
+    ]
     slowest = np.minimum.accumulate(ground.touchdown_speed[order])
-    counts = [np.searchsorted(emd[order], levels, side="left") for levels in (LEVELS, FACTORS * smallest)]
+    counts = [
+        np.searchsorted(emd[order], levels, side="left") for levels in (LEVELS, FACTORS * smallest)
+    ]
     speeds = [np.where(count > 0, slowest[np.maximum(count, 1) - 1], np.nan) for count in counts]
     return {
-        "truth_omega_B": truth, "truth_touchdown_speed": at_touchdown, "n_told": z.size, "emd_min": smallest,
-        "emd_truth": truth_distance(case, truth, z), "points": int(near.sum()),
-        "truth_to_set": np.linalg.norm(points - truth, axis=1).min(), "bound_set": ground.touchdown_speed[near].min(),
-        "level_count": counts[0], "level_speed": speeds[0], "factor_count": counts[1], "factor_speed": speeds[1],
+        "truth_omega_B": truth,
+        "truth_touchdown_speed": at_touchdown,
+        "n_told": z.size,
+        "emd_min": smallest,
+        "emd_truth": truth_distance(case, truth, z),
+        "points": int(near.sum()),
+        "truth_to_set": np.linalg.norm(points - truth, axis=1).min(),
+        "bound_set": ground.touchdown_speed[near].min(),
+        "level_count": counts[0],
+        "level_speed": speeds[0],
+        "factor_count": counts[1],
+        "factor_speed": speeds[1],
         **_lines(case, points, truth),
-    }  # fmt: skip
+    }
 
 
 def draw_twin(case: Case, prior: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -185,12 +247,16 @@ def draw_twin(case: Case, prior: str, rng: np.random.Generator) -> tuple[np.ndar
         z = samples_z(case, truth, rng)
         if z.size >= LEAST_TOLD:
             return truth, z
-    raise InputError(sentence(f"no twin with {LEAST_TOLD} directions in {MAX_DRAWS} draws", got=prior))
+    raise InputError(
+        sentence(f"no twin with {LEAST_TOLD} directions in {MAX_DRAWS} draws", got=prior)
+    )
 
 
 def _draw_truth(case: Case, prior: str, rng: np.random.Generator) -> np.ndarray:
     if prior == "grid":
-        return np.array([rng.uniform(*case.published[f"scan_omega_{axis}"].value) for axis in "xyz"])
+        return np.array(
+            [rng.uniform(*case.published[f"scan_omega_{axis}"].value) for axis in "xyz"]
+        )
     lines = rb.published_lines(case)
     point, direction = lines[int(rng.integers(len(lines)))]
     return point_at(point, direction, 2, np.array([rng.uniform(*rb.LINE_RANGE)]))[0]
@@ -212,33 +278,47 @@ def samples_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nda
 
 def truth_distance(case: Case, truth: np.ndarray, z: np.ndarray) -> float:
     """EMD between the z components of a twin and the distribution of its own true motion, by the scan's arithmetic."""
-    hist, _ = histograms(case.vehicle, _states(case, truth[None]), rb.window_s(case), rb.counted(case))
+    hist, _ = histograms(
+        case.vehicle, _states(case, truth[None]), rb.window_s(case), rb.counted(case)
+    )
     return float(distances_to(hist, target_segments(z))[0][0])
 
 
 def _states(case: Case, omega_B: np.ndarray) -> k.Rows:
     n = len(omega_B)
-    return k.Rows(np.asarray(omega_B, dtype=np.float64), np.tile(rb.first_sun(case), (n, 1)),
-                  np.tile(np.asarray(rb.nominal_speed(case.vehicle), dtype=np.float64), (n, 1)))  # fmt: skip
+    return k.Rows(
+        np.asarray(omega_B, dtype=np.float64),
+        np.tile(rb.first_sun(case), (n, 1)),
+        np.tile(np.asarray(rb.nominal_speed(case.vehicle), dtype=np.float64), (n, 1)),
+    )
 
 
 def _lines(case: Case, points: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
     """The lines fitted to the near-minimum set: angle and mean distance from their published partners, smallest speed."""
     reference = rb.published_lines(case)
     none = {
-        "truth_to_line": np.nan, "line_angle": np.full(4, np.nan), "line_distance": np.full(4, np.nan), "bound_lines": np.nan
+        "truth_to_line": np.nan,
+        "line_angle": np.full(4, np.nan),
+        "line_distance": np.full(4, np.nan),
+        "bound_lines": np.nan,
     }
     if len(points) < 2 * len(reference):
         return none
     lines = fit_lines(points, len(reference), seed=0)
     fitted = list(zip(lines["point"].values, lines["direction"].values, strict=True))
     options: dict[str, Any] = {"low": rb.LINE_RANGE[0], "high": rb.LINE_RANGE[1]}
-    apart = [line_deviation(fitted[i], other, **options) for i, other in zip(match_lines(lines, reference, **options), reference,
-                                                                             strict=True)]  # fmt: skip
+    apart = [
+        line_deviation(fitted[i], other, **options)
+        for i, other in zip(match_lines(lines, reference, **options), reference, strict=True)
+    ]
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
     starts = np.concatenate([_inside(point, direction, box) for point, direction in fitted])
-    speeds = np.linalg.norm(rb.run_back(case, _states(case, starts), rb.after_touchdown_s(case)), axis=1)
-    to_line = distances(truth[None], np.array([p for p, _ in fitted]), np.array([d for _, d in fitted]))
+    speeds = np.linalg.norm(
+        rb.run_back(case, _states(case, starts), rb.after_touchdown_s(case)), axis=1
+    )
+    to_line = distances(
+        truth[None], np.array([p for p, _ in fitted]), np.array([d for _, d in fitted])
+    )
     return {
         "truth_to_line": to_line.min(),
         "line_angle": np.array([one["angle_rad"] for one in apart]),
@@ -252,4 +332,8 @@ def _inside(point: np.ndarray, direction: np.ndarray, box: np.ndarray) -> np.nda
     reach = float(np.linalg.norm(box[:, 1] - box[:, 0]) + np.linalg.norm(point - box.mean(axis=1)))
     along = point + np.linspace(-reach, reach, 4001)[:, None] * direction
     inside = along[np.all((along >= box[:, 0]) & (along <= box[:, 1]), axis=1)]
-    return inside[np.linspace(0, len(inside) - 1, LINE_STEPS).round().astype(int)] if len(inside) else inside
+    return (
+        inside[np.linspace(0, len(inside) - 1, LINE_STEPS).round().astype(int)]
+        if len(inside)
+        else inside
+    )

@@ -89,7 +89,10 @@ def delta_limit(sun: xr.Dataset) -> float:
     checked = sun["delta"].values[sun["status"].values == SunStatus.OK]
     if checked.size < 2 * LEAST_RUN:
         raise TelemetryError(
-            sentence("too few samples with more than three lit panels to tell what Delta is usual", got=f"{checked.size}")
+            sentence(
+                "too few samples with more than three lit panels to tell what Delta is usual",
+                got=f"{checked.size}",
+            )
         )
     return DELTA_SIGMAS * MAD_TO_SIGMA * float(np.median(checked))
 
@@ -107,7 +110,12 @@ def clean_from(sun: xr.Dataset) -> int:
     if votes[end] < LEAST_RUN:
         return 0
     if end + 1 == checked.size:
-        raise TelemetryError(sentence("no sample is clean: Delta is large to the end", do="check the panels' gains and names"))
+        raise TelemetryError(
+            sentence(
+                "no sample is clean: Delta is large to the end",
+                do="check the panels' gains and names",
+            )
+        )
     return int(checked[end + 1])
 
 
@@ -116,11 +124,15 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     touchdown = case_seconds(case, sun, "first_touchdown")
     before = sun.isel(time=np.flatnonzero(sun["time"].values < touchdown))
     if before.sizes["time"] == 0:
-        raise TelemetryError(sentence("no sample before the first touchdown", do="check the times of the telemetry"))
+        raise TelemetryError(
+            sentence("no sample before the first touchdown", do="check the times of the telemetry")
+        )
     first = clean_from(before)
     time = before["time"].values - before["time"].values[first]
     interval = float(np.median(np.diff(time)))
-    span = 3600.0 * case.published["descent_span"].value + interval / 2  # published to 0.1 h, about two intervals
+    span = (
+        3600.0 * case.published["descent_span"].value + interval / 2
+    )  # published to 0.1 h, about two intervals
     part = before.isel(time=np.flatnonzero((time >= 0) & (time <= span)))
     part = part.assign_coords(time=part["time"] - part["time"].values[0])
     t, n = part["time"].values, part["sun_B"].values
@@ -128,14 +140,25 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     known = np.isfinite(n[:, 0])
     simulated = fit.directions(t)
     published = np.array(case.published["descent_rate_cubic"].value)
-    omega_0 = np.unique(np.concatenate([np.linspace(fit.scan_rate[0], fit.scan_rate[-1], 8001), fit.coefficients[:1]]))
+    omega_0 = np.unique(
+        np.concatenate(
+            [np.linspace(fit.scan_rate[0], fit.scan_rate[-1], 8001), fit.coefficients[:1]]
+        )
+    )
     rates = np.column_stack([omega_0, np.tile(fit.coefficients[1:], (omega_0.size, 1))])
     return Descent(
-        case, part, (first + 1, first + int(part.sizes["time"])), delta_limit(before), fit, simulated,
-        allows(reconstructible_mask(case.vehicle), simulated), error_of_rate(published, t[known], n[known]),
-        float(direction_error(replace(fit, sun_B=n[0]).directions(t), n)), omega_0,
+        case,
+        part,
+        (first + 1, first + int(part.sizes["time"])),
+        delta_limit(before),
+        fit,
+        simulated,
+        allows(reconstructible_mask(case.vehicle), simulated),
+        error_of_rate(published, t[known], n[known]),
+        float(direction_error(replace(fit, sun_B=n[0]).directions(t), n)),
+        omega_0,
         errors_of_rates(rates, t[known], n[known]),
-    )  # fmt: skip
+    )
 
 
 def implied_wheel_change(case: Case, rate_change_rad_s: float) -> float:
@@ -174,18 +197,41 @@ def _fit_rows(r: Descent) -> list[Row]:
     rms, meant = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, flown_E))
     back = 1 / FACTOR_OF_E <= fit.E / flown_E <= FACTOR_OF_E if r.synthetic else None
     return [
-        row(case, "descent_E", fit.E, holds=back, twin=_put_in(r), rms=rms, meant=meant, first_E=r.first_direction_E),
         row(
-            case, "descent_rate_cubic", fit.coefficients.tolist(), published=published.tolist(),
-            tolerance=(np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(), agrees=bool(distance <= CUBIC_CHI2), twin=_twin(r),
-            distance=distance, asked=CUBIC_CHI2, sigmas=_digits(fit.sigma), printed_E=r.published_E,
+            case,
+            "descent_E",
+            fit.E,
+            holds=back,
+            twin=_put_in(r),
+            rms=rms,
+            meant=meant,
+            first_E=r.first_direction_E,
+        ),
+        row(
+            case,
+            "descent_rate_cubic",
+            fit.coefficients.tolist(),
+            published=published.tolist(),
+            tolerance=(np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(),
+            agrees=bool(distance <= CUBIC_CHI2),
+            twin=_twin(r),
+            distance=distance,
+            asked=CUBIC_CHI2,
+            sigmas=_digits(fit.sigma),
+            printed_E=r.published_E,
             rounding=0.5e-5 * float(r.sun["time"].values[-1]),
         ),
         row(
-            case, "descent_unique", fit.unique, agrees=fit.unique, minima=len(fit.aliases), within=fit.scan_rate[-1],
-            second=fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan]), gap=fit.alias_gap,
+            case,
+            "descent_unique",
+            fit.unique,
+            agrees=fit.unique,
+            minima=len(fit.aliases),
+            within=fit.scan_rate[-1],
+            second=fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan]),
+            gap=fit.alias_gap,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _digits(values: np.ndarray) -> str:
@@ -204,7 +250,17 @@ def _rate_rows(r: Descent) -> list[Row]:
     ]
     if nominal == 0:  # what changes by what part of nothing?
         return found
-    return [*found, row(case, "descent_wheel_speed", 100 * change / abs(nominal), twin=_twin(r), change=change, nominal=nominal)]
+    return [
+        *found,
+        row(
+            case,
+            "descent_wheel_speed",
+            100 * change / abs(nominal),
+            twin=_twin(r),
+            change=change,
+            nominal=nominal,
+        ),
+    ]
 
 
 def _sample_rows(r: Descent) -> list[Row]:
@@ -214,7 +270,13 @@ def _sample_rows(r: Descent) -> list[Row]:
         row(case, "descent_samples", list(r.number), limit=r.delta_limit),
         row(case, "nz_descent", float(z.mean()), twin=_twin(r), spread=z.std()),
         row(
-            case, "descent_behind", agreed, agrees=agreed >= 0.95, dark_right=int((dark & ~r.predicted).sum()),
-            dark=int(dark.sum()), told_right=int((r.told & ~r.predicted).sum()), told=int(r.told.sum()),
+            case,
+            "descent_behind",
+            agreed,
+            agrees=agreed >= 0.95,
+            dark_right=int((dark & ~r.predicted).sum()),
+            dark=int(dark.sum()),
+            told_right=int((r.told & ~r.predicted).sum()),
+            told=int(r.told.sum()),
         ),
-    ]  # fmt: skip
+    ]

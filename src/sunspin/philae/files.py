@@ -29,12 +29,20 @@ def datasets(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     parts = result.parts
     found = [*_scans(result), *_touchdown(result)]
     if "sensitivity" in parts:
-        found += [("map_rates", parts["sensitivity"].rates.to_dataset()), ("map_parameters", _parameters(parts["sensitivity"]))]
+        found += [
+            ("map_rates", parts["sensitivity"].rates.to_dataset()),
+            ("map_parameters", _parameters(parts["sensitivity"])),
+        ]
     if "landing" in parts:
-        found += [(f"outcomes-{name}", runs) for name, runs in parts["landing"].chosen.paper.items()]
+        found += [
+            (f"outcomes-{name}", runs) for name, runs in parts["landing"].chosen.paper.items()
+        ]
         found.append(("strategies", parts["landing"].strategies))
     if "motions" in parts:
-        found += [(f"motion-{_file(name)}", run.assign_attrs(title=name)) for name, run in parts["motions"].candidates.items()]
+        found += [
+            (f"motion-{_file(name)}", run.assign_attrs(title=name))
+            for name, run in parts["motions"].candidates.items()
+        ]
         found.append(("speed", parts["motions"].speed))
     return found
 
@@ -46,18 +54,37 @@ def _file(name: str) -> str:
 def _scans(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     """The scan of the telemetry, and that of the printed lines' distribution."""
     found, lines = [], rb.published_lines(result.case)
-    families = [("scan_published_lines", result.parts["published_lines"].clean, "against the common distribution of the "
-        "printed lines")]
+    families = [
+        (
+            "scan_published_lines",
+            result.parts["published_lines"].clean,
+            "against the common distribution of the printed lines",
+        )
+    ]
     scan = result.parts.get("level_set")
     if scan is not None:
-        families.insert(0, ("scan_telemetry", scan.near, "against the directions of this telemetry"))
+        families.insert(
+            0, ("scan_telemetry", scan.near, "against the directions of this telemetry")
+        )
     for name, family, about in families:
         data = family.emd.to_dataset()
         if family.lines is not None:
             data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
-        data["near_minimum"] = (("near_point", "rate_axis"), family.points, {"units": "rad s-1", "factor": family.factor})
-        data["published_point"] = (("published_line", "rate_axis"), np.array([p for p, _ in lines]), {"units": "rad s-1"})
-        data["published_direction"] = (("published_line", "rate_axis"), np.array([d for _, d in lines]), {"units": "1"})
+        data["near_minimum"] = (
+            ("near_point", "rate_axis"),
+            family.points,
+            {"units": "rad s-1", "factor": family.factor},
+        )
+        data["published_point"] = (
+            ("published_line", "rate_axis"),
+            np.array([p for p, _ in lines]),
+            {"units": "rad s-1"},
+        )
+        data["published_direction"] = (
+            ("published_line", "rate_axis"),
+            np.array([d for _, d in lines]),
+            {"units": "1"},
+        )
         if name == "scan_telemetry" and scan is not None and scan.truth:
             data["truth"] = ("rate_axis", scan.truth["omega_B"], {"units": "rad s-1"})
         found.append((name, data.assign_attrs(kind="scan", about=about)))
@@ -81,9 +108,21 @@ def _touchdown(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
     chosen = result.chain.chosen
     every = -(-len(chosen) // MOST_CANDIDATES)
     table = chosen.dataset().assign(
-        speed_touchdown=("candidate", chosen.speed_touchdown, {"units": "rad s-1", "long_name": "just after the first touchdown"}),
-        theta=("candidate", chosen.theta, {"units": "rad", "long_name": "angle from the momentum to the z axis"}),
-        alpha=("candidate", chosen.alpha, {"units": "rad", "long_name": "angle from the momentum to the Sun"}),
+        speed_touchdown=(
+            "candidate",
+            chosen.speed_touchdown,
+            {"units": "rad s-1", "long_name": "just after the first touchdown"},
+        ),
+        theta=(
+            "candidate",
+            chosen.theta,
+            {"units": "rad", "long_name": "angle from the momentum to the z axis"},
+        ),
+        alpha=(
+            "candidate",
+            chosen.alpha,
+            {"units": "rad", "long_name": "angle from the momentum to the Sun"},
+        ),
     )
     return [*found, ("candidates", table.isel(candidate=slice(None, None, every)))]
 

@@ -72,17 +72,26 @@ def _extent(chain: Chain) -> str:
             f"times the smallest, a threshold that held the truth in {chain.calibration.confidence:.0%} of "
             f"{chain.calibration.n} synthetic flights like this one."
         )
-    return f"Candidates: {chain.chosen.about}." + (f" {chain.verdict.rstrip('.')}." if chain.verdict else "")
+    return f"Candidates: {chain.chosen.about}." + (
+        f" {chain.verdict.rstrip('.')}." if chain.verdict else ""
+    )
 
 
 def score(result: Reproduction) -> list[str]:
     """The score in lines: tests on this telemetry, tests without any, what else there is."""
     found = result.counts()
     here, lines, paper = (found[name] for name in ("telemetry", "no_telemetry", "paper"))
-    other = {name: sum(counts[name] for counts in found.values()) for name in ("put_in", "arithmetic", "not_comparable")}
+    other = {
+        name: sum(counts[name] for counts in found.values())
+        for name in ("put_in", "arithmetic", "not_comparable")
+    }
     other["arithmetic"] -= len(result.rows_by_part["contradictions"])  # told in the last line
     strong, weak = (
-        sum(row.holds is False and row.weak is wanted for row in result.rows_by_part["contradictions"]) for wanted in (False, True)
+        sum(
+            row.holds is False and row.weak is wanted
+            for row in result.rows_by_part["contradictions"]
+        )
+        for wanted in (False, True)
     )
     return [
         f"Tests on this telemetry: {here['agree']} agree, {here['differ']} differ, {here['uninformative']} uninformative",
@@ -100,7 +109,11 @@ def _rests_on(result: Reproduction) -> str:
         f"of the paper's figures that can be tested on it {here['agree']} agree, {here['differ']} differ, and "
         f"{here['uninformative']} are uninformative"
     )
-    text += ", as these data leave nearly all that was possible" if result.chain is not None and here["uninformative"] else ""
+    text += (
+        ", as these data leave nearly all that was possible"
+        if result.chain is not None and here["uninformative"]
+        else ""
+    )
     if result.synthetic:
         return (
             "The flown panel powers are not public; this run uses synthetic ones made from published facts, so it tests the "

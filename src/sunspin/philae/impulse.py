@@ -62,7 +62,10 @@ class Seen:
 
     def weights(self, runs: xr.Dataset, numbers: int = 2) -> np.ndarray:
         """Likelihood (n) of simulated collisions by the first of size, angle to the Sun, angle about it; 1 where they are exact."""
-        turned = np.remainder(runs["change_about_sun"].values - self.about_sun_rad + np.pi, 2 * np.pi) - np.pi
+        turned = (
+            np.remainder(runs["change_about_sun"].values - self.about_sun_rad + np.pi, 2 * np.pi)
+            - np.pi
+        )
         off = [
             (runs["velocity_change"].values - self.change_m_s) / SIGMA_M_S,
             (runs["change_to_sun"].values - self.to_sun_rad) / self.direction_sigma_rad,
@@ -84,10 +87,15 @@ class Impulse:
 
     def rates(self) -> dict[str, np.ndarray]:
         """Angular speeds (n) rad/s, by the row that they make."""
-        before, after = (np.linalg.norm(self.runs[name].values, axis=1) for name in ("omega_before_B", "omega_after_B"))
+        before, after = (
+            np.linalg.norm(self.runs[name].values, axis=1)
+            for name in ("omega_before_B", "omega_after_B")
+        )
         return {
-            "impulse_rate_touchdown": self.speed_touchdown, "impulse_rate_before": before, "impulse_rate_after": after,
-        }  # fmt: skip
+            "impulse_rate_touchdown": self.speed_touchdown,
+            "impulse_rate_before": before,
+            "impulse_rate_after": after,
+        }
 
 
 def seen_in(case: Case, folder: str | Path) -> Seen:
@@ -106,7 +114,11 @@ def seen_in(case: Case, folder: str | Path) -> Seen:
     up = comet_from_J2000(touchdown).T @ states[0][:3]
     size = float(np.linalg.norm(change))
     if not (np.isfinite(size) and size > 0):
-        raise InputError(sentence("the trajectory kernel holds no collision", do="download it again", where=str(path)))
+        raise InputError(
+            sentence(
+                "the trajectory kernel holds no collision", do="download it again", where=str(path)
+            )
+        )
     to_sun, about = (float(x[0]) for x in angle_about(change[None], sun[None], up[None]))
     return Seen(size, to_sun, about)
 
@@ -129,7 +141,9 @@ def sun_J2000(folder: str | Path, tdb_s: float) -> np.ndarray:
     return sun / np.linalg.norm(sun)
 
 
-def compute(case: Case, chain: Chain, seen: Seen, *, n: int, seed: int = 0, workers: int | None = None) -> Impulse:
+def compute(
+    case: Case, chain: Chain, seen: Seen, *, n: int, seed: int = 0, workers: int | None = None
+) -> Impulse:
     """Simulate collisions of the chosen candidates, the time of the collision free.
 
     Nothing after the blow is looked at, so that the flight ends a second later.
@@ -138,13 +152,25 @@ def compute(case: Case, chain: Chain, seen: Seen, *, n: int, seed: int = 0, work
     shifts = FREE_S * (2 * (np.arange(INSTANTS) + 0.5) / INSTANTS - 1)
     runs = xr.concat(
         [
-            outcomes(case.vehicle, motions, "off", max(RUNS * n // INSTANTS, 1), seed + 1000 + k, workers=workers,
-                     scenario=replace(real, before_s=real.before_s + float(shift), after_s=1.0, vertical=CONE_RAD))
+            outcomes(
+                case.vehicle,
+                motions,
+                "off",
+                max(RUNS * n // INSTANTS, 1),
+                seed + 1000 + k,
+                workers=workers,
+                scenario=replace(
+                    real, before_s=real.before_s + float(shift), after_s=1.0, vertical=CONE_RAD
+                ),
+            )
             for k, shift in enumerate(shifts)
         ],
-        "run", combine_attrs="drop_conflicts",
-    )  # fmt: skip
-    return Impulse(case, chain.name, runs, chain.chosen.speed_touchdown[runs["candidate"].values], seen)
+        "run",
+        combine_attrs="drop_conflicts",
+    )
+    return Impulse(
+        case, chain.name, runs, chain.chosen.speed_touchdown[runs["candidate"].values], seen
+    )
 
 
 def rows(found: Impulse) -> list[Row]:
@@ -153,22 +179,43 @@ def rows(found: Impulse) -> list[Row]:
     low, middle, high = (float(x) for x in np.nanquantile(angle, [0.05, 0.5, 0.95]))
     weights = [found.seen.weights(found.runs, numbers) for numbers in (1, 2, 3)]
     head = row(
-        found.case, "impulse_to_sun", middle, published=float(np.degrees(found.seen.to_sun_rad)), chain=found.chain, low=low,
-        high=high, seen=found.seen, sigma_deg=float(np.degrees(found.seen.direction_sigma_rad)),
-        effective=effective_runs(weights[1]), drawn=len(angle),
-    )  # fmt: skip
+        found.case,
+        "impulse_to_sun",
+        middle,
+        published=float(np.degrees(found.seen.to_sun_rad)),
+        chain=found.chain,
+        low=low,
+        high=high,
+        seen=found.seen,
+        sigma_deg=float(np.degrees(found.seen.direction_sigma_rad)),
+        effective=effective_runs(weights[1]),
+        drawn=len(angle),
+    )
     return [head, *(_rate(found, name, values, weights) for name, values in found.rates().items())]
 
 
 def _rate(found: Impulse, name: str, values: np.ndarray, weights: list[np.ndarray]) -> Row:
     """A mean rate by two numbers beside that without; `weights` by one number, two and three."""
-    without, by_two, effective = estimate(values), estimate(values, weights[1]), effective_runs(weights[1])
+    without, by_two, effective = (
+        estimate(values),
+        estimate(values, weights[1]),
+        effective_runs(weights[1]),
+    )
     known = effective >= LEAST_RUNS
     by_size, by_three = (_words(values, weights[k]) for k in (0, 2))
     shown = row(
-        found.case, name, by_two.value if known else without.value, says=("note",) if known else ("note_open",), chain=found.chain,
-        without=without, by_size=by_size, by_two=by_two, by_three=by_three, cone=np.degrees(CONE_RAD), effective=effective,
-    )  # fmt: skip
+        found.case,
+        name,
+        by_two.value if known else without.value,
+        says=("note",) if known else ("note_open",),
+        chain=found.chain,
+        without=without,
+        by_size=by_size,
+        by_two=by_two,
+        by_three=by_three,
+        cone=np.degrees(CONE_RAD),
+        effective=effective,
+    )
     if not known:
         return replace(shown, informative=False)
     return share_of_candidates(shown, found.chain, by_two, without, None)
@@ -176,7 +223,11 @@ def _rate(found: Impulse, name: str, values: np.ndarray, weights: list[np.ndarra
 
 def _words(values: np.ndarray, weight: np.ndarray) -> str:
     effective = effective_runs(weight)
-    return str(estimate(values, weight)) if effective >= LEAST_RUNS else f"not known from the {effective:.0f} collisions left"
+    return (
+        str(estimate(values, weight))
+        if effective >= LEAST_RUNS
+        else f"not known from the {effective:.0f} collisions left"
+    )
 
 
 def told(found: Impulse, shown: list[Row]) -> str:
@@ -189,7 +240,10 @@ def told(found: Impulse, shown: list[Row]) -> str:
     moved = [one for one in shown[1:] if one.informative]
     if not moved:
         return f"{text}; it is uninformative: no mean rate of the candidates moves beyond three sampling errors."
-    each = ", ".join(f"{one.what}: {_middle(one, 'prior_'):.3f} without, {one.ours:.3f} rad/s with it" for one in moved)
+    each = ", ".join(
+        f"{one.what}: {_middle(one, 'prior_'):.3f} without, {one.ours:.3f} rad/s with it"
+        for one in moved
+    )
     return f"{text}; weighted by it, {each}."
 
 

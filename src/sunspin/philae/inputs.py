@@ -38,15 +38,27 @@ def rows(result: Taken) -> list[Row]:
 
 def _taken(case: Case) -> list[Row]:
     """Published figures that are inputs, or the other half of a comparison, in the order of `published.toml`."""
-    inputs = {name: template.values["input"] for name, template in templates(case).items() if "input" in template.values}
+    inputs = {
+        name: template.values["input"]
+        for name, template in templates(case).items()
+        if "input" in template.values
+    }
     used: dict[str, Any] = {
-        "wheel_speed": case.vehicle.wheels[0].speed_rad_s, "near_minimum_factor": case.assumptions.study.near_minimum_factor,
-    }  # fmt: skip
+        "wheel_speed": case.vehicle.wheels[0].speed_rad_s,
+        "near_minimum_factor": case.assumptions.study.near_minimum_factor,
+    }
     return [
-        row(case, name, used.get(name, figure.value), **_note(used.get(name, figure.value), figure.value))
-        if inputs[name] else row(case, name, "not an input")
-        for name, figure in case.published.items() if name in inputs
-    ]  # fmt: skip
+        row(
+            case,
+            name,
+            used.get(name, figure.value),
+            **_note(used.get(name, figure.value), figure.value),
+        )
+        if inputs[name]
+        else row(case, name, "not an input")
+        for name, figure in case.published.items()
+        if name in inputs
+    ]
 
 
 def _note(ours: Any, published: Any) -> dict[str, Any]:
@@ -62,9 +74,11 @@ def _stated_rows(result: Taken) -> list[Row]:
     below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
     opposite = np.array([[0.0, 0.0, 1.0]])
     extremes = [
-        float(direction_error(opposite, opposite)), float(direction_error(-opposite, opposite)), emd([1.0], [1.0]),
+        float(direction_error(opposite, opposite)),
+        float(direction_error(-opposite, opposite)),
+        emd([1.0], [1.0]),
         emd([-1.0], [1.0]),
-    ]  # fmt: skip
+    ]
     return [
         row(case, "descent_duration", between("separation", "first_touchdown") / 3600),
         row(case, "duration_after_collision", between("collision", "second_touchdown") / 60),
@@ -82,24 +96,47 @@ def _table_rows(case: Case) -> list[Row]:
     moments = np.linalg.eigvalsh(inertia)
     legs = np.array([leg.tip_B_m for leg in vehicle.legs])
     middle = legs.mean(axis=0)
-    listed = [event for event in case.require_timeline().events if event.source.startswith("paper, Table 1")]
+    listed = [
+        event
+        for event in case.require_timeline().events
+        if event.source.startswith("paper, Table 1")
+    ]
     events = {event.name: event.utc for event in listed}
-    off = max((abs(utc_seconds(event.utc, event.refined_utc)) for event in listed if event.refined_utc), default=0.0)
+    off = max(
+        (abs(utc_seconds(event.utc, event.refined_utc)) for event in listed if event.refined_utc),
+        default=0.0,
+    )
     (table_2, table_3, gains), (body, tips, cells) = map(_tables_of, (vehicle, paper))
     return [
         row(case, "table_1", events, published=events, off=off),
         row(
-            case, "table_2", table_2, published=body, **_note(table_2, body), moments=", ".join(f"{x:.3f}" for x in moments),
+            case,
+            "table_2",
+            table_2,
+            published=body,
+            **_note(table_2, body),
+            moments=", ".join(f"{x:.3f}" for x in moments),
             unlike=100 * (moments[1] / moments[0] - 1),
         ),
-        row(case, "table_3", table_3, published=tips, **_note(table_3, tips), middle=np.hypot(middle[0], middle[1])),
+        row(
+            case,
+            "table_3",
+            table_3,
+            published=tips,
+            **_note(table_3, tips),
+            middle=np.hypot(middle[0], middle[1]),
+        ),
         row(case, "cells", gains, published=cells, **_note(gains, cells)),
-    ]  # fmt: skip
+    ]
 
 
 def _tables_of(vehicle: Vehicle) -> tuple[list[Any], list[Any], list[float]]:
     """Table 2 of a vehicle (mass, inertia tensor, axial inertia of the wheel), Table 3 (ends of the legs), gains of its panels."""
-    body = [vehicle.require_mass(), np.array(vehicle.require_inertia()).tolist(), vehicle.wheels[0].inertia_kg_m2]
+    body = [
+        vehicle.require_mass(),
+        np.array(vehicle.require_inertia()).tolist(),
+        vehicle.wheels[0].inertia_kg_m2,
+    ]
     return body, [list(leg.tip_B_m) for leg in vehicle.legs], np.array(vehicle.panel_gains).tolist()
 
 

@@ -57,17 +57,34 @@ class LevelSet:
 
 
 def compute(
-    case: Case, sun: xr.Dataset, seed: int = 0, coarser: int = 1, workers: int | None = None, progress: bool = False
+    case: Case,
+    sun: xr.Dataset,
+    seed: int = 0,
+    coarser: int = 1,
+    workers: int | None = None,
+    progress: bool = False,
 ) -> LevelSet:
     """Scan every `coarser`-th grid point against the directions `sun` (of `sun_directions`, whole landing)."""
     rebound = rb.rebound_of(case, sun)
     table = make_table(
-        case.vehicle, rebound.sun_B, rb.grid(case, coarser), rb.nominal_speed(case.vehicle), rebound.window_s, workers=workers,
-        progress=progress, mask=None if rb.counted(case) is None else "reconstructible",
-    )  # fmt: skip
+        case.vehicle,
+        rebound.sun_B,
+        rb.grid(case, coarser),
+        rb.nominal_speed(case.vehicle),
+        rebound.window_s,
+        workers=workers,
+        progress=progress,
+        mask=None if rb.counted(case) is None else "reconstructible",
+    )
     volume = table.volume(rebound.z, rebound.weights, worker_count(workers))
     near = rb.families(case, volume, case.assumptions.study.near_minimum_factor, seed)
-    return LevelSet(case, seed, scanned(rebound, table, volume.values), near, truth_emd(case, rebound.z, rebound.weights))
+    return LevelSet(
+        case,
+        seed,
+        scanned(rebound, table, volume.values),
+        near,
+        truth_emd(case, rebound.z, rebound.weights),
+    )
 
 
 def truth_emd(case: Case, measured_z: np.ndarray, weights: np.ndarray | None) -> dict[str, Any]:
@@ -89,13 +106,39 @@ def rows(result: LevelSet) -> list[Row]:
     if truth:
         told += f"; at the true rate of the synthetic telemetry it is {truth['emd']:.4f}"
     count, runs = len(rb.published_lines(case)), int(near.emd.size)
-    each = ", ".join(f"L{i + 1} {deviation['mean']:.3f}" for i, deviation in enumerate(near.deviation))
-    each = f"mean distances of the fitted lines (rad/s): {each}" if each else "too few points in the set for four lines"
+    each = ", ".join(
+        f"L{i + 1} {deviation['mean']:.3f}" for i, deviation in enumerate(near.deviation)
+    )
+    each = (
+        f"mean distances of the fitted lines (rad/s): {each}"
+        if each
+        else "too few points in the set for four lines"
+    )
     return [
-        row(case, "emd_min", result.scan.smallest, whose=whose, directions=result.measured_z.size, near=told),
-        row(case, "scan_runs", runs, published=rb.grid_size(case), agrees=True if runs == rb.grid_size(case) else None),
         row(
-            case, "lines_found", result.lines_found, published=count, whose=whose, found=FOUND_RAD_S,
-            omega_z=list(rb.LINE_RANGE), each=each, near=told,
+            case,
+            "emd_min",
+            result.scan.smallest,
+            whose=whose,
+            directions=result.measured_z.size,
+            near=told,
         ),
-    ]  # fmt: skip
+        row(
+            case,
+            "scan_runs",
+            runs,
+            published=rb.grid_size(case),
+            agrees=True if runs == rb.grid_size(case) else None,
+        ),
+        row(
+            case,
+            "lines_found",
+            result.lines_found,
+            published=count,
+            whose=whose,
+            found=FOUND_RAD_S,
+            omega_z=list(rb.LINE_RANGE),
+            each=each,
+            near=told,
+        ),
+    ]

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.dynamics.friction import fit_spin_down, spin_down_curve, spin_down_speed, spin_down_time
+from sunspin.dynamics.friction import (
+    fit_spin_down,
+    spin_down_curve,
+    spin_down_speed,
+    spin_down_time,
+)
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row
@@ -53,7 +58,9 @@ def spin_down(case: Case) -> dict[str, Any]:
         "t_s": t,
         "record": record,
         "fit": fit,
-        "printed": spin_down_speed(printed.coulomb_N_m, printed.viscous_N_m_s, wheel.inertia_kg_m2, record[0], t),
+        "printed": spin_down_speed(
+            printed.coulomb_N_m, printed.viscous_N_m_s, wheel.inertia_kg_m2, record[0], t
+        ),
         "stop_printed_s": spin_down_time(printed, wheel.inertia_kg_m2, wheel.speed_rad_s),
     }
 
@@ -69,8 +76,14 @@ def rows(result: Mechanics) -> list[Row]:
         row(case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]),
         row(case, "friction_coulomb", fit.friction.coulomb_N_m),
         row(case, "friction_viscous", fit.friction.viscous_N_m_s),
-        row(case, "wheel_stop", stop[0] / 60 if stop else None, printed=fall["stop_printed_s"] / 60),
         row(
-            case, "example_still_z", [float(z.min()), float(z.max())], tolerance=STILL_Z, agrees=bool(np.ptp(z) < STILL_Z)
+            case, "wheel_stop", stop[0] / 60 if stop else None, printed=fall["stop_printed_s"] / 60
+        ),
+        row(
+            case,
+            "example_still_z",
+            [float(z.min()), float(z.max())],
+            tolerance=STILL_Z,
+            agrees=bool(np.ptp(z) < STILL_Z),
         ),
     ]

@@ -59,7 +59,8 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
     descent: Descent | None = done.get("descent")
     blows = {"Truth": rb.twin_file(case).get("seed", seed)} if scan.truth else {}
     found = {
-        name: landing(chain.rebound, start, about, blows.get(name, seed)) for name, (start, about) in chosen(chain, scan).items()
+        name: landing(chain.rebound, start, about, blows.get(name, seed))
+        for name, (start, about) in chosen(chain, scan).items()
     }
     if descent is not None:
         found["Descent"] = descent_motion(case, descent)
@@ -83,7 +84,11 @@ def chosen(chain: Chain, scan: LevelSet) -> dict[str, tuple[Rows, str]]:
         f"the grid point whose heights of the Sun fit this telemetry best (EMD {scan.scan.smallest:.4f})",
     )
     speed = chain.chosen.speed_touchdown
-    for name, at in (("Slowest", np.argmin(speed)), ("Middle", np.argsort(speed)[len(speed) // 2]), ("Fastest", np.argmax(speed))):
+    for name, at in (
+        ("Slowest", np.argmin(speed)),
+        ("Middle", np.argsort(speed)[len(speed) // 2]),
+        ("Fastest", np.argmax(speed)),
+    ):
         found[f"{name} candidate"] = (
             chain.chosen.states.take(np.array([at])),
             f"{name.lower()} of {chain.chosen.about}: {speed[at]:.3f} rad/s just after the touchdown",
@@ -93,7 +98,15 @@ def chosen(chain: Chain, scan: LevelSet) -> dict[str, tuple[Rows, str]]:
 
 def _run(case: Case, start: Rows, t: Any) -> xr.Dataset:
     mode = mode_before(start.wheel_speed_rad_s) if t[-1] < t[0] else "coast"
-    return propagate(case.vehicle, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0], t, wheel_mode=mode, rtol=1e-9)
+    return propagate(
+        case.vehicle,
+        start.omega_B[0],
+        start.sun_B[0],
+        start.wheel_speed_rad_s[0],
+        t,
+        wheel_mode=mode,
+        rtol=1e-9,
+    )
 
 
 def instant_s(rebound: rb.Rebound) -> float:
@@ -112,16 +125,28 @@ def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Datas
     _, after, blow = collision(case, state, generator(seed, 3))
     beyond = np.arange(0.0, end - blow_s + 1e-6, STEP_S)
     before = [_run(case, start, back).isel(time=slice(None, 0, -1)), _run(case, start, forth)]
-    last = propagate(case.vehicle, after.omega_B, after.sun_B, after.wheel_speed_rad_s, beyond, rtol=1e-9)
-    turned = Rotation.from_quat(last["B_from_N"].values) * Rotation.from_quat(before[1]["B_from_N"].values[-1])
+    last = propagate(
+        case.vehicle, after.omega_B, after.sun_B, after.wheel_speed_rad_s, beyond, rtol=1e-9
+    )
+    turned = Rotation.from_quat(last["B_from_N"].values) * Rotation.from_quat(
+        before[1]["B_from_N"].values[-1]
+    )
     last["B_from_N"] = (last["B_from_N"].dims, turned.as_quat(), last["B_from_N"].attrs)
     pieces = [*before[:1], before[1].isel(time=slice(None, -1)), last]
     shifts = (first, first, blow_s)
-    moved = [p.drop_dims("event").assign_coords(time=p["time"] + s) for p, s in zip(pieces, shifts, strict=True)]
-    whole = xr.concat(moved, "time", data_vars="minimal", coords="minimal", compat="override", join="override")
+    moved = [
+        p.drop_dims("event").assign_coords(time=p["time"] + s)
+        for p, s in zip(pieces, shifts, strict=True)
+    ]
+    whole = xr.concat(
+        moved, "time", data_vars="minimal", coords="minimal", compat="override", join="override"
+    )
     events = before[1]
     at = [*(events["event_time_s"].values + first), blow_s]
-    what = [f"{w} {e}" for w, e in zip(events["event_wheel"].values, events["event_what"].values, strict=True)]
+    what = [
+        f"{w} {e}"
+        for w, e in zip(events["event_wheel"].values, events["event_what"].values, strict=True)
+    ]
     told = f"{about}; after the collision one of many possible motions (leg {blow['collision_leg']} hits, drawn with seed {seed})"
     return _with_panels(case, whole, told, at, [*what, "collision"])
 
@@ -131,7 +156,9 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     start, end = descent_span(case, descent)
     t = np.arange(0.0, end - start, DESCENT_STEP_S)
     rate = np.polynomial.polynomial.polyval(t, descent.fit.coefficients)
-    angle = np.polynomial.polynomial.polyval(t, np.polynomial.polynomial.polyint(descent.fit.coefficients))
+    angle = np.polynomial.polynomial.polyval(
+        t, np.polynomial.polynomial.polyint(descent.fit.coefficients)
+    )
     axis = np.array([0.0, 0.0, 1.0])
     omega = rate[:, None] * axis
     speed = np.tile(rb.nominal_speed(case.vehicle), (t.size, 1))
@@ -141,13 +168,27 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
             "omega_B": (body, omega, {"units": "rad s-1"}),
             "sun_B": (body, descent.fit.directions(t), {"units": "1"}),
             "wheel_speed_rad_s": (("time", "wheel"), speed, {"units": "rad s-1"}),
-            "momentum_B": (body, gyrostat.total_momentum(case.vehicle, omega, speed), {"units": "N m s"}),
-            "B_from_N": (("time", "quaternion"), Rotation.from_rotvec(-angle[:, None] * axis).as_quat(), {"units": "1"}),
+            "momentum_B": (
+                body,
+                gyrostat.total_momentum(case.vehicle, omega, speed),
+                {"units": "N m s"},
+            ),
+            "B_from_N": (
+                ("time", "quaternion"),
+                Rotation.from_rotvec(-angle[:, None] * axis).as_quat(),
+                {"units": "1"},
+            ),
         },
         coords={"time": ("time", t + start, {"units": "s"}), "axis": ["x", "y", "z"]},
         attrs={"frame_N": BODY_AT_START},
     )
-    return _with_panels(case, data, "the spin about z that fits the directions of the descent, wheel held by its motor", [], [])
+    return _with_panels(
+        case,
+        data,
+        "the spin about z that fits the directions of the descent, wheel held by its motor",
+        [],
+        [],
+    )
 
 
 def _spread(case: Case, states: Rows, seed: int) -> Rows:
@@ -166,17 +207,29 @@ def descent_span(case: Case, descent: Descent) -> tuple[float, float]:
     return float(case.telemetry["time"].values[descent.number[0] - 1]) + to_case, end
 
 
-def _with_panels(case: Case, run: xr.Dataset, about: str, event_s: list[float], events: list[str]) -> xr.Dataset:
+def _with_panels(
+    case: Case, run: xr.Dataset, about: str, event_s: list[float], events: list[str]
+) -> xr.Dataset:
     power = panel_power(case.vehicle, run["sun_B"].values)
-    run["panel_signal"] = (("time", "panel"), power, {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"})
+    run["panel_signal"] = (
+        ("time", "panel"),
+        power,
+        {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"},
+    )
     run["event_time_s"] = ("event", np.array(event_s, dtype=np.float64), {"units": "s"})
     run["event_what"] = ("event", np.array(events, dtype=np.str_))
     run = run.assign_coords(panel=np.array(case.vehicle.panel_names, dtype=np.str_))
-    run.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": case.require_timeline().epoch_utc}
+    run.attrs = {
+        "vehicle": case.vehicle.name,
+        "about": about,
+        "epoch_utc": case.require_timeline().epoch_utc,
+    }
     return run
 
 
-def speeds(chain: Chain, descent: Descent | None, seed: int, workers: int | None = None) -> xr.Dataset:
+def speeds(
+    chain: Chain, descent: Descent | None, seed: int, workers: int | None = None
+) -> xr.Dataset:
     """Angular speed against time for sets of motions: slowest, median and fastest of each set; and after the collision.
 
     Sets: "candidates", those from which everything follows; "recipe", the paper's own set of this telemetry. Each motion of a set
@@ -190,11 +243,23 @@ def speeds(chain: Chain, descent: Descent | None, seed: int, workers: int | None
     before, after, count = [], [], []
     for candidates in sets.values():
         states = _spread(case, candidates.states, seed)
-        run = np.linalg.norm(run_rows(case.vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B, axis=2)
+        run = np.linalg.norm(
+            run_rows(case.vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B, axis=2
+        )
         run = np.concatenate([np.linalg.norm(states.omega_B, axis=1)[:, None], run], axis=1)
         before.append(np.quantile(run, [0.0, 0.5, 1.0], axis=0))
-        hit = outcomes(case.vehicle, candidates.dataset(), "off", COLLISIONS, seed, scenario=scenario, workers=workers)
-        after.append(np.nanquantile(np.linalg.norm(hit["omega_after_B"].values, axis=1), AFTER_LEVELS))
+        hit = outcomes(
+            case.vehicle,
+            candidates.dataset(),
+            "off",
+            COLLISIONS,
+            seed,
+            scenario=scenario,
+            workers=workers,
+        )
+        after.append(
+            np.nanquantile(np.linalg.norm(hit["omega_after_B"].values, axis=1), AFTER_LEVELS)
+        )
         count.append(len(states))
     names = list(sets)
     data = xr.Dataset(
@@ -203,12 +268,20 @@ def speeds(chain: Chain, descent: Descent | None, seed: int, workers: int | None
             "speed_after_collision": (("set", "level"), np.array(after), {"units": "rad s-1"}),
             "motions": ("set", count, {"units": "1"}),
         },
-        coords={"set": names, "level": ["low", "middle", "high"], "time": ("time", t + first, {"units": "s"})},
-        attrs={
-            "epoch_utc": timeline.epoch_utc, "seed": seed, "collisions": COLLISIONS, "chain": chain.name,
-            "about_candidates": chain.chosen.about, "about_recipe": chain.recipe.about,
+        coords={
+            "set": names,
+            "level": ["low", "middle", "high"],
+            "time": ("time", t + first, {"units": "s"}),
         },
-    )  # fmt: skip
+        attrs={
+            "epoch_utc": timeline.epoch_utc,
+            "seed": seed,
+            "collisions": COLLISIONS,
+            "chain": chain.name,
+            "about_candidates": chain.chosen.about,
+            "about_recipe": chain.recipe.about,
+        },
+    )
     if descent is None:
         return data
     begin, end = descent_span(case, descent)

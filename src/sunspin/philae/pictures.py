@@ -60,10 +60,15 @@ class Gallery:
         """All figures of the parts that were computed, as PNG and SVG."""
         self.begin(result)
         sheets = [sheet for k in sorted(self._sheets) for sheet in self._sheets[k].result()]
-        return [Picture(figures.write(files, folder, made.name)[0], made.alt, made.caption) for made, files in sheets]
+        return [
+            Picture(figures.write(files, folder, made.name)[0], made.alt, made.caption)
+            for made, files in sheets
+        ]
 
 
-def _drawn(sheets: Sheets, result: Reproduction, part: str) -> list[tuple[Drawing, dict[str, bytes]]]:
+def _drawn(
+    sheets: Sheets, result: Reproduction, part: str
+) -> list[tuple[Drawing, dict[str, bytes]]]:
     return [(sheet, figures.drawn(sheet.make())) for sheet in sheets(result, result.parts[part])]
 
 
@@ -74,22 +79,34 @@ def _note(result: Reproduction) -> str:
 def _measured(result: Reproduction, _: Any) -> Iterator[Drawing]:
     note = _note(result)
     yield Drawing(
-        "fig03_measured", lambda: sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
+        "fig03_measured",
+        lambda: sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
         "Panel powers, components of the Sun direction and Delta against time",
         "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
         "direction, by reason." + note,
-    )  # fmt: skip
+    )
     yield Drawing(
-        "fig04_phases", lambda: figures_directions.descent_and_rebound_figure(_phases(result.sun), result.synthetic),
-        "Sun directions on the unit sphere in four phases", "Directions in each phase (paper, Fig. 4). Orange: "
+        "fig04_phases",
+        lambda: figures_directions.descent_and_rebound_figure(
+            _phases(result.sun), result.synthetic
+        ),
+        "Sun directions on the unit sphere in four phases",
+        "Directions in each phase (paper, Fig. 4). Orange: "
         "best fits to sets of lit panels that the Sun alone cannot light." + note,
-    )  # fmt: skip
+    )
 
 
 def _events(result: Reproduction) -> dict[str, float]:
     """The events that are drawn, those that lie within the telemetry."""
     last = float(result.sun["time"].values[-1])
-    shown = ("separation", "unfolding_ends", "first_touchdown", "collision", "second_touchdown", "rest")
+    shown = (
+        "separation",
+        "unfolding_ends",
+        "first_touchdown",
+        "collision",
+        "second_touchdown",
+        "rest",
+    )
     at = {name.replace("_", " "): rb.case_seconds(result.case, result.sun, name) for name in shown}
     first = float(result.sun["time"].values[0])
     return {name: second for name, second in at.items() if first - 600 <= second <= last}
@@ -102,117 +119,148 @@ def _mechanics(_: Reproduction, part: Any) -> Iterator[Drawing]:
         "rounded friction as printed": fall["printed"],
     }
     yield Drawing(
-        "fig05_spin_down", lambda: spin_down_figure(fall["t_s"], curves), "Wheel speed falling to zero",
+        "fig05_spin_down",
+        lambda: spin_down_figure(fall["t_s"], curves),
+        "Wheel speed falling to zero",
         "Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients.",
-    )  # fmt: skip
+    )
     yield Drawing(
-        "fig06_examples", lambda: figures_directions.examples_figure(part.examples),
+        "fig06_examples",
+        lambda: figures_directions.examples_figure(part.examples),
         "Tracks of the Sun on the sphere and its components against time for three initial rates",
         "Simulated tracks of the Sun in body axes (paper, Fig. 6).",
-    )  # fmt: skip
+    )
     yield Drawing(
-        "fig07_histograms", lambda: figures_directions.histograms_figure(part.examples),
-        "Three histograms of the Sun's z component", "Distribution of the z component in those simulations (paper, Fig. 7).",
-    )  # fmt: skip
+        "fig07_histograms",
+        lambda: figures_directions.histograms_figure(part.examples),
+        "Three histograms of the Sun's z component",
+        "Distribution of the z component in those simulations (paper, Fig. 7).",
+    )
 
 
 def _sensitivity(result: Reproduction, part: Any) -> Iterator[Drawing]:
     yield Drawing(
-        "fig08_maps", lambda: figures_sensitivity.draw_maps(part), "Two maps of E with many slanted valleys",
-        "E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it." +
-        _note(result),
-    )  # fmt: skip
+        "fig08_maps",
+        lambda: figures_sensitivity.draw_maps(part),
+        "Two maps of E with many slanted valleys",
+        "E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it."
+        + _note(result),
+    )
     yield Drawing(
-        "growth", lambda: figures_sensitivity.draw_growth(part),
+        "growth",
+        lambda: figures_sensitivity.draw_growth(part),
         "Growth of direction errors, valleys of E in three windows, E and EMD under changes of one percent, width of the valley",
         "Why a direct fit fails: errors grow with the window, the valley of E narrows below the scan's step, EMD hardly moves. "
         "Simulated motions only.",
-    )  # fmt: skip
+    )
 
 
 def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
     lines, note, near = rb.published_lines(part.case), _note(result), part.near
     synthetic = " (synthetic)" if part.synthetic else ""
     yield Drawing(
-        "fig09_telemetry", lambda: figures_level_set.level_set_figure(
-            near.points, near.lines, lines,
-            f"EMD < {near.factor:g} EMD_min, target: this telemetry{synthetic}", part.truth.get("omega_B")),
+        "fig09_telemetry",
+        lambda: figures_level_set.level_set_figure(
+            near.points,
+            near.lines,
+            lines,
+            f"EMD < {near.factor:g} EMD_min, target: this telemetry{synthetic}",
+            part.truth.get("omega_B"),
+        ),
         "Near-minimum points in rate space for the telemetry",
         f"The paper's recipe on this telemetry (paper, Fig. 9): {len(near.points)} points, smallest EMD {part.scan.smallest:.4f}; "
         f"{part.lines_found} of the four printed lines (dashed) come out of them." + note,
-    )  # fmt: skip
+    )
     about = "telemetry (synthetic)" if part.synthetic else "telemetry"
     pooled = result.parts["published_lines"].pooled
     shown = {f"L{k + 1} as published": z for k, z in enumerate(pooled)}
     if part.truth:
         shown["truth of the synthetic telemetry"] = part.truth["z"]
     yield Drawing(
-        "distributions", lambda: figures_level_set.distributions_figure(part.measured_z, about, shown, "What the EMD compares"),
+        "distributions",
+        lambda: figures_level_set.distributions_figure(
+            part.measured_z, about, shown, "What the EMD compares"
+        ),
         "Cumulative distributions of the z component",
         "z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one "
         "distribution (EMD to "
         f"their mean at most {max(rb.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
         + note,
-    )  # fmt: skip
+    )
 
 
 def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]:
     lines, clean = rb.published_lines(part.case), part.clean
     yield Drawing(
-        "fig09_lines", lambda: figures_level_set.level_set_figure(
-            clean.points, clean.lines, lines,
-            f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines"),
+        "fig09_lines",
+        lambda: figures_level_set.level_set_figure(
+            clean.points,
+            clean.lines,
+            lines,
+            f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines",
+        ),
         "Near-minimum points in rate space along four lines",
         f"No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {len(clean.points)} "
         f"points at {clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of "
         f"points, the minimum against so clean a target being {float(clean.emd.min()):.4f}.",
-    )  # fmt: skip
+    )
     yield Drawing(
-        "thresholds", lambda: figures_level_set.thresholds_figure(part.thresholds, clean.factor),
+        "thresholds",
+        lambda: figures_level_set.thresholds_figure(part.thresholds, clean.factor),
         "Size of the near-minimum set and distance of its lines against the factor",
         "What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor "
         "used above. Fewer points than four lines need have no line.",
-    )  # fmt: skip
+    )
     smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
     yield Drawing(
-        "fig12_lines", lambda: figures_level_set.backward_figure(part.near_touchdown, part.on_lines_touchdown, smallest,
-            f"EMD < {clean.factor:g} EMD_min against the printed lines' distribution, run back"),
+        "fig12_lines",
+        lambda: figures_level_set.backward_figure(
+            part.near_touchdown,
+            part.on_lines_touchdown,
+            smallest,
+            f"EMD < {clean.factor:g} EMD_min against the printed lines' distribution, run back",
+        ),
         "Body rates at the first touchdown of motions on the printed lines",
         "No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).",
-    )  # fmt: skip
+    )
     yield Drawing(
-        "fig13_lines", lambda: figures_outcomes.sun_height_figure(part.runs),
+        "fig13_lines",
+        lambda: figures_outcomes.sun_height_figure(part.runs),
         "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
         f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated "
         "collisions of motions on the printed lines; each area is 1.",
-    )  # fmt: skip
+    )
 
 
 def _descent(result: Reproduction, part: Any) -> Iterator[Drawing]:
     yield Drawing(
-        "fig10_11_descent", lambda: figures_descent.draw(part),
+        "fig10_11_descent",
+        lambda: figures_descent.draw(part),
         "The telemetry's directions and the fitted ones, the fitted rate, E against the rate",
         "The descent: directions of the telemetry and fitted ones (paper, Fig. 10), E against the rate (Fig. 11), here over all "
         "aliases of the sampling too." + _note(result),
-    )  # fmt: skip
+    )
 
 
 def _precession(_: Reproduction, part: Any) -> Iterator[Drawing]:
     yield Drawing(
-        "precession", lambda: figures_precession.draw(part),
+        "precession",
+        lambda: figures_precession.draw(part),
         "Height of the Sun, nutation angle and swing of the z axis along the four published lines",
         "What section 3.2 says of the amplitude of precession: the Sun's height ranges as published, the z axis swings further "
         "than that on L1 and L2.",
-    )  # fmt: skip
+    )
 
 
 def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
     yield Drawing(
-        "fig12_touchdown", lambda: figures_candidates.draw(part, result.synthetic),
+        "fig12_touchdown",
+        lambda: figures_candidates.draw(part, result.synthetic),
         "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
         "What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the "
-        f"heights of the Sun see, over {part.chosen.about}; grey: all that was possible." + _note(result),
-    )  # fmt: skip
+        f"heights of the Sun see, over {part.chosen.about}; grey: all that was possible."
+        + _note(result),
+    )
 
 
 def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
@@ -221,29 +269,36 @@ def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     of_telemetry = {"synthetic": int(result.synthetic)}
     after = {name: found.assign_attrs(of_telemetry) for name, found in part.chosen.paper.items()}
     yield Drawing(
-        "fig13_after_collision", lambda: figures_outcomes.sun_height_figure(after),
+        "fig13_after_collision",
+        lambda: figures_outcomes.sun_height_figure(after),
         "Densities of the z component between collision and second touchdown, wheel off and held",
-        f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1." +
-        _note(result),
-    )  # fmt: skip
+        f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1."
+        + _note(result),
+    )
     yield Drawing(
-        "strategies", lambda: figures_outcomes.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
+        "strategies",
+        lambda: figures_outcomes.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
-        f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}." + _note(result),
-    )  # fmt: skip
+        f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
+        + _note(result),
+    )
     yield Drawing(
-        "collision", lambda: collision_figure(part.collision.assign_attrs(of_telemetry)),
+        "collision",
+        lambda: collision_figure(part.collision.assign_attrs(of_telemetry)),
         "Simulated collisions against the trajectory kernel's speeds",
-        "The simulated collisions against what the trajectory kernel and the magnetometer say of them." + _note(result),
-    )  # fmt: skip
+        "The simulated collisions against what the trajectory kernel and the magnetometer say of them."
+        + _note(result),
+    )
 
 
 def _health(result: Reproduction, part: Any) -> Iterator[Drawing]:
     yield Drawing(
-        "health", lambda: figures_health.draw(part), "Lit panels sample by sample and the probability of forbidden patterns",
+        "health",
+        lambda: figures_health.draw(part),
+        "Lit panels sample by sample and the probability of forbidden patterns",
         "Which panels are lit, which patterns the Sun alone cannot make, and how improbable noise makes them (paper, section 4)."
         + _note(result),
-    )  # fmt: skip
+    )
 
 
 def _worth(_: Reproduction, part: Any) -> Iterator[Drawing]:
@@ -276,4 +331,7 @@ def _phases(sun: xr.Dataset) -> dict[str, xr.Dataset]:
         "collision to second touchdown": ["second_rebound"],
         "after the second touchdown": ["settling", "rest"],
     }
-    return {name: sun.isel(time=np.flatnonzero(np.isin(sun["phase"].values, parts))) for name, parts in groups.items()}
+    return {
+        name: sun.isel(time=np.flatnonzero(np.isin(sun["phase"].values, parts)))
+        for name, parts in groups.items()
+    }

@@ -101,27 +101,44 @@ def swing(
         Unit vector.
     """
     if not 0 < compared_s <= duration_s:
-        raise InputError(sentence("compared_s must be positive and at most duration_s", got=compared_s))
-    starts, axis = np.atleast_2d(np.asarray(omega_B, dtype=np.float64)), np.asarray(axis_B, dtype=np.float64)
+        raise InputError(
+            sentence("compared_s must be positive and at most duration_s", got=compared_s)
+        )
+    starts, axis = (
+        np.atleast_2d(np.asarray(omega_B, dtype=np.float64)),
+        np.asarray(axis_B, dtype=np.float64),
+    )
     if axis.shape != (3,) or abs(np.linalg.norm(axis) - 1) > 1e-3:
         raise InputError(sentence("axis_B must be a unit vector of three components", got=axis_B))
     t = np.arange(0.0, duration_s + STEP_S / 2, STEP_S)
     parts = t <= compared_s, t >= duration_s - compared_s
-    found = [_one(propagate(vehicle, omega, sun_B, wheel_speed_rad_s, t, rtol=1e-10), axis, parts) for omega in starts]
+    found = [
+        _one(propagate(vehicle, omega, sun_B, wheel_speed_rad_s, t, rtol=1e-10), axis, parts)
+        for omega in starts
+    ]
     return Swing(starts, *(np.array(values) for values in zip(*found, strict=True)))
 
 
 def _one(run: xr.Dataset, axis: np.ndarray, parts: tuple[np.ndarray, np.ndarray]) -> tuple:
     sun, momentum = run["sun_B"].values, run["momentum_B"].values
     size = np.linalg.norm(momentum, axis=1, keepdims=True)
-    unit = np.where(size > 0, momentum / np.where(size > 0, size, 1.0), np.nan)  # what does not turn has no axis
+    unit = np.where(
+        size > 0, momentum / np.where(size > 0, size, 1.0), np.nan
+    )  # what does not turn has no axis
     z, nutation = sun @ axis, _angle(unit, axis)
     sun_angle = _angle(unit[:1], sun[0] / np.linalg.norm(sun[0]))[0]
     first, last = parts
     return (
-        _range(z), _range(z[first]), _range(z[last]), _range(nutation), nutation[first].mean(), nutation[last].mean(),
-        sun_angle, _widest(_axis_N(run, axis)), count_peaks(z),
-    )  # fmt: skip
+        _range(z),
+        _range(z[first]),
+        _range(z[last]),
+        _range(nutation),
+        nutation[first].mean(),
+        nutation[last].mean(),
+        sun_angle,
+        _widest(_axis_N(run, axis)),
+        count_peaks(z),
+    )
 
 
 def _range(values: np.ndarray) -> tuple[float, float]:
@@ -140,7 +157,9 @@ def _axis_N(run: xr.Dataset, axis: np.ndarray) -> np.ndarray:
 
 def _widest(units: np.ndarray) -> float:
     """Largest angle between two of the unit vectors (n, 3)."""
-    smallest = min(float((units[at : at + 500] @ units.T).min()) for at in range(0, len(units), 500))
+    smallest = min(
+        float((units[at : at + 500] @ units.T).min()) for at in range(0, len(units), 500)
+    )
     return float(np.arccos(np.clip(smallest, -1, 1)))
 
 
@@ -151,7 +170,9 @@ def count_peaks(z: np.ndarray) -> int:
         return 1
     density = np.histogram(z, bins=PEAK_BINS, range=(low, high))[0].astype(np.float64)
     smooth = np.convolve(np.pad(density, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    places, _ = find_peaks(np.concatenate([[0.0], smooth, [0.0]]), prominence=PEAK_PROMINENCE * smooth.max())
+    places, _ = find_peaks(
+        np.concatenate([[0.0], smooth, [0.0]]), prominence=PEAK_PROMINENCE * smooth.max()
+    )
     return len(places)
 
 
@@ -189,44 +210,79 @@ def rows(result: Precession) -> list[Row]:
 def _height_rows(r: Precession) -> list[Row]:
     height = np.degrees(np.array([line.height for line in r.lines]))
     typical = height.mean(axis=(0, 1))
-    twice = [2 * float(np.degrees((line.nutation_first + line.nutation_last).mean() / 2)) for line in r.lines]
+    twice = [
+        2 * float(np.degrees((line.nutation_first + line.nutation_last).mean() / 2))
+        for line in r.lines
+    ]
     widest = [float(np.degrees(line.axis_swing).mean()) for line in r.lines]
     low, high = r.case.published["sun_height_range"].value
     tenth = (high - low) / 10
     return [
         row(
-            r.case, "sun_height_lines", typical.tolist(), published=[low, high], tolerance=tenth,
-            points=height.shape[0] * height.shape[1], height=[height.min(), height.max()],
+            r.case,
+            "sun_height_lines",
+            typical.tolist(),
+            published=[low, high],
+            tolerance=tenth,
+            points=height.shape[0] * height.shape[1],
+            height=[height.min(), height.max()],
         ),
         row(
-            r.case, "axis_swing", widest, tolerance=SWING_DEG, twice=", ".join(f"{x:.0f}" for x in twice),
+            r.case,
+            "axis_swing",
+            widest,
+            tolerance=SWING_DEG,
+            twice=", ".join(f"{x:.0f}" for x in twice),
             agrees=bool(np.all(np.abs(np.array(widest) - (high - low)) <= SWING_DEG)),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _constancy_rows(r: Precession) -> list[Row]:
     change = np.abs(r.examples.z_last - r.examples.z_first)
     on_lines = np.array([np.abs(line.z_last - line.z_first) for line in r.lines])
-    nutation = [np.nanmax(np.degrees(np.abs(s.nutation_last - s.nutation_first))) for s in (r.examples, *r.lines)]
+    nutation = [
+        np.nanmax(np.degrees(np.abs(s.nutation_last - s.nutation_first)))
+        for s in (r.examples, *r.lines)
+    ]
     wander = np.degrees(np.array([line.nutation for line in r.lines]))
     counts = np.concatenate([r.examples.peaks[1:], *(line.peaks for line in r.lines)])
     ranges = zip(wander[..., 0].min(axis=1), wander[..., 1].max(axis=1), strict=True)
     return [
         row(
-            r.case, "range_of_z_examples", float(change.max()), tolerance=SAME_Z, agrees=bool(change.max() <= SAME_Z),
-            omega=r.examples.omega_B[1].tolist(), first=_pair(r.examples.z_first[1]), last=_pair(r.examples.z_last[1]),
+            r.case,
+            "range_of_z_examples",
+            float(change.max()),
+            tolerance=SAME_Z,
+            agrees=bool(change.max() <= SAME_Z),
+            omega=r.examples.omega_B[1].tolist(),
+            first=_pair(r.examples.z_first[1]),
+            last=_pair(r.examples.z_last[1]),
         ),
         row(
-            r.case, "range_of_z_lines", [float(np.median(on_lines)), float(on_lines.max())], tolerance=SAME_Z,
-            agrees=bool(on_lines.max() <= SAME_Z), share=float(np.mean(on_lines <= SAME_Z)),
+            r.case,
+            "range_of_z_lines",
+            [float(np.median(on_lines)), float(on_lines.max())],
+            tolerance=SAME_Z,
+            agrees=bool(on_lines.max() <= SAME_Z),
+            share=float(np.mean(on_lines <= SAME_Z)),
         ),
         row(
-            r.case, "nutation_constant", float(max(nutation)),
-            each="; ".join(f"{low:.0f} to {high:.0f} (L{k + 1})" for k, (low, high) in enumerate(ranges)),
+            r.case,
+            "nutation_constant",
+            float(max(nutation)),
+            each="; ".join(
+                f"{low:.0f} to {high:.0f} (L{k + 1})" for k, (low, high) in enumerate(ranges)
+            ),
         ),
-        row(r.case, "rz_peaks", float(np.median(counts)), two=np.mean(counts == 2), distributions=counts.size),
-    ]  # fmt: skip
+        row(
+            r.case,
+            "rz_peaks",
+            float(np.median(counts)),
+            two=np.mean(counts == 2),
+            distributions=counts.size,
+        ),
+    ]
 
 
 def _pair(values: np.ndarray) -> str:

@@ -59,30 +59,55 @@ class PublishedLines:
 
 
 def compute(
-    case: Case, table: Table | None = None, seed: int = 0, coarser: int = 1, runs: int = 5000, workers: int | None = None
+    case: Case,
+    table: Table | None = None,
+    seed: int = 0,
+    coarser: int = 1,
+    runs: int = 5000,
+    workers: int | None = None,
 ) -> PublishedLines:
     """Run the lines; `table` of the scan from the published first direction over the published window, if there is one."""
     if table is None:
         table = make_table(
-            case.vehicle, rb.first_sun(case), rb.grid(case, coarser), rb.nominal_speed(case.vehicle), rb.window_s(case),
-            workers=workers, mask=None if rb.counted(case) is None else "reconstructible",
-        )  # fmt: skip
+            case.vehicle,
+            rb.first_sun(case),
+            rb.grid(case, coarser),
+            rb.nominal_speed(case.vehicle),
+            rb.window_s(case),
+            workers=workers,
+            mask=None if rb.counted(case) is None else "reconstructible",
+        )
     pooled, speed = rb.pooled_z(case), rb.nominal_speed(case.vehicle)[0]
-    clean = rb.families(case, table.volume(np.concatenate(pooled), workers=worker_count(workers)), rb.LINES_FACTOR, seed)
+    clean = rb.families(
+        case,
+        table.volume(np.concatenate(pooled), workers=worker_count(workers)),
+        rb.LINES_FACTOR,
+        seed,
+    )
     omega_z = np.linspace(*rb.LINE_RANGE, LINE_POINTS)
-    on_lines = np.concatenate([point_at(point, along, 2, omega_z) for point, along in rb.published_lines(case)])
+    on_lines = np.concatenate(
+        [point_at(point, along, 2, omega_z) for point, along in rb.published_lines(case)]
+    )
     fast = paper_scenario(case)
     slow = replace(fast, collision_speed_m_s=case.published["landing_speed"].value)
 
     def collide(scenario: Scenario, strategy: str) -> xr.Dataset:
         starts = rb.published_candidates(case)
-        return outcomes(case.vehicle, starts, strategy, runs, seed, scenario=scenario, workers=workers)
+        return outcomes(
+            case.vehicle, starts, strategy, runs, seed, scenario=scenario, workers=workers
+        )
 
     return PublishedLines(
-        case, pooled, clean, rb.by_threshold(case, clean.emd, seed), rb.at_touchdown(case, clean.points, speed),
-        rb.at_touchdown(case, on_lines, speed), _bounds(case), {name: collide(fast, name) for name in ("off", "held")},
+        case,
+        pooled,
+        clean,
+        rb.by_threshold(case, clean.emd, seed),
+        rb.at_touchdown(case, clean.points, speed),
+        rb.at_touchdown(case, on_lines, speed),
+        _bounds(case),
+        {name: collide(fast, name) for name in ("off", "held")},
         {"held": collide(slow, "held")},
-    )  # fmt: skip
+    )
 
 
 def _bounds(case: Case) -> list[tuple[float, float, float]]:
@@ -90,32 +115,70 @@ def _bounds(case: Case) -> list[tuple[float, float, float]]:
     found = []
     for lead in (LEADS_S[0], rb.after_touchdown_s(case), LEADS_S[1]):
         for speed in (rb.nominal_speed(case.vehicle)[0], rb.speed_at_first_sample(case, lead)):
-            found.append((lead, speed, rb.smallest_on_lines(case, rb.published_lines(case), speed, lead)))
+            found.append(
+                (lead, speed, rb.smallest_on_lines(case, rb.published_lines(case), speed, lead))
+            )
     return found
 
 
 def rows(result: PublishedLines) -> list[Row]:
     """Each published figure that the printed lines alone decide, beside ours."""
-    return [replace(one, chain=CHAIN) for one in (*_line_rows(result), *_touchdown_rows(result), *_collision_rows(result))]
+    return [
+        replace(one, chain=CHAIN)
+        for one in (*_line_rows(result), *_touchdown_rows(result), *_collision_rows(result))
+    ]
 
 
 def _line_rows(r: PublishedLines) -> list[Row]:
     case, clean = r.case, r.clean
     spread, fifth = max(rb.pooled_spread(r.pooled)), case.published["emd_min"].value / 5
-    found = [row(case, "lines_common", spread, tolerance=fifth, agrees=bool(spread <= fifth), omega_z=list(rb.POOL_RANGE))]
+    found = [
+        row(
+            case,
+            "lines_common",
+            spread,
+            tolerance=fifth,
+            agrees=bool(spread <= fifth),
+            omega_z=list(rb.POOL_RANGE),
+        )
+    ]
     fitted = [] if clean.lines is None else [clean.lines.isel(line=i) for i in clean.partner]
     for k, (line, deviation) in enumerate(zip(fitted, clean.deviation, strict=True)):
         name = f"L{k + 1}"
         found += [
             row(
-                case, "line", [line["point"].values.round(4).tolist(), line["direction"].values.round(4).tolist()],
-                id=f"line_{name}", factor=clean.factor, angle=np.degrees(deviation["angle_rad"]),
-                most=deviation["max"], omega_z=list(rb.LINE_RANGE),
+                case,
+                "line",
+                [
+                    line["point"].values.round(4).tolist(),
+                    line["direction"].values.round(4).tolist(),
+                ],
+                id=f"line_{name}",
+                factor=clean.factor,
+                angle=np.degrees(deviation["angle_rad"]),
+                most=deviation["max"],
+                omega_z=list(rb.LINE_RANGE),
             ),
-            row(case, "line_distance", deviation["mean"], id=f"line_{name}_distance", line=name, factor=clean.factor),
-        ]  # fmt: skip
+            row(
+                case,
+                "line_distance",
+                deviation["mean"],
+                id=f"line_{name}_distance",
+                line=name,
+                factor=clean.factor,
+            ),
+        ]
     factor = case.published["near_minimum_factor"].value
-    return [*found, row(case, "lines_by_threshold", r.thresholds, published=factor, smallest=float(clean.emd.min()))]
+    return [
+        *found,
+        row(
+            case,
+            "lines_by_threshold",
+            r.thresholds,
+            published=factor,
+            smallest=float(clean.emd.min()),
+        ),
+    ]
 
 
 def _touchdown_rows(r: PublishedLines) -> list[Row]:
@@ -125,13 +188,24 @@ def _touchdown_rows(r: PublishedLines) -> list[Row]:
     near = float(np.linalg.norm(r.near_touchdown, axis=1).min())
     return [
         row(
-            case, "rate_at_touchdown_min_lines", as_stated, published=published, low=least, high=most,
-            lead=rb.after_touchdown_s(case), leads=LEADS_S,
+            case,
+            "rate_at_touchdown_min_lines",
+            as_stated,
+            published=published,
+            low=least,
+            high=most,
+            lead=rb.after_touchdown_s(case),
+            leads=LEADS_S,
         ),
         row(
-            case, "rate_at_touchdown_min_scan", near, published=published, points=len(r.near_touchdown), factor=r.clean.factor
+            case,
+            "rate_at_touchdown_min_scan",
+            near,
+            published=published,
+            points=len(r.near_touchdown),
+            factor=r.clean.factor,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _collision_rows(r: PublishedLines) -> list[Row]:
@@ -140,7 +214,10 @@ def _collision_rows(r: PublishedLines) -> list[Row]:
     slow = {name: tally(runs) for name, runs in r.slow.items()}
     low, high, reaches = landing.rz_range(r.runs["off"])
     fast_v, slow_v = case.published["collision_speed"].value, case.published["landing_speed"].value
-    lowest = {v: float(np.nanmin(lowest_rz(runs["held"]))) for v, runs in ((fast_v, r.runs), (slow_v, r.slow))}
+    lowest = {
+        v: float(np.nanmin(lowest_rz(runs["held"])))
+        for v, runs in ((fast_v, r.runs), (slow_v, r.slow))
+    }
 
     def held(found: dict[str, Estimate]) -> list[float]:
         return [found["rz_ever_below_-0.5"].value, found["rz_time_below_-0.2"].value]
@@ -154,16 +231,39 @@ def _collision_rows(r: PublishedLines) -> list[Row]:
 
     kept = []
     for name, where, v, found in (
-        ("rz_held_lines", "section 3.3", fast_v, told["held"]), ("rz_held_slow_collision", "section 4", slow_v, slow["held"]),
-    ):  # fmt: skip
+        ("rz_held_lines", "section 3.3", fast_v, told["held"]),
+        ("rz_held_slow_collision", "section 4", slow_v, slow["held"]),
+    ):
         bounds = interval(held(found), error(found))
         kept.append(
             row(
-                case, "rz_held", held(found), says=("note", "note_slow") if v == slow_v else ("note",), id=name,
-                agrees=as_stated(found), low=bounds[0], high=bounds[1], speed=v, where=where, never=NEVER, rarely=RARELY,
-                held=found, lowest=lowest[v],
+                case,
+                "rz_held",
+                held(found),
+                says=("note", "note_slow") if v == slow_v else ("note",),
+                id=name,
+                agrees=as_stated(found),
+                low=bounds[0],
+                high=bounds[1],
+                speed=v,
+                where=where,
+                never=NEVER,
+                rarely=RARELY,
+                held=found,
+                lowest=lowest[v],
             )
-        )  # fmt: skip
+        )
     whole = list(case.published["rz_range_wheel_off"].value)
     runs = r.runs["off"].sizes["run"]
-    return [row(case, "rz_range_lines", [low, high], published=whole, runs=runs, reaches=reaches, off=told["off"]), *kept]
+    return [
+        row(
+            case,
+            "rz_range_lines",
+            [low, high],
+            published=whole,
+            runs=runs,
+            reaches=reaches,
+            off=told["off"],
+        ),
+        *kept,
+    ]

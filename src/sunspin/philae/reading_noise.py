@@ -67,12 +67,14 @@ def reading_noise(vehicle: Vehicle, telemetry: xr.Dataset, whole: np.ndarray) ->
     unit = vehicle.gain_unit or ("W" if vehicle.telemetry.quantity == "power_W" else "A")
     told = (
         f"noise of a lit panel {lit:g} {unit}, from the misfit of {n_lit} samples with more than three lit panels"
-        if n_lit >= LEAST else f"noise of a lit panel {lit:g} {unit}, the vehicle file's: too few samples to tell"
-    )  # fmt: skip
+        if n_lit >= LEAST
+        else f"noise of a lit panel {lit:g} {unit}, the vehicle file's: too few samples to tell"
+    )
     told += (
         f"; dark panels read 0 +- {dark:.2g} {unit} ({n_dark} readings), lit above {threshold:g} {unit}"
-        if dark > 0 else f"; dark panels read zero, lit above {threshold:g} {unit}"
-    )  # fmt: skip
+        if dark > 0
+        else f"; dark panels read zero, lit above {threshold:g} {unit}"
+    )
     return ReadingNoise(lit, dark, threshold, told)
 
 
@@ -88,14 +90,20 @@ def dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
     known = np.where(np.isfinite(power), power, 0.0)
     bright = known > BRIGHT * known.max(initial=0.0)
     dark = (bright.astype(int) @ (~together).astype(int) > 0) & ~bright & np.isfinite(power)
-    above = known[dark & (known > 0)]  # half of the noise, also where negative readings were cut to zero
+    above = known[
+        dark & (known > 0)
+    ]  # half of the noise, also where negative readings were cut to zero
     if above.size < LEAST:
         return 0.0, int(dark.sum())
     sigma = float(np.median(above)) / HALF_NORMAL_MEDIAN
-    return float(np.median(above[above < ROUGH_SIGMAS * sigma])) / HALF_NORMAL_MEDIAN, int(dark.sum())
+    return float(np.median(above[above < ROUGH_SIGMAS * sigma])) / HALF_NORMAL_MEDIAN, int(
+        dark.sum()
+    )
 
 
-def _lit_sigma(vehicle: Vehicle, telemetry: xr.Dataset, whole: np.ndarray, threshold: float) -> tuple[float, int]:
+def _lit_sigma(
+    vehicle: Vehicle, telemetry: xr.Dataset, whole: np.ndarray, threshold: float
+) -> tuple[float, int]:
     """What the misfit leaves, rms: of L lit panels L - 3 are redundant, scale and direction being fitted."""
     sun = sun_directions(vehicle, telemetry, lit_threshold=threshold)
     checked = whole & (sun["status"].values == SunStatus.OK)
@@ -106,7 +114,9 @@ def _lit_sigma(vehicle: Vehicle, telemetry: xr.Dataset, whole: np.ndarray, thres
     left = sun["delta"].values[checked] * size
     rough = float(np.median(left / np.sqrt(chi2.ppf(0.5, freedom))))
     sound = left < ROUGH_SIGMAS * rough * np.sqrt(freedom)
-    return _rounded(float(np.sqrt((left[sound] ** 2).sum() / freedom[sound].sum()))), int(checked.sum())
+    return _rounded(float(np.sqrt((left[sound] ** 2).sum() / freedom[sound].sum()))), int(
+        checked.sum()
+    )
 
 
 def _rounded(value: float) -> float:
@@ -116,7 +126,10 @@ def _rounded(value: float) -> float:
 def _as_set(vehicle: Vehicle, found: ReadingNoise) -> ReadingNoise:
     """The same with the noise and the lit threshold that were set for this run, where they were."""
     form, keys = vehicle.telemetry, {one.key for one in vehicle.changes}
-    for key, name, value in (("noise", "lit", form.noise), ("lit_threshold", "lit_threshold", form.lit_threshold)):
+    for key, name, value in (
+        ("noise", "lit", form.noise),
+        ("lit_threshold", "lit_threshold", form.lit_threshold),
+    ):
         if f"telemetry.{key}" in keys and value is not None:
             told = f"{found.told}; {key.replace('_', ' ')} set to {value:g} for this run"
             found = replace(found, **{name: value}, told=told)

@@ -57,7 +57,11 @@ def target_weights(case: Case, t_s: np.ndarray) -> np.ndarray | None:
 
 def counted(case: Case) -> Mask | None:
     """The simulated directions that count, as the study assumes; None: all."""
-    return reconstructible_mask(case.vehicle) if case.assumptions.study.mask == "reconstructible" else None
+    return (
+        reconstructible_mask(case.vehicle)
+        if case.assumptions.study.mask == "reconstructible"
+        else None
+    )
 
 
 def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
@@ -67,13 +71,27 @@ def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
 
 def draws_alike(vehicle: Vehicle, other: Vehicle) -> bool:
     """Whether synthetic telemetry of one vehicle may stand for that of the other: its panels stand off by the same sigmas, too."""
-    return moves_and_sees_alike(vehicle, other) and plain(stated_sigma(vehicle)) == plain(stated_sigma(other))
+    return moves_and_sees_alike(vehicle, other) and plain(stated_sigma(vehicle)) == plain(
+        stated_sigma(other)
+    )
 
 
 def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
     """What free motion and panels depend on: body, wheels, panels; not the mass, nor what can touch the ground."""
-    wheels = [(wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction) for wheel in vehicle.wheels]
-    return plain([vehicle.inertia_kg_m2, wheels, vehicle.panels, vehicle.panel_response, vehicle.sun_rules, vehicle.channels])
+    wheels = [
+        (wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction)
+        for wheel in vehicle.wheels
+    ]
+    return plain(
+        [
+            vehicle.inertia_kg_m2,
+            wheels,
+            vehicle.panels,
+            vehicle.panel_response,
+            vehicle.sun_rules,
+            vehicle.channels,
+        ]
+    )
 
 
 def published_lines(case: Case) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -88,7 +106,9 @@ def published_lines(case: Case) -> list[tuple[np.ndarray, np.ndarray]]:
 def published_candidates(case: Case) -> np.ndarray:
     """Rates (n, 3) in rad/s along the paper's lines, in equal steps of omega_z over the range in which they are compared."""
     omega_z = np.linspace(*LINE_RANGE, LINE_POINTS)
-    return np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in published_lines(case)])
+    return np.concatenate(
+        [point_at(point, direction, 2, omega_z) for point, direction in published_lines(case)]
+    )
 
 
 def window_s(case: Case) -> float:
@@ -126,7 +146,9 @@ def pooled_z(case: Case) -> list[np.ndarray]:
 def seen_z(case: Case, omega_B: np.ndarray) -> np.ndarray:
     """The reconstructible r_z of one motion over the window, at equal steps of time."""
     t = np.arange(0.0, window_s(case) + POOL_STEP_S / 2, POOL_STEP_S)
-    run = propagate(case.vehicle, omega_B, first_sun(case), nominal_speed(case.vehicle), t, rtol=1e-9)
+    run = propagate(
+        case.vehicle, omega_B, first_sun(case), nominal_speed(case.vehicle), t, rtol=1e-9
+    )
     track = run["sun_B"].values
     mask = counted(case)
     return track[slice(None) if mask is None else allows(mask, track), 2]
@@ -149,9 +171,14 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
     part = sun.isel(time=np.flatnonzero((time >= start) & (time < end)))
     if part.sizes["time"] == 0:
         raise TelemetryError(
-            sentence("there is no sample between first touchdown and collision", do="check the times of the telemetry")
+            sentence(
+                "there is no sample between first touchdown and collision",
+                do="check the times of the telemetry",
+            )
         )
-    part = part.assign_coords(utc_s=("time", part["time"].values, {"units": "s", "long_name": "time since the epoch"}))
+    part = part.assign_coords(
+        utc_s=("time", part["time"].values, {"units": "s", "long_name": "time since the epoch"})
+    )
     return part.assign_coords(time=part["time"] - part["time"].values[0])
 
 
@@ -215,7 +242,6 @@ class Rebound:
         return Rows(omega, np.tile(self.sun_B, (len(omega), 1)), np.tile(speeds, (len(omega), 1)))
 
 
-
 def momentum_angles(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angles (n) in rad between the momentum H and the body's z axis (theta), and between H and the Sun (alpha); |H| (n), N m s.
 
@@ -240,23 +266,31 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     if not told.any():
         raise TelemetryError(
             sentence(
-                "no sample between first touchdown and collision gives a direction of the Sun", got=f"{len(told)} samples there",
+                "no sample between first touchdown and collision gives a direction of the Sun",
+                got=f"{len(told)} samples there",
                 do="check the columns of the telemetry",
             )
-        )  # fmt: skip
+        )
     own = samples["sun_B"].values
-    apart = np.linalg.norm(own - first_sun(case) / np.linalg.norm(first_sun(case)), axis=1) / samples["sigma_rad"].values
+    apart = (
+        np.linalg.norm(own - first_sun(case) / np.linalg.norm(first_sun(case)), axis=1)
+        / samples["sigma_rad"].values
+    )
     nearest = int(np.nanargmin(np.where(told, apart, np.inf)))
     published = bool(apart[nearest] < SAME_SIGMAS)
     first = 0 if published else int(np.flatnonzero(told)[0])
     shift = utc_seconds(case.require_timeline().epoch_utc, sun.attrs["epoch_utc"])
-    touchdown, collision = (case.require_timeline().event(name).t_s + shift for name in ("first_touchdown", "collision"))
+    touchdown, collision = (
+        case.require_timeline().event(name).t_s + shift for name in ("first_touchdown", "collision")
+    )
     instant = float(samples["utc_s"].values[first])
     direction, which = (first_sun(case), nearest) if published else (own[first], first)
     covariance = samples["sun_cov_B"].values[which]
     assumed = case.assumptions.study.lead_s
     lead = instant - touchdown if assumed is None else assumed
-    return Rebound(case, samples, first, direction, covariance, published, lead, collision - instant)
+    return Rebound(
+        case, samples, first, direction, covariance, published, lead, collision - instant
+    )
 
 
 def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
@@ -288,7 +322,10 @@ def families(case: Case, volume: xr.DataArray, factor: float, seed: int) -> Fami
     options: dict[str, Any] = {"low": LINE_RANGE[0], "high": LINE_RANGE[1]}
     partner = match_lines(lines, reference, **options)
     fitted = list(zip(lines["point"].values, lines["direction"].values, strict=True))
-    deviation = [line_deviation(fitted[i], other, **options) for i, other in zip(partner, reference, strict=True)]
+    deviation = [
+        line_deviation(fitted[i], other, **options)
+        for i, other in zip(partner, reference, strict=True)
+    ]
     return Families(volume, factor, points, lines, partner, deviation)
 
 
@@ -298,12 +335,18 @@ def by_threshold(case: Case, volume: xr.DataArray, seed: int) -> list[dict[str, 
     for factor in THRESHOLDS:
         family = families(case, volume, factor, seed)
         table.append(
-            {"factor": factor, "points": len(family.points), "mean_distance": [d["mean"] for d in family.deviation]}
+            {
+                "factor": factor,
+                "points": len(family.points),
+                "mean_distance": [d["mean"] for d in family.deviation],
+            }
         )
     return table
 
 
-def scan_against(case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool) -> xr.DataArray:
+def scan_against(
+    case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool
+) -> xr.DataArray:
     """The paper's scan against one set of z values."""
     axes = grid(case, coarser)
     return scan(
@@ -328,37 +371,54 @@ def after_touchdown_s(case: Case) -> float:
     return case.require_timeline().seconds("first_touchdown", "first_sample_after_touchdown")
 
 
-def at_touchdown(case: Case, starts: np.ndarray, wheel_speed_rad_s: float, lead_s: float | None = None) -> np.ndarray:
+def at_touchdown(
+    case: Case, starts: np.ndarray, wheel_speed_rad_s: float, lead_s: float | None = None
+) -> np.ndarray:
     """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample, `lead_s` after it."""
     states = Rows(
-        np.asarray(starts, dtype=np.float64).reshape(-1, 3), np.tile(first_sun(case), (len(starts), 1)),
+        np.asarray(starts, dtype=np.float64).reshape(-1, 3),
+        np.tile(first_sun(case), (len(starts), 1)),
         np.full((len(starts), len(case.vehicle.wheels)), float(wheel_speed_rad_s)),
-    )  # fmt: skip
+    )
     return run_back(case, states, after_touchdown_s(case) if lead_s is None else lead_s)
 
 
-def run_back(case: Case, states: Rows, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR) -> np.ndarray:
+def run_back(
+    case: Case, states: Rows, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR
+) -> np.ndarray:
     """Body rates (n, 3) `lead_s` before the states (n), back to the touchdown; a wheel at rest is taken to have stood still."""
-    return end_rates(case.vehicle, states, -lead_s, direction_error, mode_before(states.wheel_speed_rad_s))
+    return end_rates(
+        case.vehicle, states, -lead_s, direction_error, mode_before(states.wheel_speed_rad_s)
+    )
 
 
-def speeds_back(case: Case, start: Start, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR) -> EndSpeedRows:
+def speeds_back(
+    case: Case, start: Start, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR
+) -> EndSpeedRows:
     """Row of a grid -> angular speed (rad/s) `lead_s` before, as by `run_back`."""
-    return EndSpeedRows(case.vehicle, start, -lead_s, direction_error, mode_before(start.wheel_speed_rad_s))
+    return EndSpeedRows(
+        case.vehicle, start, -lead_s, direction_error, mode_before(start.wheel_speed_rad_s)
+    )
 
 
 def speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:
     """Wheel speed at the first sample if it was nominal at touchdown and coasted since, the body nearly at rest."""
     lead = after_touchdown_s(case) if lead_s is None else lead_s
-    run = propagate(case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, lead])
+    run = propagate(
+        case.vehicle, [0, 0, 0], first_sun(case), nominal_speed(case.vehicle), [0.0, lead]
+    )
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 
-def smallest_on_lines(case: Case, lines: Sequence[Line], wheel_speed_rad_s: float, lead_s: float | None = None) -> float:
+def smallest_on_lines(
+    case: Case, lines: Sequence[Line], wheel_speed_rad_s: float, lead_s: float | None = None
+) -> float:
     """Smallest angular speed (rad/s) at touchdown over the lines, omega_z at the first sample in the compared range."""
     omega_z = np.linspace(LINE_RANGE[0], LINE_RANGE[1], 101)
     starts = np.concatenate([point_at(point, direction, 2, omega_z) for point, direction in lines])
-    return float(np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s, lead_s), axis=1).min())
+    return float(
+        np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s, lead_s), axis=1).min()
+    )
 
 
 def twin_file(case: Case) -> dict[str, Any]:

@@ -22,7 +22,16 @@ from sunspin.philae.files import store
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
-from sunspin.philae.study import SECTIONS, Options, Reproduction, compute, require_wheel, sections, titles, with_vehicle
+from sunspin.philae.study import (
+    SECTIONS,
+    Options,
+    Reproduction,
+    compute,
+    require_wheel,
+    sections,
+    titles,
+    with_vehicle,
+)
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
@@ -33,11 +42,20 @@ from sunspin.vehicle.file import changed_file
 FIGURES = "The figures of the paper"
 
 SHOWN_BY_THE_PAPER = (
-    "structure of Philae", "panels, legs, wheel", "panel powers and Sun directions over time", "Sun directions in four phases",
-    "spin-down of the wheel", "three example motions", "histograms of r_z in these", "E over rates and over parameters",
-    "near-minimum points and four lines", "simulated and measured directions of the descent", "E against omega_0",
-    "angular velocities at the first touchdown", "densities of r_z after the collision, wheel off and held",
-)  # fmt: skip
+    "structure of Philae",
+    "panels, legs, wheel",
+    "panel powers and Sun directions over time",
+    "Sun directions in four phases",
+    "spin-down of the wheel",
+    "three example motions",
+    "histograms of r_z in these",
+    "E over rates and over parameters",
+    "near-minimum points and four lines",
+    "simulated and measured directions of the descent",
+    "E against omega_0",
+    "angular velocities at the first touchdown",
+    "densities of r_z after the collision, wheel off and held",
+)
 """What Figs. 1, 2 ... of the paper show."""
 
 
@@ -60,8 +78,17 @@ class Written:
         return [
             *(f"Changed for this run: {line}" for line in told["changes"]),
             f"What this file can carry: {told['carries']}",
-            "Telemetry: " + ("synthetic (made from published facts)" if told["synthetic_telemetry"] else "measured"),
-            *(f"  {row['what']}: {_beside_published(row)}" for row in told["figures"] if row["id"] in PRINTED),
+            "Telemetry: "
+            + (
+                "synthetic (made from published facts)"
+                if told["synthetic_telemetry"]
+                else "measured"
+            ),
+            *(
+                f"  {row['what']}: {_beside_published(row)}"
+                for row in told["figures"]
+                if row["id"] in PRINTED
+            ),
             *told["headline"][:2],
             *told["score"],
             *told["missing"].values(),
@@ -123,20 +150,36 @@ def reproduce(
     began = time.perf_counter()
     asked = changes_of(changes)
     case = _case(telemetry, vehicle, asked)
-    options = Options(candidates, calibrate, seed, coarser, workers, progress, None if data is None else Path(data))
+    options = Options(
+        candidates,
+        calibrate,
+        seed,
+        coarser,
+        workers,
+        progress,
+        None if data is None else Path(data),
+    )
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         raise InputError(
-            sentence("the telemetry lies in the results folder, which is written anew", do="copy it to another place first",
-                     where=str(telemetry))
-        )  # fmt: skip
+            sentence(
+                "the telemetry lies in the results folder, which is written anew",
+                do="copy it to another place first",
+                where=str(telemetry),
+            )
+        )
     folder = results_folder(out, "reproduce")
     with Gallery() as gallery:
         result = compute(case, options, gallery.begin)
         pictures = gallery.write(result, folder)
     store(result, folder)
-    write_whole(folder / f"telemetry{source.suffix or '.csv'}", lambda part: part.write_bytes(source.read_bytes()))
-    by_part = {name: rows for name, rows in result.rows_by_part.items()} | {FIGURES: figure_rows(pictures)}
+    write_whole(
+        folder / f"telemetry{source.suffix or '.csv'}",
+        lambda part: part.write_bytes(source.read_bytes()),
+    )
+    by_part = {name: rows for name, rows in result.rows_by_part.items()} | {
+        FIGURES: figure_rows(pictures)
+    }
     heading, section = titles(), sections()
     counts = result.counts()
     summary = {
@@ -148,28 +191,35 @@ def reproduce(
         "chain": candidates,
         "carries": result.parts["carries"].first_line,
         "noise": result.noise.told,
-        "calibration": None if result.chain is None or result.chain.calibration is None else result.chain.calibration.told,
+        "calibration": None
+        if result.chain is None or result.chain.calibration is None
+        else result.chain.calibration.told,
         "missing": result.missing,
         "impulse": _impulse(result),
         "headline": headline(result),
         "conclusions": conclusions(result),
         "score": score(result),
-        "counts": counts["telemetry"] | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
+        "counts": counts["telemetry"]
+        | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
         "changes": [str(one) for one in case.changes],
         "command": _command(telemetry, vehicle, options, asked),
         "inputs": _inputs(case, vehicle),
         "cite": CITE,
         "figures": [
-            asdict(row) | {"part": heading.get(name, name), "section": SECTIONS[section.get(name, "paper")]}
-            for name, rows in by_part.items() for row in rows
+            asdict(row)
+            | {"part": heading.get(name, name), "section": SECTIONS[section.get(name, "paper")]}
+            for name, rows in by_part.items()
+            for row in rows
         ],
-    }  # fmt: skip
+    }
     made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
     write_run(folder, summary, made_with, case.telemetry, pictures)
     return Written(folder, write_report(folder, ours=True, figures=True), summary)
 
 
-def _case(telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]) -> Case:
+def _case(
+    telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]
+) -> Case:
     """The case with the vehicle, the changes and the telemetry given; all refused before any work."""
     of_vehicle, of_study = split(changes)
     case = load_case("philae", changes if vehicle is None else of_study)
@@ -177,7 +227,11 @@ def _case(telemetry: str | Path | None, vehicle: str | Path | None, changes: tup
         craft = load_vehicle(vehicle, of_vehicle)
         require_wheel(craft)
         return with_vehicle(case, craft, read_telemetry(_source(case, telemetry), craft))
-    return case if telemetry is None else rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
+    return (
+        case
+        if telemetry is None
+        else rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
+    )
 
 
 def _source(case: Case, telemetry: str | Path | None) -> Path:
@@ -185,10 +239,18 @@ def _source(case: Case, telemetry: str | Path | None) -> Path:
 
 
 def _command(
-    telemetry: str | Path | None, vehicle: str | Path | None, options: Options, changes: tuple[Change, ...]
+    telemetry: str | Path | None,
+    vehicle: str | Path | None,
+    options: Options,
+    changes: tuple[Change, ...],
 ) -> str:
     words = ["sunspin", "reproduce", "--seed", str(options.seed)]
-    given = (("telemetry", telemetry), ("vehicle", vehicle), ("calibrate", options.twins), ("data", options.data))
+    given = (
+        ("telemetry", telemetry),
+        ("vehicle", vehicle),
+        ("calibrate", options.twins),
+        ("data", options.data),
+    )
     for name, value in given:
         words += [] if value is None else [f"--{name}", str(value)]
     words += [] if options.source == "scan" else ["--candidates", options.source]
@@ -203,8 +265,16 @@ def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     paths = {"vehicle": case.folder / "vehicle.toml" if vehicle is None else Path(vehicle)}
     paths |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
     for name, path in paths.items():
-        file = path if path.is_file() else case.folder / "vehicle.toml"  # a vehicle may be named after a built-in case
-        found.append({"what": name, "file": path.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()})
+        file = (
+            path if path.is_file() else case.folder / "vehicle.toml"
+        )  # a vehicle may be named after a built-in case
+        found.append(
+            {
+                "what": name,
+                "file": path.name,
+                "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+            }
+        )
     return found
 
 
@@ -213,16 +283,35 @@ def figure_rows(pictures: list[Picture]) -> list[Row]:
     found = []
     for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
         mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
-        ours = ", ".join(p.path.name for p in mine) or ("not drawn" if number > 2 else "not drawn: a picture of the lander")
+        ours = ", ".join(p.path.name for p in mine) or (
+            "not drawn" if number > 2 else "not drawn: a picture of the lander"
+        )
         note = " ".join(p.caption for p in mine)
-        found.append(Row(f"figure_{number}", f"Fig. {number}", shows, ours, "1", None, None, note, f"paper, Fig. {number}",
-                         kind="not_comparable", chain="none"))  # fmt: skip
+        found.append(
+            Row(
+                f"figure_{number}",
+                f"Fig. {number}",
+                shows,
+                ours,
+                "1",
+                None,
+                None,
+                note,
+                f"paper, Fig. {number}",
+                kind="not_comparable",
+                chain="none",
+            )
+        )
     return found
 
 
 def conclusions(result: Reproduction) -> list[str]:
     """What follows from the telemetry, in a few sentences; what the printed lines give without any; what could not be computed."""
-    found = [result.parts["carries"].first_line, f"Readings: {result.noise.told}.", *_of_scan(result)]
+    found = [
+        result.parts["carries"].first_line,
+        f"Readings: {result.noise.told}.",
+        *_of_scan(result),
+    ]
     if result.chain is not None:
         found += touchdown.sentences(result.chain)
     found += _of_lines(result)
@@ -232,7 +321,11 @@ def conclusions(result: Reproduction) -> list[str]:
         found.append(_impulse(result))
     apart = [row for row in result.rows if row.agrees is False]
     if apart:
-        found.append("Not as published: " + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart) + ".")
+        found.append(
+            "Not as published: "
+            + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart)
+            + "."
+        )
     found += [f"{line}." for line in score(result)]
     return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
 

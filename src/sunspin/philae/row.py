@@ -88,16 +88,19 @@ def settled(row: Row, put_in: bool = False) -> Row:
         kind = "not_comparable"
     if kind == "test":
         return replace(row, agrees=row.agrees if row.informative else None)
-    return replace(row, kind=kind, agrees=None, holds=row.agrees if row.holds is None else row.holds)
+    return replace(
+        row, kind=kind, agrees=None, holds=row.agrees if row.holds is None else row.holds
+    )
 
 
 def counts(rows: list[Row]) -> dict[str, int]:
     """How many rows agree, differ, are uninformative tests, and how many there are of each other kind."""
     tests = [row for row in rows if row.kind == "test"]
     found = {
-        "agree": sum(row.agrees is True for row in tests), "differ": sum(row.agrees is False for row in tests),
+        "agree": sum(row.agrees is True for row in tests),
+        "differ": sum(row.agrees is False for row in tests),
         "uninformative": sum(not row.informative for row in tests),
-    }  # fmt: skip
+    }
     return found | {kind: sum(row.kind == kind for row in rows) for kind in KINDS[1:]}
 
 
@@ -107,7 +110,15 @@ def source_of(place: str) -> str:
     return elsewhere if elsewhere != place else f"paper, {place}"
 
 
-def row(case: Case, name: str, ours: Any, *, says: tuple[str, ...] = ("note",), sigma: Any = None, **given: Any) -> Row:
+def row(
+    case: Case,
+    name: str,
+    ours: Any,
+    *,
+    says: tuple[str, ...] = ("note",),
+    sigma: Any = None,
+    **given: Any,
+) -> Row:
     """The figure `name` beside ours, with the texts that the case's `rows.toml` has for it.
 
     What the table there leaves out is that of the published figure of the row's id, which is `name` unless another is given.
@@ -125,22 +136,45 @@ def row(case: Case, name: str, ours: Any, *, says: tuple[str, ...] = ("note",), 
     most = values.pop("at_most", None)
     values.pop("input", None)
     values |= {} if most is None else {"tolerance": most}
-    values |= {} if sigma is None else dict(zip(("low", "high"), interval(ours, sigma), strict=True))
-    values |= {"id": name, "ours": ours} | {key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__}
+    values |= (
+        {} if sigma is None else dict(zip(("low", "high"), interval(ours, sigma), strict=True))
+    )
+    values |= {"id": name, "ours": ours} | {
+        key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__
+    }
     if unknown := sorted(set(given) - template.needs):
-        raise InputError(sentence(f"the row's texts do not name {', '.join(unknown)}", where=template.where))
+        raise InputError(
+            sentence(f"the row's texts do not name {', '.join(unknown)}", where=template.where)
+        )
     fields = {"paper": {key: one.value for key, one in case.published.items()}} | values | given
-    texts = {key: template.fill(key, fields) for key in template.texts if key not in values and not key.startswith("note")}
-    note = "".join(template.fill(key, fields) for key in says if key != "note" or key in template.texts)
-    stated = {} if figure is None else {
-        "what": figure.what, "unit": figure.unit, "place": figure.place, "published": figure.value,
-    }  # fmt: skip
-    found: dict[str, Any] = {"tolerance": None, "agrees": None, "note": note} | stated | texts | values
+    texts = {
+        key: template.fill(key, fields)
+        for key in template.texts
+        if key not in values and not key.startswith("note")
+    }
+    note = "".join(
+        template.fill(key, fields) for key in says if key != "note" or key in template.texts
+    )
+    stated = (
+        {}
+        if figure is None
+        else {
+            "what": figure.what,
+            "unit": figure.unit,
+            "place": figure.place,
+            "published": figure.value,
+        }
+    )
+    found: dict[str, Any] = (
+        {"tolerance": None, "agrees": None, "note": note} | stated | texts | values
+    )
     try:
         found["source"] = source_of(found.pop("place"))
         made = Row(**found)
     except (KeyError, TypeError) as error:
-        raise InputError(sentence(f"the row lacks a field ({error})", where=template.where)) from None
+        raise InputError(
+            sentence(f"the row lacks a field ({error})", where=template.where)
+        ) from None
     if made.tolerance is not None and not {"agrees", "holds"} & set(values):
         made = replace(made, agrees=_within(made, most))
     return _statement(made) if template.is_statement else made
@@ -149,7 +183,9 @@ def row(case: Case, name: str, ours: Any, *, says: tuple[str, ...] = ("note",), 
 def _template_of(case: Case, name: str) -> Template:
     found = templates(case).get(name)
     if found is None:
-        raise InputError(sentence("a row has no table in rows.toml", got=name, do="add one with its texts"))
+        raise InputError(
+            sentence("a row has no table in rows.toml", got=name, do="add one with its texts")
+        )
     return found
 
 
@@ -162,7 +198,14 @@ def _within(row: Row, most: float | None) -> bool:
 def _statement(row: Row) -> Row:
     """A row on a statement of the paper; it stands where both numbers differ by no more than the tolerance, if there is one."""
     told = f"The paper: {row.sentence} Read otherwise: {row.other_reading} Changes: {row.changes}"
-    return replace(row, note=f"{row.note} {told}".strip(), kind="arithmetic", chain="none", holds=row.agrees, agrees=None)
+    return replace(
+        row,
+        note=f"{row.note} {told}".strip(),
+        kind="arithmetic",
+        chain="none",
+        holds=row.agrees,
+        agrees=None,
+    )
 
 
 def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:
@@ -171,7 +214,9 @@ def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:
     return (middle - half).tolist(), (middle + half).tolist()
 
 
-def over_candidates(row: Row, chain: str, chosen: tuple[float, float], possible: tuple[float, float]) -> Row:
+def over_candidates(
+    row: Row, chain: str, chosen: tuple[float, float], possible: tuple[float, float]
+) -> Row:
     """The row with the least and largest value over the chosen candidates, and over all that was possible.
 
     It informs where the first range is narrower than half of the second, and then agrees where the published value, widened by
@@ -184,12 +229,21 @@ def over_candidates(row: Row, chain: str, chosen: tuple[float, float], possible:
     if half_digit is not None and informative:
         agrees = bool(low - half_digit <= row.published <= high + half_digit)
     return replace(
-        row, depends="candidates", chain=chain, low=low, high=high, prior_low=possible[0], prior_high=possible[1],
-        informative=informative, agrees=agrees,
-    )  # fmt: skip
+        row,
+        depends="candidates",
+        chain=chain,
+        low=low,
+        high=high,
+        prior_low=possible[0],
+        prior_high=possible[1],
+        informative=informative,
+        agrees=agrees,
+    )
 
 
-def share_of_candidates(row: Row, chain: str, chosen: Estimate, possible: Estimate, agrees: bool | None) -> Row:
+def share_of_candidates(
+    row: Row, chain: str, chosen: Estimate, possible: Estimate, agrees: bool | None
+) -> Row:
     """The row with a share or mean over even draws of the candidates (90 % interval of its sampling error), and over the box.
 
     It informs where the two differ by more than three sampling errors; `agrees` is the caller's criterion, stated in the note.
@@ -199,6 +253,13 @@ def share_of_candidates(row: Row, chain: str, chosen: Estimate, possible: Estima
     low, high = interval(chosen.value, chosen.error)
     before = interval(possible.value, possible.error)
     return replace(
-        row, depends="candidates", chain=chain, low=low, high=high, prior_low=before[0], prior_high=before[1],
-        informative=informative, agrees=agrees if informative else None,
-    )  # fmt: skip
+        row,
+        depends="candidates",
+        chain=chain,
+        low=low,
+        high=high,
+        prior_low=before[0],
+        prior_high=before[1],
+        informative=informative,
+        agrees=agrees if informative else None,
+    )

@@ -65,7 +65,9 @@ class Sensitivity:
         return float(np.linalg.norm(self.case.published["first_sun_E_study"].value))
 
 
-def compute(case: Case, sun: xr.Dataset, workers: int | None = None, coarser: int = 1) -> Sensitivity:
+def compute(
+    case: Case, sun: xr.Dataset, workers: int | None = None, coarser: int = 1
+) -> Sensitivity:
     """Maps of E against the rebound's samples in `sun` (of `sun_directions`, whole landing); growth of errors.
 
     `coarser`: use every so many-th point of the maps.
@@ -89,13 +91,22 @@ def compute(case: Case, sun: xr.Dataset, workers: int | None = None, coarser: in
         start = rb.point_at(point, direction, 2, np.array([LINE_OMEGA_Z]))[0]
         motions[f"L{k + 1}"] = gr.Motion.of(vehicle, start, rb.first_sun(case), speed, window)
     interval = 60.0 * published["sampling_interval"]
-    change = np.linspace(-VALLEY_RANGE_RAD_S, VALLEY_RANGE_RAD_S, VALLEY_POINTS // coarser // 2 * 2 + 1)
+    change = np.linspace(
+        -VALLEY_RANGE_RAD_S, VALLEY_RANGE_RAD_S, VALLEY_POINTS // coarser // 2 * 2 + 1
+    )
     return Sensitivity(
-        case, bool(sun.attrs.get("synthetic")), int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
-        of_length(rates, length).assign_attrs(units="1"), of_length(parameters, length).assign_attrs(units="1"),
-        [gr.growth(motion) for motion in motions.values()], [gr.one_percent(motion, interval) for motion in motions.values()],
-        list(motions), gr.valleys(motions["Fig. 8 B"], change, 60.0 * np.array(VALLEY_WINDOWS_MIN), interval, workers),
-    )  # fmt: skip
+        case,
+        bool(sun.attrs.get("synthetic")),
+        int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
+        of_length(rates, length).assign_attrs(units="1"),
+        of_length(parameters, length).assign_attrs(units="1"),
+        [gr.growth(motion) for motion in motions.values()],
+        [gr.one_percent(motion, interval) for motion in motions.values()],
+        list(motions),
+        gr.valleys(
+            motions["Fig. 8 B"], change, 60.0 * np.array(VALLEY_WINDOWS_MIN), interval, workers
+        ),
+    )
 
 
 def _even(span: tuple[float, float], count: int) -> np.ndarray:
@@ -109,7 +120,10 @@ def valleys_crossed(values: np.ndarray) -> list[float]:
     Minima of the map itself would count the steps of a grid over slanted valleys.
     """
     walks = values.T, values
-    return [float(np.median([len(find_peaks(-walk, prominence=VALLEY_DEPTH)[0]) for walk in along])) for along in walks]
+    return [
+        float(np.median([len(find_peaks(-walk, prominence=VALLEY_DEPTH)[0]) for walk in along]))
+        for along in walks
+    ]
 
 
 def rows(result: Sensitivity) -> list[Row]:
@@ -120,30 +134,47 @@ def rows(result: Sensitivity) -> list[Row]:
 def _map_rows(r: Sensitivity) -> list[Row]:
     case, rates, parameters = r.case, r.rates.values, r.parameters.values
     twin = "synthetic telemetry; " if r.synthetic else ""
-    bound, published = (1 - r.start_length) / 2, {key: figure.value for key, figure in case.published.items()}
+    bound, published = (
+        (1 - r.start_length) / 2,
+        {key: figure.value for key, figure in case.published.items()},
+    )
     studied = np.mean(published["E_study_box"], axis=1), np.array(published["E_study_omega"])
     from_lines = [_distance_from_lines(case, omega) for omega in studied]
     return [
         row(
-            case, "E_map_rates", [float(rates.min()), float(rates.max()), *valleys_crossed(rates)], twin=twin,
-            directions=r.n_samples, motions=rates.size, apart=from_lines[0],
+            case,
+            "E_map_rates",
+            [float(rates.min()), float(rates.max()), *valleys_crossed(rates)],
+            twin=twin,
+            directions=r.n_samples,
+            motions=rates.size,
+            apart=from_lines[0],
         ),
         row(
-            case, "E_map_parameters", [float(parameters.min()), float(parameters.max()), *valleys_crossed(parameters)], twin=twin,
-            outside=nominal(case.vehicle, "mu_0"), apart=from_lines[1],
+            case,
+            "E_map_parameters",
+            [float(parameters.min()), float(parameters.max()), *valleys_crossed(parameters)],
+            twin=twin,
+            outside=nominal(case.vehicle, "mu_0"),
+            apart=from_lines[1],
         ),
         row(case, "E_study_bound", bound, length=r.start_length, apart=_angle_between_starts(case)),
-    ]  # fmt: skip
+    ]
 
 
 def _distance_from_lines(case: Case, omega_B: np.ndarray) -> float:
-    distances = [np.linalg.norm(np.cross(np.asarray(omega_B) - point, along)) for point, along in rb.published_lines(case)]
+    distances = [
+        np.linalg.norm(np.cross(np.asarray(omega_B) - point, along))
+        for point, along in rb.published_lines(case)
+    ]
     return float(min(distances))
 
 
 def _angle_between_starts(case: Case) -> float:
     first, quoted = rb.first_sun(case), np.array(case.published["first_sun_E_study"].value)
-    return float(np.degrees(np.arccos(first @ quoted / np.linalg.norm(first) / np.linalg.norm(quoted))))
+    return float(
+        np.degrees(np.arccos(first @ quoted / np.linalg.norm(first) / np.linalg.norm(quoted)))
+    )
 
 
 def _change_rows(r: Sensitivity) -> list[Row]:
@@ -151,23 +182,34 @@ def _change_rows(r: Sensitivity) -> list[Row]:
     largest_emd = [float(table["emd"].max()) for table in r.changes]
     in_E, in_emd = min(largest_E), max(largest_emd)
     at_end = [float(table["error_rad"].isel(time=-1).max()) * gr.ONE_PERCENT for table in r.growth]
-    powers = np.array([[float(table["power"].sel(input=name)) for name in gr.RATES] for table in r.growth])
+    powers = np.array(
+        [[float(table["power"].sel(input=name)) for name in gr.RATES] for table in r.growth]
+    )
     friction = np.array([float(table["power"].sel(input="mu_0")) for table in r.growth])
     widths = gr.valley_width(r.valley)
     window = r.valley["window"].values / 60
     per_rate = [
         float(table["error_rad"].sel(input=name).isel(time=-1)) / table.attrs["angular_speed_rad_s"]
-        for table in r.growth for name in gr.RATES
-    ]  # fmt: skip
-    of_each = "; ".join(f"{n} {e:.2f} and {m:.4f}" for n, e, m in zip(r.names, largest_E, largest_emd, strict=True))
+        for table in r.growth
+        for name in gr.RATES
+    ]
+    of_each = "; ".join(
+        f"{n} {e:.2f} and {m:.4f}" for n, e, m in zip(r.names, largest_E, largest_emd, strict=True)
+    )
     case, emd_min = r.case, r.case.published["emd_min"].value
     return [
         row(case, "one_percent_E", in_E, agrees=in_E > 0.1, of_each=of_each),
         row(case, "one_percent_emd", in_emd, tolerance=emd_min, agrees=in_emd < emd_min),
         row(
-            case, "phase_growth", [float(powers.mean()), float(friction.mean())], tolerance=NEAR_POWER,
-            agrees=bool(np.abs(powers - 1).max() < NEAR_POWER and np.abs(friction - 2).max() < NEAR_POWER),
-            at_end=[min(at_end), max(at_end)], per_rate=[min(per_rate), max(per_rate)],
+            case,
+            "phase_growth",
+            [float(powers.mean()), float(friction.mean())],
+            tolerance=NEAR_POWER,
+            agrees=bool(
+                np.abs(powers - 1).max() < NEAR_POWER and np.abs(friction - 2).max() < NEAR_POWER
+            ),
+            at_end=[min(at_end), max(at_end)],
+            per_rate=[min(per_rate), max(per_rate)],
         ),
         row(case, "valley_width", widths.tolist(), windows=", ".join(f"{w:g}" for w in window)),
-    ]  # fmt: skip
+    ]

@@ -24,34 +24,53 @@ def starts(
     those of the case's own body: of another they are taken only where `printed_lines` asks for them.
     """
     if (scan is not None) + bool(omega) + printed_lines > 1:
-        raise InputError(sentence("candidates come from --scan, from --omega or from --printed-lines", do="give one of them"))
+        raise InputError(
+            sentence(
+                "candidates come from --scan, from --omega or from --printed-lines",
+                do="give one of them",
+            )
+        )
     if omega:
         return np.array(omega), "as given"
     if scan is not None:
         of, mine = stored_vehicle(scan), craft.said
-        other = "" if of == mine else f"; of another body than this run's: {_told(of)}, here {_told(mine)}"
+        other = (
+            ""
+            if of == mine
+            else f"; of another body than this run's: {_told(of)}, here {_told(mine)}"
+        )
         return stored_near_minimum(scan, factor), f"the near-minimum set of {scan.name}{other}"
     return _printed(craft, printed_lines)
 
 
 def _told(said: dict[str, str]) -> str:
-    return ", ".join([said.get("vehicle", "a vehicle without a name"), *said.get("changes", "as in its file").splitlines()])
+    return ", ".join(
+        [
+            said.get("vehicle", "a vehicle without a name"),
+            *said.get("changes", "as in its file").splitlines(),
+        ]
+    )
 
 
 def _printed(craft: Vehicle, anyway: bool) -> tuple[np.ndarray, str]:
     """The lines that the paper prints, of the case's own body; of another only where they are asked for."""
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "line_L1" not in case.published:
-        raise InputError(sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc"))
+        raise InputError(
+            sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc")
+        )
     alike = moves_and_sees_alike(craft, case.vehicle)
     if not alike and not anyway:
         raise InputError(
             sentence(
-                "the printed lines were found for another body, wheel or panels than these", got=_told(craft.said),
+                "the printed lines were found for another body, wheel or panels than these",
+                got=_told(craft.said),
                 do="scan these with the same --set and give --scan scan.nc, give --omega, or keep the lines with --printed-lines",
             )
-        )  # fmt: skip
-    return published_candidates(case), "the lines that the paper prints" + ("" if alike else ", which are those of another body")
+        )
+    return published_candidates(case), "the lines that the paper prints" + (
+        "" if alike else ", which are those of another body"
+    )
 
 
 def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
@@ -63,7 +82,16 @@ def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Da
         No such kernel is known for the case, or the runs have no collision.
     """
     case = load_case(case_name) if case_name in case_names() else None
-    if case is None or "kernel_speed_before" not in case.published or not np.isfinite(runs["speed_after"]).any():
-        raise InputError(sentence("--condition needs collisions of a case with a trajectory kernel", do="use it with philae"))
+    if (
+        case is None
+        or "kernel_speed_before" not in case.published
+        or not np.isfinite(runs["speed_after"]).any()
+    ):
+        raise InputError(
+            sentence(
+                "--condition needs collisions of a case with a trajectory kernel",
+                do="use it with philae",
+            )
+        )
     there = data if data is not None and data.joinpath(*KERNEL).is_file() else None
     return condition(case, runs, None if there is None else kernel_facts(case, there))

@@ -56,10 +56,23 @@ LEAST_RUNS = 400
 """As many as the paper had."""
 
 PUT_IN = (
-    "delta_mean", "delta_max", "delta_shadowed", "nz_folded", "nz_descent", "lit_patterns_before", "lit_patterns_at_rest",
-    "shadowed_panel", "panel_1_rotation", "sampling_interval", "samples_after_collision", "descent_samples", "descent_rate_cubic",
-    "descent_rate_range", "descent_rate_romap", "descent_E",
-)  # fmt: skip
+    "delta_mean",
+    "delta_max",
+    "delta_shadowed",
+    "nz_folded",
+    "nz_descent",
+    "lit_patterns_before",
+    "lit_patterns_at_rest",
+    "shadowed_panel",
+    "panel_1_rotation",
+    "sampling_interval",
+    "samples_after_collision",
+    "descent_samples",
+    "descent_rate_cubic",
+    "descent_rate_range",
+    "descent_rate_romap",
+    "descent_E",
+)
 """Figures from which the synthetic telemetry was made, for which its noise, the turns of its panels or a shadow were chosen: that
 they come back tests the code."""
 
@@ -132,7 +145,9 @@ class Part:
 
     def of(self, inputs: Inputs) -> tuple[Any, list[Row]]:
         """Its result and rows; of the parts before it sees those that it names."""
-        seen = {name: inputs.done[name] for name in (*self.needs, *self.uses) if name in inputs.done}
+        seen = {
+            name: inputs.done[name] for name in (*self.needs, *self.uses) if name in inputs.done
+        }
         result = self.compute(replace(inputs, done=seen))
         synthetic = bool(inputs.sun.attrs.get("synthetic"))
         return result, [_settled(row, self, synthetic) for row in self.rows(result)]
@@ -141,20 +156,30 @@ class Part:
 def _candidates(i: Inputs) -> candidates.Chain:
     o = i.options
     return candidates.compute(
-        i.done["level_set"].scan, i.done["carries"], o.source, o.twins, o.seed, workers=o.workers, progress=o.progress
+        i.done["level_set"].scan,
+        i.done["carries"],
+        o.source,
+        o.twins,
+        o.seed,
+        workers=o.workers,
+        progress=o.progress,
     )
 
 
 def _impulse(i: Inputs) -> impulse.Impulse:
     assert i.options.data is not None  # else the part is off
     seen = impulse.seen_in(i.case, i.options.data)
-    return impulse.compute(i.case, i.done["candidates"], seen, n=i.runs, seed=i.options.seed, workers=i.options.workers)
+    return impulse.compute(
+        i.case, i.done["candidates"], seen, n=i.runs, seed=i.options.seed, workers=i.options.workers
+    )
 
 
 def _published_lines(i: Inputs) -> published_lines.PublishedLines:
     part = i.done.get("level_set")
     table = part.scan.table if part is not None and part.scan.rebound.as_published else None
-    return published_lines.compute(i.case, table, i.options.seed, i.options.coarser, i.runs, i.options.workers)
+    return published_lines.compute(
+        i.case, table, i.options.seed, i.options.coarser, i.runs, i.options.workers
+    )
 
 
 def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
@@ -164,49 +189,162 @@ def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
     alike = rb.draws_alike(i.case.vehicle, load_vehicle(i.case.name))
     if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
         do = "make one with `sunspin coverage` and the same --set"
-        raise InputError(sentence("the study of twins that comes with the case is of another body or other assumptions", do=do))
+        raise InputError(
+            sentence(
+                "the study of twins that comes with the case is of another body or other assumptions",
+                do=do,
+            )
+        )
     return i.case, found
 
 
 PARTS = (
-    Part("phases", "Sections 2.1 and 4: Sun directions, lit panels", "telemetry", lambda i: phases.compute(i.case), phases.rows,
-         needed=True),
-    Part("descent", "Section 3.1: the descent", "telemetry",
-         lambda i: descent.compute(i.case, i.sun), descent.rows),
-    Part("carries", "What this file can carry", "telemetry",
-         lambda i: carries.compute(i.case, i.sun, i.done.get("descent"), i.options.seed), carries.rows, uses=("descent",),
-         needed=True),
-    Part("level_set", "Section 2.3: the scan of this telemetry", "telemetry",
-         lambda i: level_set.compute(i.case, i.sun, i.options.seed, i.options.coarser, i.options.workers, i.options.progress),
-         level_set.rows),
-    Part("candidates", "Section 2.3: the motions that follow", "telemetry", _candidates, lambda _: [],
-         ("level_set", "carries")),
-    Part("touchdown", "Section 3.2: after the first touchdown", "telemetry",
-         lambda i: touchdown.compute(i.done["candidates"]), touchdown.rows, ("candidates",)),
-    Part("landing", "Sections 3.3 and 4: after the collision", "telemetry",
-         lambda i: landing.compute(i.case, i.done["candidates"], n=i.runs, seed=i.options.seed, workers=i.options.workers),
-         landing.rows, ("candidates",)),
-    Part("impulse", "Beyond the paper: the collision's impulse", "telemetry", _impulse, impulse.rows, ("candidates",),
-         off=lambda i: impulse.OFF if i.options.data is None else ""),
-    Part("components", "Section 2.3: r_x and r_y", "telemetry",
-         lambda i: components.compute(i.case, i.done["level_set"].scan.rebound, i.options.seed, i.options.coarser,
-                                      i.options.workers), components.rows, ("candidates", "level_set")),
-    Part("sensitivity", "Section 2.3: why a direct fit fails", "no_telemetry",
-         lambda i: sensitivity.compute(i.case, i.sun, i.options.workers, i.options.coarser), sensitivity.rows),
-    Part("motions", "The motion to look at", "telemetry",
-         lambda i: motions.compute(i.case, i.done, i.options.seed, i.options.workers), motions.rows,
-         ("candidates", "level_set"), ("descent",)),
-    Part("mechanics", "Section 2.2: wheel and example motions", "no_telemetry", lambda i: mechanics.compute(i.case), mechanics.rows,
-         needed=True),
-    Part("published_lines", "The published lines through our equations", "no_telemetry", _published_lines, published_lines.rows,
-         uses=("level_set",), needed=True),
-    Part("precession", "Section 3.2: precession on the published lines", "no_telemetry",
-         lambda i: precession.compute(i.case), precession.rows),
-    Part("worth", "What the paper's method is worth", "no_telemetry", _worth, lambda r: coverage_rows.rows(*r)),
-    Part("inputs", "Taken over from the paper", "paper", lambda i: taken.Taken(i.case, i.sun), taken.rows, needed=True),
-    Part("contradictions", "Where the paper is ambiguous or contradicts itself", "paper",
-         lambda i: contradictions.compute(i.case), contradictions.rows, needed=True),
-)  # fmt: skip
+    Part(
+        "phases",
+        "Sections 2.1 and 4: Sun directions, lit panels",
+        "telemetry",
+        lambda i: phases.compute(i.case),
+        phases.rows,
+        needed=True,
+    ),
+    Part(
+        "descent",
+        "Section 3.1: the descent",
+        "telemetry",
+        lambda i: descent.compute(i.case, i.sun),
+        descent.rows,
+    ),
+    Part(
+        "carries",
+        "What this file can carry",
+        "telemetry",
+        lambda i: carries.compute(i.case, i.sun, i.done.get("descent"), i.options.seed),
+        carries.rows,
+        uses=("descent",),
+        needed=True,
+    ),
+    Part(
+        "level_set",
+        "Section 2.3: the scan of this telemetry",
+        "telemetry",
+        lambda i: level_set.compute(
+            i.case, i.sun, i.options.seed, i.options.coarser, i.options.workers, i.options.progress
+        ),
+        level_set.rows,
+    ),
+    Part(
+        "candidates",
+        "Section 2.3: the motions that follow",
+        "telemetry",
+        _candidates,
+        lambda _: [],
+        ("level_set", "carries"),
+    ),
+    Part(
+        "touchdown",
+        "Section 3.2: after the first touchdown",
+        "telemetry",
+        lambda i: touchdown.compute(i.done["candidates"]),
+        touchdown.rows,
+        ("candidates",),
+    ),
+    Part(
+        "landing",
+        "Sections 3.3 and 4: after the collision",
+        "telemetry",
+        lambda i: landing.compute(
+            i.case, i.done["candidates"], n=i.runs, seed=i.options.seed, workers=i.options.workers
+        ),
+        landing.rows,
+        ("candidates",),
+    ),
+    Part(
+        "impulse",
+        "Beyond the paper: the collision's impulse",
+        "telemetry",
+        _impulse,
+        impulse.rows,
+        ("candidates",),
+        off=lambda i: impulse.OFF if i.options.data is None else "",
+    ),
+    Part(
+        "components",
+        "Section 2.3: r_x and r_y",
+        "telemetry",
+        lambda i: components.compute(
+            i.case,
+            i.done["level_set"].scan.rebound,
+            i.options.seed,
+            i.options.coarser,
+            i.options.workers,
+        ),
+        components.rows,
+        ("candidates", "level_set"),
+    ),
+    Part(
+        "sensitivity",
+        "Section 2.3: why a direct fit fails",
+        "no_telemetry",
+        lambda i: sensitivity.compute(i.case, i.sun, i.options.workers, i.options.coarser),
+        sensitivity.rows,
+    ),
+    Part(
+        "motions",
+        "The motion to look at",
+        "telemetry",
+        lambda i: motions.compute(i.case, i.done, i.options.seed, i.options.workers),
+        motions.rows,
+        ("candidates", "level_set"),
+        ("descent",),
+    ),
+    Part(
+        "mechanics",
+        "Section 2.2: wheel and example motions",
+        "no_telemetry",
+        lambda i: mechanics.compute(i.case),
+        mechanics.rows,
+        needed=True,
+    ),
+    Part(
+        "published_lines",
+        "The published lines through our equations",
+        "no_telemetry",
+        _published_lines,
+        published_lines.rows,
+        uses=("level_set",),
+        needed=True,
+    ),
+    Part(
+        "precession",
+        "Section 3.2: precession on the published lines",
+        "no_telemetry",
+        lambda i: precession.compute(i.case),
+        precession.rows,
+    ),
+    Part(
+        "worth",
+        "What the paper's method is worth",
+        "no_telemetry",
+        _worth,
+        lambda r: coverage_rows.rows(*r),
+    ),
+    Part(
+        "inputs",
+        "Taken over from the paper",
+        "paper",
+        lambda i: taken.Taken(i.case, i.sun),
+        taken.rows,
+        needed=True,
+    ),
+    Part(
+        "contradictions",
+        "Where the paper is ambiguous or contradicts itself",
+        "paper",
+        lambda i: contradictions.compute(i.case),
+        contradictions.rows,
+        needed=True,
+    ),
+)
 """In the order of beginning."""
 
 CHAIN_OF = {"telemetry": "telemetry", "no_telemetry": "none", "paper": "none"}
@@ -260,7 +398,10 @@ class Reproduction:
 
 
 def compute(
-    case: Case, options: Options | None = None, seen: Callable[[Reproduction], Any] | None = None, **chosen: Any
+    case: Case,
+    options: Options | None = None,
+    seen: Callable[[Reproduction], Any] | None = None,
+    **chosen: Any,
 ) -> Reproduction:
     """Run the whole chain on the case's telemetry.
 
@@ -308,7 +449,9 @@ def _computed(inputs: Inputs) -> Iterator[tuple[Part, Future | str]]:
     """Each part once it has ended, or why it has not begun. A part begins when all that it waits for has ended."""
     at_once = min(worker_count(inputs.options.workers), PARTS_AT_ONCE)
     waiting, running = list(PARTS), {}
-    over = {name for part in PARTS for name in (*part.needs, *part.uses)} - {part.name for part in PARTS}
+    over = {name for part in PARTS for name in (*part.needs, *part.uses)} - {
+        part.name for part in PARTS
+    }
     pool = ThreadPoolExecutor(at_once, thread_name_prefix="part")
     try:
         while waiting or running:
@@ -335,11 +478,27 @@ def _absent(part: Part, inputs: Inputs) -> str:
 def _in_order(found: Reproduction) -> Reproduction:
     """The same with everything in the order of `PARTS`, whichever ended first."""
     rows = dict(found.rows_by_part)
-    if "candidates" not in found.parts and "level_set" in rows:  # nothing is concluded from these readings, nor judged by them
+    if (
+        "candidates" not in found.parts and "level_set" in rows
+    ):  # nothing is concluded from these readings, nor judged by them
         kept = rows["level_set"]
-        rows["level_set"] = [replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None) for row in kept]
-    by_name = {"parts": found.parts, "rows_by_part": rows, "missing": found.missing, "off": found.off}
-    return replace(found, **{field: {p.name: of[p.name] for p in PARTS if p.name in of} for field, of in by_name.items()})
+        rows["level_set"] = [
+            replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None)
+            for row in kept
+        ]
+    by_name = {
+        "parts": found.parts,
+        "rows_by_part": rows,
+        "missing": found.missing,
+        "off": found.off,
+    }
+    return replace(
+        found,
+        **{
+            field: {p.name: of[p.name] for p in PARTS if p.name in of}
+            for field, of in by_name.items()
+        },
+    )
 
 
 def _settled(row: Row, part: Part, synthetic: bool) -> Row:
@@ -353,10 +512,12 @@ def require_wheel(vehicle: Vehicle) -> None:
     vehicle.require_mass()
     if len(vehicle.wheels) != 1 or not vehicle.legs:
         raise InputError(
-            sentence("the study is of a lander with one wheel and legs", got=f"{len(vehicle.wheels)} wheels, "
-                f"{len(vehicle.legs)} legs",
-                     do="copy the vehicle file of philae and change it")
-        )  # fmt: skip
+            sentence(
+                "the study is of a lander with one wheel and legs",
+                got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs",
+                do="copy the vehicle file of philae and change it",
+            )
+        )
 
 
 def with_vehicle(case: Case, vehicle: Vehicle, telemetry: xr.Dataset) -> Case:

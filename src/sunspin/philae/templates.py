@@ -20,8 +20,15 @@ from sunspin.telemetry.case import Case
 
 TEXTS = ("what", "unit", "place", "note", "sentence", "other_reading", "changes")
 STATEMENT_TEXTS = ("sentence", "other_reading", "changes")
-VALUES = {"published": object, "kind": str, "chain": str, "tolerance": (int, float, list), "at_most": (int, float), "weak": bool,
-          "input": bool}  # fmt: skip
+VALUES = {
+    "published": object,
+    "kind": str,
+    "chain": str,
+    "tolerance": (int, float, list),
+    "at_most": (int, float),
+    "weak": bool,
+    "input": bool,
+}
 """Key of a table that is no text -> what it may be; `published` is a text to be filled if it is one."""
 
 NOTE = re.compile(r"note(_[a-z]+)?")
@@ -47,7 +54,9 @@ class Template:
         try:
             return self.texts[key].format_map(fields)
         except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
-            raise InputError(sentence(f"the row's {key} cannot be filled ({error!r})", where=self.where)) from None
+            raise InputError(
+                sentence(f"the row's {key} cannot be filled ({error!r})", where=self.where)
+            ) from None
 
 
 def templates(case: Case) -> Mapping[str, Template]:
@@ -76,19 +85,37 @@ def _template(table: Any, where: str) -> Template:
         elif key in VALUES:
             values[key] = value
         else:
-            raise InputError(sentence("a row has no such key", got=key, do=f"known: {', '.join((*TEXTS, *VALUES))}", where=where))
+            raise InputError(
+                sentence(
+                    "a row has no such key",
+                    got=key,
+                    do=f"known: {', '.join((*TEXTS, *VALUES))}",
+                    where=where,
+                )
+            )
         if not isinstance(value, str if key in texts else VALUES[key]) or value == "":
-            raise InputError(sentence(f"{key} is not of the kind that it has to be", got=value, where=where))
+            raise InputError(
+                sentence(f"{key} is not of the kind that it has to be", got=value, where=where)
+            )
     absent = [key for key in STATEMENT_TEXTS if key not in texts]
     if 0 < len(absent) < len(STATEMENT_TEXTS):
-        raise InputError(sentence(f"a statement of the paper also needs {' and '.join(absent)}", where=where))
+        raise InputError(
+            sentence(f"a statement of the paper also needs {' and '.join(absent)}", where=where)
+        )
     return Template(texts, values, _fields(texts, where), where)
 
 
 def _fields(texts: Mapping[str, str], where: str) -> frozenset[str]:
     """Names of the fields that texts use, without what is taken of them."""
     try:
-        named = [name for text in texts.values() for _, name, _, _ in Formatter().parse(text) if name is not None]
+        named = [
+            name
+            for text in texts.values()
+            for _, name, _, _ in Formatter().parse(text)
+            if name is not None
+        ]
     except ValueError as error:
-        raise InputError(sentence(f"braces do not enclose a field ({error})", where=where)) from None
+        raise InputError(
+            sentence(f"braces do not enclose a field ({error})", where=where)
+        ) from None
     return frozenset(re.split(r"[.\[]", name)[0] for name in named)

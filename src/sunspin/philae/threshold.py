@@ -105,17 +105,29 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
     sun, start, vehicle = rebound.samples.attrs, table.rows.start, rebound.case.vehicle
     return fingerprint(
         {
-            "study": "threshold of a level set, truths even in the scanned box", "vehicle": rb.moving_and_seeing(vehicle),
+            "study": "threshold of a level set, truths even in the scanned box",
+            "vehicle": rb.moving_and_seeing(vehicle),
             "panel_sigmas": plain(stated_sigma(vehicle)),
-            "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(), "directions": rebound.z.size,
-            "noise": float(sun["noise"]), "lit_threshold": float(sun["lit_threshold"]), "scale": _scale(rebound),
+            "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(),
+            "directions": rebound.z.size,
+            "noise": float(sun["noise"]),
+            "lit_threshold": float(sun["lit_threshold"]),
+            "scale": _scale(rebound),
             "sun_B": np.round(rebound.sun_B, 4).tolist(),
-            "window_s": round(rebound.window_s, 3), "lead_s": round(rebound.lead_s, 3),
-            "target_weights": None if rebound.weights is None else rebound.case.assumptions.study.target_weights,
-            "axes": [np.round(axis, 6).tolist() for axis in (start.omega_x, start.omega_y, start.omega_z)],
-            "mask": plain(rb.counted(rebound.case)), "bins": BINS, "emd_error": k.EMD_ERROR, "alike": ALIKE,
+            "window_s": round(rebound.window_s, 3),
+            "lead_s": round(rebound.lead_s, 3),
+            "target_weights": None
+            if rebound.weights is None
+            else rebound.case.assumptions.study.target_weights,
+            "axes": [
+                np.round(axis, 6).tolist() for axis in (start.omega_x, start.omega_y, start.omega_z)
+            ],
+            "mask": plain(rb.counted(rebound.case)),
+            "bins": BINS,
+            "emd_error": k.EMD_ERROR,
+            "alike": ALIKE,
         }
-    )  # fmt: skip
+    )
 
 
 def _readable(rebound: rb.Rebound) -> np.ndarray:
@@ -138,18 +150,30 @@ def _readings(rebound: rb.Rebound) -> np.ndarray:
 
 
 def calibrate(
-    rebound: rb.Rebound, table: Table, twins: int = TWINS, seed: int = 0, workers: int | None = None, progress: bool = False
+    rebound: rb.Rebound,
+    table: Table,
+    twins: int = TWINS,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: bool = False,
 ) -> Calibration:
     """Repeat the method on synthetic rebounds like the data; `table` of the scan from the same first direction."""
     found = alike_rebounds(rebound, twins, seed)
     targets = [one.target for one in found]
     rows = TargetRows(table, targets)
-    smallest = ensemble(rows, workers=workers, chunk=2, progress=progress, label="calibration of the threshold")["emd_min"]
+    smallest = ensemble(
+        rows, workers=workers, chunk=2, progress=progress, label="calibration of the threshold"
+    )["emd_min"]
     truth = np.array([one.omega_B for one in found])
     vehicle, mask = rebound.case.vehicle, rb.counted(rebound.case)
     ratio = reached(vehicle, rebound.states(truth), rebound.window_s, mask, targets) / smallest
     return Calibration(
-        key_of(rebound, table), seed, ratio, smallest, np.array([len(one.seen_B) for one in found]), "made for these data"
+        key_of(rebound, table),
+        seed,
+        ratio,
+        smallest,
+        np.array([len(one.seen_B) for one in found]),
+        "made for these data",
     )
 
 
@@ -169,10 +193,15 @@ class Alike(NamedTuple):
         return self.seen_B[:, 2], self.weights
 
 
-def reached(vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask | None, targets: list[Target]) -> np.ndarray:
+def reached(
+    vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask | None, targets: list[Target]
+) -> np.ndarray:
     """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen."""
     hist, _ = histograms(vehicle, states, window_s, mask)
-    each = [distances_to(hist[i : i + 1], target_segments(*target))[0][0] for i, target in enumerate(targets)]
+    each = [
+        distances_to(hist[i : i + 1], target_segments(*target))[0][0]
+        for i, target in enumerate(targets)
+    ]
     return np.where(np.isnan(each), 1.0, each)
 
 
@@ -194,7 +223,9 @@ class TargetRows:
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         fine = self.table.outcome == k.Outcome.FINE
-        return {"emd_min": np.array([self.table.distances(*self.targets[i])[fine].min() for i in index])}
+        return {
+            "emd_min": np.array([self.table.distances(*self.targets[i])[fine].min() for i in index])
+        }
 
 
 def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
@@ -214,10 +245,14 @@ def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
 def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
     """The synthetic rebounds `index`: each draws from its own generator."""
     case, vehicle = rebound.case, rebound.case.vehicle
-    generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))) for i in index]
+    generators = [
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))) for i in index
+    ]
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
     truth = np.array([rng.uniform(box[:, 0], box[:, 1]) for rng in generators])
-    sun = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in generators])
+    sun = np.array(
+        [rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in generators]
+    )
     tilt, sun = _panels(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True), index, seed)
     states = rebound.states(truth)
     states = k.Rows(states.omega_B, sun, states.wheel_speed_rad_s)
@@ -228,20 +263,32 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]
     exact = _scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
     noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in generators])
     power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0)
-    seen = sun_directions(vehicle, power.reshape(-1, power.shape[-1]), noise=sigma, lit_threshold=threshold)
+    seen = sun_directions(
+        vehicle, power.reshape(-1, power.shape[-1]), noise=sigma, lit_threshold=threshold
+    )
     told = is_reconstructed(seen["status"]).reshape(power.shape[:2])
     directions = seen["sun_B"].values.reshape(*power.shape[:2], 3)
     first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
     for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
         times = rebound.t_s[np.concatenate([[rebound.first], later[told[i]]])]
-        yield Alike(truth[i], np.concatenate([first, directions[i, told[i]]]), rb.target_weights(case, times))
+        yield Alike(
+            truth[i],
+            np.concatenate([first, directions[i, told[i]]]),
+            rb.target_weights(case, times),
+        )
 
 
-def _panels(vehicle: Vehicle, shown_B: np.ndarray, index: np.ndarray, seed: int) -> tuple[np.ndarray | None, np.ndarray]:
+def _panels(
+    vehicle: Vehicle, shown_B: np.ndarray, index: np.ndarray, seed: int
+) -> tuple[np.ndarray | None, np.ndarray]:
     """Of rebounds `index` whose first direction is shown as `shown_B` (n, 3): turns (n, 1, n_panel, 3) of the panels, None where
     the vehicle's file has no sigma of them, and the true first directions (n, 3)."""
-    generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), 1))) for i in index]
-    drawn = [drawn_panels(vehicle, shown, rng) for shown, rng in zip(shown_B, generators, strict=True)]
+    generators = [
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), 1))) for i in index
+    ]
+    drawn = [
+        drawn_panels(vehicle, shown, rng) for shown, rng in zip(shown_B, generators, strict=True)
+    ]
     tilt = np.array([one for one, _ in drawn if one is not None])
     return tilt[:, None] if len(tilt) else None, np.array([sun for _, sun in drawn])
 
@@ -250,10 +297,13 @@ def to_json(found: Calibration) -> str:
     """Plain data, six digits."""
     data = {
         "what": "the scan repeated on synthetic rebounds of known truth like the case's telemetry (sunspin.philae.threshold)",
-        "synthetic": True, "key": found.key, "seed": found.seed,
-        "ratio": [float(f"{x:.6g}") for x in found.ratio], "emd_min": [float(f"{x:.6g}") for x in found.emd_min],
+        "synthetic": True,
+        "key": found.key,
+        "seed": found.seed,
+        "ratio": [float(f"{x:.6g}") for x in found.ratio],
+        "emd_min": [float(f"{x:.6g}") for x in found.emd_min],
         "directions": found.directions.tolist(),
-    }  # fmt: skip
+    }
     return json.dumps(data) + "\n"
 
 
@@ -261,18 +311,30 @@ def from_json(text: str, where: str, source: str) -> Calibration:
     """What `to_json` wrote."""
     try:
         data = json.loads(text)
-        ratio, emd_min, directions = (np.array(data[name], dtype=np.float64) for name in ("ratio", "emd_min", "directions"))
-        if not len(ratio) == len(emd_min) == len(directions) or not np.all(np.isfinite([ratio, emd_min, directions])):
+        ratio, emd_min, directions = (
+            np.array(data[name], dtype=np.float64) for name in ("ratio", "emd_min", "directions")
+        )
+        if not len(ratio) == len(emd_min) == len(directions) or not np.all(
+            np.isfinite([ratio, emd_min, directions])
+        ):
             raise ValueError("lists of numbers of equal length are needed")
         return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(sentence(f"this is no calibration of a threshold ({error})", where=where)) from None
+        raise InputError(
+            sentence(f"this is no calibration of a threshold ({error})", where=where)
+        ) from None
 
 
 def calibration(
-    case: Case, rebound: rb.Rebound, table: Table, twins: int | None = None, seed: int = 0, *, workers: int | None = None,
+    case: Case,
+    rebound: rb.Rebound,
+    table: Table,
+    twins: int | None = None,
+    seed: int = 0,
+    *,
+    workers: int | None = None,
     progress: bool = False,
-) -> Calibration | None:  # fmt: skip
+) -> Calibration | None:
     """The calibration that fits these data: the shipped one if its key is theirs, else one made now; None for zero twins.
 
     Parameters
@@ -287,12 +349,17 @@ def calibration(
             return replace(found, confidence=confidence)
     if twins == 0:
         return None
-    return replace(calibrate(rebound, table, twins or TWINS, seed, workers, progress), confidence=confidence)
+    return replace(
+        calibrate(rebound, table, twins or TWINS, seed, workers, progress), confidence=confidence
+    )
 
 
-def ship(rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None) -> Calibration:
+def ship(
+    rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None
+) -> Calibration:
     """Make the calibration that ships with a case, and write it beside its telemetry."""
     found = calibrate(rebound, table, SHIPPED_TWINS, 0, workers, progress=True)
-    atomic_write.write_whole(folder / SHIPPED, lambda part: part.write_text(to_json(found), "utf-8"))
+    atomic_write.write_whole(
+        folder / SHIPPED, lambda part: part.write_text(to_json(found), "utf-8")
+    )
     return found
-

@@ -45,22 +45,47 @@ def _speed_rows(chain: Chain) -> list[Row]:
     level = "95 % probable" if chosen.probable else f"{case.assumptions.study.confidence:.0%}"
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
     recipe = float(chain.recipe.speed_touchdown.min())
-    smallest = row(case, "rate_at_touchdown_min", recipe, motions=len(chain.recipe), about=chosen.about)
+    smallest = row(
+        case, "rate_at_touchdown_min", recipe, motions=len(chain.recipe), about=chosen.about
+    )
     bound = row(
-        case, "rate_at_touchdown_bound", ours[0], says=("note",) if bounded else ("note", "note_unbounded"),
-        published=case.published["rate_at_touchdown_min"].value, level=level, about=chosen.about, prior_low=possible[0],
-    )  # fmt: skip
-    above = row(case, "rate_at_touchdown_max", ours[1], says=("note_probable" if chosen.probable else "note",), level=level)
-    smallest, bound, above = (over_candidates(one, chain.name, ours, possible) for one in (smallest, bound, above))
-    return [smallest, replace(bound, informative=bounded), above if chosen.probable else replace(above, informative=False)]
+        case,
+        "rate_at_touchdown_bound",
+        ours[0],
+        says=("note",) if bounded else ("note", "note_unbounded"),
+        published=case.published["rate_at_touchdown_min"].value,
+        level=level,
+        about=chosen.about,
+        prior_low=possible[0],
+    )
+    above = row(
+        case,
+        "rate_at_touchdown_max",
+        ours[1],
+        says=("note_probable" if chosen.probable else "note",),
+        level=level,
+    )
+    smallest, bound, above = (
+        over_candidates(one, chain.name, ours, possible) for one in (smallest, bound, above)
+    )
+    return [
+        smallest,
+        replace(bound, informative=bounded),
+        above if chosen.probable else replace(above, informative=False),
+    ]
 
 
 def _angle_rows(chain: Chain) -> list[Row]:
     found = []
-    for which, values in (("smaller", lambda c: c.smaller_angle), ("larger", lambda c: c.larger_angle)):
+    for which, values in (
+        ("smaller", lambda c: c.smaller_angle),
+        ("larger", lambda c: c.larger_angle),
+    ):
         ours, possible = (_degrees(c.angle_range(values(c))) for c in (chain.chosen, chain.box))
         recipe = [float(np.degrees(f(values(chain.recipe)))) for f in (np.min, np.max)]
-        one = row(chain.case, "angle", recipe, id=f"angle_{which}", which=which, about=chain.chosen.about)
+        one = row(
+            chain.case, "angle", recipe, id=f"angle_{which}", which=which, about=chain.chosen.about
+        )
         found.append(over_candidates(one, chain.name, ours, possible))
     return found
 
@@ -75,18 +100,33 @@ def _height_row(chain: Chain) -> Row:
     low, high = case.published["sun_height_range"].value
     ours = [estimate.value for estimate in chain.recipe.mean_height()]
     chosen, box = chain.chosen.mean_height(), chain.box.mean_height()
-    agrees = all(abs(mine.value - theirs) <= HEIGHT_DEG for mine, theirs in zip(chosen, (low, high), strict=True))
+    agrees = all(
+        abs(mine.value - theirs) <= HEIGHT_DEG
+        for mine, theirs in zip(chosen, (low, high), strict=True)
+    )
     shown = row(case, "sun_height_range", ours, within=HEIGHT_DEG, about=chain.chosen.about)
-    each = [share_of_candidates(shown, chain.name, mine, before, agrees) for mine, before in zip(chosen, box, strict=True)]
+    each = [
+        share_of_candidates(shown, chain.name, mine, before, agrees)
+        for mine, before in zip(chosen, box, strict=True)
+    ]
     informative = any(one.informative for one in each)
-    merged = {key: [getattr(one, key) for one in each] for key in ("low", "high", "prior_low", "prior_high")}
-    return replace(each[0], informative=informative, agrees=agrees if informative else None, **merged)
+    merged = {
+        key: [getattr(one, key) for one in each]
+        for key in ("low", "high", "prior_low", "prior_high")
+    }
+    return replace(
+        each[0], informative=informative, agrees=agrees if informative else None, **merged
+    )
 
 
 def sentences(chain: Chain) -> list[str]:
     """What the heights of the Sun say, one-sided, in words."""
     chosen, box = chain.chosen, chain.box
-    level = "each with 95 % probability" if chosen.probable else f"{chain.case.assumptions.study.confidence:.0%}"
+    level = (
+        "each with 95 % probability"
+        if chosen.probable
+        else f"{chain.case.assumptions.study.confidence:.0%}"
+    )
     small, possible = (_degrees(c.angle_range(c.smaller_angle)) for c in (chosen, box))
     large = _degrees(chosen.angle_range(chosen.larger_angle))
     found = []
@@ -96,17 +136,32 @@ def sentences(chain: Chain) -> list[str]:
         found.append(
             "The smaller of the angles from the momentum to the body's z axis and to the Sun is "
             f"{' and '.join(parts) or 'unknown'}, "
-            f"{level}" + (f"; the momentum lies within {small[1]:.0f} degrees of z or of the Sun." if small[1] < STILL_DEG else ".")
+            f"{level}"
+            + (
+                f"; the momentum lies within {small[1]:.0f} degrees of z or of the Sun."
+                if small[1] < STILL_DEG
+                else "."
+            )
         )
     else:
-        found.append("The heights of the Sun leave the angles from the momentum to the z axis and to the Sun nearly open.")
-    found[-1] = found[-1].removesuffix(".") + f"; the larger is between {large[0]:.0f} and {large[1]:.0f} degrees."
+        found.append(
+            "The heights of the Sun leave the angles from the momentum to the z axis and to the Sun nearly open."
+        )
+    found[-1] = (
+        found[-1].removesuffix(".")
+        + f"; the larger is between {large[0]:.0f} and {large[1]:.0f} degrees."
+    )
     slow, fast = chosen.speed_range()
     least = box.speed_range()[0]
     bound = (
         f"Just after the touchdown it turned at {slow:.2g} rad/s or faster, {level}"
-        if slow > least + LEAST_STEP_RAD_S else "Just after the touchdown it may have stood still: no lower bound on its "
-            "angular speed follows"
-    )  # fmt: skip
-    upper = f", at {fast:.3g} rad/s or slower" if chosen.probable else "; from above the heights of the Sun bound nothing"
+        if slow > least + LEAST_STEP_RAD_S
+        else "Just after the touchdown it may have stood still: no lower bound on its "
+        "angular speed follows"
+    )
+    upper = (
+        f", at {fast:.3g} rad/s or slower"
+        if chosen.probable
+        else "; from above the heights of the Sun bound nothing"
+    )
     return [*found, bound + upper + "."]

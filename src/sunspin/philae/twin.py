@@ -26,7 +26,10 @@ from sunspin.vehicle import Vehicle
 
 
 def twin(
-    source: Case | Vehicle | str, truth: Truth | Mapping[str, Any] | None = None, seed: int = 0, **landing: Any
+    source: Case | Vehicle | str,
+    truth: Truth | Mapping[str, Any] | None = None,
+    seed: int = 0,
+    **landing: Any,
 ) -> xr.Dataset:
     """Synthetic telemetry of a vehicle that moves as `truth` says.
 
@@ -60,7 +63,9 @@ def twin(
             return philae_twin(seed, **landing)
         raise InputError(sentence("a twin needs a truth", do="give omega_B, sun_B and t_s"))
     if landing:
-        raise InputError(sentence("a twin with a truth takes no options of the landing", got=", ".join(landing)))
+        raise InputError(
+            sentence("a twin with a truth takes no options of the landing", got=", ".join(landing))
+        )
     return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
 
 
@@ -68,29 +73,57 @@ def twin(
 def main(arguments: list[str] | None = None) -> None:
     """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
-    parser.add_argument("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
+    parser.add_argument(
+        "out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it"
+    )
     parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--tilt", type=float, help="sigma of each panel's normal to each side, degrees; default: vehicle file's")
-    parser.add_argument("--turn", type=float, help="sigma of one turn of all panels about each axis, degrees; default: the same")
-    parser.add_argument("--rest-seen", action=argparse.BooleanOptionalAction, default=True,
-                        help="the first samples at rest give a direction (default)")  # fmt: skip
+    parser.add_argument(
+        "--tilt",
+        type=float,
+        help="sigma of each panel's normal to each side, degrees; default: vehicle file's",
+    )
+    parser.add_argument(
+        "--turn",
+        type=float,
+        help="sigma of one turn of all panels about each axis, degrees; default: the same",
+    )
+    parser.add_argument(
+        "--rest-seen",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="the first samples at rest give a direction (default)",
+    )
     parser.add_argument("--case", default="philae", choices=case_names())
     parser.add_argument("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
     case = load_case(given.case)
-    turns = {name: value for name, value in (("tilt", given.tilt), ("turn", given.turn)) if value is not None}
-    asked = "".join(f" --{name} {value:g}" for name, value in turns.items()) + " --no-rest-seen" * (not given.rest_seen)
+    turns = {
+        name: value
+        for name, value in (("tilt", given.tilt), ("turn", given.turn))
+        if value is not None
+    }
+    asked = "".join(f" --{name} {value:g}" for name, value in turns.items()) + " --no-rest-seen" * (
+        not given.rest_seen
+    )
     keys = {"tilt": "tilt_rad", "turn": "turned_rad"}
-    radians: dict[str, Any] = {keys[name]: float(np.radians(value)) for name, value in turns.items()}
+    radians: dict[str, Any] = {
+        keys[name]: float(np.radians(value)) for name, value in turns.items()
+    }
     telemetry = twin(case, seed=given.seed, rest_seen=given.rest_seen, **radians)
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
         f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",
     ]
-    more = ["synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"]
+    more = [
+        "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
+    ]
     write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
-    about = [f"The truth behind {given.out.name}; see sunspin.philae.twin_philae for how each part was chosen."]
-    write_new(given.out.parent / "twin_truth.toml", truth_text(telemetry, comments + about), given.force)
+    about = [
+        f"The truth behind {given.out.name}; see sunspin.philae.twin_philae for how each part was chosen."
+    ]
+    write_new(
+        given.out.parent / "twin_truth.toml", truth_text(telemetry, comments + about), given.force
+    )
 
 
 if __name__ == "__main__":

@@ -41,7 +41,13 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
 from sunspin.telemetry.case import Case, load_case
-from sunspin.telemetry.synthetic import drawn_tilts, generator, noisy_power, on_time_grid, telemetry_dataset
+from sunspin.telemetry.synthetic import (
+    drawn_tilts,
+    generator,
+    noisy_power,
+    on_time_grid,
+    telemetry_dataset,
+)
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import stated_sigma
 
@@ -102,7 +108,12 @@ class State:
 
 
 def philae_twin(
-    seed: int, noise: float | None = None, *, tilt_rad: float | None = None, turned_rad: float | None = None, rest_seen: bool = True
+    seed: int,
+    noise: float | None = None,
+    *,
+    tilt_rad: float | None = None,
+    turned_rad: float | None = None,
+    rest_seen: bool = True,
 ) -> xr.Dataset:
     """Synthetic telemetry of the whole landing.
 
@@ -133,7 +144,10 @@ def philae_twin(
     vehicle = case.vehicle
     sigma = vehicle.require_noise() if noise is None else noise
     own, common = stated_sigma(vehicle)
-    own, common = own if tilt_rad is None else tilt_rad, common if turned_rad is None else turned_rad
+    own, common = (
+        own if tilt_rad is None else tilt_rad,
+        common if turned_rad is None else turned_rad,
+    )
     tilt = panel_turns(vehicle, own, common, generator(seed, 7))
     timeline, start = case.require_timeline(), first_state(case, tilt)
     before_blow, after_blow, blow = collision(case, start, generator(seed, 3))
@@ -164,7 +178,11 @@ def philae_twin(
         "collision_sun_B": before_blow.sun_B,
         "collision_wheel_speed_after_rad_s": after_blow.wheel_speed_rad_s,
         **blow,
-        **({} if tilt is None else {"tilt_sigma_rad": own, "turned_sigma_rad": common, "tilt_B_rad": tilt.ravel()}),
+        **(
+            {}
+            if tilt is None
+            else {"tilt_sigma_rad": own, "turned_sigma_rad": common, "tilt_B_rad": tilt.ravel()}
+        ),
         "descent_rate_cubic": np.array(case.published["descent_rate_cubic"].value),
     }
     return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
@@ -179,7 +197,9 @@ def panel_turns(
     return turned_rad * rng.standard_normal(3) + drawn_tilts(vehicle, tilt_rad, rng)
 
 
-def drawn_panels(vehicle: Vehicle, shown_B: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray | None, np.ndarray]:
+def drawn_panels(
+    vehicle: Vehicle, shown_B: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray | None, np.ndarray]:
     """Turns (n_panel, 3) of the panels, drawn with the sigmas of the vehicle's file (None where it has none), and the direction (3)
     behind what they show; drawn again where no Sun makes them show it."""
     sigmas = stated_sigma(vehicle)
@@ -189,7 +209,11 @@ def drawn_panels(vehicle: Vehicle, shown_B: np.ndarray, rng: np.random.Generator
             return None, shown_B
         with suppress(InputError):
             return tilt, behind(vehicle, shown_B, tilt)
-    raise InputError(sentence(f"no Sun makes panels show this direction in {MAX_DRAWS} draws", got=f"sigmas {sigmas}"))
+    raise InputError(
+        sentence(
+            f"no Sun makes panels show this direction in {MAX_DRAWS} draws", got=f"sigmas {sigmas}"
+        )
+    )
 
 
 def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarray:
@@ -197,12 +221,19 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     response = vehicle.response_in()
     lit = (response.power(shown_B) > 0)[:, None]
     turned = response.slopes(shown_B, tilt=tilt)
-    rows = turned.to_sun + turned.power[:, None] * shown_B  # power is linear in the direction while the same panels are lit
+    rows = (
+        turned.to_sun + turned.power[:, None] * shown_B
+    )  # power is linear in the direction while the same panels are lit
     drawn = np.where(lit, response.under(shown_B)[1], 0.0)
     sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
     sun /= np.linalg.norm(sun)
     if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
-        raise InputError(sentence("no Sun makes panels turned so far show the published direction", do="take another seed"))
+        raise InputError(
+            sentence(
+                "no Sun makes panels turned so far show the published direction",
+                do="take another seed",
+            )
+        )
     return sun
 
 
@@ -224,7 +255,9 @@ def first_state(case: Case, tilt: np.ndarray | None = None) -> State:
     return State(t, point + step * along, sun, speed)
 
 
-def collision(case: Case, start: State, rng: np.random.Generator) -> tuple[State, State, dict[str, Any]]:
+def collision(
+    case: Case, start: State, rng: np.random.Generator
+) -> tuple[State, State, dict[str, Any]]:
     """The states just before and after the collision, and what hit: leg and velocity."""
     before = _state_at(case.vehicle, start, case.require_timeline().event("collision").t_s)
     legs = case.vehicle.legs
@@ -235,10 +268,18 @@ def collision(case: Case, start: State, rng: np.random.Generator) -> tuple[State
     velocity = case.published["collision_speed"].value * direction
     blow = case.assumptions.collision
     after = impact(
-        case.vehicle, before.omega_B, before.wheel_speed_rad_s, velocity, leg, restitution=blow.restitution, damper=blow.damper
+        case.vehicle,
+        before.omega_B,
+        before.wheel_speed_rad_s,
+        velocity,
+        leg,
+        restitution=blow.restitution,
+        damper=blow.damper,
     )
     told = {"collision_leg": leg, "collision_velocity_B": velocity}
-    state = State(before.t_s, after["omega_B"].values, before.sun_B, after["wheel_speed_rad_s"].values)
+    state = State(
+        before.t_s, after["omega_B"].values, before.sun_B, after["wheel_speed_rad_s"].values
+    )
     return before, state, told
 
 
@@ -253,7 +294,10 @@ def _jittered(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
     """Samples 1 to 9 with folded legs, then 10 to the touchdown: rotation about z at the published cubic rate."""
-    begin, end = (case.require_timeline().event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
+    begin, end = (
+        case.require_timeline().event(name).t_s
+        for name in ("descent_fit_begins", "first_touchdown")
+    )
     first, last = case.published["descent_samples"].value
     interval = case.published["descent_span"].value * 3600.0 / (last - first)
     folded = begin - DEPLOYMENT_INTERVAL_S * np.arange(SAMPLES_BEFORE_DESCENT, 0, -1)
@@ -268,17 +312,27 @@ def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
             _descent_sun(case, folded - begin, azimuth),
             _constant(FOLDED_LEG_TRANSMISSION, folded),
         ),
-        Part("descent", unfolded, _descent_sun(case, unfolded - begin, azimuth), _constant((1.0,) * 6, unfolded)),
+        Part(
+            "descent",
+            unfolded,
+            _descent_sun(case, unfolded - begin, azimuth),
+            _constant((1.0,) * 6, unfolded),
+        ),
     )
 
 
 def _descent_sun(case: Case, t: np.ndarray, azimuth: float) -> np.ndarray:
     """Directions (n, 3) at t (s from sample 10): the Sun goes round backward; before t = 0 at the first rate."""
     rate = case.published["descent_rate_cubic"].value
-    angle = sum(c * np.maximum(t, 0.0) ** (k + 1) / (k + 1) for k, c in enumerate(rate)) + rate[0] * np.minimum(t, 0.0)
+    angle = sum(c * np.maximum(t, 0.0) ** (k + 1) / (k + 1) for k, c in enumerate(rate)) + rate[
+        0
+    ] * np.minimum(t, 0.0)
     z = case.published["nz_descent"].value
     flat = np.sqrt(1 - z**2)
-    return np.stack([flat * np.cos(azimuth - angle), flat * np.sin(azimuth - angle), np.full(t.shape, z)], axis=-1)
+    return np.stack(
+        [flat * np.cos(azimuth - angle), flat * np.sin(azimuth - angle), np.full(t.shape, z)],
+        axis=-1,
+    )
 
 
 def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
@@ -291,7 +345,10 @@ def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
 def _sparse_times(case: Case, rng: np.random.Generator) -> np.ndarray:
     """The published number of samples, spread over the time between collision and second touchdown."""
     timeline = case.require_timeline()
-    begin, duration = timeline.event("collision").t_s, timeline.seconds("collision", "second_touchdown")
+    begin, duration = (
+        timeline.event("collision").t_s,
+        timeline.seconds("collision", "second_touchdown"),
+    )
     n = case.published["samples_after_collision"].value
     return on_time_grid(_jittered(begin + duration * (np.arange(n) + 0.5) / n, rng))
 
@@ -316,8 +373,13 @@ def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
 def _rest(case: Case, rng: np.random.Generator, seen_first: bool) -> Part:
     timeline = case.require_timeline()
     begin = timeline.event("rest").t_s
-    interval = timeline.seconds("collision", "second_touchdown") / case.published["samples_after_collision"].value
-    t = on_time_grid(_jittered(begin + interval * (np.arange(int(REST_DURATION_S / interval)) + 0.5), rng))
+    interval = (
+        timeline.seconds("collision", "second_touchdown")
+        / case.published["samples_after_collision"].value
+    )
+    t = on_time_grid(
+        _jittered(begin + interval * (np.arange(int(REST_DURATION_S / interval)) + 0.5), rng)
+    )
     angle = np.degrees(_rest_angle(t - begin))
     hidden = (angle > MASK_ANGLES_DEG[0]) & (angle < MASK_ANGLES_DEG[1])
     early = seen_first & (angle < SHADOW_ANGLE_DEG)
@@ -335,7 +397,9 @@ def _rest_sun(t: np.ndarray) -> np.ndarray:
     azimuth, tilt, angle = np.radians(86.0), np.radians(80.0), _rest_angle(t)[:, None]
     node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    return np.cos(angle) * node + np.sin(angle) * (np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0]))
+    return np.cos(angle) * node + np.sin(angle) * (
+        np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0])
+    )
 
 
 def _constant(transmission: tuple[float, ...], t: np.ndarray) -> np.ndarray:
@@ -343,11 +407,21 @@ def _constant(transmission: tuple[float, ...], t: np.ndarray) -> np.ndarray:
 
 
 def _joined(parts: list[Part]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    t, sun, transmission = (np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B", "transmission"))
-    return t, sun, transmission, np.concatenate([np.full(part.t_s.size, part.phase) for part in parts])
+    t, sun, transmission = (
+        np.concatenate([getattr(part, key) for part in parts])
+        for key in ("t_s", "sun_B", "transmission")
+    )
+    return (
+        t,
+        sun,
+        transmission,
+        np.concatenate([np.full(part.t_s.size, part.phase) for part in parts]),
+    )
 
 
-def keep_direction(vehicle: Vehicle, sun_B: np.ndarray, exact: np.ndarray, noisy: np.ndarray) -> np.ndarray:
+def keep_direction(
+    vehicle: Vehicle, sun_B: np.ndarray, exact: np.ndarray, noisy: np.ndarray
+) -> np.ndarray:
     """Confine the noise of one sample, the Sun at sun_B, to what its redundancy shows, so that the measured direction
     is the one without noise.
 

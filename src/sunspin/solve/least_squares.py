@@ -107,7 +107,11 @@ def least_squares(
         step, gain = solver(there, damping[on])
         step, fine = _finite(step)
         if longest is not None:
-            step = _map(lambda part, by: part / _as_column(by, part), step, np.maximum(longest(here, step), 1.0))
+            step = _map(
+                lambda part, by: part / _as_column(by, part),
+                step,
+                np.maximum(longest(here, step), 1.0),
+            )
         trial = retract(here, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
@@ -118,7 +122,10 @@ def least_squares(
         stuck = ~better & (damping[on] > MOST)
         stop[on[arrived]], stop[on[stuck]] = Stop.ARRIVED, Stop.STUCK
         going[on] = ~(arrived | stuck)
-        state, system = (_put(old, on[better], _some(got, np.flatnonzero(better))) for old, got in ((state, trial), (system, new)))
+        state, system = (
+            _put(old, on[better], _some(got, np.flatnonzero(better)))
+            for old, got in ((state, trial), (system, new))
+        )
     return Solution(state, system, stop)
 
 
@@ -174,5 +181,9 @@ def _as_column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 def _finite(step: Any) -> tuple[Any, np.ndarray]:
     """Steps with zero in place of those that are not finite, and which are (K)."""
-    fine = np.logical_and.reduce([np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _leaves(step)])
-    return (step if fine.all() else _map(lambda part: np.where(_as_column(fine, part), part, 0.0), step)), fine
+    fine = np.logical_and.reduce(
+        [np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _leaves(step)]
+    )
+    return (
+        step if fine.all() else _map(lambda part: np.where(_as_column(fine, part), part, 0.0), step)
+    ), fine

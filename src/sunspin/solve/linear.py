@@ -28,16 +28,25 @@ class Dense(NamedTuple):
     kept: tuple[np.ndarray, ...] = ()
 
     @classmethod
-    def of(cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None) -> Dense:
+    def of(
+        cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None
+    ) -> Dense:
         """Half the sum of squares of residuals (K, R) with the Jacobian (K, R, D)."""
         turned = np.swapaxes(jacobian, -1, -2)
-        return cls((residual**2).sum(axis=1) / 2, turned @ jacobian, (turned @ residual[..., None])[..., 0], scale)
+        return cls(
+            (residual**2).sum(axis=1) / 2,
+            turned @ jacobian,
+            (turned @ residual[..., None])[..., 0],
+            scale,
+        )
 
 
 def dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps (K, D) under `damping` (K), and what they gain (K) by the quadratic model if the damping is small."""
     scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
-    step = _each(np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None])[..., 0]
+    step = _each(
+        np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None]
+    )[..., 0]
     return step, -(system.slope * step).sum(axis=1) / 2
 
 
@@ -68,7 +77,9 @@ class Spread(NamedTuple):
     log_size: np.ndarray
 
 
-def bordered(system: Bordered, damping: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray | None], np.ndarray]:
+def bordered(
+    system: Bordered, damping: np.ndarray
+) -> tuple[tuple[np.ndarray, np.ndarray | None], np.ndarray]:
     """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K), and what they gain (K) by the quadratic
     model if the damping is small."""
     diagonal = _damped(system.diagonal, (damping[:, None] * system.scale)[:, None])
@@ -78,7 +89,9 @@ def bordered(system: Bordered, damping: np.ndarray) -> tuple[tuple[np.ndarray, n
     else:
         change, step, _, _ = _with_border(factors, system)
     gain = -(system.slope * change).reshape(len(change), -1).sum(axis=1) / 2
-    return (change, step), gain if step is None else gain - (system.border_slope * step).sum(axis=1) / 2
+    return (change, step), gain if step is None else gain - (system.border_slope * step).sum(
+        axis=1
+    ) / 2
 
 
 def spread(system: Bordered) -> Spread:
@@ -132,8 +145,12 @@ def _covariances(factors: _Factors) -> np.ndarray:
 
 def _with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
     """Steps of nodes and border, what the nodes change per unit of the border's unknowns, and the Schur complement (K, m, m)."""
-    assert system.border is not None and system.corner is not None and system.border_slope is not None
-    right = -np.concatenate([system.slope[..., None], system.border], axis=-1)  # all at once: the loop over nodes is what costs
+    assert (
+        system.border is not None and system.corner is not None and system.border_slope is not None
+    )
+    right = -np.concatenate(
+        [system.slope[..., None], system.border], axis=-1
+    )  # all at once: the loop over nodes is what costs
     both = _substituted(factors, right)
     change, answer = both[..., 0], both[..., 1:]
     k, n, b, m = system.border.shape
@@ -192,4 +209,6 @@ def symmetric_product(elements: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Symmetric matrices, given as (xx, xy, xz, yy, yz, zz) (..., 6), times vectors (..., 3)."""
     xx, xy, xz, yy, yz, zz = np.moveaxis(elements, -1, 0)
     x, y, z = np.moveaxis(vector, -1, 0)
-    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=-1)
+    return np.stack(
+        [xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=-1
+    )

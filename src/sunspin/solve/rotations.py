@@ -31,7 +31,9 @@ def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     size = np.sqrt(square)
     bend = np.sinc(size / (2 * np.pi)) ** 2 / 2  # (1 - cos) / square
     around = bend * (angle_B[..., :, None] * angle_B[..., None, :])
-    return ((1 - bend * square) * np.eye(3) - np.sinc(size / np.pi) * cross_matrix(angle_B) + around) @ matrix
+    return (
+        (1 - bend * square) * np.eye(3) - np.sinc(size / np.pi) * cross_matrix(angle_B) + around
+    ) @ matrix
 
 
 def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -46,7 +48,9 @@ def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         products[..., k, 3] = products[..., 3, k] = m[..., i, j] - m[..., j, i]
     products[..., 3, 3] = 1 + trace
     largest = np.argmax(np.einsum("...ii->...i", products), axis=-1)
-    q = products.reshape(-1, 4, 4)[np.arange(largest.size), largest.ravel()].reshape(products.shape[:-1])
+    q = products.reshape(-1, 4, 4)[np.arange(largest.size), largest.ravel()].reshape(
+        products.shape[:-1]
+    )
     q = np.where(q[..., 3:] < 0, -q, q)
     sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
     angle = 2 * np.arctan2(sine, q[..., 3:])
@@ -57,7 +61,9 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     """Matrices (..., 3, 3) of quaternions (..., 4), the scalar last, of any length."""
     v, w = quaternion[..., :3], quaternion[..., 3, None, None]
     square = np.einsum("...i,...i->...", v, v)[..., None, None]
-    made = (w * w - square) * np.eye(3) + 2 * (v[..., :, None] * v[..., None, :] + w * cross_matrix(v))
+    made = (w * w - square) * np.eye(3) + 2 * (
+        v[..., :, None] * v[..., None, :] + w * cross_matrix(v)
+    )
     return made / (w * w + square)
 
 
@@ -70,14 +76,20 @@ def continuous(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
     against = same & (np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0)
     sign = np.cumprod(np.append(1.0, np.where(against, -1.0, 1.0)))
     begin = np.maximum.accumulate(np.append(0, np.where(same, 0, np.arange(1, len(quaternion)))))
-    return quaternion * (sign * sign[begin] * np.where(quaternion[begin, 3] < 0, -1.0, 1.0))[:, None]
+    return (
+        quaternion * (sign * sign[begin] * np.where(quaternion[begin, 3] < 0, -1.0, 1.0))[:, None]
+    )
 
 
 def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     """Components (..., 3) in body axes of vectors (..., 3) fixed in space after the body has turned by `angle_B` (..., 3)."""
     shape = np.broadcast_shapes(vector.shape, angle_B.shape)
     flat = np.array(np.broadcast_to(vector, shape)).reshape(-1, 3)
-    return transform.Rotation.from_rotvec(-np.broadcast_to(angle_B, shape).reshape(-1, 3)).apply(flat).reshape(shape)
+    return (
+        transform.Rotation.from_rotvec(-np.broadcast_to(angle_B, shape).reshape(-1, 3))
+        .apply(flat)
+        .reshape(shape)
+    )
 
 
 def smallest_turn(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:

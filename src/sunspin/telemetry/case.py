@@ -68,7 +68,8 @@ class Case:
         if path is None:
             raise TelemetryError(
                 sentence(
-                    f"case {self.name!r} comes without telemetry", do="read yours with read_telemetry(path, vehicle)"
+                    f"case {self.name!r} comes without telemetry",
+                    do="read yours with read_telemetry(path, vehicle)",
                 )
             )
         return read_telemetry(path, self.vehicle)
@@ -77,7 +78,10 @@ class Case:
         """The timeline, or an `InputError` that says where to add it."""
         if self.timeline is None:
             raise InputError(
-                sentence(f"case {self.name!r} has no timeline", do="add a timeline.toml with its events to the case's folder")
+                sentence(
+                    f"case {self.name!r} has no timeline",
+                    do="add a timeline.toml with its events to the case's folder",
+                )
             )
         return self.timeline
 
@@ -118,7 +122,11 @@ def load_case(name: str, changes: Changes = None) -> Case:
     """
     if name not in case_names():
         raise InputError(
-            sentence("there is no built-in case of this name", got=name, do=f"known: {', '.join(case_names())}")
+            sentence(
+                "there is no built-in case of this name",
+                got=name,
+                do=f"known: {', '.join(case_names())}",
+            )
         )
     folder = _root() / name
     timeline, published = folder / "timeline.toml", folder / "published.toml"
@@ -127,8 +135,12 @@ def load_case(name: str, changes: Changes = None) -> Case:
         name=name,
         folder=folder,
         vehicle=load_vehicle(name, of_vehicle),
-        timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline)) if timeline.is_file() else None,
-        published=parse_published(published.read_text("utf-8"), str(published)) if published.is_file() else _frozen({}),
+        timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline))
+        if timeline.is_file()
+        else None,
+        published=parse_published(published.read_text("utf-8"), str(published))
+        if published.is_file()
+        else _frozen({}),
         assumptions=read_assumptions(of_study),
     )
 
@@ -148,7 +160,9 @@ def timeline_of(vehicle: object) -> Timeline | None:
     path = Path(str(vehicle)).parent / "timeline.toml"
     if not path.is_file():
         return None
-    content = read_bytes(path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again")
+    content = read_bytes(
+        path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again"
+    )
     return parse_timeline(decoded(content, str(path), InputError, "save it as UTF-8"), str(path))
 
 
@@ -160,11 +174,14 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
         if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:
             raise InputError(
                 sentence(
-                    f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}", where=f"{where}, {key}"
+                    f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}",
+                    where=f"{where}, {key}",
                 )
             )
         if not all(entry[text].strip() for text in ("unit", "what", "place")):
-            raise InputError(sentence("unit, what and place must not be empty", where=f"{where}, {key}"))
+            raise InputError(
+                sentence("unit, what and place must not be empty", where=f"{where}, {key}")
+            )
         figures[key] = Published(**{**entry, "value": _tuples(entry["value"])})
     return _frozen(figures)
 

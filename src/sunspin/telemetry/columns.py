@@ -16,7 +16,14 @@ NEAR = 0.75
 """Likeness of two names, letters and digits only, from which one is taken for the other misspelt."""
 
 
-def column_of(table: Table, name: str, what: str, path: Path, section: str = "telemetry", free: list[str] | None = None) -> int:
+def column_of(
+    table: Table,
+    name: str,
+    what: str,
+    path: Path,
+    section: str = "telemetry",
+    free: list[str] | None = None,
+) -> int:
     """Where a column stands; `free`: columns that another name may mean, by default all."""
     if name not in table.header:
         near = _nearest(name, table.header if free is None else free)
@@ -45,7 +52,12 @@ def _nearest(name: str, names: list[str]) -> str | None:
 def unused_columns(vehicle: Vehicle, table: Table, columns: list[int]) -> list[str]:
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
-    used = {form.time_column, "phase", *(table.header[at] for at in columns), *sensor_columns(vehicle)}
+    used = {
+        form.time_column,
+        "phase",
+        *(table.header[at] for at in columns),
+        *sensor_columns(vehicle),
+    }
     used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
     used |= {name for name in (form.voltage_column, form.receive_time_column) if name}
     return [name for name in table.header if name not in used]

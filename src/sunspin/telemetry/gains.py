@@ -65,7 +65,10 @@ def looks_all_around(vehicle: Vehicle, dead: np.ndarray | None = None) -> bool:
     works = np.ones(len(vehicle.inputs), dtype=bool) if dead is None else ~dead
     response = vehicle.response_in()
     sun, lit = response.regions()
-    return all(row.sum() >= 3 and response.rank(row, at) == 3 for at, row in zip(sun, lit & works, strict=True))
+    return all(
+        row.sum() >= 3 and response.rank(row, at) == 3
+        for at, row in zip(sun, lit & works, strict=True)
+    )
 
 
 def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
@@ -73,7 +76,13 @@ def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
     of_panel = np.ones(len(vehicle.panels))
     for one, value in zip(vehicle.inputs, factor, strict=True):
         of_panel[list(one.panels)] = value
-    return replace(vehicle, panels=tuple(replace(p, gain=p.gain * float(f)) for p, f in zip(vehicle.panels, of_panel, strict=True)))
+    return replace(
+        vehicle,
+        panels=tuple(
+            replace(p, gain=p.gain * float(f))
+            for p, f in zip(vehicle.panels, of_panel, strict=True)
+        ),
+    )
 
 
 def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
@@ -83,7 +92,12 @@ def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
     for k, panel in enumerate(vehicle.panels):
         for key in ("gain_W", "gain_A", "relative_gain"):
             fact = vehicle.facts.get(f"panel.{panel.name}.{key}")
-            if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0 and panel.gain > 0:
+            if (
+                fact is not None
+                and isinstance(fact.sigma, float)
+                and fact.sigma > 0
+                and panel.gain > 0
+            ):
                 found[k] = fact.sigma / panel.gain
     return np.array([found[list(one.panels)].max() for one in vehicle.inputs])
 
@@ -91,22 +105,38 @@ def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
 def estimate_gains(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> Gains:
     """Gains from readings (n, n_panel) in full Sun, `full` being their brightness with the vehicle's own gains."""
     prior = prior_sigmas(vehicle)
-    nothing = Gains(np.ones(len(prior)), np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), None, "")
+    nothing = Gains(
+        np.ones(len(prior)), np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), None, ""
+    )
     if vehicle.throttled:
-        return nothing._replace(told="not determined by the data: inputs are throttled, and no sample need be in full Sun")
+        return nothing._replace(
+            told="not determined by the data: inputs are throttled, and no sample need be in full Sun"
+        )
     if not looks_all_around(vehicle, dead):
-        return nothing._replace(told="not determined by the data: panels do not look all around, a Sun that stands aside looks dim")
+        return nothing._replace(
+            told="not determined by the data: panels do not look all around, a Sun that stands aside looks dim"
+        )
     if len(value) < FEWEST:
-        return nothing._replace(told=f"not determined by the data: fewer than {FEWEST} samples in full Sun")
+        return nothing._replace(
+            told=f"not determined by the data: fewer than {FEWEST} samples in full Sun"
+        )
     value = value[:: -(-len(value) // MOST)]
     log, covariance, spread = np.zeros(len(prior)), np.diag(prior**2), 0.0
     for _ in range(STEPS):
         away = brightness(with_gains(vehicle, np.exp(log)), value) / full - 1
-        moved = [brightness(with_gains(vehicle, np.exp(log + STEP * one)), value) / full - 1 for one in np.eye(len(log))]
+        moved = [
+            brightness(with_gains(vehicle, np.exp(log + STEP * one)), value) / full - 1
+            for one in np.eye(len(log))
+        ]
         jacobian = (np.stack(moved, axis=1) - away[:, None]) / STEP
         spread = max(1.4826 * float(np.median(np.abs(away))), 1e-3)
         weight = (FREEDOM + 1) / (FREEDOM + (away / spread) ** 2) / spread**2
         covariance = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian) + np.diag(prior**-2))
         log = np.clip(log - covariance @ (jacobian.T @ (weight * away) + log / prior**2), -1.0, 1.0)
     factor = np.exp(log)
-    return Gains(factor, covariance * np.outer(factor, factor), spread, f"estimated from {len(value)} samples in full Sun")
+    return Gains(
+        factor,
+        covariance * np.outer(factor, factor),
+        spread,
+        f"estimated from {len(value)} samples in full Sun",
+    )

@@ -19,7 +19,12 @@ from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import lit_patterns, observable_patterns, panel_power, turned_sigma
+from sunspin.vehicle.response.panels import (
+    lit_patterns,
+    observable_patterns,
+    panel_power,
+    turned_sigma,
+)
 from sunspin.vehicle.response.protocol import PanelResponse
 
 STEPS, ROUNDING = 60, 1e-12
@@ -44,11 +49,19 @@ class PanelHealth(xr.Dataset):
         if key == "allowed":
             return named_panels(self, "allowed_lit")
         if key == "impossible":
-            return dict(zip(named_panels(self, "impossible_lit"), self["samples"].values.tolist(), strict=True))
+            return dict(
+                zip(
+                    named_panels(self, "impossible_lit"),
+                    self["samples"].values.tolist(),
+                    strict=True,
+                )
+            )
         if key == "explanations":
             return named_panels(self, "lost")
         if key == "noise":
-            verdicts = map(NoiseVerdict, *(self[name].values.tolist() for name in NoiseVerdict._fields))
+            verdicts = map(
+                NoiseVerdict, *(self[name].values.tolist() for name in NoiseVerdict._fields)
+            )
             known = zip(named_panels(self, "impossible_lit"), verdicts, strict=True)
             return {pattern: verdict for pattern, verdict in known if not np.isnan(verdict.largest)}
         return super().__getitem__(key)
@@ -61,7 +74,12 @@ def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
 
 
 def panel_health(
-    vehicle: Vehicle, telemetry: Any, *, could_be_noise: float | None = None, could_be_turned: bool = False, **options: Any
+    vehicle: Vehicle,
+    telemetry: Any,
+    *,
+    could_be_noise: float | None = None,
+    could_be_turned: bool = False,
+    **options: Any,
 ) -> PanelHealth:
     """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
 
@@ -98,7 +116,9 @@ def panel_health(
     patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     counts = {pattern: patterns.count(pattern) for pattern in dict.fromkeys(patterns)}
     threshold, verdicts = float(sun.attrs["lit_threshold"]), {}
-    sigma = UNKNOWN if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])  # what is assumed explains nothing
+    sigma = (
+        UNKNOWN if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])
+    )  # what is assumed explains nothing
     probability, turned = np.zeros(len(patterns)), {}
     if not is_sun and patterns and np.isfinite(sigma) and sigma > 0:
         power = _values(telemetry)
@@ -109,11 +129,19 @@ def panel_health(
         turned = _turned(vehicle, power[forbidden], bright, sigma, threshold, patterns)
     limit = np.inf if could_be_noise is None else could_be_noise
     n = sun.sizes["time"]
-    by_turns = {pattern for pattern, least in turned.items() if could_be_turned and _shown(least, n)}
-    needed = [p for p, chance in zip(patterns, probability, strict=True) if chance < limit and p not in by_turns]
+    by_turns = {
+        pattern for pattern, least in turned.items() if could_be_turned and _shown(least, n)
+    }
+    needed = [
+        p
+        for p, chance in zip(patterns, probability, strict=True)
+        if chance < limit and p not in by_turns
+    ]
     about = provenance("panel_health", sun, **vehicle.said)
     about |= {"noise_sigma": sigma, "lit_threshold": threshold}
-    return _health(vehicle, counts, explanations(vehicle, list(dict.fromkeys(needed))), verdicts, turned, about)
+    return _health(
+        vehicle, counts, explanations(vehicle, list(dict.fromkeys(needed))), verdicts, turned, about
+    )
 
 
 def _brightness(vehicle: Vehicle, power: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
@@ -124,14 +152,24 @@ def _brightness(vehicle: Vehicle, power: np.ndarray, sun_B: np.ndarray) -> np.nd
 
 
 def _turned(
-    vehicle: Vehicle, power: np.ndarray, bright: np.ndarray, sigma: float, threshold: float, patterns: list[tuple[str, ...]]
+    vehicle: Vehicle,
+    power: np.ndarray,
+    bright: np.ndarray,
+    sigma: float,
+    threshold: float,
+    patterns: list[tuple[str, ...]],
 ) -> dict[tuple[str, ...], float]:
     """Of each pattern the least probability that noise and panels turned by their stated sigmas make one of its samples."""
     by_turn = turned_sigma(vehicle)
     if not by_turn.any():
         return {}
-    chance = noise_alone(vehicle, power, sigma, threshold, bright[:, None] * by_turn).probability.tolist()
-    return {pattern: min(p for p, own in zip(chance, patterns, strict=True) if own == pattern) for pattern in set(patterns)}
+    chance = noise_alone(
+        vehicle, power, sigma, threshold, bright[:, None] * by_turn
+    ).probability.tolist()
+    return {
+        pattern: min(p for p, own in zip(chance, patterns, strict=True) if own == pattern)
+        for pattern in set(patterns)
+    }
 
 
 def _shown(least: float, n: int) -> bool:
@@ -144,30 +182,53 @@ UNKNOWN = float("nan")
 
 
 def _health(
-    vehicle: Vehicle, counts: dict[tuple[str, ...], int], lost: list[tuple[str, ...]],
-    verdicts: dict[tuple[str, ...], NoiseVerdict], turned: dict[tuple[str, ...], float], about: dict[str, Any],
-) -> PanelHealth:  # fmt: skip
+    vehicle: Vehicle,
+    counts: dict[tuple[str, ...], int],
+    lost: list[tuple[str, ...]],
+    verdicts: dict[tuple[str, ...], NoiseVerdict],
+    turned: dict[tuple[str, ...], float],
+    about: dict[str, Any],
+) -> PanelHealth:
     names = vehicle.input_names
 
     def rows(sets: Sequence[Any]) -> np.ndarray:
-        return np.array([[name in one for name in names] for one in sets], dtype=bool).reshape(-1, len(names))
+        return np.array([[name in one for name in names] for one in sets], dtype=bool).reshape(
+            -1, len(names)
+        )
 
     noise = [verdicts.get(pattern, NoiseVerdict(UNKNOWN, UNKNOWN, UNKNOWN)) for pattern in counts]
     of_noise = (
-        "bound on the probability that noise alone made the likeliest sample", "probability that noise shows this pattern, at most",
+        "bound on the probability that noise alone made the likeliest sample",
+        "probability that noise shows this pattern, at most",
         "log10 of that bound for all samples together",
-    )  # fmt: skip
+    )
     least = np.array([turned.get(pattern, UNKNOWN) for pattern in counts], dtype=np.float64)
     said = "bound on the probability that noise and panels turned by their stated sigmas make the least likely sample"
     return PanelHealth(
         {
-            "allowed_lit": (("allowed_pattern", "panel"), rows(lit_patterns(vehicle)), {"long_name": "lit panels, as possible"}),
-            "impossible_lit": (("pattern", "panel"), rows(list(counts)), {"long_name": "lit panels, as seen and impossible"}),
+            "allowed_lit": (
+                ("allowed_pattern", "panel"),
+                rows(lit_patterns(vehicle)),
+                {"long_name": "lit panels, as possible"},
+            ),
+            "impossible_lit": (
+                ("pattern", "panel"),
+                rows(list(counts)),
+                {"long_name": "lit panels, as seen and impossible"},
+            ),
             "samples": ("pattern", np.array(list(counts.values()), dtype=np.int64), {"units": "1"}),
-            "lost": (("explanation", "panel"), rows(lost), {"long_name": "panels whose loss explains all impossible patterns"}),
+            "lost": (
+                ("explanation", "panel"),
+                rows(lost),
+                {"long_name": "panels whose loss explains all impossible patterns"},
+            ),
         }
         | {
-            name: ("pattern", np.array([verdict[k] for verdict in noise]), {"units": "1", "long_name": of_noise[k]})
+            name: (
+                "pattern",
+                np.array([verdict[k] for verdict in noise]),
+                {"units": "1", "long_name": of_noise[k]},
+            )
             for k, name in enumerate(NoiseVerdict._fields)
         }
         | {"turned": ("pattern", least, {"units": "1", "long_name": said})},
@@ -208,14 +269,20 @@ def _values(telemetry: Any) -> np.ndarray:
     return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
 
 
-def explanations(vehicle: Vehicle, patterns: list[tuple[str, ...]], size: int | None = None) -> list[tuple[str, ...]]:
+def explanations(
+    vehicle: Vehicle, patterns: list[tuple[str, ...]], size: int | None = None
+) -> list[tuple[str, ...]]:
     """The smallest sets of panels that make every given lit pattern possible, several if equally small; or all of a `size`."""
     possible = observable_patterns(vehicle)
     if not patterns:
         return []
     sizes = range(1, len(vehicle.input_names) + 1) if size is None else [size]
     for count in sizes:
-        found = [lost for lost in combinations(vehicle.input_names, count) if all(_explained(p, lost, possible) for p in patterns)]
+        found = [
+            lost
+            for lost in combinations(vehicle.input_names, count)
+            if all(_explained(p, lost, possible) for p in patterns)
+        ]
         if found:
             return found
     return []
@@ -254,12 +321,19 @@ class NoiseVerdict(NamedTuple):
 
 def _verdict(made: NoiseMade, member: list[bool]) -> NoiseVerdict:
     together = made.log_probability[member].sum() / np.log(10)
-    largest, of_pattern = float(made.probability[member].max()), float(made.pattern_probability[member].max())
+    largest, of_pattern = (
+        float(made.probability[member].max()),
+        float(made.pattern_probability[member].max()),
+    )
     return NoiseVerdict(largest, of_pattern, float(together))
 
 
 def noise_alone(
-    vehicle: Vehicle, power: npt.ArrayLike, sigma: float, lit_threshold: float, besides: npt.ArrayLike = 0.0
+    vehicle: Vehicle,
+    power: npt.ArrayLike,
+    sigma: float,
+    lit_threshold: float,
+    besides: npt.ArrayLike = 0.0,
 ) -> NoiseMade:
     """How well each sample's readings agree with some Sun of any direction and brightness, panels being whole.
 
@@ -284,7 +358,11 @@ def noise_alone(
     vehicle.require_panels()
     n_panel = len(vehicle.inputs)
     if readings.ndim != 2 or readings.shape[1] != n_panel:
-        raise InputError(sentence(f"powers must have one column for each of the {n_panel} panels", got=readings.shape))
+        raise InputError(
+            sentence(
+                f"powers must have one column for each of the {n_panel} panels", got=readings.shape
+            )
+        )
     if not (np.isfinite(sigma) and sigma > 0):
         raise InputError(sentence("sigma must be the positive noise of a reading", got=sigma))
     if not (np.isfinite(lit_threshold) and lit_threshold >= 0):
@@ -293,7 +371,13 @@ def noise_alone(
     scale = response.largest  # so that the unknown is of the size of the readings
     each = np.broadcast_to(np.hypot(1.0, np.asarray(besides) / sigma), readings.shape)
     found = [
-        _nearest_sun(response, scale, readings[at : at + CHUNK] / sigma, lit_threshold / sigma, 1 / each[at : at + CHUNK])
+        _nearest_sun(
+            response,
+            scale,
+            readings[at : at + CHUNK] / sigma,
+            lit_threshold / sigma,
+            1 / each[at : at + CHUNK],
+        )
         for at in range(0, len(readings), CHUNK)
     ]
     sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
@@ -302,11 +386,17 @@ def noise_alone(
     lit = readings > lit_threshold
     shown = norm.sf(lit_threshold / sigma, mean, each), norm.cdf(lit_threshold / sigma, mean, each)
     pattern = np.prod(np.where(lit, *shown), axis=1)
-    return NoiseMade(square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel))
+    return NoiseMade(
+        square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel)
+    )
 
 
 def _nearest_sun(
-    response: PanelResponse, scale: float, readings: np.ndarray, threshold: float, weight: np.ndarray
+    response: PanelResponse,
+    scale: float,
+    readings: np.ndarray,
+    threshold: float,
+    weight: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance; a residual
     counts `weight` (n, n_panel).
@@ -326,14 +416,21 @@ def _nearest_sun(
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]
 
-    found = least_squares(linearise, retract, dense, (starts, each, weights), steps=STEPS, tolerance=ROUNDING)
+    found = least_squares(
+        linearise, retract, dense, (starts, each, weights), steps=STEPS, tolerance=ROUNDING
+    )
     cost = found.system.cost.reshape(len(readings), -1)
     best = np.argmin(cost, axis=1) + len(cells) * np.arange(len(readings))
     return found.state[0][best], 2 * found.system.cost[best]
 
 
 def _distance(
-    response: PanelResponse, scale: float, sun: np.ndarray, readings: np.ndarray, lit: np.ndarray, threshold: float
+    response: PanelResponse,
+    scale: float,
+    sun: np.ndarray,
+    readings: np.ndarray,
+    lit: np.ndarray,
+    threshold: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (..., n_panel) in sigma of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
     mean, slope = response.under(sun, scale)

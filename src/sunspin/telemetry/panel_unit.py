@@ -67,7 +67,9 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray, directions: Solver) -> Wrong
     if np.count_nonzero(largest > 0) < LEAST_SAMPLES:
         return None
     full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
-    return _against_gains(vehicle, known, largest, directions) or _against_noise(vehicle, known, largest, full, directions)
+    return _against_gains(vehicle, known, largest, directions) or _against_noise(
+        vehicle, known, largest, full, directions
+    )
 
 
 def _brightest(known: np.ndarray, largest: np.ndarray) -> np.ndarray:
@@ -91,7 +93,9 @@ def _sunlit(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions
     if not float(np.median(directions(vehicle, bright)[1])) < FITS:
         return False
     order = np.argsort(-largest, kind="stable")[:SHUFFLED]
-    seen = known[order[largest[order] > BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))]]
+    seen = known[
+        order[largest[order] > BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))]
+    ]
     return _in_order(vehicle, np.maximum(seen, 0.0), directions)
 
 
@@ -108,17 +112,23 @@ def _in_order(vehicle: Vehicle, seen: np.ndarray, directions: Solver) -> bool:
     return True
 
 
-def _against_gains(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> WrongUnit | None:
+def _against_gains(
+    vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver
+) -> WrongUnit | None:
     form = vehicle.telemetry
     unit = UNITS[form.quantity]
     if vehicle.gain_unit != unit:
         return None
-    share = float(np.quantile((known / vehicle.input_gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
+    share = float(
+        np.quantile((known / vehicle.input_gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE)
+    )
     if 1 / BEYOND < share < BEYOND:
         return None
     bright = _brightest(known, largest)
     ratio = float(np.median(_brightness(vehicle, bright, directions(vehicle, bright)[0])))
-    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, known, largest, directions)):
+    if 1 / BEYOND < ratio < BEYOND or (
+        ratio < 1 and not _sunlit(vehicle, known, largest, directions)
+    ):
         return None
     key = "scale or voltage_scale" if form.has_voltages else "scale"
     step = round(np.log10(ratio) / 3)
@@ -145,4 +155,6 @@ def _against_noise(
         return None
     what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
     scales = "scale, voltage_scale" if form.has_voltages else "scale"
-    return WrongUnit(what + ": one of them is in another unit", "telemetry", f"{scales} or {low[0]}")
+    return WrongUnit(
+        what + ": one of them is in another unit", "telemetry", f"{scales} or {low[0]}"
+    )

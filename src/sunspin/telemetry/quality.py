@@ -12,7 +12,13 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.provenance import provenance
-from sunspin.telemetry.gains import UNKNOWN_SIGMA, UNTOLD_SIGMA, brightness, estimate_gains, prior_sigmas
+from sunspin.telemetry.gains import (
+    UNKNOWN_SIGMA,
+    UNTOLD_SIGMA,
+    brightness,
+    estimate_gains,
+    prior_sigmas,
+)
 from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise
 from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.silent import lost
@@ -126,17 +132,30 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
     noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
     sound = good & ~spike.any(axis=1)
-    missed = lost(vehicle, telemetry["time"].values[sound], relative[sound] / full, float(noise / full))
+    missed = lost(
+        vehicle, telemetry["time"].values[sound], relative[sound] / full, float(noise / full)
+    )
     dead = _dead(relative[good], full) | missed
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
     bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
-    dark |= ~_beyond_noise(vehicle, value, use_value, float(noise), full, _albedo(vehicle, relative[sound & ~dark] / full)[0])
+    dark |= ~_beyond_noise(
+        vehicle,
+        value,
+        use_value,
+        float(noise),
+        full,
+        _albedo(vehicle, relative[sound & ~dark] / full)[0],
+    )
     idle = good & ~dark & (bright < IDLE_FRACTION * full)
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
     level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
     if vehicle.throttled:  # the battery may limit any sample, and all readings of it alike
-        idle, limited, level = np.zeros_like(dark), np.zeros_like(dark), np.maximum(bright, 1e-12)[:, None]
+        idle, limited, level = (
+            np.zeros_like(dark),
+            np.zeros_like(dark),
+            np.maximum(bright, 1e-12)[:, None],
+        )
     aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
@@ -146,19 +165,35 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
     # what the Earth adds to a lit panel on average is taken for its gain
     # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
-    own = told.covariance if told.spread is not None else np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
+    own = (
+        told.covariance
+        if told.spread is not None
+        else np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
+    )
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
-    untold = np.hypot(albedo, told.sigma * use_value / (level * gains))  # whose gains may be off by their prior
-    share = np.where(use_value > SURELY_LIT * albedo * level * gains, untold if told.spread is None else told.spread, albedo)
+    untold = np.hypot(
+        albedo, told.sigma * use_value / (level * gains)
+    )  # whose gains may be off by their prior
+    share = np.where(
+        use_value > SURELY_LIT * albedo * level * gains,
+        untold if told.spread is None else told.spread,
+        albedo,
+    )
     left = _left(albedo, told.spread, vehicle.telemetry.noise is not None)
     beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
-    sigma = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA) * largest * limited[:, None]
+    sigma = (
+        np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
+        * largest
+        * limited[:, None]
+    )
     nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
     beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * level * gains, noise)))
     sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
-    use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(np.int8)
+    use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(
+        np.int8
+    )
     some = spike.any(axis=1) & (use == USED)
     use[some] = DOWNWEIGHTED
     wrong = panel_unit(vehicle, value[good], best_directions) if dark[good].any() else None
@@ -169,26 +204,57 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     why = np.where(some & ~limited, BEYOND_FULL, why)
     return xr.Dataset(
         {
-            "sigma": (("time", "panel"), sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
-            "sigma_beside_earth": (("time", "panel"), beside, {"long_name": "the same where the Earth's light is modelled"}),
-            "scale": ("time", np.where(limited, np.maximum(bright, 1e-12), level[:, 0]), {"units": "1"}),
-            "scale_sigma": (
-                "time", np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE), {"units": "1"}
+            "sigma": (
+                ("time", "panel"),
+                sigma,
+                {"long_name": "one sigma of a reading, unit of the gains"},
             ),
-            "gain": ("panel", gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
+            "sigma_beside_earth": (
+                ("time", "panel"),
+                beside,
+                {"long_name": "the same where the Earth's light is modelled"},
+            ),
+            "scale": (
+                "time",
+                np.where(limited, np.maximum(bright, 1e-12), level[:, 0]),
+                {"units": "1"},
+            ),
+            "scale_sigma": (
+                "time",
+                np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE),
+                {"units": "1"},
+            ),
+            "gain": (
+                "panel",
+                gains,
+                {"long_name": "gain of each panel, unit of the vehicle's gains"},
+            ),
             "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.input_gains),
-            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(vehicle.input_gains, vehicle.input_gains)),
-            "use": ("time", use, {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}),
+            "gain_cov": (
+                ("panel", "panel2"),
+                gain_cov * np.outer(vehicle.input_gains, vehicle.input_gains),
+            ),
+            "use": (
+                "time",
+                use,
+                {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"},
+            ),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
             "missed": ("panel", missed | (dead & vehicle.throttled)),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs=provenance("panel_quality", telemetry, **vehicle.said) | {
-               "full_sun": float(full), "albedo": float(albedo),
-               "albedo_samples": seen, "full_sun_from": source, "gains_from": told.told,
-               "earth_light": earth,
-               "noise": float(noise), "spread": np.nan if told.spread is None else told.spread},
+        attrs=provenance("panel_quality", telemetry, **vehicle.said)
+        | {
+            "full_sun": float(full),
+            "albedo": float(albedo),
+            "albedo_samples": seen,
+            "full_sun_from": source,
+            "gains_from": told.told,
+            "earth_light": earth,
+            "noise": float(noise),
+            "spread": np.nan if told.spread is None else told.spread,
+        },
     )
 
 
@@ -201,7 +267,9 @@ def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
         return None
     about = panel_quality(vehicle, telemetry).attrs
     light = about["albedo"] * about["full_sun"] * float(vehicle.input_gains.max())
-    told = about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
+    told = (
+        about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
+    )
     return SURELY_LIT * light if told else None
 
 
@@ -242,7 +310,9 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.input_gains)
     if not len(bright) or bright.max() <= 0:
         return 1.0, "nothing: no panel is lit"
-    return float(np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)), "the brighter samples of the file"
+    return float(
+        np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)
+    ), "the brighter samples of the file"
 
 
 def _beyond_noise(
@@ -252,7 +322,11 @@ def _beyond_noise(
     zero of all `value` tell, else what panels that face away from the Sun read, `away` (of full Sun, which is `full` of the gain),
     but no more than the noise that is assumed: the rest is the Earth's light."""
     told = noise if vehicle.telemetry.noise is not None else dark_noise(value)
-    made = max(noise, told) if told is not None else full * min(away, ASSUMED_SHARE) * vehicle.input_gains
+    made = (
+        max(noise, told)
+        if told is not None
+        else full * min(away, ASSUMED_SHARE) * vehicle.input_gains
+    )
     return np.asarray((light > DARK_SIGMAS * made).any(axis=1))
 
 
@@ -269,13 +343,22 @@ def _aside(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -
     lit is a fault and no geometry.
     """
     model = (full * panel_power(vehicle, sphere(DIRECTIONS)))[:, ~dead]
-    model = model[(model.sum(axis=1) > 0) & ~(full * panel_power(vehicle, sphere(DIRECTIONS)))[:, dead].any(axis=1)]
+    model = model[
+        (model.sum(axis=1) > 0)
+        & ~(full * panel_power(vehicle, sphere(DIRECTIONS)))[:, dead].any(axis=1)
+    ]
     gains = vehicle.input_gains[~dead]
     found = np.zeros(len(value), dtype=bool)
     for start in range(0, len(value) if len(model) else 0, CHUNK):
         part = value[start : start + CHUNK][:, ~dead] / gains
-        square = (part**2).sum(axis=1)[:, None] - 2 * part @ (model / gains).T + ((model / gains) ** 2).sum(axis=1)
-        found[start : start + CHUNK] = square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
+        square = (
+            (part**2).sum(axis=1)[:, None]
+            - 2 * part @ (model / gains).T
+            + ((model / gains) ** 2).sum(axis=1)
+        )
+        found[start : start + CHUNK] = (
+            square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
+        )
     return found
 
 
@@ -296,12 +379,19 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     response = vehicle.response_in()
     opposite = response.facing_B @ response.facing_B.T < -0.99
     seen = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
-    opposite &= np.array([[not seen[seen[:, j] > FACED, i].any() for j in range(len(opposite))] for i in range(len(opposite))])
+    opposite &= np.array(
+        [
+            [not seen[seen[:, j] > FACED, i].any() for j in range(len(opposite))]
+            for i in range(len(opposite))
+        ]
+    )
     readings = [share[share[:, j] > FACED, i] for i, j in np.argwhere(opposite)]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
     told = len(dark) >= TOLD_READINGS
-    return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(dark)
+    return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(
+        dark
+    )
 
 
 def _left(albedo: float, spread: float | None, stated: bool) -> float:
@@ -314,10 +404,16 @@ def _left(albedo: float, spread: float | None, stated: bool) -> float:
 def _earth_light(albedo: float, seen: int, noise: float) -> float:
     """What a panel gets that looks straight at the Earth, a share of full Sun, if `albedo` is the quantile of what faces away
     from the Sun get, noise included; 0 where the file does not tell."""
-    return float(np.sqrt(max((albedo - noise) * (albedo + noise), 0.0)) / COSINE_QUANTILE) if seen >= TOLD_READINGS else 0.0
+    return (
+        float(np.sqrt(max((albedo - noise) * (albedo + noise), 0.0)) / COSINE_QUANTILE)
+        if seen >= TOLD_READINGS
+        else 0.0
+    )
 
 
 def reasons(quality: Any) -> dict[str, int]:
     """Number of samples for each sentence, most frequent first."""
     texts, counts = np.unique(quality["why"].values, return_counts=True)
-    return dict(sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda item: -item[1]))
+    return dict(
+        sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda item: -item[1])
+    )

@@ -77,12 +77,21 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     form = vehicle.telemetry
     if path.suffix == ".toml":
         what = "this is a vehicle's file and not telemetry"
-        raise TelemetryError(sentence(what, do="give the vehicle first and then a table of samples", where=str(path)))
+        raise TelemetryError(
+            sentence(what, do="give the vehicle first and then a table of samples", where=str(path))
+        )
     table = read_table(path)
     if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
         return stored_telemetry(table.data, vehicle, path)
-    if "frame" in table.header and form.time_column not in table.header and set(table.header) & {"timestamp", "observer"}:
-        what, do = "the file holds raw frames and no readings", "turn them into a table first, as `sunspin decode` does for skCUBE"
+    if (
+        "frame" in table.header
+        and form.time_column not in table.header
+        and set(table.header) & {"timestamp", "observer"}
+    ):
+        what, do = (
+            "the file holds raw frames and no readings",
+            "turn them into a table first, as `sunspin decode` does for skCUBE",
+        )
         raise TelemetryError(sentence(what, do=do, where=str(path)))
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
@@ -91,7 +100,11 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     time, epoch = _times(form, [row[time_at] for row in table.rows], table, path, received)
     mended: dict[str, int] = {}
     if form.bad_rows == "flag":
-        apart = {form.time_column, form.receive_time_column, *unused_columns(vehicle, table, columns)}
+        apart = {
+            form.time_column,
+            form.receive_time_column,
+            *unused_columns(vehicle, table, columns),
+        }
         read = {at for at, name in enumerate(table.header) if name not in apart}
         table, time, epoch, mended = _in_order(form, table, time, epoch, read)
         if mended:
@@ -100,9 +113,15 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     values, flag = _values(form, table, columns, volts)
     values, warmth = _at_reference(vehicle, table, values, path)
     flag |= _order_flags(form, time, table, path)
-    unused, missing = unused_columns(vehicle, table, columns), missing_sensors(vehicle, table, columns, path)
+    unused, missing = (
+        unused_columns(vehicle, table, columns),
+        missing_sensors(vehicle, table, columns, path),
+    )
     if received is not None:
-        about = {"units": "s", "long_name": "when the row was received, from the epoch of the times"}
+        about = {
+            "units": "s",
+            "long_name": "when the row was received, from the epoch of the times",
+        }
         sensors["received_s"] = ("time", received - (epoch - UNIX_ZERO).total_seconds(), about)
     return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth).assign_attrs(
         unused_columns=", ".join(unused), missing_sensors="; ".join(missing), **mended
@@ -112,7 +131,10 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
 def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
     powers = vehicle.telemetry.quantity == "power_W" and not vehicle.telemetry.has_voltages
     letter, unit = ("P", "W") if powers else ("I", "A")
-    known = {panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}") for panel in vehicle.input_names}
+    known = {
+        panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}")
+        for panel in vehicle.input_names
+    }
     if optional and not any(name in table.header for names in known.values() for name in names):
         return []
     found = []
@@ -131,8 +153,13 @@ def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = 
 def _volts(vehicle: Vehicle, table: Table, path: Path) -> np.ndarray:
     """Voltage (n, n_panel) of each current."""
     form = vehicle.telemetry
-    names = [form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.input_names]
-    at = [column_of(table, name, f"voltage of panel {panel}", path) for name, panel in zip(names, vehicle.input_names, strict=True)]
+    names = [
+        form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.input_names
+    ]
+    at = [
+        column_of(table, name, f"voltage of panel {panel}", path)
+        for name, panel in zip(names, vehicle.input_names, strict=True)
+    ]
     volts = form.voltage_scale * table.numbers(at)
     volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
     if form.bad_rows == "refuse" and not np.isfinite(volts).all():
@@ -153,7 +180,9 @@ def _refused(what: str, table: Table, row: int, column: int) -> TelemetryError:
     )
 
 
-def _values(form: TelemetryForm, table: Table, columns: list[int], volts: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _values(
+    form: TelemetryForm, table: Table, columns: list[int], volts: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
     values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
@@ -183,14 +212,21 @@ def _floor(form: TelemetryForm, values: np.ndarray) -> float:
     return -min(NEGATIVE_SIGMAS * sigma, NEGATIVE_SHARE * max(full, 0.0))
 
 
-def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+def _at_reference(
+    vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
+) -> tuple[np.ndarray, dict[str, Any]]:
     """Values at the panels' reference temperature, and the temperatures; a panel without a reading takes the others' mean."""
     form = vehicle.telemetry
     if not form.temperature_columns or not values.shape[1]:
         return values, {}
     strange = [name for name in form.temperature_columns if name not in vehicle.input_names]
     if strange:
-        raise TelemetryError(sentence("telemetry.temperature_columns names a panel that the vehicle has not", got=strange[0]))
+        raise TelemetryError(
+            sentence(
+                "telemetry.temperature_columns names a panel that the vehicle has not",
+                got=strange[0],
+            )
+        )
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
         at = column_of(table, name, f"temperature of panel {panel}", path)
@@ -209,7 +245,9 @@ def _at_reference(vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
 
 def parse_utc(text: str) -> datetime | None:
     text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
-    day = re.fullmatch(r"(\d{4})-(\d{3})([T ].*)?", text, re.ASCII)  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
+    day = re.fullmatch(
+        r"(\d{4})-(\d{3})([T ].*)?", text, re.ASCII
+    )  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
     try:
         if day:
             start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
@@ -230,7 +268,9 @@ def _received(form: TelemetryForm, table: Table, path: Path) -> np.ndarray | Non
         seconds = np.array([plain_number(cell) for cell in cells])
         return np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan)
     moments = [parse_utc(cell) for cell in cells]
-    return np.array([np.nan if moment is None else (moment - UNIX_ZERO).total_seconds() for moment in moments])
+    return np.array(
+        [np.nan if moment is None else (moment - UNIX_ZERO).total_seconds() for moment in moments]
+    )
 
 
 def _times(
@@ -239,8 +279,14 @@ def _times(
     """Seconds from the epoch, and the epoch: the vehicle's, else by when rows were received, else the first sample."""
     fixed = None if form.epoch_utc is None else parse_utc(form.epoch_utc)
     if form.epoch_utc is not None and fixed is None:
-        raise TelemetryError(sentence("telemetry.epoch_utc of the vehicle is not an ISO-8601 time", got=form.epoch_utc))
-    kind = {"utc": "an ISO-8601 UTC time", "unix": "Unix seconds", "elapsed": "seconds"}[form.time_format]
+        raise TelemetryError(
+            sentence(
+                "telemetry.epoch_utc of the vehicle is not an ISO-8601 time", got=form.epoch_utc
+            )
+        )
+    kind = {"utc": "an ISO-8601 UTC time", "unix": "Unix seconds", "elapsed": "seconds"}[
+        form.time_format
+    ]
 
     def bad(i: int) -> TelemetryError:
         return TelemetryError(
@@ -267,7 +313,9 @@ def _times(
         if fixed is None and received is not None and np.isfinite(received).any():
             fixed = UNIX_ZERO + timedelta(seconds=round(float(np.nanmedian(received - numbers)), 3))
         if fixed is None:
-            raise TelemetryError(sentence("elapsed times need telemetry.epoch_utc in the vehicle file"))
+            raise TelemetryError(
+                sentence("elapsed times need telemetry.epoch_utc in the vehicle file")
+            )
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
@@ -285,7 +333,9 @@ def _how_to_write(cell: str) -> str:
         return 'if it is in seconds, set time_format = "unix" (since 1970) or "elapsed" under [telemetry] in the vehicle file'
     if re.search(r":\d\d:60(?!\d)", cell):
         return "leap seconds are not known: write the second before or after, or remove the row"
-    return "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
+    return (
+        "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
+    )
 
 
 def _one_clock(cells: list[str], table: Table, path: Path, form: TelemetryForm) -> None:
@@ -296,10 +346,12 @@ def _one_clock(cells: list[str], table: Table, path: Path, form: TelemetryForm) 
         i = zones.index(None)
         raise TelemetryError(
             sentence(
-                "other times of this file have a time zone and this one has none", got=cells[i],
-                do="give each its zone, or Z for UTC", where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
+                "other times of this file have a time zone and this one has none",
+                got=cells[i],
+                do="give each its zone, or Z for UTC",
+                where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
             )
-        )  # fmt: skip
+        )
 
 
 def _in_order(
@@ -310,7 +362,11 @@ def _in_order(
     rows: list[list[str]] = []
     kept: list[int] = []
     for i in np.argsort(time, kind="stable"):
-        if kept and time[i] == time[kept[-1]] and (both := _merged(rows[-1], table.rows[i], read)) is not None:
+        if (
+            kept
+            and time[i] == time[kept[-1]]
+            and (both := _merged(rows[-1], table.rows[i], read)) is not None
+        ):
             rows[-1] = both
         else:
             rows.append(table.rows[i])
@@ -322,7 +378,12 @@ def _in_order(
     time = time[kept]
     if form.epoch_utc is None and form.time_format != "elapsed":
         epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
-    return table._replace(rows=rows, lines=[table.lines[i] for i in kept]), time, epoch, {k: n for k, n in counts.items() if n}
+    return (
+        table._replace(rows=rows, lines=[table.lines[i] for i in kept]),
+        time,
+        epoch,
+        {k: n for k, n in counts.items() if n},
+    )
 
 
 def _merged(first: list[str], second: list[str], read: set[int]) -> list[str] | None:
@@ -361,13 +422,24 @@ def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dat
     attrs = provenance("telemetry", **vehicle.said) | {
         "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
         "quantity": form.quantity,
-        "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),  # attributes hold no half characters
+        "file": path.name.encode("utf-8", "backslashreplace").decode(
+            "utf-8"
+        ),  # attributes hold no half characters
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),
-        "synthetic": int(any(comment.lower().startswith("synthetic") for comment in table.comments)),
+        "synthetic": int(
+            any(comment.lower().startswith("synthetic") for comment in table.comments)
+        ),
     }
-    flags = {"flag_masks": [k for k in FLAGS if k], "flag_meanings": " ".join(v for k, v in FLAGS.items() if k)}
-    panels = {form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]})} if values.shape[1] else {}
+    flags = {
+        "flag_masks": [k for k in FLAGS if k],
+        "flag_meanings": " ".join(v for k, v in FLAGS.items() if k),
+    }
+    panels = (
+        {form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]})}
+        if values.shape[1]
+        else {}
+    )
     if not panels:
         del coords["panel"]
     if sensors:

@@ -37,7 +37,12 @@ STEEPEST_RAD = 1.4
 def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
     sensors = vehicle.sensors
-    names = [name for s in sensors.sun_sensors for name in (s.x_column, s.y_column, s.light_column) if name]
+    names = [
+        name
+        for s in sensors.sun_sensors
+        for name in (s.x_column, s.y_column, s.light_column)
+        if name
+    ]
     names += [name for part in sensors.with_columns.values() for name in part.names]
     return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
@@ -55,24 +60,50 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     sensors = vehicle.sensors
-    present = [s for s in sensors.sun_sensors if all(n in table.header for n in (s.x_column, s.y_column, s.light_column) if n)]
+    present = [
+        s
+        for s in sensors.sun_sensors
+        if all(n in table.header for n in (s.x_column, s.y_column, s.light_column) if n)
+    ]
     vector = sensors.sun_vector
-    vector = vector if vector is not None and all(name in table.header for name in vector.names) else None
+    vector = (
+        vector
+        if vector is not None and all(name in table.header for name in vector.names)
+        else None
+    )
     if present or vector is not None:
         sun, covariance, angle = _sun(present, vector, table, sensors.sun_sensors)
         if present:
-            about = {"units": "rad", "long_name": "angles of each Sun sensor from its normal, along its x and its y"}
+            about = {
+                "units": "rad",
+                "long_name": "angles of each Sun sensor from its normal, along its x and its y",
+            }
             found["sun_sensor_angle"] = (("time", "sun_sensor", "side"), angle, about)
             turned = np.stack([_turned(sensor, table) for sensor in sensors.sun_sensors], axis=1)
-            found["sun_sensor_y_turned"] = (("time", "sun_sensor"), turned.astype(np.int8), {"units": "1"})
-        found["sun_sensor_B"] = (("time", "axis"), sun, {"units": "1", "long_name": "Sun by the Sun sensors, body axes"})
+            found["sun_sensor_y_turned"] = (
+                ("time", "sun_sensor"),
+                turned.astype(np.int8),
+                {"units": "1"},
+            )
+        found["sun_sensor_B"] = (
+            ("time", "axis"),
+            sun,
+            {"units": "1", "long_name": "Sun by the Sun sensors, body axes"},
+        )
         found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
         if (unsure := np.any([_unsure(sensor, table) for sensor in present], axis=0)).any():
             sun, covariance, _ = _sun(present, vector, table, sensors.sun_sensors, other=True)
             sun[~unsure], covariance[~unsure] = np.nan, np.nan
-            about = {"units": "1", "long_name": "Sun by the Sun sensors, if their y runs the other way"}
+            about = {
+                "units": "1",
+                "long_name": "Sun by the Sun sensors, if their y runs the other way",
+            }
             found["sun_sensor_other_B"] = (("time", "axis"), sun, about)
-            found["sun_sensor_other_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
+            found["sun_sensor_other_cov_B"] = (
+                ("time", "axis", "axis2"),
+                covariance,
+                {"units": "1"},
+            )
     for name, variable in VARIABLES.items():
         sensor = sensors.with_columns.get(name)
         if sensor is not None and all(column in table.header for column in sensor.names):
@@ -81,9 +112,17 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     speeds = [wheel.speed_column for wheel in vehicle.wheels]
     if speeds and all(name in table.header for name in speeds if name) and any(speeds):
         nothing = np.full(len(table.rows), np.nan)
-        value = [nothing if w.speed_column is None else w.speed_scale_rad_s * _numbers(table, [w.speed_column])[:, 0]
-                 for w in vehicle.wheels]  # fmt: skip
-        found["wheel_speed_rad_s"] = (("time", "wheel"), np.stack(value, axis=1), {"units": "rad s-1"})
+        value = [
+            nothing
+            if w.speed_column is None
+            else w.speed_scale_rad_s * _numbers(table, [w.speed_column])[:, 0]
+            for w in vehicle.wheels
+        ]
+        found["wheel_speed_rad_s"] = (
+            ("time", "wheel"),
+            np.stack(value, axis=1),
+            {"units": "rad s-1"},
+        )
     return found
 
 
@@ -93,7 +132,11 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
 
 
 def _sun(
-    sensors: list[SunSensor], vector: SunVector | None, table: Table, every: tuple[SunSensor, ...], other: bool = False
+    sensors: list[SunSensor],
+    vector: SunVector | None,
+    table: Table,
+    every: tuple[SunSensor, ...],
+    other: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The Sun from all sensors that see it, each weighted by its information about each axis, and the angles (n, every, 2);
     `other`: where a y may be turned or not, read the less likely way."""
@@ -140,12 +183,20 @@ def _light(sensor: SunSensor, table: Table) -> np.ndarray:
 
 def _angles(sensor: SunSensor, table: Table, other: bool) -> tuple[np.ndarray, np.ndarray]:
     """The Sun's angles (n) from a sensor's normal towards its x and its y; NaN where it reads none; `other`: as `_sun` has it."""
-    x = np.clip(sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad, -STEEPEST_RAD, STEEPEST_RAD)
+    x = np.clip(
+        sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad,
+        -STEEPEST_RAD,
+        STEEPEST_RAD,
+    )
     if sensor.y_column is None or sensor.y_scale is None:
         return x, np.full(len(x), np.nan)
     turned = _turned(sensor, table) ^ (other & _unsure(sensor, table))
     scale = np.where(turned, sensor.y_turned_scale or 0.0, sensor.y_scale)
-    return x, np.clip(scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad, -STEEPEST_RAD, STEEPEST_RAD)
+    return x, np.clip(
+        scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad,
+        -STEEPEST_RAD,
+        STEEPEST_RAD,
+    )
 
 
 def _turned(sensor: SunSensor, table: Table) -> np.ndarray:
@@ -157,9 +208,15 @@ def _turned(sensor: SunSensor, table: Table) -> np.ndarray:
 
 def _unsure(sensor: SunSensor, table: Table) -> np.ndarray:
     """Whether the y of each row (n) may be turned or not, its light being near that at which it turns."""
-    if sensor.y_turned_above is None or sensor.y_turned_sigma is None or sensor.light_column not in table.header:
+    if (
+        sensor.y_turned_above is None
+        or sensor.y_turned_sigma is None
+        or sensor.light_column not in table.header
+    ):
         return np.zeros(len(table.rows), dtype=bool)
-    return np.abs(_light(sensor, table) - sensor.y_turned_above) < BOTH_SIGMAS * sensor.y_turned_sigma
+    return (
+        np.abs(_light(sensor, table) - sensor.y_turned_above) < BOTH_SIGMAS * sensor.y_turned_sigma
+    )
 
 
 def _one_sensor(
@@ -179,6 +236,12 @@ def _one_sensor(
     across = np.cross(direction, u)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     along = np.cross(across, direction)
-    parts = ((along, np.full(n, sensor.x_sigma_rad)), (across, y_sigma), (direction, np.full(n, RADIAL_SIGMA)))
-    information = [axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts]
+    parts = (
+        (along, np.full(n, sensor.x_sigma_rad)),
+        (across, y_sigma),
+        (direction, np.full(n, RADIAL_SIGMA)),
+    )
+    information = [
+        axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts
+    ]
     return direction, np.sum(information, axis=0)

@@ -65,7 +65,9 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: float) 
     silent = (read < np.maximum(DARK, QUIET_SIGMAS * noise / gains)).all(axis=0)
     every = max(1, -(-len(read) // MOST))
     t_s, read = t_s[::every], read[::every]
-    if vehicle.throttled or silent.all() or not len(read):  # the battery may limit any sample: there is no full light
+    if (
+        vehicle.throttled or silent.all() or not len(read)
+    ):  # the battery may limit any sample: there is no full light
         return found
     light, sigma = panel_power(vehicle, sphere(DIRECTIONS)) / gains, _sigma(vehicle, noise)
     while (left := np.flatnonzero(silent & ~found)).size:
@@ -99,7 +101,9 @@ class Fit(NamedTuple):
         return float(self.gain[self.missing].max(initial=0.0)) if few else 0.0
 
 
-def _without(k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, found: np.ndarray) -> Fit:
+def _without(
+    k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, found: np.ndarray
+) -> Fit:
     """Readings (n, P) without panel `k`, those `found` being left out."""
     others = ~found & (np.arange(len(found)) != k)
     model, extra = (light / sigma)[:, others], (np.maximum(light[:, k] - DARK, 0.0) / sigma[k]) ** 2
@@ -115,14 +119,24 @@ def _without(k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, fou
 
 
 def _by_battery(
-    k: int, lost: Fit, t_s: np.ndarray, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, found: np.ndarray
+    k: int,
+    lost: Fit,
+    t_s: np.ndarray,
+    read: np.ndarray,
+    light: np.ndarray,
+    sigma: np.ndarray,
+    found: np.ndarray,
 ) -> bool:
     """Whether a battery that dims the samples which miss panel `k` says it as well."""
     sun, square, level = _dimmed((read / sigma)[:, ~found], (light / sigma)[:, ~found])
     if (square - lost.square)[lost.missing].sum() > CLEARLY:
         return False
     bends = _bend(t_s, lost.sun, lost.missing) / max(_bend(t_s, sun, lost.missing), 1e-9)
-    if bends > ROUGHER or bends < SMOOTHER or _bend(t_s, sun, np.ones(len(read))) < FOLLOWED * len(read):
+    if (
+        bends > ROUGHER
+        or bends < SMOOTHER
+        or _bend(t_s, sun, np.ones(len(read))) < FOLLOWED * len(read)
+    ):
         return bends > ROUGHER
     dimmed = np.median(level[lost.missing]) * read[~lost.missing & ~lost.odd]
     alike = _without(k, dimmed, light, sigma, found).missing.mean() if len(dimmed) else 1.0

@@ -80,12 +80,20 @@ def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     regions = response.regions()
     doubtful = named(vehicle, regions.lit[_several(vehicle, response.power(regions.sun_B), 0.0)])
     patterns = tuple(pattern for pattern in patterns if pattern not in doubtful)
-    found = _pattern_statuses(vehicle, [tuple(name in pattern for name in vehicle.input_names) for pattern in patterns])
-    return frozenset(pattern for pattern, (status, _) in zip(patterns, found, strict=True) if status in RECONSTRUCTED)
+    found = _pattern_statuses(
+        vehicle, [tuple(name in pattern for name in vehicle.input_names) for pattern in patterns]
+    )
+    return frozenset(
+        pattern
+        for pattern, (status, _) in zip(patterns, found, strict=True)
+        if status in RECONSTRUCTED
+    )
 
 
 @lru_cache(maxsize=4096)
-def _status_cached(response: PanelResponse, possible: frozenset, rules: tuple, lit: tuple[bool, ...]) -> tuple[SunStatus, str]:
+def _status_cached(
+    response: PanelResponse, possible: frozenset, rules: tuple, lit: tuple[bool, ...]
+) -> tuple[SunStatus, str]:
     mask = np.array(lit)
     if not mask.any():
         return SunStatus.DARK, STATUS_TEXT[SunStatus.DARK]
@@ -102,15 +110,26 @@ def _status_cached(response: PanelResponse, possible: frozenset, rules: tuple, l
     return status, STATUS_TEXT[status]
 
 
-def _pattern_statuses(vehicle: Vehicle, patterns: list[tuple[bool, ...]]) -> list[tuple[SunStatus, str]]:
+def _pattern_statuses(
+    vehicle: Vehicle, patterns: list[tuple[bool, ...]]
+) -> list[tuple[SunStatus, str]]:
     names = vehicle.input_names
-    possible = frozenset(tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle))
-    rules = tuple((tuple(names.index(name) for name in rule.all_dark), rule.reason) for rule in vehicle.sun_rules)
+    possible = frozenset(
+        tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle)
+    )
+    rules = tuple(
+        (tuple(names.index(name) for name in rule.all_dark), rule.reason)
+        for rule in vehicle.sun_rules
+    )
     return [_status_cached(vehicle.response_in(), possible, rules, lit) for lit in patterns]
 
 
 def sun_directions(
-    vehicle: Vehicle, telemetry: Any, *, noise: float | None = None, lit_threshold: float | None = None
+    vehicle: Vehicle,
+    telemetry: Any,
+    *,
+    noise: float | None = None,
+    lit_threshold: float | None = None,
 ) -> xr.Dataset:
     """Direction to the Sun for each sample of panel powers.
 
@@ -157,7 +176,11 @@ def sun_directions(
         texts = np.where(status == SunStatus.DARK, str(wrong), texts)
     direction, delta = best_directions(vehicle, clean)
     told = is_reconstructed(status)
-    noise_from = "given" if noise is not None else "estimated from the redundancy of samples with more than three lit panels"
+    noise_from = (
+        "given"
+        if noise is not None
+        else "estimated from the redundancy of samples with more than three lit panels"
+    )
     if noise is None:
         noise = _pooled_noise(clean, delta, lit, status)
     if np.isnan(noise) and dark is not None:
@@ -169,17 +192,39 @@ def sun_directions(
     covariance = _covariances(vehicle, clean, lit, told & ~doubtful, noise)
     doubtful |= told & ~np.isfinite(covariance).all(axis=(1, 2))
     if doubtful.any():
-        status[doubtful], texts = SunStatus.SEVERAL, np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts)
+        status[doubtful], texts = (
+            SunStatus.SEVERAL,
+            np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts),
+        )
         told &= ~doubtful
     arcs = _arcs(vehicle, clean, lit, status)
-    return _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold)
+    return _dataset(
+        vehicle,
+        base,
+        direction,
+        told,
+        delta,
+        covariance,
+        status,
+        texts,
+        lit,
+        arcs,
+        noise,
+        noise_from,
+        threshold,
+    )
 
 
 def signals(telemetry: xr.Dataset) -> np.ndarray:
     """The powers or currents (time, panel) of a telemetry Dataset."""
     name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
     if name is None:
-        raise InputError(sentence("the telemetry has no panel powers or currents", do="give a file with a column per panel"))
+        raise InputError(
+            sentence(
+                "the telemetry has no panel powers or currents",
+                do="give a file with a column per panel",
+            )
+        )
     return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
 
 
@@ -190,15 +235,25 @@ def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | 
         return signals(telemetry), telemetry
     power = np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
     if power.ndim != 2 or power.shape[1] != n_panel:
-        raise InputError(sentence(f"powers must have one column for each of the {n_panel} panels", got=power.shape))
+        raise InputError(
+            sentence(
+                f"powers must have one column for each of the {n_panel} panels", got=power.shape
+            )
+        )
     return power, None
 
 
 def _flagged(base: xr.Dataset | None, n: int) -> np.ndarray:
-    return np.zeros(n, dtype=bool) if base is None or "flag" not in base else np.asarray(base["flag"]) != 0
+    return (
+        np.zeros(n, dtype=bool)
+        if base is None or "flag" not in base
+        else np.asarray(base["flag"]) != 0
+    )
 
 
-def _statuses(vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _statuses(
+    vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
     inverse = inverse.ravel()
     found = _pattern_statuses(vehicle, [tuple(row) for row in patterns.tolist()])
@@ -219,7 +274,12 @@ def _several(vehicle: Vehicle, power: np.ndarray, noise: float) -> np.ndarray:
     if not vehicle.channels or not len(power):
         return np.zeros(len(power), dtype=bool)
     size = np.linalg.norm(power, axis=1)
-    made = LIT_SIGMAS * np.nan_to_num(noise) * np.sqrt(power.shape[1]) / np.where(size > 0, size, np.inf)
+    made = (
+        LIT_SIGMAS
+        * np.nan_to_num(noise)
+        * np.sqrt(power.shape[1])
+        / np.where(size > 0, size, np.inf)
+    )
     found = vehicle.response_in().alike(power, np.maximum(made, ALIKE))
     away = np.linalg.norm(found - found[:, :1], axis=-1)
     return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
@@ -229,11 +289,15 @@ def _free(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
     """Which directions (n, 3) may move without a reading's changing: some panel reads that the Sun there does not light, and those
     that it lights tell less than three numbers."""
     response = vehicle.response_in()
-    lit, inverse = np.unique(response.power(direction) > ON_EDGE * vehicle.input_gains, axis=0, return_inverse=True)
+    lit, inverse = np.unique(
+        response.power(direction) > ON_EDGE * vehicle.input_gains, axis=0, return_inverse=True
+    )
     return np.array([response.rank(one) < 3 for one in lit], dtype=bool)[inverse.ravel()]
 
 
-def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray) -> float:
+def _pooled_noise(
+    power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray
+) -> float:
     """Sigma of one value from what is redundant: of L lit panels L - 3 are left after scale and direction. NaN where nothing is
     redundant, or readings are exact to rounding: what was computed has no noise."""
     checked = status == SunStatus.OK
@@ -245,7 +309,9 @@ def _pooled_noise(power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status:
     return noise if noise > ROUNDING * power.max() else float("nan")
 
 
-def _covariances(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, told: np.ndarray, noise: float) -> np.ndarray:
+def _covariances(
+    vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, told: np.ndarray, noise: float
+) -> np.ndarray:
     """Tangent covariance (n, 3, 3) of the direction from the noise of the powers, NaN where there is no direction."""
     covariance = np.full((len(power), 3, 3), np.nan)
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
@@ -264,7 +330,21 @@ def _arcs(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, status: np.ndarr
     return ends
 
 
-def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, lit, arcs, noise, noise_from, threshold):
+def _dataset(
+    vehicle,
+    base,
+    direction,
+    told,
+    delta,
+    covariance,
+    status,
+    texts,
+    lit,
+    arcs,
+    noise,
+    noise_from,
+    threshold,
+):
     coords: dict[str, Any] = {"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)}
     if base is not None:
         coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
@@ -275,7 +355,10 @@ def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, l
         "lit_threshold": float(threshold),
         "source": "paper, eqs. 1 and 2, minimised exactly",
     }
-    flags = {"flag_values": [int(s) for s in SunStatus], "flag_meanings": " ".join(s.name.lower() for s in SunStatus)}
+    flags = {
+        "flag_values": [int(s) for s in SunStatus],
+        "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
+    }
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     return xr.Dataset(
         {
@@ -284,15 +367,31 @@ def _dataset(vehicle, base, direction, told, delta, covariance, status, texts, l
                 np.where(told[:, None], direction, np.nan),
                 {"units": "1", "long_name": "direction to the Sun, body axes"},
             ),
-            "best_B": (("time", "axis"), direction, {"units": "1", "long_name": "a minimiser of Delta, whatever the status"}),
+            "best_B": (
+                ("time", "axis"),
+                direction,
+                {"units": "1", "long_name": "a minimiser of Delta, whatever the status"},
+            ),
             "delta": ("time", delta, {"units": "1", "long_name": "misfit Delta, paper eq. 2"}),
-            "sigma_rad": ("time", sigma, {"units": "rad", "long_name": "rms angle of the error from panel noise"}),
-            "sun_cov_B": (("time", "axis", "axis2"), covariance, {"units": "1", "long_name": "tangent covariance"}),
+            "sigma_rad": (
+                "time",
+                sigma,
+                {"units": "rad", "long_name": "rms angle of the error from panel noise"},
+            ),
+            "sun_cov_B": (
+                ("time", "axis", "axis2"),
+                covariance,
+                {"units": "1", "long_name": "tangent covariance"},
+            ),
             "status": ("time", status, flags),
             "status_text": ("time", texts),
             "lit": (("time", "panel"), lit),
             "n_lit": ("time", lit.sum(axis=1).astype(np.int32), {"units": "1"}),
-            "sun_arc_B": (("time", "end", "axis"), arcs, {"units": "1", "long_name": "ends of the arc of directions"}),
+            "sun_arc_B": (
+                ("time", "end", "axis"),
+                arcs,
+                {"units": "1", "long_name": "ends of the arc of directions"},
+            ),
         },
         coords=coords,
         attrs=attrs,

@@ -27,7 +27,9 @@ def generator(seed: int, key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
 
 
-def noisy_power(vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
+def noisy_power(
+    vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.random.Generator
+) -> np.ndarray:
     """`power` (..., n_panel) with Gaussian noise of `sigma` (same unit) on the lit panels; dark panels read zero.
 
     A lit panel's reading never falls to zero or below: see `LEAST_LIT`.
@@ -37,10 +39,17 @@ def noisy_power(vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.rando
     return np.where(power > 0, np.maximum(power + noise, least), 0.0)
 
 
-def drawn_tilts(vehicle: Vehicle, sigma_rad: float | np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def drawn_tilts(
+    vehicle: Vehicle, sigma_rad: float | np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
     """Turns (n_panel, 3) of the panels' normals at random: `sigma_rad`, or (n_panel), about each of two axes across a normal."""
     across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
-    return np.einsum("p,ps,psi->pi", np.broadcast_to(sigma_rad, len(across)), rng.standard_normal(across.shape[:2]), across)
+    return np.einsum(
+        "p,ps,psi->pi",
+        np.broadcast_to(sigma_rad, len(across)),
+        rng.standard_normal(across.shape[:2]),
+        across,
+    )
 
 
 def on_time_grid(t_s: Any) -> np.ndarray:
@@ -67,9 +76,13 @@ def telemetry_dataset(
     if phase is not None:
         coords["phase"] = ("time", np.asarray(phase, dtype=np.str_))
     attrs = provenance(
-        "telemetry", vehicle=vehicle.name, epoch_utc=epoch_utc if epoch_utc.endswith("Z") else epoch_utc + "Z", quantity=quantity,
-        synthetic=1, **{f"truth_{key}": value for key, value in truth.items()},
-    )  # fmt: skip
+        "telemetry",
+        vehicle=vehicle.name,
+        epoch_utc=epoch_utc if epoch_utc.endswith("Z") else epoch_utc + "Z",
+        quantity=quantity,
+        synthetic=1,
+        **{f"truth_{key}": value for key, value in truth.items()},
+    )
     long_name = "true direction to the Sun, body axes"
     return xr.Dataset(
         {
@@ -119,12 +132,16 @@ def _toml(value: Any) -> str:
 def write_new(path: Path, text: str, force: bool) -> None:
     """Write a text file whole, or say why not; an existing file is replaced only with `force`."""
     if path.exists() and not force:
-        raise OutputError(sentence("the file exists", do="choose another name or add --force", where=str(path)))
+        raise OutputError(
+            sentence("the file exists", do="choose another name or add --force", where=str(path))
+        )
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise OutputError(
             sentence(
-                f"the file cannot be written ({error.strerror or error})", do="choose another place", where=str(path)
+                f"the file cannot be written ({error.strerror or error})",
+                do="choose another place",
+                where=str(path),
             )
         ) from None

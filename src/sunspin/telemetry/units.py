@@ -56,8 +56,16 @@ RPM_WITHIN = 0.15
 
 def wrong_units(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
     """Every unit that the samples of `read_telemetry` contradict; an empty list where none is seen to be wrong."""
-    found = [_panels(vehicle, telemetry), _gyro(vehicle, telemetry), *_magnetometer(vehicle, telemetry)]
-    found += [*_sun_sensors(vehicle, telemetry), *_wheels(vehicle, telemetry), _temperature(telemetry)]
+    found = [
+        _panels(vehicle, telemetry),
+        _gyro(vehicle, telemetry),
+        *_magnetometer(vehicle, telemetry),
+    ]
+    found += [
+        *_sun_sensors(vehicle, telemetry),
+        *_wheels(vehicle, telemetry),
+        _temperature(telemetry),
+    ]
     return [wrong for wrong in found if wrong is not None]
 
 
@@ -84,7 +92,9 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
     for lag in LAGS:
         stated, still, *others = carried(telemetry["time"].values, seen, rate, lag, maps)
         best = int(np.argmin(others))
-        if stated > TURNS_WRONG and others[best] < min(TURNS_RIGHT, BETTER * stated, BETTER * still):
+        if stated > TURNS_WRONG and others[best] < min(
+            TURNS_RIGHT, BETTER * stated, BETTER * still
+        ):
             name, factor = list(GYRO_FACTORS.items())[best]
             what = f"with its rates times {factor:.4g} the gyro turns the Sun as it is seen, and as they stand it does not: {name}"
             return WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)
@@ -96,7 +106,9 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
     return WrongUnit(what, "gyro", "scale_rad_s")
 
 
-def carried(time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, maps: list[np.ndarray]) -> list[float]:
+def carried(
+    time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, maps: list[np.ndarray]
+) -> list[float]:
     """Median angle (rad), for each matrix (3, 3) on the rates, between directions carried on by them over `lag` samples and seen
     there. Zero where too few are seen."""
     turns = even_turns(time, rate)
@@ -108,13 +120,18 @@ def even_turns(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
     return (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
 
 
-def carried_by(time: np.ndarray, seen: list[np.ndarray], turns: list[np.ndarray], lag: int) -> list[float]:
+def carried_by(
+    time: np.ndarray, seen: list[np.ndarray], turns: list[np.ndarray], lag: int
+) -> list[float]:
     """The same for each set of turns (n - 1, 3) between neighbours."""
     n = len(time) - lag
     begin = np.arange(max(n, 0))
     good = np.isfinite(turns[0]).all(axis=1) & (np.diff(time) > 0)
     good = np.all([good[begin + k] for k in range(lag)], axis=0)
-    pairs = [(k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)]) for k, each in enumerate(seen)]
+    pairs = [
+        (k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)])
+        for k, each in enumerate(seen)
+    ]
     pairs = [(k, at[:: -(-len(at) // MOST_PAIRS) or 1]) for k, at in pairs]
     if sum(len(at) for _, at in pairs) < PAIRS:
         return [0.0] * len(turns)
@@ -143,7 +160,9 @@ def directions_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> list[np.ndarray]
         found.append(telemetry["sun_sensor_B"].values)
     if "panel" in telemetry.coords:
         sun = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
-        found.append(np.where(is_reconstructed(sun["status"])[:, None], sun["sun_B"].values, np.nan))
+        found.append(
+            np.where(is_reconstructed(sun["status"])[:, None], sun["sun_B"].values, np.nan)
+        )
     magnetometer = vehicle.sensors.magnetometer
     if "field_B" in telemetry and magnetometer is not None and magnetometer.noise is not None:
         field = telemetry["field_B"].values
@@ -189,7 +208,9 @@ def _sun_sensors(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
         if len(angle) >= STEEP_SAMPLES and np.mean(np.abs(angle) >= STEEPEST_RAD) > STEEP_SHARE:
             steep, value = np.degrees(STEEPEST_RAD), sensor.x_scale * np.pi / 180
             what = f"Sun sensor {sensor.name} nearly always reads {steep:.0f} degrees or more from its normal"
-            found.append(WrongUnit(f"{what}: degrees read as radians", "[sun_sensor]", "x_scale", value))
+            found.append(
+                WrongUnit(f"{what}: degrees read as radians", "[sun_sensor]", "x_scale", value)
+            )
     return found
 
 
@@ -199,16 +220,27 @@ def _wheels(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
     found = []
     for wheel, speed in zip(vehicle.wheels, telemetry["wheel_speed_rad_s"].values.T, strict=True):
         speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]  # it may coast down afterwards
-        ratio = float(np.median(speed)) / abs(wheel.speed_rad_s) if len(speed) and wheel.speed_rad_s else 0.0
+        ratio = (
+            float(np.median(speed)) / abs(wheel.speed_rad_s)
+            if len(speed) and wheel.speed_rad_s
+            else 0.0
+        )
         for factor in (RPM, 1 / RPM):
             if abs(ratio / factor - 1) < RPM_WITHIN:
                 what = f"wheel {wheel.name} reads {ratio:.3g} times its nominal speed: revolutions a minute taken for rad/s or back"
-                found.append(WrongUnit(what, "[wheel]", "speed_scale_rad_s", wheel.speed_scale_rad_s / factor))
+                found.append(
+                    WrongUnit(
+                        what, "[wheel]", "speed_scale_rad_s", wheel.speed_scale_rad_s / factor
+                    )
+                )
     return found
 
 
 def _temperature(telemetry: xr.Dataset) -> WrongUnit | None:
-    if "panel_temperature_C" not in telemetry or np.isfinite(telemetry["panel_temperature_C"].values).any():
+    if (
+        "panel_temperature_C" not in telemetry
+        or np.isfinite(telemetry["panel_temperature_C"].values).any()
+    ):
         return None
     what = "no reading of the temperature columns is a panel's temperature in degrees Celsius, and none is used"
     return WrongUnit(what, "telemetry", "temperature_scale")

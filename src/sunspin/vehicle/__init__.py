@@ -10,12 +10,38 @@ from __future__ import annotations
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.craft import LIMITS, TelemetryForm, Vehicle
 from sunspin.vehicle.part import FloatArray, direction, frozen_array
-from sunspin.vehicle.parts import Antenna, Channel, Fact, Friction, HullPart, Leg, Panel, SpinDown, SunRule, Wheel
+from sunspin.vehicle.parts import (
+    Antenna,
+    Channel,
+    Fact,
+    Friction,
+    HullPart,
+    Leg,
+    Panel,
+    SpinDown,
+    SunRule,
+    Wheel,
+)
 
 __all__ = [
-    "LIMITS", "Antenna", "Channel", "Fact", "FloatArray", "Friction", "HullPart", "Leg", "Panel", "SpinDown", "SunRule",
-    "TelemetryForm", "Vehicle", "Wheel", "direction", "frozen_array", "load_vehicle",
-]  # fmt: skip
+    "LIMITS",
+    "Antenna",
+    "Channel",
+    "Fact",
+    "FloatArray",
+    "Friction",
+    "HullPart",
+    "Leg",
+    "Panel",
+    "SpinDown",
+    "SunRule",
+    "TelemetryForm",
+    "Vehicle",
+    "Wheel",
+    "direction",
+    "frozen_array",
+    "load_vehicle",
+]
 
 
 def load_vehicle(source: object, changes: Changes = None) -> Vehicle:

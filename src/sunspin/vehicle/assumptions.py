@@ -19,7 +19,9 @@ from sunspin.vehicle.part import Number, Part, keys_of, must, part, problem
 
 WHERE = "the study's assumptions"
 
-Share = Annotated[Number, must(lambda share: 0 <= share <= 1, "{path} must be a share between 0 and 1")]
+Share = Annotated[
+    Number, must(lambda share: 0 <= share <= 1, "{path} must be a share between 0 and 1")
+]
 
 
 def _text(raw: Any) -> Any:
@@ -37,11 +39,20 @@ class Study(Part):
     below so many times the smallest EMD. `confidence`: of the calibrated set.
     """
 
-    lead_s: Annotated[Number, must(lambda lead: lead >= 0, "{path} must be zero or a positive time")] | None = None
+    lead_s: (
+        Annotated[Number, must(lambda lead: lead >= 0, "{path} must be zero or a positive time")]
+        | None
+    ) = None
     target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(_text)] = "equal"
-    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(_text)] = "reconstructible"
-    near_minimum_factor: Annotated[Number, must(lambda factor: factor > 1, "{path} must exceed 1")] = 1.1
-    confidence: Annotated[Number, must(lambda share: 0 < share < 1, "{path} must lie between 0 and 1")] = 0.9
+    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(_text)] = (
+        "reconstructible"
+    )
+    near_minimum_factor: Annotated[
+        Number, must(lambda factor: factor > 1, "{path} must exceed 1")
+    ] = 1.1
+    confidence: Annotated[
+        Number, must(lambda share: 0 < share < 1, "{path} must lie between 0 and 1")
+    ] = 0.9
 
 
 @part
@@ -79,7 +90,11 @@ TABLES = tuple(keys_of(AssumptionsFile))
 
 @lru_cache(maxsize=1)
 def _text_of_file() -> str:
-    return resources.files("sunspin").joinpath("cases", "philae", "assumptions.toml").read_text(encoding="utf-8")
+    return (
+        resources.files("sunspin")
+        .joinpath("cases", "philae", "assumptions.toml")
+        .read_text(encoding="utf-8")
+    )
 
 
 def assumptions_table() -> dict[str, Any]:
@@ -96,7 +111,9 @@ def read_assumptions(changes: ch.Changes = None) -> Assumptions:
     """The paper's assumptions with changes; `InputError` for one that is none or out of its range."""
     table, made = ch.changed(assumptions_table(), ch.changes_of(changes), AssumptionsFile)
     try:
-        file = TypeAdapter(AssumptionsFile).validate_python(table, context="file", by_alias=True, by_name=False)
+        file = TypeAdapter(AssumptionsFile).validate_python(
+            table, context="file", by_alias=True, by_name=False
+        )
     except ValidationError as error:
         raise InputError(problem(error, AssumptionsFile, WHERE, table)) from None
     except VehicleError as error:

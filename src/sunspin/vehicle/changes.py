@@ -23,10 +23,23 @@ PLACE = re.compile(r"([^.\[\]\s]+)|\[([^\]]*)\]")
 KEY = re.compile(r"[^.\[\]\s]+(\[[^\]]*\])*(\.[^.\[\]\s]+(\[[^\]]*\])*)*")
 
 UNITS = (
-    ("kg_m2", "kg m2"), ("_rad_s2", "rad/s2"), ("_rad_s", "rad/s"), ("_per_K", "1/K"), ("_per_s", "1/s"), ("N_m_s", "N m s"),
-    ("N_m", "N m"), ("m_s", "m/s"), ("_kg", "kg"), ("_deg", "deg"), ("_rad", "rad"), ("_W", "W"), ("_A", "A"), ("_C", "deg C"),
-    ("_m", "m"), ("_s", "s"),
-)  # fmt: skip
+    ("kg_m2", "kg m2"),
+    ("_rad_s2", "rad/s2"),
+    ("_rad_s", "rad/s"),
+    ("_per_K", "1/K"),
+    ("_per_s", "1/s"),
+    ("N_m_s", "N m s"),
+    ("N_m", "N m"),
+    ("m_s", "m/s"),
+    ("_kg", "kg"),
+    ("_deg", "deg"),
+    ("_rad", "rad"),
+    ("_W", "W"),
+    ("_A", "A"),
+    ("_C", "deg C"),
+    ("_m", "m"),
+    ("_s", "s"),
+)
 """End of a key -> the unit that it names."""
 
 SHOWN = 60
@@ -121,8 +134,16 @@ def _value(text: str) -> Any:
     if set(read) != {"x"}:  # a second line would be another key, of which nobody asked
         return text
     numbers = filter(None, re.split(r"[\[\],\s]+", text)) if _is_numbers(read["x"]) else ()
-    if (odd := next((number for number in numbers if math.isnan(plain_number(number))), None)) is not None:
-        raise InputError(sentence("this is not a finite number such as -1.5e-3", got=odd, do="write it in decimal digits"))
+    if (
+        odd := next((number for number in numbers if math.isnan(plain_number(number))), None)
+    ) is not None:
+        raise InputError(
+            sentence(
+                "this is not a finite number such as -1.5e-3",
+                got=odd,
+                do="write it in decimal digits",
+            )
+        )
     return read["x"]
 
 
@@ -148,17 +169,23 @@ def changed(
             try:
                 table = _walk(table, _places(each.key), each, kind)
             except KeyError:
-                raise InputError(_unknown(each.key, [*(one.key for one in settings(table, kind)), *known])) from None
+                raise InputError(
+                    _unknown(each.key, [*(one.key for one in settings(table, kind)), *known])
+                ) from None
             was, source = _certificate(original, each)
             value = _certificate(table, each)[0]
-            value = each.value if isinstance(value, dict) else value  # a law of friction goes by its name
+            value = (
+                each.value if isinstance(value, dict) else value
+            )  # a law of friction goes by its name
             made[each.key] = Changed(each.key, value, was, unit_of(each.key), source)
     return table, tuple(one for one in made.values() if one.value != one.was)
 
 
 def _unknown(key: str, known: list[str]) -> str:
     known += [f"{k.rpartition('.')[0]}.gain" for k in known if k.rpartition(".")[2] in GAIN_UNITS]
-    near = get_close_matches(key, known, n=1, cutoff=0.4) or get_close_matches(key, [k.rpartition(".")[2] for k in known], n=1)
+    near = get_close_matches(key, known, n=1, cutoff=0.4) or get_close_matches(
+        key, [k.rpartition(".")[2] for k in known], n=1
+    )
     near = [k for k in known if k == near[0] or k.endswith(f".{near[0]}")][:1] if near else []
     meant = f"did you mean {near[0]}? " if near else ""
     return sentence("nothing can be set by this name", got=key, do=f"{meant}`--set list` shows all")
@@ -187,8 +214,13 @@ def _walk(node: Any, places: list[str], change: Change, kind: Any) -> Any:
         value = _walk(node["value"], places, change, kind)
         if value == node["value"]:
             return node
-        was = f"{SET}; was {shown(node['value'])}" + (f", {node['source']}" if node.get("source") else "")
-        return node | {"value": value, "source": node["source"] if str(node.get("source")).startswith(SET) else was}
+        was = f"{SET}; was {shown(node['value'])}" + (
+            f", {node['source']}" if node.get("source") else ""
+        )
+        return node | {
+            "value": value,
+            "source": node["source"] if str(node.get("source")).startswith(SET) else was,
+        }
     if not places:
         return _leaf(node, change)
     if isinstance(node, list):
@@ -207,8 +239,13 @@ def _walk(node: Any, places: list[str], change: Change, kind: Any) -> Any:
     if kind is Wheel and place == "friction":
         return node | {"friction": _friction(node, rest, change)}
     place = next((key for key in GAIN_UNITS if place == "gain" and key in node), place)
-    within, is_name = _kind_at(kind, place), place in NO_NUMBERS and hasattr(kind, "__pydantic_fields__")
-    if is_name or (place not in node and within is None):  # by its name a part is known to telemetry and results
+    within, is_name = (
+        _kind_at(kind, place),
+        place in NO_NUMBERS and hasattr(kind, "__pydantic_fields__"),
+    )
+    if is_name or (
+        place not in node and within is None
+    ):  # by its name a part is known to telemetry and results
         raise KeyError(place)
     if place not in node and _is_list_of_parts(kind, place) and rest:
         raise KeyError(place)
@@ -224,7 +261,13 @@ def _in_list(node: list[Any], places: list[str], change: Change, kind: Any) -> l
         at, rest = 0, places
     elif tables:
         names = ", ".join(str(each.get("name")) for each in node)
-        raise InputError(sentence(f"there are {len(node)} such parts", got=change.key, do=f"say which in brackets: {names}"))
+        raise InputError(
+            sentence(
+                f"there are {len(node)} such parts",
+                got=change.key,
+                do=f"say which in brackets: {names}",
+            )
+        )
     else:
         raise KeyError(places[0])
     return [_walk(each, rest, change, kind) if i == at else each for i, each in enumerate(node)]
@@ -246,9 +289,18 @@ def _friction(wheel: dict[str, Any], places: list[str], change: Change) -> Any:
     if not places and isinstance(change.value, str):
         if change.value not in others:
             known = ", ".join(sorted(others)) or "none"
-            raise VehicleError(sentence("the wheel has no friction of this name", got=change.value, do=f"known: {known}"))
+            raise VehicleError(
+                sentence(
+                    "the wheel has no friction of this name", got=change.value, do=f"known: {known}"
+                )
+            )
         return others[change.value]
-    if places and places[0] in ("coulomb_N_m", "viscous_N_m_s") and isinstance(own, dict) and "spin_down" in own:
+    if (
+        places
+        and places[0] in ("coulomb_N_m", "viscous_N_m_s")
+        and isinstance(own, dict)
+        and "spin_down" in own
+    ):
         own = _coefficients(own["spin_down"], wheel)
     return _walk(own, places, change, Friction)
 
@@ -260,8 +312,14 @@ def _coefficients(spin_down: dict[str, Any], wheel: dict[str, Any]) -> dict[str,
         return float(value["value"] if isinstance(value, dict) else value)
 
     law = {key: number(value) for key, value in spin_down.items()}
-    friction, source = Friction.from_spin_down(**law, inertia_kg_m2=number(wheel["inertia_kg_m2"])), "from the measured spin-down"
-    return {key: {"value": getattr(friction, key), "source": source} for key in ("coulomb_N_m", "viscous_N_m_s")}
+    friction, source = (
+        Friction.from_spin_down(**law, inertia_kg_m2=number(wheel["inertia_kg_m2"])),
+        "from the measured spin-down",
+    )
+    return {
+        key: {"value": getattr(friction, key), "source": source}
+        for key in ("coulomb_N_m", "viscous_N_m_s")
+    }
 
 
 def _leaf(old: Any, change: Change) -> Any:
@@ -270,10 +328,20 @@ def _leaf(old: Any, change: Change) -> Any:
             raise InputError(_one_of(old, change.key))
         return change.value
     if not _is_number(change.value):
-        raise InputError(sentence(f"what stands after {change.operator} must be a number", got=change.value, where=change.key))
+        raise InputError(
+            sentence(
+                f"what stands after {change.operator} must be a number",
+                got=change.value,
+                where=change.key,
+            )
+        )
     if old is None:
         do = "set it with = first"
-        raise InputError(sentence(f"{change.operator} needs a value, and this one is not set", got=change.key, do=do))
+        raise InputError(
+            sentence(
+                f"{change.operator} needs a value, and this one is not set", got=change.key, do=do
+            )
+        )
     return _combined(old, change)
 
 
@@ -360,7 +428,9 @@ def settings(table: Mapping[str, Any], kind: Any, path: str = "") -> list[Settin
     found = list(_held(table, path))
     held = {one.key for one in found}
     found += [one for one in _absent(table, kind, path) if one.key not in held]
-    read_in = unit_of(str(table.get("telemetry", {}).get("quantity", "power_W")))  # what a panel's reading is in
+    read_in = unit_of(
+        str(table.get("telemetry", {}).get("quantity", "power_W"))
+    )  # what a panel's reading is in
     return [one._replace(unit=read_in) if one.key in OF_READINGS else one for one in found]
 
 
@@ -373,7 +443,9 @@ def _held(table: Mapping[str, Any], path: str) -> Iterator[Setting]:
             yield Setting(at, item["value"], unit_of(at), str(item.get("source", "")))
         elif isinstance(item, dict):
             if key == "alternative_frictions":
-                yield Setting(f"{path}friction", "as below", "", f"other laws in the file: {', '.join(item)}")
+                yield Setting(
+                    f"{path}friction", "as below", "", f"other laws in the file: {', '.join(item)}"
+                )
             yield from _held(item, f"{at}.")
         elif isinstance(item, list) and item and all(isinstance(each, dict) for each in item):
             for each in item:
@@ -384,17 +456,30 @@ def _held(table: Mapping[str, Any], path: str) -> Iterator[Setting]:
 
 def _absent(table: Mapping[str, Any], kind: Any, path: str) -> Iterator[Setting]:
     """Keys that a part knows and the file leaves out: of tables that stand in it, and of the laws of the panels."""
-    if kind is None or not hasattr(kind, "__pydantic_fields__") or any(key in table for key in ("spin_down", "value")):
+    if (
+        kind is None
+        or not hasattr(kind, "__pydantic_fields__")
+        or any(key in table for key in ("spin_down", "value"))
+    ):
         return
     for key, annotation in keys_of(kind).items():
         at, within, item = f"{path}{key}", part_in(annotation), table.get(key)
         if within is None or _is_list_of_parts(kind, key):
             if key in table and within is not None and isinstance(item, list):
                 for each in item:
-                    yield from _absent(each, within, f"{at}." if len(item) == 1 else f"{at}[{each.get('name')}].")
-            elif key not in table and key not in NO_NUMBERS and within is None and key not in GAIN_UNITS:
+                    yield from _absent(
+                        each, within, f"{at}." if len(item) == 1 else f"{at}[{each.get('name')}]."
+                    )
+            elif (
+                key not in table
+                and key not in NO_NUMBERS
+                and within is None
+                and key not in GAIN_UNITS
+            ):
                 yield Setting(at, None, unit_of(at), "not in the file")
-        elif key != "alternative_frictions" and (isinstance(item, dict) or at.startswith("panel_response")):
+        elif key != "alternative_frictions" and (
+            isinstance(item, dict) or at.startswith("panel_response")
+        ):
             yield from _absent(item or {}, within, f"{at}.")
 
 
@@ -411,8 +496,18 @@ def shown(value: Any) -> str:
     elif isinstance(value, list):
         text = f"[{', '.join(map(shown, value))}]"
     else:
-        text = f"{value:.7g}" if isinstance(value, float) else "not set" if value is None else str(value)
-    return text if len(text) <= SHOWN else f"{text[: SHOWN - 4].rpartition(' ')[0] or text[: SHOWN - 4]} ..."
+        text = (
+            f"{value:.7g}"
+            if isinstance(value, float)
+            else "not set"
+            if value is None
+            else str(value)
+        )
+    return (
+        text
+        if len(text) <= SHOWN
+        else f"{text[: SHOWN - 4].rpartition(' ')[0] or text[: SHOWN - 4]} ..."
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------------ as a file
@@ -420,7 +515,9 @@ def shown(value: Any) -> str:
 
 def toml_text(table: Mapping[str, Any]) -> str:
     """A table as TOML: tables of the first level under their headings, what is in them on a line each."""
-    lines = [f"{_name(key)} = {_toml(value)}" for key, value in table.items() if not _has_heading(value)]
+    lines = [
+        f"{_name(key)} = {_toml(value)}" for key, value in table.items() if not _has_heading(value)
+    ]
     for key, value in table.items():
         if _has_heading(value):
             for each in value if isinstance(value, list) else [value]:
@@ -430,7 +527,9 @@ def toml_text(table: Mapping[str, Any]) -> str:
 
 
 def _has_heading(value: Any) -> bool:
-    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+    return isinstance(value, dict) or (
+        isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+    )
 
 
 def _name(key: str) -> str:
@@ -439,12 +538,16 @@ def _name(key: str) -> str:
 
 def _toml(value: Any) -> str:
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_name(key)} = {_toml(item)}" for key, item in value.items()) + " }"
+        return (
+            "{ " + ", ".join(f"{_name(key)} = {_toml(item)}" for key, item in value.items()) + " }"
+        )
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
-    escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in str(value))
+    escaped = "".join(
+        c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in str(value)
+    )
     return f'"{escaped}"'

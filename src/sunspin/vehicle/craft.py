@@ -29,7 +29,17 @@ from sunspin.vehicle.part import (
     no_entries,
     part,
 )
-from sunspin.vehicle.parts import Antenna, Channel, Fact, HullPart, Leg, Orbit, Panel, SunRule, Wheel
+from sunspin.vehicle.parts import (
+    Antenna,
+    Channel,
+    Fact,
+    HullPart,
+    Leg,
+    Orbit,
+    Panel,
+    SunRule,
+    Wheel,
+)
 from sunspin.vehicle.response.choice import ResponseForm, response_of
 from sunspin.vehicle.response.joined import Input, full_signal
 from sunspin.vehicle.response.protocol import PanelResponse
@@ -47,7 +57,13 @@ MAX_PARTS = 1000
 OR_CHANNEL = "; panels that share an input of the power system are one [[channel]]"
 """What is said where two panels are given one column."""
 
-LIMITS = {"panels": MAX_PANELS, "wheels": MAX_WHEELS, "legs": MAX_PARTS, "hull": MAX_PARTS, "sun_rules": MAX_PARTS}
+LIMITS = {
+    "panels": MAX_PANELS,
+    "wheels": MAX_WHEELS,
+    "legs": MAX_PARTS,
+    "hull": MAX_PARTS,
+    "sun_rules": MAX_PARTS,
+}
 
 SYMMETRY_TOLERANCE = 1e-9
 """Largest relative difference between mirrored elements of an inertia tensor."""
@@ -65,7 +81,12 @@ class TelemetryForm(Part):
     `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
     """
 
-    unsaid: ClassVar[tuple[str, ...]] = ("throttled", "offset_s", "averaged_s", "receive_time_column")
+    unsaid: ClassVar[tuple[str, ...]] = (
+        "throttled",
+        "offset_s",
+        "averaged_s",
+        "receive_time_column",
+    )
 
     quantity: Literal["power_W", "current_A"] = "power_W"
     time_column: Name = "time"
@@ -80,7 +101,9 @@ class TelemetryForm(Part):
     receive_time_column: Name | None = None
     receive_time_format: Literal["utc", "unix"] = "utc"
     offset_s: Numbers = field(default_factory=no_entries)
-    averaged_s: Annotated[Number, must(lambda value: value >= 0, "{path} must not be negative")] = 0.0
+    averaged_s: Annotated[Number, must(lambda value: value >= 0, "{path} must not be negative")] = (
+        0.0
+    )
     zero: Number = 0.0
     wraps_at: Positive | None = None
     voltage_column: Name | None = None
@@ -93,16 +116,30 @@ class TelemetryForm(Part):
     throttled: StrictBool = False
 
     def __post_init__(self) -> None:
-        used = [self.time_column, *([self.receive_time_column] if self.receive_time_column else []), *self.columns.values()]
+        used = [
+            self.time_column,
+            *([self.receive_time_column] if self.receive_time_column else []),
+            *self.columns.values(),
+        ]
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
-            raise VehicleError(sentence(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}"))
+            raise VehicleError(
+                sentence(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}")
+            )
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
-            raise VehicleError(sentence(what, do='set quantity = "power_W", or leave the voltages out'))
-        if self.time_format == "elapsed" and self.epoch_utc is None and self.receive_time_column is None:
+            raise VehicleError(
+                sentence(what, do='set quantity = "power_W", or leave the voltages out')
+            )
+        if (
+            self.time_format == "elapsed"
+            and self.epoch_utc is None
+            and self.receive_time_column is None
+        ):
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
-            raise VehicleError(sentence(what, do="add the UTC of time zero, or receive_time_column"))
+            raise VehicleError(
+                sentence(what, do="add the UTC of time zero, or receive_time_column")
+            )
 
     @property
     def has_voltages(self) -> bool:
@@ -135,7 +172,10 @@ def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] <= 0:
         raise VehicleError(
-            sentence(f"{key} must be positive definite, its principal moments are {shown}", do="check signs and units")
+            sentence(
+                f"{key} must be positive definite, its principal moments are {shown}",
+                do="check signs and units",
+            )
         )
     if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
         raise VehicleError(
@@ -189,7 +229,9 @@ class Vehicle(Part):
     def __post_init__(self) -> None:
         for key, most in LIMITS.items():
             if len(getattr(self, key)) > most:
-                raise VehicleError(sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key))))
+                raise VehicleError(
+                    sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key)))
+                )
         for key in ("panels", "wheels", "legs", "hull"):
             _require_distinct([part.name for part in getattr(self, key)], key)
         if self.inertia_kg_m2 is not None:
@@ -202,7 +244,9 @@ class Vehicle(Part):
     @property
     def said(self) -> dict[str, str]:
         """What results say of the vehicle in their attributes: its name, and what was changed where anything was."""
-        return {"vehicle": self.name} | ({"changes": "\n".join(map(str, self.changes))} if self.changes else {})
+        return {"vehicle": self.name} | (
+            {"changes": "\n".join(map(str, self.changes))} if self.changes else {}
+        )
 
     @property
     def panel_names(self) -> tuple[str, ...]:
@@ -223,13 +267,22 @@ class Vehicle(Part):
     @property
     def inputs(self) -> tuple[Input, ...]:
         """What the telemetry reads, in the order of the panels, a channel standing where its first panel does."""
-        names, channel_of = self.panel_names, {name: channel for channel in self.channels for name in channel.panels}
+        names, channel_of = (
+            self.panel_names,
+            {name: channel for channel in self.channels for name in channel.panels},
+        )
         found: dict[str, Input] = {}
         for k, name in enumerate(names):
             channel = channel_of.get(name)
-            one = Input(name, (k,)) if channel is None else Input(
-                channel.name, tuple(names.index(each) for each in channel.panels), channel.reads == "largest"
-            )  # fmt: skip
+            one = (
+                Input(name, (k,))
+                if channel is None
+                else Input(
+                    channel.name,
+                    tuple(names.index(each) for each in channel.panels),
+                    channel.reads == "largest",
+                )
+            )
             found.setdefault(one.name, one)
         return tuple(found.values())
 
@@ -242,7 +295,9 @@ class Vehicle(Part):
         """What each input (n_input) reads at most: the gain of a panel, of the largest on a channel, or of a channel's sum."""
         if not self.channels:
             return self.panel_gains
-        return np.array([full_signal(one, self.panel_normals_B, self.panel_gains) for one in self.inputs])
+        return np.array(
+            [full_signal(one, self.panel_normals_B, self.panel_gains) for one in self.inputs]
+        )
 
     @property
     def throttled(self) -> bool:
@@ -307,7 +362,10 @@ class Vehicle(Part):
             if name not in wheel.alternative_frictions:
                 known = ", ".join(sorted(wheel.alternative_frictions)) or "none"
                 raise VehicleError(
-                    sentence(f"wheel {wheel.name!r} has no friction called {name!r}", do=f"known alternatives: {known}")
+                    sentence(
+                        f"wheel {wheel.name!r} has no friction called {name!r}",
+                        do=f"known alternatives: {known}",
+                    )
                 )
             wheels.append(replace(wheel, friction=wheel.alternative_frictions[name]))
         return replace(self, wheels=tuple(wheels))
@@ -316,7 +374,9 @@ class Vehicle(Part):
 def _require_distinct(names: list[str], key: str) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise VehicleError(sentence(f"two {key} share the name {repeated[0]!r}", do="give each its own name"))
+        raise VehicleError(
+            sentence(f"two {key} share the name {repeated[0]!r}", do="give each its own name")
+        )
 
 
 def _require_wheels_fit(vehicle: Vehicle) -> None:
@@ -328,7 +388,9 @@ def _require_wheels_fit(vehicle: Vehicle) -> None:
         raise VehicleError(
             sentence(
                 "the wheels' axial inertia exceeds that of the whole vehicle, wheels included",
-                got=", ".join(f"{wheel.name}: {wheel.inertia_kg_m2:g} kg m2" for wheel in vehicle.wheels),
+                got=", ".join(
+                    f"{wheel.name}: {wheel.inertia_kg_m2:g} kg m2" for wheel in vehicle.wheels
+                ),
                 do="give inertia_kg_m2 of the whole vehicle with its wheels",
             )
         )
@@ -340,41 +402,72 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
     panels = [name for channel in vehicle.channels for name in channel.panels]
     for channel in vehicle.channels:
         if unknown := [name for name in channel.panels if name not in vehicle.panel_names]:
-            what, do = f"channel {channel.name!r} names a panel that the vehicle does not have", f"panels: {[*vehicle.panel_names]}"
+            what, do = (
+                f"channel {channel.name!r} names a panel that the vehicle does not have",
+                f"panels: {[*vehicle.panel_names]}",
+            )
             raise VehicleError(sentence(what, got=unknown[0], do=do))
         if twice := [name for name in channel.panels if panels.count(name) > 1]:
             what = "a panel is in two channels"
-            raise VehicleError(sentence(what, got=twice[0], do="list it on the input that it is wired to"))
+            raise VehicleError(
+                sentence(what, got=twice[0], do="list it on the input that it is wired to")
+            )
         if channel.name in set(vehicle.panel_names) - set(panels):
             what = f"channel {channel.name!r} is called like a panel that is not in it"
             raise VehicleError(sentence(what, do="give the channel another name"))
     bound = [channel.throttled for channel in vehicle.channels]
-    if any(bound) and not (all(bound) and set(panels) == set(vehicle.panel_names)) and not vehicle.telemetry.throttled:
+    if (
+        any(bound)
+        and not (all(bound) and set(panels) == set(vehicle.panel_names))
+        and not vehicle.telemetry.throttled
+    ):
         what = "some inputs are throttled and others are not"
-        raise VehicleError(sentence(what, do="set throttled = true under [telemetry], which is of all inputs, or leave it out"))
+        raise VehicleError(
+            sentence(
+                what,
+                do="set throttled = true under [telemetry], which is of all inputs, or leave it out",
+            )
+        )
 
 
 def _require_known_panels(vehicle: Vehicle) -> None:
     form = vehicle.telemetry
     named = [("panel_response", name) for name in vehicle.panel_response.panels]
-    named += [(f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None]
+    named += [
+        (f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None
+    ]
     read = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
     read += [("telemetry.columns", name) for name in form.columns]
     read += [("telemetry.offset_s", name) for name in form.offset_s]
     read += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
-    read += [("telemetry.temperature_columns", name) for name in form.temperature_columns if name in vehicle.panel_names]
+    read += [
+        ("telemetry.temperature_columns", name)
+        for name in form.temperature_columns
+        if name in vehicle.panel_names
+    ]
     for known, every in ((vehicle.panel_names, named), (vehicle.input_names, read)):
         for key, name in every:
             if name in known:
                 continue
             if name in vehicle.panel_names:
-                channel = next(channel.name for channel in vehicle.channels if name in channel.panels)
-                what, do = f"{key} names a panel that is read through a channel", f"name the channel, {channel!r}"
+                channel = next(
+                    channel.name for channel in vehicle.channels if name in channel.panels
+                )
+                what, do = (
+                    f"{key} names a panel that is read through a channel",
+                    f"name the channel, {channel!r}",
+                )
                 raise VehicleError(sentence(what, got=name, do=do))
             kind = "panels" if not vehicle.channels else "panels and channels"
-            what, do = f"{key} names a panel that the vehicle does not have", f"{kind}: {sorted(known)}"
+            what, do = (
+                f"{key} names a panel that the vehicle does not have",
+                f"{kind}: {sorted(known)}",
+            )
             raise VehicleError(sentence(what, got=name, do=do))
     without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
-        what, do = "a panel has no voltage and others have", "add it, or voltage_column for all that have none of their own"
+        what, do = (
+            "a panel has no voltage and others have",
+            "add it, or voltage_column for all that have none of their own",
+        )
         raise VehicleError(sentence(what, got=without[0], do=do, where="telemetry.voltage_columns"))

@@ -74,7 +74,11 @@ def read_vehicle(source: object, changes: ch.Changes = None) -> craft.Vehicle:
     asked = ch.changes_of(changes)
     if isinstance(source, craft.Vehicle):
         if asked:
-            raise VehicleError(sentence("changes are made to a vehicle's file", do="give its name or its path with them"))
+            raise VehicleError(
+                sentence(
+                    "changes are made to a vehicle's file", do="give its name or its path with them"
+                )
+            )
         return source
     return parse_vehicle(vehicle_text(source), where_of(source), asked)
 
@@ -86,7 +90,11 @@ def changed_file(source: object, changes: tuple[ch.Change, ...]) -> object:
 
 def where_of(source: object) -> str:
     """A vehicle file in words, for messages."""
-    return f"built-in vehicle {source!r}" if isinstance(source, str) and source in builtin_names() else str(source)
+    return (
+        f"built-in vehicle {source!r}"
+        if isinstance(source, str) and source in builtin_names()
+        else str(source)
+    )
 
 
 def vehicle_text(source: object) -> str:
@@ -97,9 +105,15 @@ def vehicle_text(source: object) -> str:
         said = [f"# {source.source} with changes for one run:", *(f"#   {one}" for one in made)]
         return "\n".join(printable(line) for line in said) + "\n" + ch.toml_text(table)
     if isinstance(source, str) and source in builtin_names():
-        return resources.files("sunspin").joinpath("cases", source, "vehicle.toml").read_text(encoding="utf-8")
+        return (
+            resources.files("sunspin")
+            .joinpath("cases", source, "vehicle.toml")
+            .read_text(encoding="utf-8")
+        )
     if not isinstance(source, str | Path):
-        raise VehicleError(sentence("a vehicle is named by a text or a path", got=type(source).__name__))
+        raise VehicleError(
+            sentence("a vehicle is named by a text or a path", got=type(source).__name__)
+        )
     return _read_text(Path(source))
 
 
@@ -111,19 +125,30 @@ def vehicle_table(source: object) -> dict[str, Any]:
 def builtin_names() -> list[str]:
     """Names of the vehicles that come with the package."""
     folder = resources.files("sunspin").joinpath("cases")
-    return sorted(entry.name for entry in folder.iterdir() if entry.joinpath("vehicle.toml").is_file())
+    return sorted(
+        entry.name for entry in folder.iterdir() if entry.joinpath("vehicle.toml").is_file()
+    )
 
 
 def _read_text(path: Path) -> str:
     known = ", ".join(builtin_names())
     do = f"give the path of a vehicle.toml or a built-in name: {known}"
-    return decoded(read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do), str(path), VehicleError, "save it as UTF-8")
+    return decoded(
+        read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do),
+        str(path),
+        VehicleError,
+        "save it as UTF-8",
+    )
 
 
 def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) -> craft.Vehicle:
     """Turn the text of a vehicle file, with changes, into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
-        raise VehicleError(sentence("the file is empty", do="`sunspin init DIR` writes one to start from", where=where))
+        raise VehicleError(
+            sentence(
+                "the file is empty", do="`sunspin init DIR` writes one to start from", where=where
+            )
+        )
     do = "correct that line"
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
@@ -134,7 +159,9 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     try:
         return _vehicle(table, made)
     except RecursionError:
-        raise VehicleError(sentence("the file is nested too deeply to be a vehicle file", where=where)) from None
+        raise VehicleError(
+            sentence("the file is nested too deeply to be a vehicle file", where=where)
+        ) from None
     except ValidationError as error:
         raise VehicleError(problem(error, VehicleFile, where, table)) from None
     except VehicleError as error:
@@ -142,10 +169,19 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
 
 
 def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehicle:
-    file = TypeAdapter(VehicleFile).validate_python(table, context="file", by_alias=True, by_name=False)
-    units = {unit for panel in table.get("panel", ()) for key, unit in parts.GAIN_UNITS.items() if key in panel}
+    file = TypeAdapter(VehicleFile).validate_python(
+        table, context="file", by_alias=True, by_name=False
+    )
+    units = {
+        unit
+        for panel in table.get("panel", ())
+        for key, unit in parts.GAIN_UNITS.items()
+        if key in panel
+    }
     if len(units) > 1:
-        raise VehicleError(sentence("the gains of the panels must all be relative, all gain_W or all gain_A"))
+        raise VehicleError(
+            sentence("the gains of the panels must all be relative, all gain_W or all gain_A")
+        )
     alone = {key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"}
     return craft.Vehicle(
         name=file.name,
@@ -179,7 +215,9 @@ def _facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.
         elif isinstance(item, list) and all(isinstance(each, dict) for each in item):
             for each in item:
                 yield from _facts(each, f"{where}{key}.{each.get('name')}.")
-        elif not isinstance(item, str | bool) and not (isinstance(item, list) and isinstance(item[0], str)):
+        elif not isinstance(item, str | bool) and not (
+            isinstance(item, list) and isinstance(item[0], str)
+        ):
             yield f"{where}{key}", parts.Fact(numbers(item))
 
 

@@ -64,7 +64,10 @@ class Part:
         return hash(_content(self))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: dict(value) if isinstance(value, MappingProxyType) else value for key, value in vars(self).items()}
+        return {
+            key: dict(value) if isinstance(value, MappingProxyType) else value
+            for key, value in vars(self).items()
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for key, value in state.items():
@@ -96,7 +99,9 @@ def part(cls: type[T]) -> type[T]:
 
     @wraps(check)
     def checked(self: Any, *given: Any, **named: Any) -> None:
-        first = dict(zip(made.__pydantic_fields__, given, strict=False))  # by name, so that messages name them
+        first = dict(
+            zip(made.__pydantic_fields__, given, strict=False)
+        )  # by name, so that messages name them
         try:
             check(self, *given[len(first) :], **first, **named)
         except ValidationError as error:
@@ -109,7 +114,9 @@ def part(cls: type[T]) -> type[T]:
 
 def _short(long: Signature) -> Signature:
     """A signature for people: types without their rules."""
-    told = [p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in long.parameters.values()]
+    told = [
+        p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in long.parameters.values()
+    ]
     return long.replace(parameters=told)
 
 
@@ -165,7 +172,9 @@ def bare(raw: Any, info: ValidationInfo) -> Any:
             raise ValueError("source must be a text that is not empty")
         value, sigma = as_array(numbers(raw["value"])), as_array(numbers(raw.get("sigma", 0.0)))
         if sigma.shape not in ((), value.shape) or np.any(sigma < 0):
-            what = "the sigma of {path} must be one number or one for each component, and not negative"
+            what = (
+                "the sigma of {path} must be one number or one for each component, and not negative"
+            )
             raise VehicleError(sentence(what, got=raw["sigma"]))
         angle = info.field_name == "normal_B" or str(info.field_name).endswith("_rad")
         if angle and np.any(sigma > LARGEST_ANGLE_SIGMA):
@@ -182,7 +191,9 @@ def numbers(raw: Any) -> Any:
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         raise ValueError(f"a number is expected, not {str(raw)[:40]!r}")
     if not is_sensible(raw):  # also of whole numbers too large for a float
-        raise ValueError(f"{SIZES} is expected" + (f", not {raw!r}" if isinstance(raw, float) else ""))
+        raise ValueError(
+            f"{SIZES} is expected" + (f", not {raw!r}" if isinstance(raw, float) else "")
+        )
     return float(raw)
 
 
@@ -216,7 +227,9 @@ def above_zero(value: float) -> bool:
 
 def unit(label: str) -> PlainValidator:
     """A unit vector (3), called so in messages; `{name}` is the part's name."""
-    return PlainValidator(lambda raw, info: direction(bare(raw, info), label.format(name=info.data.get("name"))))
+    return PlainValidator(
+        lambda raw, info: direction(bare(raw, info), label.format(name=info.data.get("name")))
+    )
 
 
 def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
@@ -225,7 +238,9 @@ def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
     def check(raw: Any, info: ValidationInfo) -> FloatArray:
         value = as_array(given := bare(raw, info))
         if not fits(value):
-            raise VehicleError(sentence(be.format(path="{path}", name=info.data.get("name")), got=given))
+            raise VehicleError(
+                sentence(be.format(path="{path}", name=info.data.get("name")), got=given)
+            )
         return frozen_array(value)
 
     return PlainValidator(check)
@@ -240,10 +255,14 @@ def _shown(name: str) -> str:
 Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
 Number = Annotated[float, PlainValidator(_number)]
 Positive = Annotated[Number, must(above_zero, "{path} must be positive")]
-Vector = Annotated[FloatArray, array(lambda value: value.shape == (3,), "{path} must be three numbers")]
+Vector = Annotated[
+    FloatArray, array(lambda value: value.shape == (3,), "{path} must be three numbers")
+]
 Text = Annotated[Mapping[Name, Name], AfterValidator(lambda value: MappingProxyType(dict(value)))]
 
-Numbers = Annotated[Mapping[Name, Number], AfterValidator(lambda value: MappingProxyType(dict(value)))]
+Numbers = Annotated[
+    Mapping[Name, Number], AfterValidator(lambda value: MappingProxyType(dict(value)))
+]
 
 
 def no_entries() -> Mapping[str, Any]:
@@ -257,32 +276,54 @@ IN_WORDS = {"string_type": "should be a text in quotes", "string_too_short": "sh
 """Kinds of pydantic's problems that it names for programmers."""
 
 
-def problem(error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None) -> str:
+def problem(
+    error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None
+) -> str:
     """The first thing that is wrong with a part of this kind, in one sentence; `table` is the file's, if it is from one.
 
     What is misspelt comes before what is then missing, and that or another type before what is physically impossible.
     """
-    problems = sorted(error.errors(include_url=False), key=lambda each: each["type"] != "unexpected_keyword_argument")
-    found = next((each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0])
+    problems = sorted(
+        error.errors(include_url=False),
+        key=lambda each: each["type"] != "unexpected_keyword_argument",
+    )
+    found = next(
+        (each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0]
+    )
     reason, places = _reason(found), found["loc"]
     if isinstance(reason, VehicleError):
         path = _path(places, table) if table is not None else ".".join(map(str, (where, *places)))
         return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
-    key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places).replace(".[", "[")
+    key = ".".join(
+        f"[{place}]" if isinstance(place, int) else str(place) for place in places
+    ).replace(".[", "[")
     where = f"{where}, {key}"
     if found["type"] == "unexpected_keyword_argument":
         known = keys_at(kind, places[:-1], table is not None)
         near = get_close_matches(str(places[-1]), known, n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
-        return sentence(f"unknown key {str(places[-1])!r}", do=f"known keys: {', '.join(known)}{meant}", where=where)
+        return sentence(
+            f"unknown key {str(places[-1])!r}",
+            do=f"known keys: {', '.join(known)}{meant}",
+            where=where,
+        )
     if found["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
-    message = found["msg"].removeprefix("Value error, ").removeprefix("Input ").replace("valid tuple", "valid list")
+    message = (
+        found["msg"]
+        .removeprefix("Value error, ")
+        .removeprefix("Input ")
+        .replace("valid tuple", "valid list")
+    )
     message = message.replace("Tuple should", "List should").replace(" after validation", "")
     message = IN_WORDS.get(found["type"], message)
     if found["type"] == "dataclass_type":
-        message = "should be a table" if table is not None else message.replace("a dictionary or ", "")
-    return sentence(message, got=None if isinstance(found["input"], dict) else found["input"], where=where)
+        message = (
+            "should be a table" if table is not None else message.replace("a dictionary or ", "")
+        )
+    return sentence(
+        message, got=None if isinstance(found["input"], dict) else found["input"], where=where
+    )
 
 
 def _reason(found: Any) -> object:
@@ -305,7 +346,10 @@ def keys_of(kind: Any, in_file: bool = True) -> dict[str, Any]:
     for name, about in kind.__pydantic_fields__.items():
         alias = about.validation_alias if in_file else None
         if not isinstance(alias, AliasPath):
-            found |= dict.fromkeys(alias.choices if isinstance(alias, AliasChoices) else [alias or name], about.annotation)
+            found |= dict.fromkeys(
+                alias.choices if isinstance(alias, AliasChoices) else [alias or name],
+                about.annotation,
+            )
     return found
 
 
@@ -313,7 +357,9 @@ def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str
     """The keys of the part that `places` lead to from a part of this kind, those of tables last."""
     for place in places:
         kind = part_in(keys_of(kind, in_file).get(str(place))) or kind
-    return dict(sorted(keys_of(kind, in_file).items(), key=lambda item: part_in(item[1]) is not None))
+    return dict(
+        sorted(keys_of(kind, in_file).items(), key=lambda item: part_in(item[1]) is not None)
+    )
 
 
 def part_in(annotation: Any) -> type[Part] | None:

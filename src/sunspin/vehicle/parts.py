@@ -11,7 +11,16 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, AliasChoices, AliasPath, Field, PlainValidator, StrictBool, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    AliasPath,
+    Field,
+    PlainValidator,
+    StrictBool,
+    ValidationInfo,
+    model_validator,
+)
 
 from sunspin.base.errors import VehicleError, sentence
 from sunspin.vehicle.part import (
@@ -52,8 +61,8 @@ class Panel(Part):
 
     name: Name
     normal_B: Annotated[FloatArray, unit("normal_B of panel {name!r}")]
-    gain: Annotated[Number, must(above_zero, "the gain of panel {name!r} must be positive")] = Field(
-        validation_alias=AliasChoices(*GAIN_UNITS)
+    gain: Annotated[Number, must(above_zero, "the gain of panel {name!r} must be positive")] = (
+        Field(validation_alias=AliasChoices(*GAIN_UNITS))
     )
 
     @model_validator(mode="wrap")
@@ -62,7 +71,10 @@ class Panel(Part):
         if not (info.context and isinstance(given, dict)):
             return check(given)
         found = [key for key in GAIN_UNITS if key in given]
-        panel = check({key: given[key] for key in given if key not in found[1:]} | ({} if found else {"cells": 1.0}))
+        panel = check(
+            {key: given[key] for key in given if key not in found[1:]}
+            | ({} if found else {"cells": 1.0})
+        )
         if len(found) != 1:
             what = f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_UNITS)}"
             raise VehicleError(sentence(what, got=", ".join(found) or "none"))
@@ -72,9 +84,15 @@ class Panel(Part):
 def _panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
     channel = info.data.get("name")
     if not names:
-        raise VehicleError(sentence(f"channel {channel!r} names no panel", do="list the panels on this input"))
+        raise VehicleError(
+            sentence(f"channel {channel!r} names no panel", do="list the panels on this input")
+        )
     if twice := [name for name in names if names.count(name) > 1]:
-        raise VehicleError(sentence(f"channel {channel!r} names a panel twice", got=twice[0], do="keep one of them"))
+        raise VehicleError(
+            sentence(
+                f"channel {channel!r} names a panel twice", got=twice[0], do="keep one of them"
+            )
+        )
     return names
 
 
@@ -100,7 +118,9 @@ class SpinDown(Part):
     c3_rad_s: Number
 
 
-FrictionTorque = Annotated[Number, must(lambda value: value >= 0, "friction {key} must be zero or positive")]
+FrictionTorque = Annotated[
+    Number, must(lambda value: value >= 0, "friction {key} must be zero or positive")
+]
 
 
 @part
@@ -117,8 +137,14 @@ class Friction(Part):
     @model_validator(mode="before")
     @classmethod
     def _one_law(cls, given: Any) -> Any:
-        if isinstance(given, dict) and "spin_down" in given and given.keys() & {"coulomb_N_m", "viscous_N_m_s"}:
-            raise VehicleError(sentence("{path} gives both a spin_down and coefficients", do="keep one of them"))
+        if (
+            isinstance(given, dict)
+            and "spin_down" in given
+            and given.keys() & {"coulomb_N_m", "viscous_N_m_s"}
+        ):
+            raise VehicleError(
+                sentence("{path} gives both a spin_down and coefficients", do="keep one of them")
+            )
         return given
 
     def __post_init__(self, spin_down: SpinDown | None) -> None:
@@ -128,10 +154,16 @@ class Friction(Part):
     def of_wheel(self, inertia_kg_m2: float) -> Friction:
         """This friction, with coefficients where it was given as a spin-down."""
         measured = vars(self).get("measured")
-        return self if measured is None else self.from_spin_down(**vars(measured), inertia_kg_m2=inertia_kg_m2)
+        return (
+            self
+            if measured is None
+            else self.from_spin_down(**vars(measured), inertia_kg_m2=inertia_kg_m2)
+        )
 
     @classmethod
-    def from_spin_down(cls, c1_rad_s: float, c2_per_s: float, c3_rad_s: float, inertia_kg_m2: float) -> Friction:
+    def from_spin_down(
+        cls, c1_rad_s: float, c2_per_s: float, c3_rad_s: float, inertia_kg_m2: float
+    ) -> Friction:
         """Friction of a wheel whose measured spin-down follows ``c1 exp(c2 t) + c3`` (paper, section 2.2).
 
         That curve obeys dW/dt = c2 W - c2 c3, hence coulomb = c2 c3 J and viscous = -c2 J. `c1` only fixes the time at
@@ -157,13 +189,21 @@ class Wheel(Part):
     speed_rad_s: Number = 0.0
     friction: Friction = Friction()
     alternative_frictions: Mapping[str, Friction] = field(default_factory=no_entries)
-    brake_torque_N_m: Annotated[Number, must(above_zero, "{key} of wheel {name!r} must be positive")] | None = None
+    brake_torque_N_m: (
+        Annotated[Number, must(above_zero, "{key} of wheel {name!r} must be positive")] | None
+    ) = None
     speed_column: Name | None = None
     speed_scale_rad_s: Annotated[Number, AfterValidator(lambda scale: scale or 1.0)] = 1.0
 
     def __post_init__(self) -> None:
-        others = {name: other.of_wheel(self.inertia_kg_m2) for name, other in self.alternative_frictions.items()}
-        vars(self).update(friction=self.friction.of_wheel(self.inertia_kg_m2), alternative_frictions=MappingProxyType(others))
+        others = {
+            name: other.of_wheel(self.inertia_kg_m2)
+            for name, other in self.alternative_frictions.items()
+        }
+        vars(self).update(
+            friction=self.friction.of_wheel(self.inertia_kg_m2),
+            alternative_frictions=MappingProxyType(others),
+        )
 
 
 def _point(value: FloatArray) -> bool:
@@ -175,11 +215,18 @@ class Leg(Part):
     """A leg: its end, where it can touch the ground, from the vehicle's centre of mass in B (m)."""
 
     name: Name
-    tip_B_m: Annotated[FloatArray, array(_point, "tip_B_m of leg {name!r} must be three finite numbers")]
+    tip_B_m: Annotated[
+        FloatArray, array(_point, "tip_B_m of leg {name!r} must be three finite numbers")
+    ]
 
 
 def _points(value: FloatArray) -> bool:
-    return value.ndim == 2 and value.shape[1] == 3 and len(value) > 0 and bool(np.isfinite(value).all())
+    return (
+        value.ndim == 2
+        and value.shape[1] == 3
+        and len(value) > 0
+        and bool(np.isfinite(value).all())
+    )
 
 
 @part
@@ -190,7 +237,10 @@ class HullPart(Part):
     """
 
     name: Name
-    points_B_m: Annotated[FloatArray, array(_points, "points_B_m of hull part {name!r} must be points of three finite numbers")]
+    points_B_m: Annotated[
+        FloatArray,
+        array(_points, "points_B_m of hull part {name!r} must be points of three finite numbers"),
+    ]
     panel: Name | None = None
 
 
@@ -200,7 +250,11 @@ class Antenna(Part):
 
     axis_B: Annotated[FloatArray, unit("antenna.axis_B")]
     opening_rad: Annotated[
-        Number, must(lambda angle: 0 < angle <= 2 * np.pi, "antenna.opening_rad must be an angle above 0 and at most 2 pi")
+        Number,
+        must(
+            lambda angle: 0 < angle <= 2 * np.pi,
+            "antenna.opening_rad must be an angle above 0 and at most 2 pi",
+        ),
     ]
 
 
@@ -217,7 +271,9 @@ def _sigma(raw: Any, info: ValidationInfo) -> float | None:
         return None
     sigma = numbers(raw) if info.context else raw
     if not isinstance(sigma, float | int) or not 0 <= sigma < np.inf:
-        raise VehicleError(sentence("the sigma of a time of [orbit] must be one number and not negative", got=raw))
+        raise VehicleError(
+            sentence("the sigma of a time of [orbit] must be one number and not negative", got=raw)
+        )
     return float(sigma)
 
 
@@ -226,7 +282,9 @@ Sigma = Annotated[float | None, PlainValidator(_sigma)]
 
 def _two(lines: tuple[str, ...]) -> tuple[str, ...]:
     if len(lines) not in (0, 2):
-        raise VehicleError(sentence("{path} must be the two lines of a set of elements", got=f"{len(lines)} texts"))
+        raise VehicleError(
+            sentence("{path} must be the two lines of a set of elements", got=f"{len(lines)} texts")
+        )
     return lines
 
 

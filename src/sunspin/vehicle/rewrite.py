@@ -46,7 +46,10 @@ def _put(table: Any, key: str, certificate: Any) -> None:
     old = next((one for one in (key, *OTHER_KEYS.get(key, ())) if one in table), None)
     if old is not None:
         trivia = container.item(old).trivia
-        certificate.trivia.comment_ws, certificate.trivia.comment = trivia.comment_ws, trivia.comment
+        certificate.trivia.comment_ws, certificate.trivia.comment = (
+            trivia.comment_ws,
+            trivia.comment,
+        )
     if old == key:
         table[key] = certificate
         return
@@ -62,5 +65,10 @@ def _table(document: Any, new: NewValue) -> Any:
     if part and found is not None:
         found = next((one for one in found if one.get("name") == part[0]), None)
     if found is None:
-        raise VehicleError(sentence(f"the vehicle file has no table [{'.'.join(new.where)}]", do="give the file of this vehicle"))
+        raise VehicleError(
+            sentence(
+                f"the vehicle file has no table [{'.'.join(new.where)}]",
+                do="give the file of this vehicle",
+            )
+        )
     return found

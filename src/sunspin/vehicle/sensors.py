@@ -43,7 +43,9 @@ Seen = tuple[str, np.ndarray, dict[str, str]]
 
 def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
     """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
-    return counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
+    return (
+        counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
+    )
 
 
 def _sigma_of(key: str, *shape: int) -> PlainValidator:
@@ -52,7 +54,9 @@ def _sigma_of(key: str, *shape: int) -> PlainValidator:
     def check(raw: Any, info: ValidationInfo) -> Any:
         sigma = np.array(given := numbers(raw) if info.context else raw, dtype=np.float64)
         if sigma.shape not in ((), shape) or np.any(sigma < 0):
-            what = f"the sigma of {key} must be one number or one for each component, and not negative"
+            what = (
+                f"the sigma of {key} must be one number or one for each component, and not negative"
+            )
             raise VehicleError(sentence(what, got=given))
         return frozen_array(np.broadcast_to(sigma, shape)) if shape else float(sigma)
 
@@ -66,9 +70,17 @@ def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
         names = [column.removeprefix(sign) for column in columns]
         if not all(names):
             what = "{path} has a minus and no column after it"
-            raise VehicleError(sentence(what, got=", ".join(columns), do='"-wx" reads column wx reversed'))
+            raise VehicleError(
+                sentence(what, got=", ".join(columns), do='"-wx" reads column wx reversed')
+            )
         if len(set(names)) < n:
-            raise VehicleError(sentence("{path} names a column twice", got=", ".join(columns), do="give each axis its own"))
+            raise VehicleError(
+                sentence(
+                    "{path} names a column twice",
+                    got=", ".join(columns),
+                    do="give each axis its own",
+                )
+            )
         return columns
 
     return Field(min_length=n, max_length=n), AfterValidator(check)
@@ -93,8 +105,13 @@ class ThreeAxes(Part):
     def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
         """Keys of the vehicle file that make of these axes others: each is that of `order`, times `sign`."""
         now = list(order)
-        named = [REVERSED * bool(s < 0) + self.names[k] for k, s in zip(now, self.sign[now] * sign, strict=True)]
-        zero, sigma = np.stack([getattr(self, key, np.zeros(3)) for key in ("zero", "zero_sigma")])[:, now]
+        named = [
+            REVERSED * bool(s < 0) + self.names[k]
+            for k, s in zip(now, self.sign[now] * sign, strict=True)
+        ]
+        zero, sigma = np.stack([getattr(self, key, np.zeros(3)) for key in ("zero", "zero_sigma")])[
+            :, now
+        ]
         if np.array_equal(zero, zero[np.argsort(now)]):
             return {"columns": named}
         told = {"value": zero.tolist(), "sigma": sigma.tolist()} if sigma.any() else zero.tolist()
@@ -134,15 +151,30 @@ class SunSensor(Part):
 
     def __post_init__(self) -> None:
         if abs(self.normal_B @ self.x_axis_B) > UNIT_TOLERANCE:
-            raise VehicleError(sentence("{path}.x_axis_B must be at right angles to its normal", got=self.x_axis_B.tolist()))
+            raise VehicleError(
+                sentence(
+                    "{path}.x_axis_B must be at right angles to its normal",
+                    got=self.x_axis_B.tolist(),
+                )
+            )
         if self.x_column == self.y_column:
-            raise VehicleError(sentence("{path} names one column for x and y", got=self.x_column, do="give each its own"))
+            raise VehicleError(
+                sentence(
+                    "{path} names one column for x and y", got=self.x_column, do="give each its own"
+                )
+            )
         if (self.y_column is None) != (self.y_scale is None):
             raise VehicleError(sentence("{path} must give both y_column and y_scale, or neither"))
         if (self.y_turned_above is None) != (self.y_turned_scale is None):
-            raise VehicleError(sentence("{path} must give both y_turned_above and y_turned_scale, or neither"))
+            raise VehicleError(
+                sentence("{path} must give both y_turned_above and y_turned_scale, or neither")
+            )
         if self.y_turned_sigma is not None and self.y_turned_above is None:
-            raise VehicleError(sentence("{path} has a y_turned_sigma and no y_turned_above, of which it is one sigma"))
+            raise VehicleError(
+                sentence(
+                    "{path} has a y_turned_sigma and no y_turned_above, of which it is one sigma"
+                )
+            )
 
 
 @part
@@ -169,7 +201,8 @@ class Gyro(ThreeAxes):
     noise_rad_s: Positive
     wraps_at: Positive | None = None
     zero_sigma: Annotated[FloatArray, _sigma_of("gyro.zero", 3)] = Field(
-        default_factory=lambda: frozen_array(np.zeros(3)), validation_alias=AliasPath("zero", "sigma")
+        default_factory=lambda: frozen_array(np.zeros(3)),
+        validation_alias=AliasPath("zero", "sigma"),
     )
     scale_sigma: Annotated[float, _sigma_of("gyro.scale_rad_s")] = Field(
         default=0.0, validation_alias=AliasPath("scale_rad_s", "sigma")
@@ -186,7 +219,9 @@ class Gyro(ThreeAxes):
 
 
 def _turns_back(matrix: FloatArray) -> bool:
-    return matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
+    return (
+        matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
+    )
 
 
 @part
@@ -203,23 +238,31 @@ class Magnetometer(ThreeAxes):
     zero: Vector
     noise: Positive | None
     wraps_at: Positive | None = None
-    matrix: Annotated[FloatArray, array(_turns_back, "{path} must be three rows of three numbers that can be inverted")] = Field(
-        default_factory=lambda: frozen_array(np.eye(3))
-    )
+    matrix: Annotated[
+        FloatArray,
+        array(_turns_back, "{path} must be three rows of three numbers that can be inverted"),
+    ] = Field(default_factory=lambda: frozen_array(np.eye(3)))
     scale_T: Positive | None = None
     zero_sigma: Annotated[FloatArray, _sigma_of("magnetometer.zero", 3)] = Field(
-        default_factory=lambda: frozen_array(np.zeros(3)), validation_alias=AliasPath("zero", "sigma")
+        default_factory=lambda: frozen_array(np.zeros(3)),
+        validation_alias=AliasPath("zero", "sigma"),
     )
 
     def seen(self, read: np.ndarray) -> Seen:
         """Fields of the readings (n, 3) of its columns, in their unit."""
         value = (self.sign * (unwrapped(read, self.wraps_at) - self.zero)) @ self.matrix.T
-        return "axis", value, {"long_name": "magnetometer less its zero, times its matrix, body axes"}
+        return (
+            "axis",
+            value,
+            {"long_name": "magnetometer less its zero, times its matrix, body axes"},
+        )
 
     def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
         turned = np.eye(3)[list(order)] * np.array(sign)[:, None]
         matrix = turned @ self.matrix @ turned.T + 0.0  # of the axes as they then are
-        return super().read_as(order, sign) | ({} if np.array_equal(matrix, self.matrix) else {"matrix": matrix.tolist()})
+        return super().read_as(order, sign) | (
+            {} if np.array_equal(matrix, self.matrix) else {"matrix": matrix.tolist()}
+        )
 
 
 @part
@@ -245,13 +288,18 @@ class Attitude(Part):
         value = value * [-1.0, -1.0, -1.0, 1.0] if self.rotates == "B_to_N" else value
         size = np.linalg.norm(value, axis=1, keepdims=True)
         good = np.abs(size - 1) < UNIT
-        about = {"units": "1", "long_name": "attitude as given, scalar last, from reference frame to body"}
+        about = {
+            "units": "1",
+            "long_name": "attitude as given, scalar last, from reference frame to body",
+        }
         return "quaternion", np.where(good, value / np.where(good, size, 1.0), np.nan), about
 
     def read_as(self, scalar: bool, way: bool) -> dict[str, str]:
         """Keys of the vehicle file with the scalar at the other end, or the other way round."""
         keys = {"scalar": "first" if self.scalar == "last" else "last"} if scalar else {}
-        return keys | ({"rotates": "N_to_B" if self.rotates == "B_to_N" else "B_to_N"} if way else {})
+        return keys | (
+            {"rotates": "N_to_B" if self.rotates == "B_to_N" else "B_to_N"} if way else {}
+        )
 
 
 @part

@@ -54,7 +54,9 @@ class Timeline(Part):
 
     def phase_at(self, t_s: float) -> str | None:
         """Name of the phase that holds at `t_s`, None outside all of them."""
-        return next((phase.name for phase in self.phases if phase.begin_s <= t_s < phase.end_s), None)
+        return next(
+            (phase.name for phase in self.phases if phase.begin_s <= t_s < phase.end_s), None
+        )
 
 
 def utc_seconds(utc: str, epoch_utc: str) -> float:
@@ -68,10 +70,14 @@ def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
     unit = 10 ** (6 - digits)
     try:
         exact = _instant(epoch_utc) + timedelta(seconds=seconds)
-        instant = exact + timedelta(microseconds=round(exact.microsecond / unit) * unit - exact.microsecond)
+        instant = exact + timedelta(
+            microseconds=round(exact.microsecond / unit) * unit - exact.microsecond
+        )
     except OverflowError:
         return f"{epoch_utc} and {seconds:g} s"
-    return instant.isoformat(timespec="milliseconds" if digits else "seconds").replace("+00:00", "Z")
+    return instant.isoformat(timespec="milliseconds" if digits else "seconds").replace(
+        "+00:00", "Z"
+    )
 
 
 def instant(text: str) -> datetime | None:
@@ -79,14 +85,22 @@ def instant(text: str) -> datetime | None:
     try:
         moment = datetime.fromisoformat(text)
         return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    except (TypeError, ValueError, OverflowError):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+    ):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
         return None
 
 
 def _instant(utc: str) -> datetime:
     moment = instant(utc)
     if moment is None:
-        raise InputError(sentence("a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"))
+        raise InputError(
+            sentence(
+                "a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"
+            )
+        )
     return moment
 
 
@@ -95,11 +109,17 @@ def parse_timeline(text: str, where: str) -> Timeline:
     table = read_toml(text, where, InputError)
     try:
         epoch = table["epoch_utc"]
-        events = sorted((_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s)
+        events = sorted(
+            (_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s
+        )
         timeline = Timeline(epoch, tuple(events))
-        return Timeline(epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", [])))
+        return Timeline(
+            epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", []))
+        )
     except KeyError as error:
-        raise InputError(sentence(f"key {error.args[0]!r} is missing", do="add it", where=where)) from None
+        raise InputError(
+            sentence(f"key {error.args[0]!r} is missing", do="add it", where=where)
+        ) from None
     except SunspinError as error:
         raise InputError(f"{where}: {error}") from None
     except (TypeError, AttributeError, RecursionError) as error:
@@ -111,7 +131,11 @@ def _event(entry: dict, epoch_utc: str) -> Event:
     _refuse_unknown(entry, {*keys_of(Event)} - {"t_s"}, "event")
     event = Event(t_s=utc_seconds(entry.get("refined_utc") or entry["utc"], epoch_utc), **entry)
     if not event.source.strip():
-        raise InputError(sentence(f"event {event.name!r} has an empty source", do="say where its time comes from"))
+        raise InputError(
+            sentence(
+                f"event {event.name!r} has an empty source", do="say where its time comes from"
+            )
+        )
     return event
 
 
@@ -120,14 +144,23 @@ def _phase(entry: dict, timeline: Timeline) -> Phase:
     begin = timeline.event(entry["begin"]).t_s
     end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")
     if not begin < end:
-        raise InputError(sentence(f"phase {entry['name']!r} ends before it begins", got=f"{begin:g} s to {end:g} s"))
+        raise InputError(
+            sentence(
+                f"phase {entry['name']!r} ends before it begins", got=f"{begin:g} s to {end:g} s"
+            )
+        )
     return Phase(entry["name"], begin, end, entry.get("note", ""))
 
 
 def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
     for key in entry:
         if key not in known:
-            raise InputError(sentence(f"unknown key {key!r} in [[{kind}]]", do=f"known keys: {', '.join(sorted(known))}"))
+            raise InputError(
+                sentence(
+                    f"unknown key {key!r} in [[{kind}]]",
+                    do=f"known keys: {', '.join(sorted(known))}",
+                )
+            )
 
 
 def _named(items: tuple, name: str, kind: str):
@@ -135,4 +168,6 @@ def _named(items: tuple, name: str, kind: str):
         if item.name == name:
             return item
     known = ", ".join(item.name for item in items) or "none"
-    raise InputError(sentence(f"the timeline has no {kind} of this name", got=name, do=f"known: {known}"))
+    raise InputError(
+        sentence(f"the timeline has no {kind} of this name", got=name, do=f"known: {known}")
+    )

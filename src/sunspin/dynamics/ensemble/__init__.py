@@ -14,11 +14,38 @@ from sunspin.dynamics.ensemble.codegen import RowLayout
 from sunspin.dynamics.ensemble.compiled import OUTCOME_TEXT, Outcome, kernel
 from sunspin.dynamics.ensemble.cuda import check_device, device_identity, require_device
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
-from sunspin.dynamics.ensemble.run import BlockResult, Mask, check_commands, prepare, run_rows, structure_of, structures
+from sunspin.dynamics.ensemble.run import (
+    BlockResult,
+    Mask,
+    check_commands,
+    prepare,
+    run_rows,
+    structure_of,
+    structures,
+)
 from sunspin.dynamics.ensemble.tolerance import EMD_ERROR, accuracy
 
 __all__ = [
-    "EMD_ERROR", "OUTCOME_TEXT", "BlockResult", "Bodies", "Mask", "Outcome", "RowLayout", "Rows", "accuracy", "check_commands",
-    "check_device", "compile_all", "device_identity", "kernel", "mode_table", "prepare", "require_device", "run_rows",
-    "structure_of", "structures", "vector_bits", "work_array",
-]  # fmt: skip
+    "EMD_ERROR",
+    "OUTCOME_TEXT",
+    "BlockResult",
+    "Bodies",
+    "Mask",
+    "Outcome",
+    "RowLayout",
+    "Rows",
+    "accuracy",
+    "check_commands",
+    "check_device",
+    "compile_all",
+    "device_identity",
+    "kernel",
+    "mode_table",
+    "prepare",
+    "require_device",
+    "run_rows",
+    "structure_of",
+    "structures",
+    "vector_bits",
+    "work_array",
+]

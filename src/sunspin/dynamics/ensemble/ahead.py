@@ -49,7 +49,9 @@ def compile_all(structures: Iterable[c.Structure]) -> Path:
     todo, folder = list(dict.fromkeys(structures)), lasting_folder()
     if not is_writable(folder):
         do = "set SUNSPIN_CACHE to a folder that can be written"
-        raise OutputError(sentence("compiled kernels cannot be kept here", do=do, where=str(folder)))
+        raise OutputError(
+            sentence("compiled kernels cannot be kept here", do=do, where=str(folder))
+        )
     for some in (todo[::2], todo[1::2]):
         compile_ahead(some)
     missing = [structure for structure in todo if not is_kept(_path(ready_kernel(structure)))]
@@ -66,7 +68,9 @@ def _begin(paths: list[Path]) -> None:
             return
         nothing = subprocess.DEVNULL
         try:
-            process = subprocess.Popen(_command(todo), stdin=nothing, stdout=nothing, stderr=nothing)
+            process = subprocess.Popen(
+                _command(todo), stdin=nothing, stdout=nothing, stderr=nothing
+            )
         except OSError:
             return  # then they are compiled here, when they are needed
         _under_way.update(dict.fromkeys(todo, process))
@@ -137,4 +141,16 @@ def compile_run(module: ModuleType) -> None:
     """Compile the entry of a generated module for the types of `run.launch`."""
     real, whole, single = (np.zeros(0, dtype) for dtype in (np.float64, np.int64, np.float32))
     table = np.zeros((0, 0, 0))
-    module.run(np.zeros((0, 0)), whole, table, single, whole, real, whole, np.zeros((0, 0), np.float32), table, whole, real)
+    module.run(
+        np.zeros((0, 0)),
+        whole,
+        table,
+        single,
+        whole,
+        real,
+        whole,
+        np.zeros((0, 0), np.float32),
+        table,
+        whole,
+        real,
+    )

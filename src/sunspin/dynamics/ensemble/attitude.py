@@ -61,28 +61,43 @@ def slopes(torques: Sequence[Torque], pulled: bool) -> list[str]:
     derivatives = [*change, *moved, *g.quaternion_rate(q, omega)]
     used = set().union(*(sp.sympify(d).free_symbols for d in derivatives))
     given = [("z", state), ("load", held), ("pull", pull), ("numbers", numbers)]
-    lines = [f"{symbol} = {name}[{k}]" for name, symbols in given for k, symbol in enumerate(symbols) if symbol in used]
+    lines = [
+        f"{symbol} = {name}[{k}]"
+        for name, symbols in given
+        for k, symbol in enumerate(symbols)
+        if symbol in used
+    ]
     return lines + assignments([f"d[{k}]" for k in range(len(derivatives))], derivatives, "x")
 
 
 @lru_cache(maxsize=32)
 def attitude_kernel(torques: tuple[Torque, ...], pulled: bool) -> Callable[..., None]:
     """The compiled `run` of attitude_template.py."""
-    return module_of(kept_text(("attitude", pulled), torques, lambda: source(torques, pulled)), compiler()).run
+    return module_of(
+        kept_text(("attitude", pulled), torques, lambda: source(torques, pulled)), compiler()
+    ).run
 
 
 def source(torques: tuple[Torque, ...], pulled: bool) -> str:
     """Its text."""
-    text = template("attitude").replace('\nN_STATE = "N_STATE"', f"\nN_STATE = {7 + n_directions(torques)}")
+    text = template("attitude").replace(
+        '\nN_STATE = "N_STATE"', f"\nN_STATE = {7 + n_directions(torques)}"
+    )
     indent = " " * 16
     body = "\n".join(indent + line for line in slopes(torques, pulled))
     return text.replace(f"{indent}pass  # SLOPE", body)
 
 
 def carry(
-    states: np.ndarray, dt: np.ndarray, counts: np.ndarray, held: Sequence[np.ndarray], field: Sequence[np.ndarray],
-    clock: np.ndarray, numbers: Sequence[np.ndarray], torques: tuple[Torque, ...],
-) -> np.ndarray:  # fmt: skip
+    states: np.ndarray,
+    dt: np.ndarray,
+    counts: np.ndarray,
+    held: Sequence[np.ndarray],
+    field: Sequence[np.ndarray],
+    clock: np.ndarray,
+    numbers: Sequence[np.ndarray],
+    torques: tuple[Torque, ...],
+) -> np.ndarray:
     """States (n, n_state) after dt (n) s.
 
     Parameters
@@ -100,9 +115,18 @@ def carry(
         and the parameters of the torques, whose own unit is N m.
     """
     inertia, dipole, unit, more = numbers
-    given = np.concatenate([symmetric_inverse(inertia), np.ravel(inertia), dipole, np.ravel(unit), np.ravel(more)])
+    given = np.concatenate(
+        [symmetric_inverse(inertia), np.ravel(inertia), dipole, np.ravel(unit), np.ravel(more)]
+    )
     ends = [np.ascontiguousarray(part, dtype=np.float64) for part in (*held, *(field or held))]
     moved = np.array(states, dtype=np.float64, order="C")
     run = attitude_kernel(torques, bool(field))
-    run(moved, np.ascontiguousarray(dt), np.ascontiguousarray(counts), *ends, np.ascontiguousarray(clock), given)
+    run(
+        moved,
+        np.ascontiguousarray(dt),
+        np.ascontiguousarray(counts),
+        *ends,
+        np.ascontiguousarray(clock),
+        given,
+    )
     return moved

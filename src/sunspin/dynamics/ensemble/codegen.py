@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, Any
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.series import Recurrence
-from sunspin.dynamics.torques.acting import Torque, carried_names, directions_of, n_carried, n_parameters, outside, spun
+from sunspin.dynamics.torques.acting import (
+    Torque,
+    carried_names,
+    directions_of,
+    n_carried,
+    n_parameters,
+    outside,
+    spun,
+)
 from sunspin.vehicle.response.protocol import Literals
 
 if TYPE_CHECKING:
@@ -39,7 +47,9 @@ class Structure:
     method: str = "series"  # or "split"
     oblique: bool = True  # split: whether a wheel has a component along the principal axis q
     torques: tuple[Torque, ...] = ()
-    mask_rows: int = 0  # of the table of the sphere that says what counts, in the place of `normals` and `mask`
+    mask_rows: int = (
+        0  # of the table of the sphere that says what counts, in the place of `normals` and `mask`
+    )
 
     @property
     def masked(self) -> bool:
@@ -151,7 +161,13 @@ class RowLayout:
 
 
 WHEEL_ROWS = (
-    "axis_x", "axis_y", "axis_z", "inverse_inertia", "free", "coulomb", "viscous",  # as in gyrostat.WheelParameters
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "inverse_inertia",
+    "free",
+    "coulomb",
+    "viscous",  # as in gyrostat.WheelParameters
     "inertia",
     "watch",  # sign of the speed while a stop must be watched for, else 0
     "inverse_limit2",  # 1 / limit^2 while stuck, else 0
@@ -159,7 +175,7 @@ WHEEL_ROWS = (
     "kept",  # speed of a wheel that is not free
     "speed",  # output: W
     "torque",  # output: holding torque
-)  # fmt: skip
+)
 
 
 def component(value: float) -> Component:
@@ -194,13 +210,17 @@ def assignments(names: list[str], expressions: list[Any], prefix: str) -> list[s
     shared, final = sp.cse(expressions, symbols=sp.numbered_symbols(prefix))
     printer = _printer()
     lines = [f"{symbol} = {printer.doprint(expression)}" for symbol, expression in shared]
-    return lines + [f"{name} = {printer.doprint(sp.sympify(e))}" for name, e in zip(names, final, strict=True)]
+    return lines + [
+        f"{name} = {printer.doprint(sp.sympify(e))}" for name, e in zip(names, final, strict=True)
+    ]
 
 
 def wheel_symbols(i: int, axis: Components) -> g.WheelParameters:
     """Wheel i: parameters u<i>_<k>, iJ<i>, free<i>, coul<i>, visc<i>."""
     parts = [sp.Integer(c) if c is not None else sp.Symbol(f"u{i}_{k}") for k, c in enumerate(axis)]
-    inverse_inertia, free, coulomb, viscous = (sp.Symbol(f"{name}{i}") for name in ("iJ", "free", "coul", "visc"))
+    inverse_inertia, free, coulomb, viscous = (
+        sp.Symbol(f"{name}{i}") for name in ("iJ", "free", "coul", "visc")
+    )
     return g.WheelParameters(tuple(parts), inverse_inertia, free, coulomb, viscous)
 
 
@@ -222,7 +242,16 @@ TIME = "clock"
 
 def state_names(structure: Structure) -> list[str]:
     more = [*carried_names(structure.torques), TIME] if structure.torques else []
-    return ["H0", "H1", "H2", *(f"h{i}" for i in range(len(structure.axes))), "r0", "r1", "r2", *more]
+    return [
+        "H0",
+        "H1",
+        "H2",
+        *(f"h{i}" for i in range(len(structure.axes))),
+        "r0",
+        "r1",
+        "r2",
+        *more,
+    ]
 
 
 def momentum_names(structure: Structure) -> list[str]:
@@ -230,7 +259,9 @@ def momentum_names(structure: Structure) -> list[str]:
     return state_names(structure)[: None if structure.torques else 3 + len(structure.axes)]
 
 
-def state_symbols(structure: Structure) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...], dict[str, g.Direction]]:
+def state_symbols(
+    structure: Structure,
+) -> tuple[tuple[sp.Symbol, ...], tuple[sp.Symbol, ...], dict[str, g.Direction]]:
     """H, h, and the directions, that of the Sun first."""
     n, symbols = len(structure.axes), tuple(sp.Symbol(name) for name in state_names(structure))
     directions = directions_of(structure.torques, symbols[3 + n :])
@@ -241,7 +272,9 @@ def state_symbols(structure: Structure) -> tuple[tuple[sp.Symbol, ...], tuple[sp
 
 def axis_symbols(structure: Structure) -> tuple[sp.Symbol, ...]:
     """The vector about which r turns."""
-    return tuple(sp.Symbol(name) for name in state_names(structure)[structure.axis : structure.axis + 3])
+    return tuple(
+        sp.Symbol(name) for name in state_names(structure)[structure.axis : structure.axis + 3]
+    )
 
 
 def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iterator[str]:
@@ -251,17 +284,34 @@ def load_parameters(structure: Structure, at: Callable[[str, int], str]) -> Iter
     yield from (f"inv{k} = {at('inverse', k)}" for k in range(6))
     yield from (f"held{k} = {at('held', k)}" for k in range(3))
     for i, axis in enumerate(structure.axes):
-        yield from (f"u{i}_{k} = {at('axis_' + 'xyz'[k], i)}" for k, c in enumerate(axis) if c is None)
-        named = (("iJ", "inverse_inertia"), ("free", "free"), ("coul", "coulomb"), ("visc", "viscous"))
+        yield from (
+            f"u{i}_{k} = {at('axis_' + 'xyz'[k], i)}" for k, c in enumerate(axis) if c is None
+        )
+        named = (
+            ("iJ", "inverse_inertia"),
+            ("free", "free"),
+            ("coul", "coulomb"),
+            ("visc", "viscous"),
+        )
         yield from (f"{symbol}{i} = {at(name, i)}" for symbol, name in named)
-    yield from (f"{symbol} = {at('torques', k)}" for k, symbol in enumerate(torque_symbols(structure)))
+    yield from (
+        f"{symbol} = {at('torques', k)}" for k, symbol in enumerate(torque_symbols(structure))
+    )
 
 
 def recurrence(structure: Structure) -> Recurrence:
     """The Taylor coefficients of the motion, r seen from axes that turn about H."""
     axis = axis_symbols(structure) if structure.spun else None
-    dH, dh, dr = g.rhs(*state_symbols(structure), parameter_symbols(structure), sp.Symbol(TIME), structure.spin, axis)
-    return Recurrence(state_names(structure), [*dH, *dh, *dr, *([sp.Integer(1)] if structure.torques else [])])
+    dH, dh, dr = g.rhs(
+        *state_symbols(structure),
+        parameter_symbols(structure),
+        sp.Symbol(TIME),
+        structure.spin,
+        axis,
+    )
+    return Recurrence(
+        state_names(structure), [*dH, *dh, *dr, *([sp.Integer(1)] if structure.torques else [])]
+    )
 
 
 # ---- one trajectory, in its row of numbers -------------------------------------------------------------------------------
@@ -269,7 +319,12 @@ def recurrence(structure: Structure) -> Recurrence:
 
 def _in_row(layout: RowLayout) -> Callable[[str, int], str]:
     def at(name: str, k: int) -> str:
-        known = {"inverse": layout.inverse, "held": layout.held, "spin": layout.spin, "torques": layout.torques}
+        known = {
+            "inverse": layout.inverse,
+            "held": layout.held,
+            "spin": layout.spin,
+            "torques": layout.torques,
+        }
         place = known[name] + k if name in known else None
         return f"w[{layout.of(k, name) if place is None else place}]"
 
@@ -283,7 +338,11 @@ def step_one_body(structure: Structure, order: int) -> list[str]:
     lines += [f"series = np.empty(({steps.loop_rows()}, {order + 1}))"]
     lines += [f"series[{i}, 0] = w[{i}]" for i in range(layout.n_state)]
     lines += steps.loop_lines(order)
-    lines += [f"for i in range({layout.n_state}):", "    value = 0.0", f"    for k in range({order}, -1, -1):"]
+    lines += [
+        f"for i in range({layout.n_state}):",
+        "    value = 0.0",
+        f"    for k in range({order}, -1, -1):",
+    ]
     return lines + ["        value += series[i, k]", f"    w[{layout.new} + i] = value"]
 
 
@@ -299,7 +358,10 @@ def spin_one_body(structure: Structure) -> list[str]:
 def about_body(structure: Structure) -> list[str]:
     """Of the vector about which r, whose place is in `r`, turns: its square, and its product with r."""
     x, y, z = (f"one[{structure.axis + k}]" for k in range(3))
-    return [f"square = {x} * {x} + {y} * {y} + {z} * {z}", f"along = {x} * one[r] + {y} * one[r + 1] + {z} * one[r + 2]"]
+    return [
+        f"square = {x} * {x} + {y} * {y} + {z} * {z}",
+        f"along = {x} * one[r] + {y} * one[r + 1] + {z} * one[r + 2]",
+    ]
 
 
 def observe_one_body(structure: Structure) -> list[str]:
@@ -315,8 +377,13 @@ def observe_one_body(structure: Structure) -> list[str]:
     lines += load_parameters(structure, _in_row(layout))
     lines += [f"J{i} = w[{layout.of(i, 'inertia')}]" for i in range(n)]
     speeds = [g.wheel_speed(h[i], omega, p.wheels[i]) for i in range(n)]
-    torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, sp.Symbol(TIME)) for i in range(n)]
-    lines += assignments([*(f"speed{i}" for i in range(n)), *(f"torque{i}" for i in range(n))], speeds + torques, "b")
+    torques = [
+        g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, sp.Symbol(TIME))
+        for i in range(n)
+    ]
+    lines += assignments(
+        [*(f"speed{i}" for i in range(n)), *(f"torque{i}" for i in range(n))], speeds + torques, "b"
+    )
     tests = []
     for i in range(n):
         lines.append(f"w[{layout.of(i, 'speed')}] = speed{i}")
@@ -344,4 +411,7 @@ def speeds_body(structure: Structure) -> list[str]:
     lines += load_parameters(structure, _in_row(layout))
     free = [g.wheel_speed(sp.Symbol(f"h{i}"), sp.symbols("o0:3"), p.wheels[i]) for i in range(n)]
     lines += assignments([f"turning{i}" for i in range(n)], free, "c")
-    return lines + [f"speeds[{i}] = turning{i} if free{i} > 0.5 else w[{layout.of(i, 'kept')}]" for i in range(n)]
+    return lines + [
+        f"speeds[{i}] = turning{i} if free{i} > 0.5 else w[{layout.of(i, 'kept')}]"
+        for i in range(n)
+    ]

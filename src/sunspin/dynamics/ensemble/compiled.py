@@ -53,7 +53,17 @@ OUTCOME_TEXT = {
 }
 
 
-NOT_IN_ALL = ("S_SPIN", "S_INVERSE", "S_DIFFERENCE", "S_HELD", "S_AXES", "S_LOW", "S_WEAR", "S_SPEEDS", "S_SIZE")
+NOT_IN_ALL = (
+    "S_SPIN",
+    "S_INVERSE",
+    "S_DIFFERENCE",
+    "S_HELD",
+    "S_AXES",
+    "S_LOW",
+    "S_WEAR",
+    "S_SPEEDS",
+    "S_SIZE",
+)
 """Rows that only one of the methods has."""
 
 METHODS: dict[str, type[Lanes]] = {"series": SeriesLanes, "split": SplitLanes}
@@ -77,7 +87,9 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
         "    pass  # STEP_ONE": c.step_one_body(structure, EVENT_ORDER[structure.method]),
         "    pass  # SPIN_ONE": c.spin_one_body(structure),
         "    pass  # ABOUT": c.about_body(structure),
-        "    pass  # ABOUT_NEW": [f"H, r = NEW{f' + {structure.axis}' if structure.axis else ''}, NEW + 3 + N_WHEELS"],
+        "    pass  # ABOUT_NEW": [
+            f"H, r = NEW{f' + {structure.axis}' if structure.axis else ''}, NEW + 3 + N_WHEELS"
+        ],
         "    pass  # OBSERVE_ONE": c.observe_one_body(structure),
         "    pass  # OMEGA_ONE": c.omega_body(structure),
         "    pass  # SPEEDS_ONE": c.speeds_body(structure),
@@ -85,7 +97,9 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
     deposits = []
     for node in range(o.nodes if structure.bins else 0):
         lines = "\n".join("        " + line for line in deposit_body(o, node))
-        deposits.append(f"@estimate\ndef deposit_{node}(v, normals, bins, weights):\n    for j in range(LANES):\n{lines}\n\n\n")
+        deposits.append(
+            f"@estimate\ndef deposit_{node}(v, normals, bins, weights):\n    for j in range(LANES):\n{lines}\n\n\n"
+        )
         # in a loop over nodes the choice between the functions would cost as much as a third of them
         calls = [f"deposit_{node}(v, normals, bins, weights)", "add_up(bins, weights, hist)"]
         bodies["                pass  # DEPOSIT_ALL"] += calls
@@ -104,7 +118,9 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
     text = text.replace("    pass  # LOAD_TORQUES\n", "".join(f"    {line}\n" for line in torques))
     for marker, lines in bodies.items():
         indent = marker[: len(marker) - len(marker.lstrip())]
-        text = text.replace(marker + "\n", ("\n".join(indent + line for line in lines) or f"{indent}pass") + "\n")
+        text = text.replace(
+            marker + "\n", ("\n".join(indent + line for line in lines) or f"{indent}pass") + "\n"
+        )
     return text
 
 
@@ -154,7 +170,11 @@ def cache_folder() -> Path:
 
 def lasting_folder() -> Path:
     """Where they are kept from one process to the next, if it can be written."""
-    base = os.environ.get("SUNSPIN_CACHE") or os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    base = (
+        os.environ.get("SUNSPIN_CACHE")
+        or os.environ.get("XDG_CACHE_HOME")
+        or str(Path.home() / ".cache")
+    )
     return Path(base) / "sunspin" / "kernels"
 
 

@@ -55,15 +55,19 @@ def require_device(device: str) -> None:
         return
     if importlib.util.find_spec("numba_cuda") is None:
         raise InputError(
-            sentence('device "cuda" needs numba-cuda, which is not installed', do='pip install "sunspin[gpu]"')
+            sentence(
+                'device "cuda" needs numba-cuda, which is not installed',
+                do='pip install "sunspin[gpu]"',
+            )
         )
     if not _is_available():
         raise InputError(
             sentence(
                 'device "cuda" needs an NVIDIA GPU with its driver, and the CUDA libraries of pip install "sunspin[gpu]"',
-                got="none that works here", do='use device "cpu"',
+                got="none that works here",
+                do='use device "cpu"',
             )
-        )  # fmt: skip
+        )
 
 
 @lru_cache(maxsize=1)
@@ -99,11 +103,18 @@ def cuda_source(structure: c.Structure) -> str:
 @lru_cache(maxsize=32)
 def cuda_kernel(structure: c.Structure) -> ModuleType:
     """The module with the kernel `run` for this structure; it is compiled when it is first launched."""
-    return module_of(cuda_source(structure), f"{metadata.version('numba')} {metadata.version('numba-cuda')}")
+    return module_of(
+        cuda_source(structure), f"{metadata.version('numba')} {metadata.version('numba-cuda')}"
+    )
 
 
 def launch(
-    structure: c.Structure, work: np.ndarray, groups: list[Group], modes: np.ndarray, normals: np.ndarray, result: Any
+    structure: c.Structure,
+    work: np.ndarray,
+    groups: list[Group],
+    modes: np.ndarray,
+    normals: np.ndarray,
+    result: Any,
 ) -> None:
     """Run groups of rows of `work` (n, ROWS) and put what they give into `result`, as the processor's `run` does.
 
@@ -115,12 +126,23 @@ def launch(
     index = np.concatenate([rows for rows, _ in groups])
     plans = np.repeat(np.arange(len(groups)), [len(rows) for rows, _ in groups])
     begins = np.cumsum([0, *(len(steps) for _, (steps, _, _) in groups)])
-    parts = [np.concatenate(column) for column in zip(*(segments for _, segments in groups), strict=True)]
+    parts = [
+        np.concatenate(column) for column in zip(*(segments for _, segments in groups), strict=True)
+    ]
     n, run = len(index), cuda_kernel(structure).run
-    given = [work[index], plans, begins, modes, normals if normals.size else np.zeros(1, np.float32), *parts]
+    given = [
+        work[index],
+        plans,
+        begins,
+        modes,
+        normals if normals.size else np.zeros(1, np.float32),
+        *parts,
+    ]
     taken = [result.hist, result.track, result.outcome, result.evenness]
     with _lock, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="(?s).*Grid size")  # few rows do not fill a GPU, and that is all right
+        warnings.filterwarnings(
+            "ignore", message="(?s).*Grid size"
+        )  # few rows do not fill a GPU, and that is all right
         arrays = [cuda.to_device(np.ascontiguousarray(array)) for array in given]
         room = [cuda.device_array((n, *array.shape[1:]), array.dtype) for array in taken]
         run[(n + THREADS - 1) // THREADS, THREADS](*arrays, *room)

@@ -33,6 +33,20 @@ def run(work, plans, begins, modes, normals, steps, dts, output, hist, track, ou
     begin = begins[plans[i]]
     end = begins[plans[i] + 1]
     run_block(
-        work, index, modes, normals, steps[begin:end], dts[begin:end], output[begin:end], rows, w, v, bins, weights, hist[i],
-        track, outcome[i : i + 1], evenness[i : i + 1],
-    )  # fmt: skip
+        work,
+        index,
+        modes,
+        normals,
+        steps[begin:end],
+        dts[begin:end],
+        output[begin:end],
+        rows,
+        w,
+        v,
+        bins,
+        weights,
+        hist[i],
+        track,
+        outcome[i : i + 1],
+        evenness[i : i + 1],
+    )

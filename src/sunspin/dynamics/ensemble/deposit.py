@@ -35,15 +35,22 @@ def deposit_body(o: Lanes, node: int) -> list[str]:
     bins, last = o.number(o.structure.bins / 2), o.number(o.structure.bins - 1)
     for k, x in enumerate(("mean - spread", "mean + spread", "mean")):
         o.add(f"x = {x}", "z = p2 + x * (b2 + x * (quadratic + x * (cubic + x * quartic)))")
-        o.add(f"place = (z + {o.number(1.0)}) * {bins}", f"place = place if place > {o.number(0.0)} else {o.number(0.0)}")
-        o.add(f"place = place if place < {last} else {last}")  # a number that is none ends in the first bin, not beyond
+        o.add(
+            f"place = (z + {o.number(1.0)}) * {bins}",
+            f"place = place if place > {o.number(0.0)} else {o.number(0.0)}",
+        )
+        o.add(
+            f"place = place if place < {last} else {last}"
+        )  # a number that is none ends in the first bin, not beyond
         o.add(f"bins[{k * o.lanes} + j] = np.int32(place)")
     return o.take()
 
 
 def _way(o: Lanes, node: int) -> None:
     """r at the inner points (x<part>_<k>) and the coefficients of r_z."""
-    start, end = ([o.row("V_NODE", NODE_ROWS * n + k) for k in range(NODE_ROWS)] for n in (node, node + 1))
+    start, end = (
+        [o.row("V_NODE", NODE_ROWS * n + k) for k in range(NODE_ROWS)] for n in (node, node + 1)
+    )
     share = o.number(1.0 / o.nodes)
     o.add(f"dt = {o.row('V_DT')} * {share}", f"turn = dt * dt * {end[6]} * {o.number(1 / 24)}")
     inner = [part / PARTS for part in range(1, PARTS // 2 + 1)]
@@ -51,8 +58,18 @@ def _way(o: Lanes, node: int) -> None:
         # values of the basis: of begin - end, where the bubble t^2 (1 - t)^2 is proportional to it, too
         o.add(f"even{m} = {o.number(t * (1 - t) / 2)} + {o.number((t * (1 - t)) ** 2)} * turn")
     for k in range(3):
-        o.add(f"p{k} = {start[k]}", f"q{k} = {end[k]}", f"b{k} = dt * {start[3 + k]}", f"e{k} = dt * {end[3 + k]}")
-        o.add(f"way = q{k} - p{k}", f"bend = b{k} - e{k}", f"both = b{k} + e{k}", f"middle = {o.number(0.5)} * (p{k} + q{k})")
+        o.add(
+            f"p{k} = {start[k]}",
+            f"q{k} = {end[k]}",
+            f"b{k} = dt * {start[3 + k]}",
+            f"e{k} = dt * {end[3 + k]}",
+        )
+        o.add(
+            f"way = q{k} - p{k}",
+            f"bend = b{k} - e{k}",
+            f"both = b{k} + e{k}",
+            f"middle = {o.number(0.5)} * (p{k} + q{k})",
+        )
         for m, t in enumerate(inner, 1):
             o.add(f"even = middle + even{m} * bend")
             if m == PARTS // 2:  # the very middle
@@ -62,7 +79,12 @@ def _way(o: Lanes, node: int) -> None:
             odd_way, odd_both = t * t * (3 - 2 * t) - 0.5, t * (1 - t) * (1 - 2 * t) / 2
             o.add(f"odd = {o.number(odd_way)} * way + {o.number(odd_both)} * both")
             o.add(f"x{m}_{k} = even + odd", f"x{PARTS - m}_{k} = even - odd")
-    o.add("bubble = turn * bend", "quartic = bubble", f"two = {o.number(2.0)} * bubble", "cubic = both - way - way - two")
+    o.add(
+        "bubble = turn * bend",
+        "quartic = bubble",
+        f"two = {o.number(2.0)} * bubble",
+        "cubic = both - way - way - two",
+    )
     o.add("quadratic = way - b2 - cubic - quartic")
 
 
@@ -79,15 +101,22 @@ def _counted(o: Lanes) -> None:
     o.add(f"length = {zero}", f"first = {zero}", f"second = {zero}")
     for part in range(PARTS):
         a, b = f"m{part}", f"m{part + 1}"
-        curvature = f"{half} * (s{part} + s{part + 1})" if 0 < part < PARTS - 1 else f"s{max(part, 1)}"
+        curvature = (
+            f"{half} * (s{part} + s{part + 1})" if 0 < part < PARTS - 1 else f"s{max(part, 1)}"
+        )
         o.add(f"inverse = {one} / ({b} - {a} + {o.number(1e-30)})", f"t = -{a} * inverse")
-        o.add(f"t = t + {half} * ({curvature}) * t * ({one} - t) * inverse", f"t = min(max(t, {zero}), {one})")
+        o.add(
+            f"t = t + {half} * ({curvature}) * t * ({one} - t) * inverse",
+            f"t = min(max(t, {zero}), {one})",
+        )
         o.add(f"t = t if {a} * {b} < {zero} else {one}", f"up = {a} > {zero}")
         o.add(f"f = t if up else {one} - t", f"c = {half} * t if up else {half} + {half} * t")
         o.add(f"c = c + {o.number(part)}", "first = first + f * c", "length = length + f")
         o.add(f"second = second + f * (c * c + {o.number(1 / 12)} * f * f)")
     o.add(f"inverse = {one} / (length + {o.number(1e-30)})", "mean = first * inverse")
-    o.add(f"spread = math.sqrt(max(second * inverse - mean * mean, {zero})) * {o.number(1 / PARTS)}")
+    o.add(
+        f"spread = math.sqrt(max(second * inverse - mean * mean, {zero})) * {o.number(1 / PARTS)}"
+    )
     o.add(f"mean = mean * {o.number(1 / PARTS)}", f"length = length * {o.number(1 / PARTS)}")
 
 
@@ -95,7 +124,9 @@ def signed_lines(o: Lanes, point: list[str]) -> list[str]:
     """The mask at a point as one number, `signed`: the largest over the clauses of the smallest of their distances, or what the
     table there says."""
     if o.structure.mask_rows:
-        return [f"signed = read({size_of(o.structure.mask_rows)}, normals, 1, 0, {', '.join(point)})"]
+        return [
+            f"signed = read({size_of(o.structure.mask_rows)}, normals, 1, 0, {', '.join(point)})"
+        ]
     lines, used = [], sorted({k for clause in o.structure.mask for k, _ in clause})
     for k in used:
         terms = []

@@ -71,11 +71,15 @@ FINE = "FINE"
 CHATTERS = "CHATTERS"
 PAST_UNKNOWN = "PAST_UNKNOWN"
 NOT_FINITE = "NOT_FINITE"
-PIECES = 4  # of a step with events: a wheel held at the end of each may have slipped only between them
+PIECES = (
+    4  # of a step with events: a wheel held at the end of each may have slipped only between them
+)
 MAX_EVENTS_PER_STEP = 64
 EVENT_TOLERANCE = "EVENT_TOLERANCE"  # of the place of an event in its step
 jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-estimate = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "afn"})  # of reciprocals, refined
+estimate = njit(
+    cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "afn"}
+)  # of reciprocals, refined
 "CONSTANTS"
 
 
@@ -190,7 +194,9 @@ def prepare(work, index, modes, dt, rows, w, v, outcome):
     """Rows into lanes (the last one repeated); wheels at rest may have to slip at once."""
     for j in range(LANES):
         one = rows[j]
-        for k in range(ROWS):  # a slice would bring in numba's sentence on shapes that differ: four seconds of compilation
+        for k in range(
+            ROWS
+        ):  # a slice would bring in numba's sentence on shapes that differ: four seconds of compilation
             one[k] = work[index[min(j, index.size - 1)], k]
         one[DT] = dt
         outcome[j] = FINE
@@ -221,7 +227,24 @@ def tell(one, out):
 
 
 @jit
-def run_block(work, index, modes, normals, steps, dts, output, rows, w, v, bins, weights, hist, track, outcome, evenness):
+def run_block(
+    work,
+    index,
+    modes,
+    normals,
+    steps,
+    dts,
+    output,
+    rows,
+    w,
+    v,
+    bins,
+    weights,
+    hist,
+    track,
+    outcome,
+    evenness,
+):
     """Advance one block of at most LANES rows of `work`; see `run`."""
     stuck = prepare(work, index, modes, dts[-1], rows, w, v, outcome)
     if BINS:
@@ -278,7 +301,24 @@ def run(work, index, modes, normals, steps, dts, output, hist, track, outcome, e
     for start in range(0, index.size, LANES):
         take = index[start : start + LANES]
         block[:] = 0.0
-        run_block(work, take, modes, normals, steps, dts, output, rows, w, v, bins, weights, block, track, ends, even)
+        run_block(
+            work,
+            take,
+            modes,
+            normals,
+            steps,
+            dts,
+            output,
+            rows,
+            w,
+            v,
+            bins,
+            weights,
+            block,
+            track,
+            ends,
+            even,
+        )
         for j in range(take.size):
             outcome[take[j]] = ends[j]
             evenness[take[j]] = even[j]

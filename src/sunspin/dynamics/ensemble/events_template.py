@@ -18,7 +18,11 @@ def step_one(w):
     if square > 0.0:
         size = math.sqrt(square)
         angle = w[SPIN] * size * w[DT]
-        along = (1.0 - math.cos(angle)) * (w[H] * w[r] + w[H + 1] * w[r + 1] + w[H + 2] * w[r + 2]) / square
+        along = (
+            (1.0 - math.cos(angle))
+            * (w[H] * w[r] + w[H + 1] * w[r + 1] + w[H + 2] * w[r + 2])
+            / square
+        )
         spin_one(w, math.cos(angle), math.sin(angle) / size, along)
 
 

@@ -36,8 +36,17 @@ NEARLY_AWAY = 0.25
 """Squared share of its friction at which a stuck wheel is looked at closely: it may break away and be held again in one step."""
 
 LANE_WHEEL_ROWS = (
-    "axis_x", "axis_y", "axis_z", "inverse_inertia", "free", "coulomb", "viscous", "inertia", "watch", "inverse_limit2",
-)  # fmt: skip
+    "axis_x",
+    "axis_y",
+    "axis_z",
+    "inverse_inertia",
+    "free",
+    "coulomb",
+    "viscous",
+    "inertia",
+    "watch",
+    "inverse_limit2",
+)
 """Rows of a wheel, in this order."""
 
 
@@ -54,10 +63,19 @@ class Lanes:
         self.constants: dict[tuple[str, float], str] = {}
         self.lines: list[str] = []
         n_state = structure.layout.n_state
-        self.at: dict[str, int] = _places({
-            "S_STATE": n_state, "S_OLD": n_state, "S_DT": 1, "S_MARGIN": 1, "S_LEAST": 1, "S_TURN": 3 * self.nodes,
-            "S_WHEEL": len(LANE_WHEEL_ROWS) * self.n, **self.more_rows(), "S_ROWS": 0,
-        }) | _places({"V_NODE": NODE_ROWS * (self.nodes + 1), "V_DT": 1, "V_SIGNED": 1, "V_ROWS": 0})  # fmt: skip
+        self.at: dict[str, int] = _places(
+            {
+                "S_STATE": n_state,
+                "S_OLD": n_state,
+                "S_DT": 1,
+                "S_MARGIN": 1,
+                "S_LEAST": 1,
+                "S_TURN": 3 * self.nodes,
+                "S_WHEEL": len(LANE_WHEEL_ROWS) * self.n,
+                **self.more_rows(),
+                "S_ROWS": 0,
+            }
+        ) | _places({"V_NODE": NODE_ROWS * (self.nodes + 1), "V_DT": 1, "V_SIGNED": 1, "V_ROWS": 0})
         if self.lanes == 1:
             self.at["S_LEAST"] = self.at["S_MARGIN"]  # the least of one, with nothing to halve
 
@@ -91,7 +109,9 @@ class Lanes:
         return self.constants.setdefault((kind, float(value)), f"C{len(self.constants)}")
 
     def definitions(self) -> str:
-        return "\n".join(f"{name} = np.{kind}({value!r})" for (kind, value), name in self.constants.items())
+        return "\n".join(
+            f"{name} = np.{kind}({value!r})" for (kind, value), name in self.constants.items()
+        )
 
     def add(self, *lines: str) -> None:
         self.lines.extend(lines)
@@ -115,8 +135,19 @@ class Lanes:
 
     def load_wheels(self) -> None:
         for i, axis in enumerate(self.axes()):
-            self.add(*(f"u{i}_{k} = {self.wheel(i, 'axis_' + 'xyz'[k])}" for k, c in enumerate(axis) if c is None))
-            named = (("iJ", "inverse_inertia"), ("free", "free"), ("coul", "coulomb"), ("visc", "viscous"))
+            self.add(
+                *(
+                    f"u{i}_{k} = {self.wheel(i, 'axis_' + 'xyz'[k])}"
+                    for k, c in enumerate(axis)
+                    if c is None
+                )
+            )
+            named = (
+                ("iJ", "inverse_inertia"),
+                ("free", "free"),
+                ("coul", "coulomb"),
+                ("visc", "viscous"),
+            )
             self.add(*(f"{symbol}{i} = {self.wheel(i, name)}" for symbol, name in named))
 
     def axes(self) -> tuple[tuple[Component, ...], ...]:
@@ -126,22 +157,34 @@ class Lanes:
     def keep_state(self, suffix: str = "") -> None:
         """Read the state into its names, and keep it in case the step has to be done again."""
         for k, name in enumerate(state_names(self.structure)):
-            self.add(f"{name}{suffix} = {self.row('S_STATE', k)}", f"{self.row('S_OLD', k)} = {name}{suffix}")
+            self.add(
+                f"{name}{suffix} = {self.row('S_STATE', k)}",
+                f"{self.row('S_OLD', k)} = {name}{suffix}",
+            )
 
     def store_state(self) -> None:
-        self.add(*(f"{self.row('S_STATE', k)} = {name}" for k, name in enumerate(state_names(self.structure))))
+        self.add(
+            *(
+                f"{self.row('S_STATE', k)} = {name}"
+                for k, name in enumerate(state_names(self.structure))
+            )
+        )
 
     def turn(self, node: int) -> None:
         """Turn r about H by the common share of omega since the beginning of the step, up to a node (1 ..)."""
         names = ("cosine", "sine", "along")
-        self.add(*(f"{name} = {self.row('S_TURN', 3 * (node - 1) + k)}" for k, name in enumerate(names)))
+        self.add(
+            *(f"{name} = {self.row('S_TURN', 3 * (node - 1) + k)}" for k, name in enumerate(names))
+        )
         turned = g.spun(axis_symbols(self.structure), sp.symbols("r0:3"), *sp.symbols(names))
         self.put(["x0", "x1", "x2"], list(turned))
 
     def first_node(self) -> None:
         """The last node of the step before is the first of this one."""
         last = NODE_ROWS * self.nodes
-        self.add(*(f"{self.row('V_NODE', k)} = {self.row('V_NODE', last + k)}" for k in range(NODE_ROWS)))
+        self.add(
+            *(f"{self.row('V_NODE', k)} = {self.row('V_NODE', last + k)}" for k in range(NODE_ROWS))
+        )
 
     def rates(self) -> None:
         """omega, o0 to o2, at the state in the names."""
@@ -167,15 +210,25 @@ class Lanes:
             return []
         self.load_parameters()
         H, h, directions = state_symbols(self.structure)
-        self.add(*(f"{name} = {self.row('S_STATE', k)}" for k, name in enumerate(momentum_names(self.structure))))
+        self.add(
+            *(
+                f"{name} = {self.row('S_STATE', k)}"
+                for k, name in enumerate(momentum_names(self.structure))
+            )
+        )
         self.add(*(f"J{i} = {self.wheel(i, 'inertia')}" for i in range(self.n)))
         p = self.parameters()
-        torques = [g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, sp.Symbol(TIME)) for i in range(self.n)]
+        torques = [
+            g.holding_torque(H, h, p, p.wheels[i], sp.Symbol(f"J{i}"), directions, sp.Symbol(TIME))
+            for i in range(self.n)
+        ]
         self.put([f"torque{i}" for i in range(self.n)], torques)
         self.add(f"margin = {self.row('S_MARGIN')}")
         near = self.number(NEARLY_AWAY, self.structure.precision)
         for i in range(self.n):
-            self.add(f"margin = min(margin, {near} - torque{i} * torque{i} * {self.wheel(i, 'inverse_limit2')})")
+            self.add(
+                f"margin = min(margin, {near} - torque{i} * torque{i} * {self.wheel(i, 'inverse_limit2')})"
+            )
         self.add(f"{self.row('S_MARGIN')} = margin")
         return self.take()
 
@@ -183,7 +236,10 @@ class Lanes:
         """The smallest of the first half of row S_LEAST into its first lane; each loop is a single vector operation."""
         width, lines, at = self.lanes // 4, [], self.at["S_LEAST"] * self.lanes
         while width:
-            lines += [f"for j in range({width}):", f"    w[{at} + j] = min(w[{at} + j], w[{at + width} + j])"]
+            lines += [
+                f"for j in range({width}):",
+                f"    w[{at} + j] = min(w[{at} + j], w[{at + width} + j])",
+            ]
             width //= 2
         return lines
 

@@ -67,16 +67,22 @@ def frames(vehicle: Vehicle, bodies: Bodies) -> Frames:
 def _typical_momentum(vehicle: Vehicle) -> float:
     """N m s."""
     body = TYPICAL_RATE * float(np.trace(vehicle.require_inertia())) / 3
-    return body + sum(wheel.inertia_kg_m2 * abs(wheel.speed_rad_s or 0.0) for wheel in vehicle.wheels)
+    return body + sum(
+        wheel.inertia_kg_m2 * abs(wheel.speed_rad_s or 0.0) for wheel in vehicle.wheels
+    )
 
 
-def _typical_wheel_rates(vehicle: Vehicle, bodies: Bodies, inverse: np.ndarray, axes: np.ndarray) -> np.ndarray:
+def _typical_wheel_rates(
+    vehicle: Vehicle, bodies: Bodies, inverse: np.ndarray, axes: np.ndarray
+) -> np.ndarray:
     """Components (n_set, ..., 3) of A^-1 sum_free J |W| |u|."""
     speeds = np.array([abs(wheel.speed_rad_s or 100.0) for wheel in vehicle.wheels])
     return _wheel_rates(bodies, inverse, axes, bodies.wheel_inertia_kg_m2 * speeds)
 
 
-def _wheel_rates(bodies: Bodies, inverse: np.ndarray, axes: np.ndarray, momenta: np.ndarray) -> np.ndarray:
+def _wheel_rates(
+    bodies: Bodies, inverse: np.ndarray, axes: np.ndarray, momenta: np.ndarray
+) -> np.ndarray:
     """Bounds (n_set, n, 3) in rad/s on l sum_free |h| |u| in principal axes, from |h| (n, n_wheel)."""
     total = np.zeros(1)
     for i, free in enumerate(free_sets(bodies.n_wheels).T):
@@ -88,13 +94,19 @@ def _wheel_rates(bodies: Bodies, inverse: np.ndarray, axes: np.ndarray, momenta:
 def _cost(order: np.ndarray, inverse: np.ndarray, bias: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Size of the commutators of main, P and Q, rotations about the axes m, p and q, at typical rates."""
     p, q, m = order
-    spread = np.abs(inverse - inverse[..., q, None]) / inverse.mean(axis=-1, keepdims=True) * turn[..., None]
+    spread = (
+        np.abs(inverse - inverse[..., q, None])
+        / inverse.mean(axis=-1, keepdims=True)
+        * turn[..., None]
+    )
     main, first, second = spread[..., m] + bias[..., m], spread[..., p] + bias[..., p], bias[..., q]
     small = first + second
     return main**2 * small / 24 + main * small**2 / 12 + first * second * small / 12
 
 
-def part_rates(bodies: Bodies, frame: Frames, momentum: np.ndarray, axial: np.ndarray) -> np.ndarray:
+def part_rates(
+    bodies: Bodies, frame: Frames, momentum: np.ndarray, axial: np.ndarray
+) -> np.ndarray:
     """Bounds (3, n_set, n) on the rates of main, P and Q in rad/s, from |H| (n) and |h| (n, n_wheel), per set of free wheels."""
     spread = np.abs(frame.inverse - frame.inverse[..., 1:2]) * momentum[:, None]
     rates = spread + _wheel_rates(bodies, frame.inverse, frame.axes, np.abs(axial))

@@ -39,7 +39,9 @@ class Rows:
     def take(self, index: np.ndarray) -> Rows:
         bodies = None if self.bodies is None else self.bodies.take(index)
         attitude = None if self.B_from_N is None else self.B_from_N[index]
-        return Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index], bodies, attitude)
+        return Rows(
+            self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index], bodies, attitude
+        )
 
     def carried(self, acting: Acting, own: np.ndarray) -> np.ndarray:
         """What torques need of directions (n, n_carried), `own` as `Acting.own` gives it; `InputError` for rows without attitudes
@@ -47,10 +49,19 @@ class Rows:
         if not needed(acting.torques):
             return np.zeros((len(self), 0))
         if self.B_from_N is None and needed_around(acting.torques):
-            raise InputError(sentence("torques that depend on directions need the attitude of each row", do="give B_from_N"))
+            raise InputError(
+                sentence(
+                    "torques that depend on directions need the attitude of each row",
+                    do="give B_from_N",
+                )
+            )
         from scipy.spatial.transform import Rotation
 
-        attitude = np.tile([0.0, 0.0, 0.0, 1.0], (len(self), 1)) if self.B_from_N is None else self.B_from_N
+        attitude = (
+            np.tile([0.0, 0.0, 0.0, 1.0], (len(self), 1))
+            if self.B_from_N is None
+            else self.B_from_N
+        )
         return acting.carried(Rotation.from_quat(attitude).as_matrix(), own=own)
 
     def bodies_of(self, vehicle: Vehicle) -> Bodies:
@@ -73,7 +84,9 @@ def mode_table(vehicle: Vehicle, bodies: Bodies, with_frames: bool = True) -> np
     The latter take more than half of the time, and zeros stand in their place unless they are asked for: only the split method,
     which is for histograms, reads them.
     """
-    numbers = np.concatenate([bodies.inertia_kg_m2.reshape(-1, 9), bodies.wheel_inertia_kg_m2], axis=-1)
+    numbers = np.concatenate(
+        [bodies.inertia_kg_m2.reshape(-1, 9), bodies.wheel_inertia_kg_m2], axis=-1
+    )
     same = np.ascontiguousarray(numbers).view([("", np.float64)] * numbers.shape[1]).ravel()
     _, first, which = np.unique(same, return_index=True, return_inverse=True)
     if len(first) < len(numbers):
@@ -98,18 +111,30 @@ def _wheel_modes(
 ) -> Iterator[tuple[np.ndarray, list[m.WheelState]]]:
     """Rows that begin with their wheels in the same mode, and that mode; its speeds and limits are those of one of them."""
     held = np.array([command == "hold" for command in commands], dtype=bool)
-    keys = np.concatenate([np.where(held, 0.0, np.sign(speeds)), np.broadcast_to(coulomb > 0, speeds.shape)], axis=1)
+    keys = np.concatenate(
+        [np.where(held, 0.0, np.sign(speeds)), np.broadcast_to(coulomb > 0, speeds.shape)], axis=1
+    )
     _, first, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(group.ravel(), kind="stable")
     edges = np.searchsorted(group.ravel()[order], np.arange(1, len(first)))
     coulomb = np.broadcast_to(coulomb, speeds.shape)
     for row, members in zip(first, np.split(order, edges), strict=True):
         wheels = zip(vehicle.wheels, commands, speeds[row], coulomb[row], strict=True)
-        yield members, [m.state_under(wheel, command, float(speed), float(dry)) for wheel, command, speed, dry in wheels]
+        yield (
+            members,
+            [
+                m.state_under(wheel, command, float(speed), float(dry))
+                for wheel, command, speed, dry in wheels
+            ],
+        )
 
 
 def work_array(
-    vehicle: Vehicle, rows: Rows, commands: Sequence[str], modes: np.ndarray, acting: Acting = NOTHING
+    vehicle: Vehicle,
+    rows: Rows,
+    commands: Sequence[str],
+    modes: np.ndarray,
+    acting: Acting = NOTHING,
 ) -> np.ndarray:
     """The kernel's row of numbers for each trajectory, (n, rows); `modes` as `mode_table` gives it for their bodies."""
     layout, bodies = c.RowLayout.under(acting.torques, len(vehicle.wheels)), rows.bodies_of(vehicle)
@@ -138,9 +163,16 @@ def work_array(
 
 
 def _fill_wheel(
-    work: np.ndarray, layout: c.RowLayout, i: int, members: np.ndarray, own: np.ndarray, wheel: m.Wheel, state: m.WheelState,
-    bodies: Bodies, speeds: np.ndarray,
-) -> None:  # fmt: skip
+    work: np.ndarray,
+    layout: c.RowLayout,
+    i: int,
+    members: np.ndarray,
+    own: np.ndarray,
+    wheel: m.Wheel,
+    state: m.WheelState,
+    bodies: Bodies,
+    speeds: np.ndarray,
+) -> None:
     """The numbers of wheel i, in the rows `members`, which begin in the same state."""
     body = own[members]
     inertia = bodies.wheel_inertia_kg_m2[body, i]

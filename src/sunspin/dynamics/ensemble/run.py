@@ -34,14 +34,24 @@ Mask = Counted
 
 
 def structure_of(
-    vehicle: Vehicle, mask: Mask | None, bins: int, method: str = "series", own_bodies: bool = False,
+    vehicle: Vehicle,
+    mask: Mask | None,
+    bins: int,
+    method: str = "series",
+    own_bodies: bool = False,
     torques: tuple[Torque, ...] = (),
 ) -> c.Structure:
     """What the source of the kernel depends on, for rows with the vehicle's own numbers or with theirs; `InputError` for torques
     that turn H in space with the method that keeps it."""
     if torques and method == "split":
         names = ", ".join(torque.name for torque in torques)
-        raise InputError(sentence("the split method keeps the momentum, which torques change", got=names, do="run by series"))
+        raise InputError(
+            sentence(
+                "the split method keeps the momentum, which torques change",
+                got=names,
+                do="run by series",
+            )
+        )
     axes = tuple(c.components(wheel.axis_B) for wheel in vehicle.wheels)
     oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
     if mask is None or not bins:
@@ -52,7 +62,9 @@ def structure_of(
     return c.Structure(axes, normals, mask.clauses, bins, method, oblique, torques)
 
 
-def prepare(vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]], torques: tuple[Torque, ...] = ()) -> None:
+def prepare(
+    vehicle: Vehicle, runs: Iterable[tuple[Mask | None, int]], torques: tuple[Torque, ...] = ()
+) -> None:
     """Have the kernels for runs with these masks and numbers of bins compiled, in another process, while this one goes on."""
     compile_ahead(structures(vehicle, runs, torques))
 
@@ -70,7 +82,11 @@ def check_commands(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> tuple[s
     """One constant command per wheel."""
     plan = m.schedules(vehicle, wheel_mode)
     if any(len(schedule) > 1 for schedule in plan):
-        raise InputError(sentence("an ensemble runs with one command per wheel", got=wheel_mode, do="chain two runs"))
+        raise InputError(
+            sentence(
+                "an ensemble runs with one command per wheel", got=wheel_mode, do="chain two runs"
+            )
+        )
     return tuple(schedule[0][1] for schedule in plan)
 
 
@@ -126,12 +142,27 @@ class BlockResult:
 
 
 def _launch(
-    structure: c.Structure, work: np.ndarray, groups: list[Group], modes: np.ndarray, normals: np.ndarray, result: BlockResult
+    structure: c.Structure,
+    work: np.ndarray,
+    groups: list[Group],
+    modes: np.ndarray,
+    normals: np.ndarray,
+    result: BlockResult,
 ) -> None:
     """Run groups of rows of `work` on the processor and put what they give into `result`."""
     run = ready_kernel(structure).run
     for index, parts in groups:
-        run(work, index, modes, normals, *parts, result.hist, result.track, result.outcome, result.evenness)
+        run(
+            work,
+            index,
+            modes,
+            normals,
+            *parts,
+            result.hist,
+            result.track,
+            result.outcome,
+            result.evenness,
+        )
 
 
 def run_rows(
@@ -178,7 +209,11 @@ def run_rows(
     ends = np.atleast_1d(np.asarray(duration_s, dtype=np.float64))
     gaps = np.diff(ends, prepend=0.0)
     if not (np.all(gaps >= 0) or np.all(gaps <= 0)):
-        raise InputError(sentence("output times must all increase or all decrease from the start of the run", got=ends))
+        raise InputError(
+            sentence(
+                "output times must all increase or all decrease from the start of the run", got=ends
+            )
+        )
     if emd_error is not None and not bins:
         raise InputError(sentence("an EMD needs a histogram", got="bins = 0"))
     wanted = accuracy(direction_error, emd_error)
@@ -190,9 +225,14 @@ def run_rows(
     work = work_array(vehicle, rows, commands, modes, acting)
     normals = np.zeros(0, np.float32) if mask is None else mask.numbers
     result = BlockResult(
-        np.zeros((n, bins), dtype=np.float32), np.zeros((n, 0 if bins else ends.size, layout.n_output)),
-        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.full(n, "series"), np.ones(n), layout,
-    )  # fmt: skip
+        np.zeros((n, bins), dtype=np.float32),
+        np.zeros((n, 0 if bins else ends.size, layout.n_output)),
+        np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=np.int64),
+        np.full(n, "series"),
+        np.ones(n),
+        layout,
+    )
 
     def go(which: np.ndarray, accuracy: Accuracy) -> None:
         scales = Scales(vehicle, rows.take(which), commands, acting)
@@ -204,11 +244,15 @@ def run_rows(
             by_method.setdefault(method, []).append((which[group], parts))
         for method, groups in by_method.items():
             launch = launch_cuda if device == "cuda" else _launch
-            structure = structure_of(vehicle, mask, bins, method, rows.bodies is not None, acting.torques)
+            structure = structure_of(
+                vehicle, mask, bins, method, rows.bodies is not None, acting.torques
+            )
             launch(structure, work, groups, modes, normals, result)
 
     go(np.arange(n), wanted)
-    sensitive = np.flatnonzero((result.method == "split") & ~(result.evenness > UNEVEN) & (result.outcome == Outcome.FINE))
+    sensitive = np.flatnonzero(
+        (result.method == "split") & ~(result.evenness > UNEVEN) & (result.outcome == Outcome.FINE)
+    )
     if sensitive.size:
         go(sensitive, wanted.with_true_phase())
     return result

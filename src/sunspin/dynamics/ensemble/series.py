@@ -105,7 +105,9 @@ class Recurrence:
     def _with_sums(self, expression: sp.Expr, k: int, sums: Sums) -> str:
         """As `_coefficient`, with products of two series by the names of their sums."""
         if expression.is_Add:
-            return " + ".join(filter(None, (self._with_sums(part, k, sums) for part in _parts(expression))))
+            return " + ".join(
+                filter(None, (self._with_sums(part, k, sums) for part in _parts(expression)))
+            )
         constants, series = self._split(expression) if expression.is_Mul else ([], [])
         if len(series) != 2:
             return self._coefficient(expression, k)
@@ -115,7 +117,9 @@ class Recurrence:
     def _coefficient(self, expression: sp.Expr, k: int) -> str:
         """Code for the coefficient of order k; empty where it is zero."""
         if expression.is_Add:
-            return " + ".join(filter(None, (self._coefficient(part, k) for part in _parts(expression))))
+            return " + ".join(
+                filter(None, (self._coefficient(part, k) for part in _parts(expression)))
+            )
         if self._series.isdisjoint(expression.free_symbols):
             return f"({self._print(expression)})" if k == 0 else ""
         if expression.is_Symbol:
@@ -147,13 +151,21 @@ class Recurrence:
         """Rows of `series`."""
         return len(self.states) + len(self._definitions)
 
-    def _loop(self, targets: list[tuple[str, sp.Expr]], places: dict[sp.Expr, int], scale: str = "") -> Iterator[str]:
+    def _loop(
+        self, targets: list[tuple[str, sp.Expr]], places: dict[sp.Expr, int], scale: str = ""
+    ) -> Iterator[str]:
         sums: Sums = {}
-        lines = [f"    {target} = {scale}({self._looped(expression, places, sums)})" for target, expression in targets]
+        lines = [
+            f"    {target} = {scale}({self._looped(expression, places, sums)})"
+            for target, expression in targets
+        ]
         if sums:
             yield from (f"    {name} = 0.0" for name in sums.values())
             yield "    for i in range(k + 1):"
-            yield from (f"        {n} += series[{places[a]}, i] * series[{places[b]}, k - i]" for (a, b), n in sums.items())
+            yield from (
+                f"        {n} += series[{places[a]}, i] * series[{places[b]}, k - i]"
+                for (a, b), n in sums.items()
+            )
         yield from lines
 
     def _looped(self, expression: sp.Expr, places: dict[sp.Expr, int], sums: Sums) -> str:

@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING
 
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics.ensemble.codegen import parameter_symbols, recurrence, state_names, torque_symbols
+from sunspin.dynamics.ensemble.codegen import (
+    parameter_symbols,
+    recurrence,
+    state_names,
+    torque_symbols,
+)
 from sunspin.dynamics.ensemble.lanes import NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series import value_at
 
@@ -26,7 +31,9 @@ class SeriesLanes(Lanes):
 
     def more_rows(self) -> dict[str, int]:
         torques = self.structure.layout.n_parameters
-        return {"S_SPIN": 1, "S_INVERSE": 6, "S_HELD": 3} | ({"S_TORQUES": torques} if torques else {})
+        return {"S_SPIN": 1, "S_INVERSE": 6, "S_HELD": 3} | (
+            {"S_TORQUES": torques} if torques else {}
+        )
 
     def parameters(self) -> g.Parameters:
         return parameter_symbols(self.structure)
@@ -36,12 +43,20 @@ class SeriesLanes(Lanes):
         self.add(*(f"inv{k} = {self.row('S_INVERSE', k)}" for k in range(6)))
         self.add(*(f"held{k} = {self.row('S_HELD', k)}" for k in range(3)))
         self.load_wheels()
-        self.add(*(f"{symbol} = {self.row('S_TORQUES', k)}" for k, symbol in enumerate(torque_symbols(self.structure))))
+        self.add(
+            *(
+                f"{symbol} = {self.row('S_TORQUES', k)}"
+                for k, symbol in enumerate(torque_symbols(self.structure))
+            )
+        )
 
     def load_torques(self) -> list[str]:
         """From a row of numbers into the lane."""
         layout = self.structure.layout
-        return [f"{self.row('S_TORQUES', k)} = one[{layout.torques + k}]" for k in range(layout.n_parameters)]
+        return [
+            f"{self.row('S_TORQUES', k)} = one[{layout.torques + k}]"
+            for k in range(layout.n_parameters)
+        ]
 
     def step(self) -> list[str]:
         names, histogram = state_names(self.structure), bool(self.structure.bins)
@@ -65,5 +80,7 @@ class SeriesLanes(Lanes):
     def _put_node(self, node: int) -> None:
         slope = g.cross(sp.symbols("r0:3"), sp.symbols("o0:3"))
         square = g.dot(sp.symbols("o0:3"), sp.symbols("o0:3"))
-        self.put([f"{self.row('V_NODE', NODE_ROWS * node + k)}" for k in range(NODE_ROWS)],
-                 [*sp.symbols("r0:3"), *slope, square])  # fmt: skip
+        self.put(
+            [f"{self.row('V_NODE', NODE_ROWS * node + k)}" for k in range(NODE_ROWS)],
+            [*sp.symbols("r0:3"), *slope, square],
+        )

@@ -53,9 +53,15 @@ class SplitLanes(Lanes):
 
     def more_rows(self) -> dict[str, int]:
         return {
-            "S_INVERSE": 3, "S_DIFFERENCE": 2, "S_HELD": 3, "S_AXES": 9, "S_LOW": self.n, "S_WEAR": len(TIMES) * self.n,
-            "S_SPEEDS": 2, "S_SIZE": 1,
-        }  # fmt: skip
+            "S_INVERSE": 3,
+            "S_DIFFERENCE": 2,
+            "S_HELD": 3,
+            "S_AXES": 9,
+            "S_LOW": self.n,
+            "S_WEAR": len(TIMES) * self.n,
+            "S_SPEEDS": 2,
+            "S_SIZE": 1,
+        }
 
     def axes(self) -> tuple[tuple[Component, ...], ...]:
         return ((None, None, None),) * self.n
@@ -64,7 +70,9 @@ class SplitLanes(Lanes):
         """In principal axes, a wheel's axis times whether it is free in fu<i>_<k>."""
         l, zero = sp.symbols("l0:3"), sp.Integer(0)
         wheels = tuple(wheel_symbols(i, (None, None, None)) for i in range(self.n))
-        return g.Parameters((l[0], zero, zero, l[1], zero, l[2]), tuple(sp.symbols("held0:3")), wheels)
+        return g.Parameters(
+            (l[0], zero, zero, l[1], zero, l[2]), tuple(sp.symbols("held0:3")), wheels
+        )
 
     def load_parameters(self) -> None:
         self.add(*(f"l{k} = {self.row('S_INVERSE', k)}" for k in range(3)))
@@ -97,29 +105,46 @@ class SplitLanes(Lanes):
 
     def _prepare(self) -> None:
         """What the rates of the parts need; friction that does not depend on omega is followed exactly through the step."""
-        self.add(f"dt = {self.row('S_DT')}", f"dp = {self.row('S_DIFFERENCE')}", f"dm = {self.row('S_DIFFERENCE', 1)}")
+        self.add(
+            f"dt = {self.row('S_DT')}",
+            f"dp = {self.row('S_DIFFERENCE')}",
+            f"dm = {self.row('S_DIFFERENCE', 1)}",
+        )
         self.add(*(f"bias{k} = l{k} * held{k}" for k in range(3)))
         for i in range(self.n):
-            self.add(*(f"fu{i}_{k} = free{i} * u{i}_{k}" for k in range(3)), *(f"w{i}_{k} = l{k} * fu{i}_{k}" for k in range(3)))
+            self.add(
+                *(f"fu{i}_{k} = free{i} * u{i}_{k}" for k in range(3)),
+                *(f"w{i}_{k} = l{k} * fu{i}_{k}" for k in range(3)),
+            )
             self.add(f"slow{i} = -free{i} * (coul{i} + visc{i} * iJ{i} * h{i})")
 
     def _renormalise(self) -> None:
         """Lengths of H and r: rounded sines and cosines of angles that hardly change would let them drift, by 1e-3 in a run."""
         for v, square in (("H", f" * {self.row('S_SIZE')}"), ("r", "")):
             self.add(f"square = ({v}0 * {v}0 + {v}1 * {v}1 + {v}2 * {v}2){square}")
-            self.add(f"x = {self.number(1.5)} - {self.number(0.5)} * square", *(f"{v}{k} = {v}{k} * x" for k in range(3)))
+            self.add(
+                f"x = {self.number(1.5)} - {self.number(0.5)} * square",
+                *(f"{v}{k} = {v}{k} * x" for k in range(3)),
+            )
 
     def _wheels_at(self, time: float) -> None:
         """The wheels' momenta, at<i>, at a time in the step."""
         for i in range(self.n):
-            self.add(f"at{i} = h{i} + slow{i} * {self.row('S_WEAR', len(TIMES) * i + TIMES.index(time))}")
+            self.add(
+                f"at{i} = h{i} + slow{i} * {self.row('S_WEAR', len(TIMES) * i + TIMES.index(time))}"
+            )
 
     def _flow(self, part: str, fraction: float, time: float, first_half: bool) -> None:
         """One flow; P and Q come in mirrored order in the second half."""
         self._wheels_at(time)
         self.add(f"share = {self.number(fraction)} * dt")
         if part == "main":
-            self._rotate(f"share * (dm * H2 - {self._wheel_rate(2)})", 0, 1, MAX_MAIN_ANGLE * max(map(abs, MAIN)))
+            self._rotate(
+                f"share * (dm * H2 - {self._wheel_rate(2)})",
+                0,
+                1,
+                MAX_MAIN_ANGLE * max(map(abs, MAIN)),
+            )
             return
         bound = MAX_SIDE_ANGLE * max(map(abs, SIDE[:-1]))
         p = (f"share * (dp * H0 - {self._wheel_rate(0)})", 1, 2, bound)
@@ -136,9 +161,14 @@ class SplitLanes(Lanes):
         """Turn H and r by an angle from axis b towards a: dv/dt = v x omega."""
         self.add(f"angle = {angle}", "square = angle * angle")
         sine, cosine = (self._series(first, bound) for first in (3, 2))
-        self.add(f"s = angle + angle * square * ({sine})", f"c = {self.number(1.0)} + square * ({cosine})")
+        self.add(
+            f"s = angle + angle * square * ({sine})",
+            f"c = {self.number(1.0)} + square * ({cosine})",
+        )
         for v in ("H", "r"):
-            self.add(f"x = c * {v}{a} + s * {v}{b}", f"{v}{b} = c * {v}{b} - s * {v}{a}", f"{v}{a} = x")
+            self.add(
+                f"x = c * {v}{a} + s * {v}{b}", f"{v}{b} = c * {v}{b} - s * {v}{a}", f"{v}{a} = x"
+            )
 
     def _series(self, first: int, bound: float) -> str:
         """Horner form of what follows the leading term of sine (from x^3) or cosine (from x^2), in x^2."""
@@ -180,7 +210,9 @@ class SplitLanes(Lanes):
         """omega, o0 to o2, from H and the wheels' momenta by the name h."""
         H, momenta = sp.symbols("H0:3"), tuple(sp.Symbol(f"{h}{i}") for i in range(self.n))
         p, one = self.parameters(), sp.Integer(1)
-        wheels = tuple(w._replace(axis=sp.symbols(f"fu{i}_0:3"), free=one) for i, w in enumerate(p.wheels))
+        wheels = tuple(
+            w._replace(axis=sp.symbols(f"fu{i}_0:3"), free=one) for i, w in enumerate(p.wheels)
+        )
         self.put(["o0", "o1", "o2"], list(g.body_rate(H, momenta, p._replace(wheels=wheels))))
 
     def _put_node(self, node: int, r: str) -> None:

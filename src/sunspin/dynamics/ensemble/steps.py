@@ -76,7 +76,9 @@ class Scales:
     @cached_property
     def momentum(self) -> np.ndarray:
         """H (n, 3)."""
-        return g.total_momentum(self.rows.bodies_of(self.vehicle), self.rows.omega_B, self.rows.wheel_speed_rad_s)
+        return g.total_momentum(
+            self.rows.bodies_of(self.vehicle), self.rows.omega_B, self.rows.wheel_speed_rad_s
+        )
 
     @cached_property
     def momentum_size(self) -> np.ndarray:
@@ -124,20 +126,33 @@ class Scales:
         turning = np.linalg.norm(carried, axis=-1).max(axis=1, initial=0.0)
         swing = np.sqrt(torque * fast.max(axis=0))
         common = 0.5 * (slow + fast).max(axis=0)
-        whole, pushed = common * (self.momentum_size + gained), 0.5 * (fast - slow).max(axis=0) * gained + swing
-        return (pushed, common * gained + still, whole) if spun(self.acting.torques) else (pushed, whole + turning, still)
+        whole, pushed = (
+            common * (self.momentum_size + gained),
+            0.5 * (fast - slow).max(axis=0) * gained + swing,
+        )
+        return (
+            (pushed, common * gained + still, whole)
+            if spun(self.acting.torques)
+            else (pushed, whole + turning, still)
+        )
 
     @cached_property
     def responses(self) -> list[np.ndarray]:
         """What a unit of each wheel's momentum makes of omega at most (n_wheel; n or 1), 1/(kg m2)."""
         axes = self.rows.bodies_of(self.vehicle).axes_B
-        return [np.linalg.norm(symmetric_product(self.inverses, axis), axis=-1).max(axis=0) for axis in axes]
+        return [
+            np.linalg.norm(symmetric_product(self.inverses, axis), axis=-1).max(axis=0)
+            for axis in axes
+        ]
 
     def wheel_rate(self, t: float) -> np.ndarray:
         """A bound (n), rad/s, of what the wheels' momenta make of omega at the time t (s)."""
         bodies, rate = self.rows.bodies_of(self.vehicle), np.zeros(len(self.rows))
         for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, self.commands, strict=True)):
-            inertia, speed = bodies.wheel_inertia_kg_m2[:, i], np.abs(self.rows.wheel_speed_rad_s[:, i])
+            inertia, speed = (
+                bodies.wheel_inertia_kg_m2[:, i],
+                np.abs(self.rows.wheel_speed_rad_s[:, i]),
+            )
             if command != "hold":
                 dry = m.friction_limit(wheel, command, bodies.coulomb_N_m[:, i])
                 speed = spin_down_speed(dry, bodies.viscous_N_m_s[:, i], inertia, speed, t)
@@ -145,7 +160,9 @@ class Scales:
         return rate
 
 
-def series_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> tuple[np.ndarray, np.ndarray]:
+def series_steps(
+    scales: Scales, duration_s: float, accuracy: Accuracy
+) -> tuple[np.ndarray, np.ndarray]:
     """Number of steps (n) by Taylor series if all were as short as the shortest, and ratio (n) of the slow end to the fast.
 
     At the rate s of omega less its common share, coefficients of order k fall like (SERIES_GROWTH s h)^k / k!, and at the rate
@@ -160,7 +177,9 @@ def series_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> tuple
     angle = np.minimum(angle, MAX_SLOW_ANGLE)
     shortest = uneven / (CONVERGENCE * np.minimum(allowed ** (1 / ORDER), 0.35))
     shortest = np.maximum(shortest, carried / CARRIED_ANGLE)
-    fast, slow = (np.maximum(choose(*ends) / angle, shortest) for choose in (np.maximum, np.minimum))
+    fast, slow = (
+        np.maximum(choose(*ends) / angle, shortest) for choose in (np.maximum, np.minimum)
+    )
     return fast * abs(duration_s), slow / fast
 
 
@@ -177,7 +196,10 @@ def split_steps(scales: Scales, duration_s: float, accuracy: Accuracy) -> np.nda
     """
     vehicle, rows = scales.vehicle, scales.rows
     bodies = rows.bodies_of(vehicle)
-    axial, frame = g.axial_momenta(bodies, rows.omega_B, rows.wheel_speed_rad_s), principal.frames(vehicle, bodies)
+    axial, frame = (
+        g.axial_momenta(bodies, rows.omega_B, rows.wheel_speed_rad_s),
+        principal.frames(vehicle, bodies),
+    )
     main, *side = principal.part_rates(bodies, frame, scales.momentum_size, axial)
     plain_main, *plain_side = principal.part_rates(bodies, frame, scales.momentum_size, 0.0 * axial)
     others, plain = np.sum(side, axis=0), np.sum(plain_side, axis=0)
@@ -209,10 +231,17 @@ class Plan:
         for index in np.split(order, edges):
             if len(index):
                 first = index[0]
-                yield index, str(self.method[first]), int(self.steps[first]), PROFILES[self.profile[first]]
+                yield (
+                    index,
+                    str(self.method[first]),
+                    int(self.steps[first]),
+                    PROFILES[self.profile[first]],
+                )
 
 
-def plan(scales: Scales, duration_s: float, accuracy: Accuracy, histogram: bool, min_steps: int) -> Plan:
+def plan(
+    scales: Scales, duration_s: float, accuracy: Accuracy, histogram: bool, min_steps: int
+) -> Plan:
     """The plan of each row, a function of the row alone."""
     least = np.full(len(scales.rows), float(max(min_steps, 1)))
     if histogram:
@@ -225,9 +254,13 @@ def plan(scales: Scales, duration_s: float, accuracy: Accuracy, histogram: bool,
     steps = on_ladder(np.maximum(wanted, least), scales.rate, duration_s)
     method = np.full(len(scales.rows), "series")
     if accuracy.distribution_only and histogram and not scales.acting.torques:
-        split = on_ladder(np.maximum(split_steps(scales, duration_s, accuracy), least), scales.rate, duration_s)
+        split = on_ladder(
+            np.maximum(split_steps(scales, duration_s, accuracy), least), scales.rate, duration_s
+        )
         use = split < SPLIT_ADVANTAGE * steps
-        return Plan(np.where(use, "split", method), np.where(use, split, steps), np.where(use, 0, profile))
+        return Plan(
+            np.where(use, "split", method), np.where(use, split, steps), np.where(use, 0, profile)
+        )
     return Plan(method, steps, profile)
 
 
@@ -235,20 +268,26 @@ SPLIT_ADVANTAGE = 5.0
 """How many steps by splitting cost as much as one of the series."""
 
 
-def segments(ends: np.ndarray, steps: int, ratio: float, parts: int, growing: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def segments(
+    ends: np.ndarray, steps: int, ratio: float, parts: int, growing: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Steps and their lengths (s) in each segment of a run, and which output (-1: none) is due at its end.
 
     Segments end at the outputs `ends` and where the run is cut into equal parts. Steps are as short as in a run of `steps` of
     equal length at the fast end, which is the first (or, `growing`, the last), and longer by 1 / ratio at the other.
     """
     duration = ends[-1]
-    cuts = np.union1d(np.abs(ends), np.abs(duration) * np.arange(1, parts + 1) / parts if ratio < 1 else [])
+    cuts = np.union1d(
+        np.abs(ends), np.abs(duration) * np.arange(1, parts + 1) / parts if ratio < 1 else []
+    )
     output = np.full(len(cuts), -1)
     output[np.searchsorted(cuts, np.abs(ends))] = np.arange(len(ends))
     gaps = np.diff(cuts, prepend=0.0)
     x = (cuts if growing else cuts - gaps) / (abs(duration) or 1.0)
     share = 1.0 - (1.0 - ratio) * (1.0 - x if growing else x)
-    counts = np.maximum(np.ceil(steps * share * gaps / (abs(duration) or 1.0) - 1e-9), gaps > 0).astype(np.int64)
+    counts = np.maximum(
+        np.ceil(steps * share * gaps / (abs(duration) or 1.0) - 1e-9), gaps > 0
+    ).astype(np.int64)
     return counts, np.copysign(gaps, duration) / np.maximum(counts, 1), output
 
 

@@ -12,21 +12,23 @@ from sunspin.environment import Environment
 
 __all__ = ["NOTHING", "TORQUES", "Acting", "Steady", "Torque", "acting"]
 
-_ALL: tuple[Torque, ...] = (
-    GravityGradient(),
-)  # fmt: skip
+_ALL: tuple[Torque, ...] = (GravityGradient(),)
 
 TORQUES: dict[str, Torque] = {torque.name: torque for torque in _ALL}
 """What may be named as a torque."""
 
 
-def acting(torques: Sequence[str | Torque], environment: Environment | None, t_s: float = 0.0) -> Acting:
+def acting(
+    torques: Sequence[str | Torque], environment: Environment | None, t_s: float = 0.0
+) -> Acting:
     """The torques, by name or as they are, in their environment, for a motion that begins at `t_s`.
 
     `MotionError` for a name that is none, and for a torque that needs what the environment does not give.
     """
     if isinstance(torques, str):
-        raise MotionError(sentence("torques must be a list", got=torques, do=f"write [{torques!r}]"))
+        raise MotionError(
+            sentence("torques must be a list", got=torques, do=f"write [{torques!r}]")
+        )
     found = tuple(_named(torque) if isinstance(torque, str) else torque for torque in torques)
     here = None if environment is None else environment.at(t_s)
     for torque in found:
@@ -35,11 +37,17 @@ def acting(torques: Sequence[str | Torque], environment: Environment | None, t_s
             raise MotionError(sentence(f"the torque {torque.name!r} needs an environment", do=do))
         for name in needed_around([torque]):
             if getattr(here, f"{name}_N") is None:
-                raise MotionError(sentence(f"the torque {torque.name!r} needs the {name}, which the environment does not know"))
+                raise MotionError(
+                    sentence(
+                        f"the torque {torque.name!r} needs the {name}, which the environment does not know"
+                    )
+                )
     return Acting(found, environment, float(t_s))
 
 
 def _named(name: str) -> Torque:
     if name not in TORQUES:
-        raise MotionError(sentence("no such torque", got=name, do=f"choose from {', '.join(TORQUES) or 'none'}"))
+        raise MotionError(
+            sentence("no such torque", got=name, do=f"choose from {', '.join(TORQUES) or 'none'}")
+        )
     return TORQUES[name]

@@ -49,7 +49,13 @@ class Torque(Protocol):
 
     def __hash__(self) -> int: ...
 
-    def __call__(self, omega_B: g.Vector, directions_B: Mapping[str, g.Vector], t_s: Any, parameters: g.Vector) -> g.Vector:
+    def __call__(
+        self,
+        omega_B: g.Vector,
+        directions_B: Mapping[str, g.Vector],
+        t_s: Any,
+        parameters: g.Vector,
+    ) -> g.Vector:
         """The torque (N m, B) by + - * on scalars: numbers, arrays, expressions of heyoka or symbols of SymPy."""
         ...
 
@@ -97,7 +103,12 @@ def n_parameters(torques: Sequence[Torque]) -> int:
 
 def carried_names(torques: Sequence[Torque]) -> list[str]:
     """Names of the numbers carried, as variables."""
-    return [f"{kind}{i}{axis}" for i in range(len(needed(torques))) for kind in ("d", "e") for axis in "xyz"]
+    return [
+        f"{kind}{i}{axis}"
+        for i in range(len(needed(torques)))
+        for kind in ("d", "e")
+        for axis in "xyz"
+    ]
 
 
 def directions_of(torques: Sequence[Torque], state: g.Vector) -> dict[str, g.Direction]:
@@ -128,7 +139,11 @@ class Acting:
 
     def here(self, t_s: Any = None) -> Surroundings | None:
         """The surroundings at the start, or at times."""
-        return None if self.environment is None else self.environment.at(self.start_s if t_s is None else t_s)
+        return (
+            None
+            if self.environment is None
+            else self.environment.at(self.start_s if t_s is None else t_s)
+        )
 
     def values(self, bodies: Bodies) -> np.ndarray:
         """All parameters (..., n) of bodies (...), one torque's after the other's."""
@@ -139,7 +154,9 @@ class Acting:
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """A bound (...) on all torques together (N m)."""
-        parts = np.split(values, np.cumsum([len(torque.parameters) for torque in self.torques])[:-1], axis=-1)
+        parts = np.split(
+            values, np.cumsum([len(torque.parameters) for torque in self.torques])[:-1], axis=-1
+        )
         bounds = [torque.largest(part) for torque, part in zip(self.torques, parts, strict=False)]
         return np.sum(bounds, axis=0) if bounds else np.zeros(values.shape[:-1])
 
@@ -151,15 +168,26 @@ class Acting:
                 do = "give the environment, or leave it out"
                 raise MotionError(sentence("B_from_N is the attitude in an environment", do=do))
             return np.array([0.0, 0.0, 0.0, 1.0])
-        attitude = np.array([0.0, 0.0, 0.0, 1.0]) if B_from_N is None else np.asarray(B_from_N, dtype=np.float64)
+        attitude = (
+            np.array([0.0, 0.0, 0.0, 1.0])
+            if B_from_N is None
+            else np.asarray(B_from_N, dtype=np.float64)
+        )
         if attitude.shape != (4,) or not abs(np.linalg.norm(attitude) - 1) < SUN_TOLERANCE:
-            raise MotionError(sentence("B_from_N must be a unit quaternion, scalar last", got=B_from_N))
+            raise MotionError(
+                sentence("B_from_N must be a unit quaternion, scalar last", got=B_from_N)
+            )
         attitude = attitude / np.linalg.norm(attitude)
         from scipy.spatial.transform import Rotation
 
         away = np.linalg.norm(Rotation.from_quat(attitude).apply(here.sun_N[0]) - sun_B)
         if not away < SUN_TOLERANCE:
-            raise MotionError(sentence("sun_B is not where B_from_N shows the environment's Sun", got=f"{away:.2g} rad away"))
+            raise MotionError(
+                sentence(
+                    "sun_B is not where B_from_N shows the environment's Sun",
+                    got=f"{away:.2g} rad away",
+                )
+            )
         return attitude
 
     def own(self, bodies: Bodies) -> np.ndarray:
@@ -167,7 +195,9 @@ class Acting:
         found = [torque.own(bodies) for torque in self.torques if isinstance(torque, Owned)]
         return np.sum(found, axis=0) if found else np.zeros((*bodies.shape, 3))
 
-    def carried(self, B_from_N: np.ndarray, t_s: Any = None, own: npt.ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+    def carried(
+        self, B_from_N: np.ndarray, t_s: Any = None, own: npt.ArrayLike = (0.0, 0.0, 0.0)
+    ) -> np.ndarray:
         """What is carried of the directions (..., n_carried), from attitudes (..., 3, 3) at the start or at times (n), and of `own`
         (..., 3) as :meth:`own` gives it."""
         here, parts = self.here(t_s), [np.zeros((*B_from_N.shape[:-2], 0))]
@@ -177,7 +207,10 @@ class Acting:
                 continue
             vector = getattr(here, f"{name}_N")
             turn = getattr(here, f"{name}_turn_N", None)
-            parts += [np.einsum("...ij,...j->...i", B_from_N, x) for x in (vector, np.zeros((1, 3)) if turn is None else turn)]
+            parts += [
+                np.einsum("...ij,...j->...i", B_from_N, x)
+                for x in (vector, np.zeros((1, 3)) if turn is None else turn)
+            ]
         return np.concatenate(parts, axis=-1)
 
 

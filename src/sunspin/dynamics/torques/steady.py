@@ -22,12 +22,20 @@ class Steady:
     `torque_N_m` (2, 3): both in body axes at the start, of every body; None: those that the bodies bring, each its own.
     """
 
-    torque_N_m: npt.ArrayLike | None = field(default=None, compare=False)  # numbers of a run, not of its equations
+    torque_N_m: npt.ArrayLike | None = field(
+        default=None, compare=False
+    )  # numbers of a run, not of its equations
     name: str = "steady"
     needs: tuple[str, ...] = (OWN,)
     parameters: tuple[str, ...] = ("x", "y", "z")
 
-    def __call__(self, omega_B: g.Vector, directions_B: Mapping[str, g.Vector], t_s: Any, parameters: g.Vector) -> g.Vector:
+    def __call__(
+        self,
+        omega_B: g.Vector,
+        directions_B: Mapping[str, g.Vector],
+        t_s: Any,
+        parameters: g.Vector,
+    ) -> g.Vector:
         return [parameters[k] + directions_B[OWN][k] for k in range(3)]
 
     def values(self, bodies: Bodies, here: Surroundings | None) -> np.ndarray:
@@ -41,5 +49,9 @@ class Steady:
         return self._both(bodies)[..., 1, :]
 
     def _both(self, bodies: Bodies) -> np.ndarray:
-        torque = bodies.steady_N_m if self.torque_N_m is None else np.asarray(self.torque_N_m, dtype=np.float64)
+        torque = (
+            bodies.steady_N_m
+            if self.torque_N_m is None
+            else np.asarray(self.torque_N_m, dtype=np.float64)
+        )
         return np.broadcast_to(torque, (*bodies.shape, 2, 3))

@@ -41,20 +41,33 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
     at = first[np.clip(np.searchsorted(times, found["time"].values), 0, len(times) - 1)]
     read = telemetry["gyro_B"].values[at]
     decided = found["decided"].values[found["pass_of"].values]
-    use = np.isfinite(read).all(axis=1) & decided & (telemetry["time"].values[at] == found["time"].values)
+    use = (
+        np.isfinite(read).all(axis=1)
+        & decided
+        & (telemetry["time"].values[at] == found["time"].values)
+    )
     if len(np.unique(found["pass_of"].values[use])) < FEWEST_PASSES:
         return None
-    rate, cov, pass_of = found["omega_B"].values[use], found["omega_cov_B"].values[use], found["pass_of"].values[use]
+    rate, cov, pass_of = (
+        found["omega_B"].values[use],
+        found["omega_cov_B"].values[use],
+        found["pass_of"].values[use],
+    )
     read = read[use]
     stated = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
     unstated = float(np.sqrt((read**2).mean()))
-    prior = np.append(np.where(stated > 0, stated, unstated), gyro.scale_sigma / abs(gyro.scale_rad_s) or SCALE_SIGMA)
+    prior = np.append(
+        np.where(stated > 0, stated, unstated),
+        gyro.scale_sigma / abs(gyro.scale_rad_s) or SCALE_SIGMA,
+    )
     value, more, covariance = np.array([0.0, 0.0, 0.0, 1.0]), 1.0, np.diag(prior**2)
     passes, scores = np.unique(pass_of), np.zeros(0)
     for _ in range(ROUNDS):
         model, right = np.diag(prior**-2.0), prior**-2.0 * [0.0, 0.0, 0.0, 1.0]
         scores, squares, count = np.zeros((len(passes), 4)), 0.0, 0
-        for k, design, target in _whitened(read, rate, cov, [pass_of == p for p in passes], gyro.noise_rad_s, more):
+        for k, design, target in _whitened(
+            read, rate, cov, [pass_of == p for p in passes], gyro.noise_rad_s, more
+        ):
             left = design @ value - target
             weight = (STUDENT + len(left)) / (STUDENT + left @ left)
             model += weight * design.T @ design
@@ -65,11 +78,18 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
         value = covariance @ right
         more *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), 0.5, 3.0))
     meat = scores.T @ scores * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
-    return GyroFit(value, covariance, covariance @ meat @ covariance, prior, int(use.sum()), len(passes))
+    return GyroFit(
+        value, covariance, covariance @ meat @ covariance, prior, int(use.sum()), len(passes)
+    )
 
 
 def _whitened(
-    read: np.ndarray, rate: np.ndarray, cov: np.ndarray, of_passes: list[np.ndarray], noise: float, more: float
+    read: np.ndarray,
+    rate: np.ndarray,
+    cov: np.ndarray,
+    of_passes: list[np.ndarray],
+    noise: float,
+    more: float,
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Of each pass, and axis by axis: its number, and design (m, 4) and readings (m) with errors of unit size."""
     for k, rows in enumerate(of_passes):

@@ -16,7 +16,15 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import FEWEST_PASSES, GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import Verdict, check_orbit, start_of
-from sunspin.estimate.orbit.sensor_calibration import FEWEST, SUN_KEYS, Calibration, Readings, fit_in_orbit, priors, readings
+from sunspin.estimate.orbit.sensor_calibration import (
+    FEWEST,
+    SUN_KEYS,
+    Calibration,
+    Readings,
+    fit_in_orbit,
+    priors,
+    readings,
+)
 from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.verdict import NARROWER
 from sunspin.telemetry.gains import prior_sigmas, with_gains
@@ -51,7 +59,9 @@ class Key(NamedTuple):
         return ".".join((*self.where, self.key))
 
 
-def calibrate_sensors(vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | None = None, *, progress: bool = False) -> xr.Dataset:
+def calibrate_sensors(
+    vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | None = None, *, progress: bool = False
+) -> xr.Dataset:
     """Calibrate panels, Sun sensors, magnetometer and gyro by the telemetry itself; no attitude is needed.
 
     Gains of panels come from the brightness of samples in full Sun. In an orbit the strength of the field and its angle to the Sun
@@ -89,12 +99,21 @@ def calibrate_sensors(vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | No
     if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
         seen = readings(calibrated, telemetry)
         made = _in_orbit(calibrated, telemetry, orbit, seen, notes, attrs)
-        keys += [] if made is None else _magnetometer(vehicle, made) + list(_sun_sensors(vehicle, seen, made))
+        keys += (
+            []
+            if made is None
+            else _magnetometer(vehicle, made) + list(_sun_sensors(vehicle, seen, made))
+        )
     if "gyro_B" in telemetry and vehicle.sensors.gyro is not None:
         keys += _gyro(vehicle, telemetry, notes, progress)
     if not keys and not notes:
         what = "the telemetry has nothing that can be calibrated"
-        raise InputError(sentence(what, do="it needs columns of panels, Sun sensors, magnetometer or gyro that the vehicle names"))
+        raise InputError(
+            sentence(
+                what,
+                do="it needs columns of panels, Sun sensors, magnetometer or gyro that the vehicle names",
+            )
+        )
     return _dataset(vehicle, telemetry, keys, notes, attrs)
 
 
@@ -107,7 +126,10 @@ def new_values(found: xr.Dataset) -> list[NewValue]:
             continue
         table, *rest = name.split(".", 1)
         key = rest[0].rsplit(".", 1)  # the name of a part may have dots
-        value, sigma = (_shaped(np.array([float(f"{one:.6g}") for one in part[which].values])) for which in ("value", "sigma"))
+        value, sigma = (
+            _shaped(np.array([float(f"{one:.6g}") for one in part[which].values]))
+            for which in ("value", "sigma")
+        )
         source = str(found.attrs["source"]).format(samples=int(part["samples"].values[0]))
         values.append(NewValue((table, *key[:-1]), key[-1], value, sigma, source))
     return values
@@ -115,7 +137,13 @@ def new_values(found: xr.Dataset) -> list[NewValue]:
 
 def _shaped(numbers: np.ndarray) -> Any:
     """One number, a vector, or the rows of a matrix, as a file has them."""
-    return numbers.item() if len(numbers) == 1 else numbers.reshape(3, 3).tolist() if len(numbers) == 9 else numbers.tolist()
+    return (
+        numbers.item()
+        if len(numbers) == 1
+        else numbers.reshape(3, 3).tolist()
+        if len(numbers) == 9
+        else numbers.tolist()
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------------------ panels
@@ -136,8 +164,10 @@ def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
     unit, at = vehicle.gain_unit or "1", [slice(k, k + 1) for k in range(len(stated))]
-    keys = [Key(("panel", panel.name), key, stated[k], gain[k], sigma[k], prior[k], unit, count)
-            for panel, k in zip(vehicle.panels, at, strict=True)]  # fmt: skip
+    keys = [
+        Key(("panel", panel.name), key, stated[k], gain[k], sigma[k], prior[k], unit, count)
+        for panel, k in zip(vehicle.panels, at, strict=True)
+    ]
     return keys, with_gains(vehicle, gain / stated)
 
 
@@ -145,7 +175,9 @@ def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:
     """Sigma (n_panel) of the gains by leaving out each part of the file: what brightens or dims a panel lasts for a pass."""
     samples = np.arange(telemetry.sizes["time"])
     rest = [np.setdiff1d(samples, block) for block in np.array_split(samples, BLOCKS)]
-    gain = np.array([panel_quality(vehicle, telemetry.isel(time=some))["gain"].values for some in rest])
+    gain = np.array(
+        [panel_quality(vehicle, telemetry.isel(time=some))["gain"].values for some in rest]
+    )
     return np.sqrt((BLOCKS - 1) / BLOCKS * ((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
 
 
@@ -153,17 +185,30 @@ def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:
 
 
 def _in_orbit(
-    vehicle: Vehicle, telemetry: xr.Dataset, orbit: Orbit | None, seen: Readings, notes: list[str], attrs: dict[str, Any]
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    orbit: Orbit | None,
+    seen: Readings,
+    notes: list[str],
+    attrs: dict[str, Any],
 ) -> Calibration | None:
     what = "magnetometer and Sun sensors" if vehicle.sensors.sun_sensors else "magnetometer"
     if orbit is None:
-        notes.append(f"{what}: not determined without an orbit, in which strength and direction of the field are known")
+        notes.append(
+            f"{what}: not determined without an orbit, in which strength and direction of the field are known"
+        )
         return None
     check = check_orbit(orbit, vehicle, telemetry)
     if check.verdict is Verdict.REFUSED:
         do = "give the right elements, or calibrate without any"
         got = f"{check.better} of {check.copies} orbits at random predict better"
-        raise InputError(sentence("the elements do not fit the telemetry, which cannot be calibrated with them", got=got, do=do))
+        raise InputError(
+            sentence(
+                "the elements do not fit the telemetry, which cannot be calibrated with them",
+                got=got,
+                do=do,
+            )
+        )
     if check.sign_turned:
         what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
         do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
@@ -181,20 +226,32 @@ def _in_orbit(
         notes.append(f"{what}: not determined, too few samples show the field")
         return None
     attrs |= {
-        "shift_s": orbit.shift_s + made.shift_s, "shift_sigma_s": made.shift_sigma_s,
-        "drift_s_day": orbit.drift_s_day + made.drift_s_day, "drift_sigma_s_day": made.drift_sigma_s_day,
-        "field_residual_before_T": made.strength[0], "field_residual_after_T": made.strength[1],
-        "sun_field_residual_before_rad": made.angle[0], "sun_field_residual_after_rad": made.angle[1],
-        "field_noise_T": made.noise_T, "sun_noise": made.sun_noise,
-    }  # fmt: skip
+        "shift_s": orbit.shift_s + made.shift_s,
+        "shift_sigma_s": made.shift_sigma_s,
+        "drift_s_day": orbit.drift_s_day + made.drift_s_day,
+        "drift_sigma_s_day": made.drift_sigma_s_day,
+        "field_residual_before_T": made.strength[0],
+        "field_residual_after_T": made.strength[1],
+        "sun_field_residual_before_rad": made.angle[0],
+        "sun_field_residual_after_rad": made.angle[1],
+        "field_noise_T": made.noise_T,
+        "sun_noise": made.sun_noise,
+    }
     return made
 
 
-def _carried(made: Calibration, to: Callable[[Calibration], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _carried(
+    made: Calibration, to: Callable[[Calibration], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What a function (m) of the calibration is, its sigma, and its sigma before the data."""
     value, step = to(made), SMALL * np.sqrt(np.diag(made.prior))
-    slope = np.stack([(to(_moved(made, k, size)) - value) / size for k, size in enumerate(step)], axis=1)
-    model, robust, prior = (np.sqrt(np.einsum("ij,jk,ik->i", slope, c, slope)) for c in (made.model, made.robust, made.prior))
+    slope = np.stack(
+        [(to(_moved(made, k, size)) - value) / size for k, size in enumerate(step)], axis=1
+    )
+    model, robust, prior = (
+        np.sqrt(np.einsum("ij,jk,ik->i", slope, c, slope))
+        for c in (made.model, made.robust, made.prior)
+    )
     return value, np.maximum(model, robust), prior
 
 
@@ -229,12 +286,21 @@ def _magnetometer(vehicle: Vehicle, made: Calibration) -> list[Key]:
     keys = [
         Key(at, "zero", part.zero, *_carried(made, zero), "reading", n),
         Key(at, "matrix", part.matrix.ravel(), *_carried(made, matrix), "1", n),
-        Key(at, "scale_T", np.array([np.nan if part.scale_T is None else part.scale_T]), *_carried(made, scale), "T", n),
-    ]  # fmt: skip
+        Key(
+            at,
+            "scale_T",
+            np.array([np.nan if part.scale_T is None else part.scale_T]),
+            *_carried(made, scale),
+            "T",
+            n,
+        ),
+    ]
     known = all(np.all(key.sigma < NARROWER * key.prior) for key in keys)
     if part.noise is None:
         noise = np.array([made.noise_T]) / scale(made)
-        keys.append(Key(at, "noise", np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise, "reading", n))
+        keys.append(
+            Key(at, "noise", np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise, "reading", n)
+        )
     return [key._replace(together=known) for key in keys]
 
 
@@ -243,18 +309,39 @@ def _sun_sensors(vehicle: Vehicle, seen: Readings, made: Calibration) -> Iterato
         x, y = np.isfinite(seen.angle[:, k]).T
         turned = seen.y_turned[:, k]
         counts = [x.sum(), y.sum(), x.sum(), (y & ~turned).sum(), (y & turned).sum()]
-        stated = [sensor.x_bias_rad, sensor.y_bias_rad, sensor.x_scale, sensor.y_scale, sensor.y_turned_scale]
+        stated = [
+            sensor.x_bias_rad,
+            sensor.y_bias_rad,
+            sensor.x_scale,
+            sensor.y_scale,
+            sensor.y_turned_scale,
+        ]
 
         def found(one: Calibration, k: int = k, stated: list[float | None] = stated) -> np.ndarray:
             scale = one.scale[k]
-            return np.array([(stated[0] + one.bias[k, 0]) / scale[0], (stated[1] + one.bias[k, 1]) / scale[1],
-                             *((value or 0.0) / by for value, by in zip(stated[2:], scale, strict=True))])  # fmt: skip
+            return np.array(
+                [
+                    (stated[0] + one.bias[k, 0]) / scale[0],
+                    (stated[1] + one.bias[k, 1]) / scale[1],
+                    *((value or 0.0) / by for value, by in zip(stated[2:], scale, strict=True)),
+                ]
+            )
 
         value, sigma, prior = _carried(made, found)
         for i, (key, was) in enumerate(zip(SUN_KEYS, stated, strict=True)):
-            if was is not None and counts[i] and not (sensor.y_column is None and key.startswith("y")):
+            if (
+                was is not None
+                and counts[i]
+                and not (sensor.y_column is None and key.startswith("y"))
+            ):
                 one = (np.array([was]), value[i : i + 1], sigma[i : i + 1], prior[i : i + 1])
-                yield Key(("sun_sensor", sensor.name), key, *one, "rad" if i < 2 else "rad/reading", int(counts[i]))
+                yield Key(
+                    ("sun_sensor", sensor.name),
+                    key,
+                    *one,
+                    "rad" if i < 2 else "rad/reading",
+                    int(counts[i]),
+                )
 
 
 # -------------------------------------------------------------------------------------------------------------------------- gyro
@@ -270,7 +357,9 @@ def _gyro(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str], progress: b
         return []
     fit = fit_gyro(gyro, telemetry, found)
     if fit is None:
-        notes.append(f"gyro: not determined, as without it fewer than {FEWEST_PASSES} passes are decided")
+        notes.append(
+            f"gyro: not determined, as without it fewer than {FEWEST_PASSES} passes are decided"
+        )
         return []
     notes.append(f"gyro: compared with {fit.passes} passes that are decided without it")
     return _gyro_keys(gyro, fit)
@@ -281,23 +370,53 @@ def _gyro_keys(gyro: Any, fit: GyroFit) -> list[Key]:
     sigma = np.sqrt(np.maximum(np.diag(fit.model), np.diag(fit.robust)))
     size, one = abs(gyro.scale_rad_s), abs(gyro.scale_rad_s) / by**2
     return [
-        Key(("gyro",), "zero", gyro.zero, zero, sigma[:3] / size, fit.prior[:3] / size, "reading", fit.samples),
-        Key(("gyro",), "scale_rad_s", np.array([gyro.scale_rad_s]), np.array([gyro.scale_rad_s / by]), sigma[3:] * one,
-            fit.prior[3:] * one, "rad/s", fit.samples),
-    ]  # fmt: skip
+        Key(
+            ("gyro",),
+            "zero",
+            gyro.zero,
+            zero,
+            sigma[:3] / size,
+            fit.prior[:3] / size,
+            "reading",
+            fit.samples,
+        ),
+        Key(
+            ("gyro",),
+            "scale_rad_s",
+            np.array([gyro.scale_rad_s]),
+            np.array([gyro.scale_rad_s / by]),
+            sigma[3:] * one,
+            fit.prior[3:] * one,
+            "rad/s",
+            fit.samples,
+        ),
+    ]
 
 
 # ------------------------------------------------------------------------------------------------------------------------ result
 
 
-def _dataset(vehicle: Vehicle, telemetry: xr.Dataset, keys: list[Key], notes: list[str], attrs: dict[str, Any]) -> xr.Dataset:
+def _dataset(
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    keys: list[Key],
+    notes: list[str],
+    attrs: dict[str, Any],
+) -> xr.Dataset:
     epoch, time = str(telemetry.attrs["epoch_utc"]), telemetry["time"].values
-    days = " to ".join(dict.fromkeys(utc_after(float(t), epoch)[:10] for t in (time.min(), time.max())))
-    columns: dict[str, list[Any]] = {name: [] for name in (*FIELDS, "unit", "key", "component", "determined", "written", "samples")}
+    days = " to ".join(
+        dict.fromkeys(utc_after(float(t), epoch)[:10] for t in (time.min(), time.max()))
+    )
+    columns: dict[str, list[Any]] = {
+        name: []
+        for name in (*FIELDS, "unit", "key", "component", "determined", "written", "samples")
+    }
     for key in keys:
         known = key.sigma < NARROWER * key.prior
         for i in range(len(key.value)):
-            for name, part in zip(FIELDS, (key.stated, key.value, key.sigma, key.prior), strict=True):
+            for name, part in zip(
+                FIELDS, (key.stated, key.value, key.sigma, key.prior), strict=True
+            ):
                 columns[name].append(float(part[i]))
             columns["key"].append(key.name)
             columns["component"].append(i)
@@ -309,10 +428,15 @@ def _dataset(vehicle: Vehicle, telemetry: xr.Dataset, keys: list[Key], notes: li
     moved = np.abs(value - stated) > sigma  # one that was not stated is new and has not moved
     file = telemetry.attrs.get("file", "telemetry")
     return xr.Dataset(
-        {name: ("quantity", np.array(part)) for name, part in columns.items()} | {"moved": ("quantity", moved)},
-        attrs=provenance("calibration", telemetry, vehicle=vehicle.name) | attrs
-        | {"source": f"calibrate-sensors, {{samples}} samples of {file}, {days}", "notes": "\n".join(notes)},
-    )  # fmt: skip
+        {name: ("quantity", np.array(part)) for name, part in columns.items()}
+        | {"moved": ("quantity", moved)},
+        attrs=provenance("calibration", telemetry, vehicle=vehicle.name)
+        | attrs
+        | {
+            "source": f"calibrate-sensors, {{samples}} samples of {file}, {days}",
+            "notes": "\n".join(notes),
+        },
+    )
 
 
 FIELDS = ("stated", "value", "sigma", "prior_sigma")

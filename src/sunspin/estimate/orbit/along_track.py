@@ -23,10 +23,19 @@ class AlongTrack:
     days: np.ndarray
 
     @classmethod
-    def of(cls, orbit: Orbit, t_s: np.ndarray, shifts: np.ndarray, node_rad: float = 0.0, phase_s: float = 0.0) -> AlongTrack:
+    def of(
+        cls,
+        orbit: Orbit,
+        t_s: np.ndarray,
+        shifts: np.ndarray,
+        node_rad: float = 0.0,
+        phase_s: float = 0.0,
+    ) -> AlongTrack:
         """Of an orbit whose node is turned, and that is so many s farther along."""
         when = orbit.instants(t_s)
-        place, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(when, orbit.ahead_s(when) + phase_s + shifts[:, None])
+        place, _ = replace(orbit, node_rad=orbit.node_rad + node_rad).states(
+            when, orbit.ahead_s(when) + phase_s + shifts[:, None]
+        )
         sun, turn = sun_J2000_m(when), earth_from_J2000(when)
         fixed = turned(turn, place)
         to_sun = turned(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
@@ -34,7 +43,13 @@ class AlongTrack:
         return cls(shifts, to_sun, orbit.map(when, place).at(fixed), light, orbit.days(when))
 
     def take(self, samples: np.ndarray) -> AlongTrack:
-        return AlongTrack(self.shifts, self.sun[samples], self.field[:, samples], self.lit[:, samples], self.days[samples])
+        return AlongTrack(
+            self.shifts,
+            self.sun[samples],
+            self.field[:, samples],
+            self.lit[:, samples],
+            self.days[samples],
+        )
 
     def lit_at(self, shift_s: float) -> np.ndarray:
         """Part of the Sun that is seen (n) at the shift of the table that is nearest."""
@@ -44,11 +59,25 @@ class AlongTrack:
         """The field (n, 3) in T and its slope (n, 3) in T/s at an evenly drifting shift, by cubics through four of the shifts,
         which are even; beyond them it stays as it is."""
         step = self.shifts[1] - self.shifts[0]
-        place = np.clip((shift_s + drift_s_day * self.days - self.shifts[0]) / step, 0.0, len(self.shifts) - 1.0)
+        place = np.clip(
+            (shift_s + drift_s_day * self.days - self.shifts[0]) / step, 0.0, len(self.shifts) - 1.0
+        )
         first = np.clip(place.astype(int) - 1, 0, len(self.shifts) - 4)
         x, each = place - first - 1, np.arange(len(place))
-        weight = [-(x**3) / 6 + x**2 / 2 - x / 3, x**3 / 2 - x**2 - x / 2 + 1, -(x**3) / 2 + x**2 / 2 + x, x**3 / 6 - x / 6]
-        slope = [-(x**2) / 2 + x - 1 / 3, 1.5 * x**2 - 2 * x - 0.5, -1.5 * x**2 + x + 1, x**2 / 2 - 1 / 6]
+        weight = [
+            -(x**3) / 6 + x**2 / 2 - x / 3,
+            x**3 / 2 - x**2 - x / 2 + 1,
+            -(x**3) / 2 + x**2 / 2 + x,
+            x**3 / 6 - x / 6,
+        ]
+        slope = [
+            -(x**2) / 2 + x - 1 / 3,
+            1.5 * x**2 - 2 * x - 0.5,
+            -1.5 * x**2 + x + 1,
+            x**2 / 2 - 1 / 6,
+        ]
         four = [self.field[first + k, each] for k in range(4)]
         value = sum(w[:, None] * part for w, part in zip(weight, four, strict=True))
-        return np.asarray(value), np.asarray(sum(w[:, None] * part for w, part in zip(slope, four, strict=True))) / step
+        return np.asarray(value), np.asarray(
+            sum(w[:, None] * part for w, part in zip(slope, four, strict=True))
+        ) / step

@@ -113,25 +113,41 @@ class OrbitCheck:
     made: Calibration | None = None
 
 
-def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0) -> OrbitCheck:
+def check_orbit(
+    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0
+) -> OrbitCheck:
     """Rank an orbit against copies with node and phase turned at random, by what telemetry shows whatever the attitude.
 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """
     shown, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
     both = int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())
-    seen = shown if both >= FEWEST else shown._replace(sun=np.full_like(shown.sun, np.nan))  # so few angles judge no orbit
+    seen = (
+        shown if both >= FEWEST else shown._replace(sun=np.full_like(shown.sun, np.nan))
+    )  # so few angles judge no orbit
     if not len(seen.t_s):
         return OrbitCheck(
-            orbit.shift_s, float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
-            drift_s_day=orbit.drift_s_day, drift_sigma_s_day=orbit.drift_sigma_s_day,
-        )  # fmt: skip
+            orbit.shift_s,
+            float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)),
+            drift_s_day=orbit.drift_s_day,
+            drift_sigma_s_day=orbit.drift_sigma_s_day,
+        )
     rng = np.random.default_rng(seed)
-    turns = zip(rng.uniform(0, 2 * np.pi, COPIES), rng.uniform(0, orbit.elements[0].period_s, COPIES), strict=True)
+    turns = zip(
+        rng.uniform(0, 2 * np.pi, COPIES),
+        rng.uniform(0, orbit.elements[0].period_s, COPIES),
+        strict=True,
+    )
     here = predict(orbit, seen, grid.shifts)
     own = fit(seen, here, grid.prior)
-    way = None if "sun_sensor_angle" in telemetry else turned_axes(seen, here.take([own.cost.argmin()]))
-    if way is not None:  # what follows is of the readings as they are if the vehicle file names their axes rightly
+    way = (
+        None
+        if "sun_sensor_angle" in telemetry
+        else turned_axes(seen, here.take([own.cost.argmin()]))
+    )
+    if (
+        way is not None
+    ):  # what follows is of the readings as they are if the vehicle file names their axes rightly
         seen = seen._replace(field=seen.field @ axes_matrix(*way[1:]).T)
         own = fit(seen, here, grid.prior)
     copies = [predict(orbit, seen, grid.shifts, *one) for one in turns]
@@ -146,7 +162,9 @@ def check_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: 
     against = verdict is Verdict.FITS and contradicted(seen, here.take([k]), own.calibration[k])
     verdict = verdict if enough and mistaken <= MISTAKEN and not against else Verdict.UNDECIDED
     lowest = float((best if verdict is Verdict.REFUSED else own).cost.min())
-    answer = _answer(orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest)
+    answer = _answer(
+        orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest
+    )
     if 0 < both < FEWEST and answer.matrix is not None:
         answer = _with_few_angles(answer, shown, here.take([k]), grid.prior[[k]])
     if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
@@ -168,7 +186,9 @@ class _Grid(NamedTuple):
     def of(cls, orbit: Orbit) -> _Grid:
         along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         half = int(np.clip(np.ceil(SPAN * along / STEP_S), 3, MOST_STEPS // 2))
-        return cls(np.zeros(0), np.zeros(0), along).at(SPAN * along / half * np.arange(-half, half + 1))
+        return cls(np.zeros(0), np.zeros(0), along).at(
+            SPAN * along / half * np.arange(-half, half + 1)
+        )
 
     def at(self, shifts: np.ndarray) -> _Grid:
         """The same prior at other shifts."""
@@ -178,7 +198,9 @@ class _Grid(NamedTuple):
 # ------------------------------------------------------------------------------------------------------------------------ judging
 
 
-def _nearly(seen: Seen, copy: Predicted, prior: np.ndarray, reach: float, scatter: np.ndarray | None = None) -> Fits:
+def _nearly(
+    seen: Seen, copy: Predicted, prior: np.ndarray, reach: float, scatter: np.ndarray | None = None
+) -> Fits:
     """A copy's fits: at every third shift, and at all where one of those comes near the cost that would win."""
     some = slice(1, None, 3)
     coarse = fit(seen, copy.take(some), prior[some], scatter)
@@ -193,19 +215,34 @@ def _turned(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, fl
         return 0.0, 1.0
     turned = [predict(orbit, seen, grid.shifts, turn) for turn in np.radians(TURNS_DEG)]
     costs = [_nearly(seen, one, grid.prior, np.inf).cost.min() for one in turned]
-    gain = (own.cost.min() - min(costs)) / (field.sum() + (field & np.isfinite(seen.sun).all(axis=1)).sum())
-    return (float(np.radians(TURNS_DEG)[np.argmin(costs)]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
+    gain = (own.cost.min() - min(costs)) / (
+        field.sum() + (field & np.isfinite(seen.sun).all(axis=1)).sum()
+    )
+    return (
+        (float(np.radians(TURNS_DEG)[np.argmin(costs)]), float(np.exp(gain)))
+        if gain > 0
+        else (0.0, 1.0)
+    )
 
 
 def _clock_behind(orbit: Orbit, seen: Seen, grid: _Grid, lowest: float) -> float:
     """By how many s the telemetry's clock is behind UTC if it is off by whole hours and the elements are right: what fits best,
     where it fits clearly better than the orbit and all its copies; else 0."""
     clocks = [replace(orbit, clock_s=orbit.clock_s + 3600.0 * hours) for hours in HOURS if hours]
-    costs = [_nearly(seen, predict(other, seen, grid.shifts), grid.prior, lowest).cost.min() for other in clocks]
-    return clocks[int(np.argmin(costs))].clock_s - orbit.clock_s if min(costs) < lowest - CLEARLY else 0.0
+    costs = [
+        _nearly(seen, predict(other, seen, grid.shifts), grid.prior, lowest).cost.min()
+        for other in clocks
+    ]
+    return (
+        clocks[int(np.argmin(costs))].clock_s - orbit.clock_s
+        if min(costs) < lowest - CLEARLY
+        else 0.0
+    )
 
 
-def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits, prior: np.ndarray) -> float:
+def _mistaken(
+    seen: Seen, right: Predicted, copies: list[Predicted], best: Fits, prior: np.ndarray
+) -> float:
     """How many copies are expected to predict better than this orbit if it is right, by the noise that the best
     of all orbits leaves.
 
@@ -213,9 +250,14 @@ def _mistaken(seen: Seen, right: Predicted, copies: list[Predicted], best: Fits,
     which its cost is higher, and noise of the data makes that D +- sqrt(2 D).
     """
     k = int(best.cost.argmin())
-    clean, scatter = _as_predict(seen, right, best.calibration[k]), np.minimum(best.scatter[k], MOST_SCATTER)
+    clean, scatter = (
+        _as_predict(seen, right, best.calibration[k]),
+        np.minimum(best.scatter[k], MOST_SCATTER),
+    )
     zero = float(fit(clean, right, np.zeros(1), scatter).cost[0])
-    higher = np.array([_nearly(clean, copy, prior, zero, scatter).cost.min() - zero for copy in copies])
+    higher = np.array(
+        [_nearly(clean, copy, prior, zero, scatter).cost.min() - zero for copy in copies]
+    )
     return float((erfc(np.sqrt(np.maximum(higher, 0)) / 2) / 2).sum())
 
 
@@ -234,12 +276,21 @@ def _as_predict(seen: Seen, right: Predicted, calibration: np.ndarray) -> Seen:
     cosine = right.to_sun[0][:, None] / strength
     turned_to = cosine * seen.sun + np.sqrt(1 - cosine**2) * across
     field = strength * np.where(np.isfinite(turned_to), turned_to, unit)
-    return seen._replace(field=np.linalg.solve(matrix, (field + zero)[..., None])[..., 0], light=light)
+    return seen._replace(
+        field=np.linalg.solve(matrix, (field + zero)[..., None])[..., 0], light=light
+    )
 
 
 def _answer(
-    orbit: Orbit, seen: Seen, grid: _Grid, here: Predicted, own: Fits, verdict: Verdict, rank: tuple[int, float],
-    beside: tuple[float, float], lowest: float,
+    orbit: Orbit,
+    seen: Seen,
+    grid: _Grid,
+    here: Predicted,
+    own: Fits,
+    verdict: Verdict,
+    rank: tuple[int, float],
+    beside: tuple[float, float],
+    lowest: float,
 ) -> OrbitCheck:
     """What is told of a verdict; `lowest`: the cost that a field of the opposite sign must be clearly below to be named."""
     shift, sigma, at_border = _shift(orbit, seen, grid, own)
@@ -247,45 +298,80 @@ def _answer(
     dark, shadow = seen.light == 0, here.lit[k] < 0.5
     known = np.isfinite(seen.light)
     calibrated = bool(np.isfinite(own.calibration[k]).all())
-    strength, angle = _left(seen, here.take([k]), own.calibration[k]) if calibrated else (np.nan, np.nan)
+    strength, angle = (
+        _left(seen, here.take([k]), own.calibration[k]) if calibrated else (np.nan, np.nan)
+    )
     opposite = fit(seen._replace(field=-seen.field), here.take([k]), grid.prior[[k]])
     sign_turned = bool(opposite.cost[0] < lowest - CLEARLY)
-    sign_turned |= verdict is not Verdict.REFUSED and calibrated and _mirrored(seen, here.take([k]), own.calibration[k])
+    sign_turned |= (
+        verdict is not Verdict.REFUSED
+        and calibrated
+        and _mirrored(seen, here.take([k]), own.calibration[k])
+    )
     return OrbitCheck(
-        drift_s_day=orbit.drift_s_day, drift_sigma_s_day=orbit.drift_sigma_s_day,
-        verdict=verdict, better=rank[0], copies=COPIES, mistaken=rank[1], turn_rad=beside[0], turn_times=beside[1],
-        sign_turned=sign_turned, shift_s=orbit.shift_s + shift, shift_sigma_s=sigma,
-        border=at_border, strength_residual_T=strength, angle_residual_rad=angle,
-        samples={"field": int(np.isfinite(seen.field).all(axis=1).sum()), "light": int(known.sum()),
-                 "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum())},
+        drift_s_day=orbit.drift_s_day,
+        drift_sigma_s_day=orbit.drift_sigma_s_day,
+        verdict=verdict,
+        better=rank[0],
+        copies=COPIES,
+        mistaken=rank[1],
+        turn_rad=beside[0],
+        turn_times=beside[1],
+        sign_turned=sign_turned,
+        shift_s=orbit.shift_s + shift,
+        shift_sigma_s=sigma,
+        border=at_border,
+        strength_residual_T=strength,
+        angle_residual_rad=angle,
+        samples={
+            "field": int(np.isfinite(seen.field).all(axis=1).sum()),
+            "light": int(known.sum()),
+            "field and Sun": int(np.isfinite(seen.field + seen.sun).all(axis=1).sum()),
+        },
         eclipse=(int((known & shadow & ~dark).sum()), int((known & shadow).sum())),
-        matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None, zero=own.calibration[k][9:] if calibrated else None,
-    )  # fmt: skip
+        matrix=own.calibration[k][:9].reshape(3, 3) if calibrated else None,
+        zero=own.calibration[k][9:] if calibrated else None,
+    )
 
 
-def _with_few_angles(answer: OrbitCheck, shown: Seen, here: Predicted, prior: np.ndarray) -> OrbitCheck:
+def _with_few_angles(
+    answer: OrbitCheck, shown: Seen, here: Predicted, prior: np.ndarray
+) -> OrbitCheck:
     """The answer with the angle between field and Sun of samples too few to judge an orbit, and the sign that they show."""
-    as_read, opposite = fit(shown, here, prior), fit(shown._replace(field=-shown.field), here, prior)
+    as_read, opposite = (
+        fit(shown, here, prior),
+        fit(shown._replace(field=-shown.field), here, prior),
+    )
     clearly = bool(opposite.cost[0] < as_read.cost[0] - CLEARLY)
     return replace(
-        answer, angle_residual_rad=_left(shown, here, as_read.calibration[0])[1],
+        answer,
+        angle_residual_rad=_left(shown, here, as_read.calibration[0])[1],
         sign_turned=clearly and answer.verdict is not Verdict.REFUSED,
-        samples=answer.samples | {"field and Sun": int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())},
-    )  # fmt: skip
+        samples=answer.samples
+        | {"field and Sun": int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())},
+    )
 
 
-def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> OrbitCheck:
+def _with_sun_sensors(
+    answer: OrbitCheck, orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset
+) -> OrbitCheck:
     """The answer with shift and calibration of the fit that counts biases and scales of Sun sensors, where there are any."""
     start = start_of(answer, orbit)
     made = None if start is None else by_sun_sensors(orbit, vehicle, telemetry, start)
     if made is None:
         return answer
     return replace(
-        answer, shift_s=orbit.shift_s + made.shift_s, shift_sigma_s=made.shift_sigma_s, made=made,
-        drift_s_day=orbit.drift_s_day + made.drift_s_day, drift_sigma_s_day=made.drift_sigma_s_day,
-        matrix=made.matrix_T, zero=made.matrix_T @ made.zero,
-        strength_residual_T=float(made.strength[1]), angle_residual_rad=float(made.angle[1]),
-    )  # fmt: skip
+        answer,
+        shift_s=orbit.shift_s + made.shift_s,
+        shift_sigma_s=made.shift_sigma_s,
+        made=made,
+        drift_s_day=orbit.drift_s_day + made.drift_s_day,
+        drift_sigma_s_day=made.drift_sigma_s_day,
+        matrix=made.matrix_T,
+        zero=made.matrix_T @ made.zero,
+        strength_residual_T=float(made.strength[1]),
+        angle_residual_rad=float(made.angle[1]),
+    )
 
 
 def start_of(found: OrbitCheck, orbit: Orbit) -> Start | None:
@@ -306,7 +392,10 @@ def _left(seen: Seen, there: Predicted, calibration: np.ndarray) -> tuple[float,
 
 def _mirrored(seen: Seen, there: Predicted, calibration: np.ndarray) -> bool:
     """Whether a calibration turns the readings round, and by this their angle to the Sun fits that else would not."""
-    if np.linalg.det(calibration[:9].reshape(3, 3)) > 0 or np.isfinite(seen.field + seen.sun).all(axis=1).sum() < FEWEST:
+    if (
+        np.linalg.det(calibration[:9].reshape(3, 3)) > 0
+        or np.isfinite(seen.field + seen.sun).all(axis=1).sum() < FEWEST
+    ):
         return False
     return _left(seen, there, calibration)[1] < ROUND * _left(seen, there, -calibration)[1]
 
@@ -320,7 +409,9 @@ def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, flo
     k, step = int(own.cost.argmin()), grid.shifts[1] - grid.shifts[0]
     deep = grid.shifts[own.cost < own.cost.min() + DEEP]
     fine = grid.at(np.linspace(deep.min() - step, deep.max() + step, FINE))
-    mean, sigma = _lowest(fine.shifts, fit(seen, predict(orbit, seen, fine.shifts), fine.prior).cost)
+    mean, sigma = _lowest(
+        fine.shifts, fit(seen, predict(orbit, seen, fine.shifts), fine.prior).cost
+    )
     near = grid.at(mean + sigma * np.linspace(-BESIDE, BESIDE, AROUND))
     part, found = predict(orbit, seen, near.shifts), []
     blocks = np.array_split(np.arange(len(seen.t_s)), BLOCKS)
@@ -330,7 +421,9 @@ def _shift(orbit: Orbit, seen: Seen, grid: _Grid, own: Fits) -> tuple[float, flo
         cost = fit(some, Predicted(*(each[:, rest] for each in part)), near.prior).cost
         found.append(_lowest(near.shifts, cost)[0])
     if found:
-        apart = float(np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum()))
+        apart = float(
+            np.sqrt((BLOCKS - 1) / BLOCKS * ((np.array(found) - np.mean(found)) ** 2).sum())
+        )
         sigma = max(sigma, FEW * apart)
     return mean, sigma, k < 2 or k > len(grid.shifts) - 3
 

@@ -16,7 +16,16 @@ import xarray as xr
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.orbit.invariants import STEPS, Calibrated, Seen, calibrated, predict, seen_in, student_weight, turned_axes
+from sunspin.estimate.orbit.invariants import (
+    STEPS,
+    Calibrated,
+    Seen,
+    calibrated,
+    predict,
+    seen_in,
+    student_weight,
+    turned_axes,
+)
 from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
 from sunspin.estimate.wiring import axes_matrix
 from sunspin.vehicle import Vehicle
@@ -58,7 +67,9 @@ class FieldCalibration:
         """What one sigma of each error changes in the orbit's field (n, 13, 3), of which one along the track is (n, 3) T."""
         return self.errors[:, 12:] * field_along_N[:, None]
 
-    def sigma_T(self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray) -> np.ndarray:
+    def sigma_T(
+        self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
+    ) -> np.ndarray:
         """One sigma (n) of each component of readings (n, 3) where the field is `field_N` (n, 3) T, and one sigma along the track
         changes it by (n, 3) T. The strength needs no attitude, so how far it is off is known before any fit of the motion: a
         reading is taken for no better in any direction, beyond what the errors of this calibration may be."""
@@ -102,22 +113,31 @@ def field_calibration(
     few = FEW_SCATTER / float(np.median(steep)) if len(steep) < FEW else 0.0
     scatter = np.maximum(found.state.scatter, [few, 0.0])
     found = found._replace(state=found.state._replace(scatter=scatter))
-    along_track = [(part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)]
+    along_track = [
+        (part[2] - part[0]) / 2 / found.unit_T for part in (every.strength, every.to_sun)
+    ]
     scale = found.unit_T / found.unit
     units = np.concatenate([np.full(9, scale), np.full(3, found.unit_T), [1.0]])
     errors = _errors(found, steep, along_track) * units
     errors[:, :9] = (errors[:, :9].reshape(-1, 3, 3) @ axes).reshape(-1, 9)
     return FieldCalibration(
-        matrix @ axes, zero, errors,
-        float(scatter[0, 0] * np.median(steep)) / OF_GAUSSIAN * found.unit_T, scale,
-    )  # fmt: skip
+        matrix @ axes,
+        zero,
+        errors,
+        float(scatter[0, 0] * np.median(steep)) / OF_GAUSSIAN * found.unit_T,
+        scale,
+    )
 
 
 def _of_sensors(made: Calibration, shift_s: float, along_s: float) -> FieldCalibration:
     """That of a fit with Sun sensors, along an orbit at this shift (s) beside the one of the fit, with its sigma."""
     covariance = made.covariance[:13, :13]
     by_place = covariance[:, 12] / covariance[12, 12]
-    made = replace(made, values=made.values + np.append(by_place * (shift_s - made.shift_s), np.zeros(len(made.values) - 13)))
+    made = replace(
+        made,
+        values=made.values
+        + np.append(by_place * (shift_s - made.shift_s), np.zeros(len(made.values) - 13)),
+    )
     covariance = covariance + (along_s**2 - covariance[12, 12]) * np.outer(by_place, by_place)
     matrix, zero_T, scale = made.matrix_T, made.matrix_T @ made.zero, made.unit_T / made.unit
     slope = np.zeros((13, 13))  # of matrix, zero and place by the fit's unknowns
@@ -135,9 +155,16 @@ def _errors(found: Calibrated, steep: np.ndarray, along_track: list[np.ndarray])
     model, state = found.model, found.state
     strength, to_sun, by_strength, by_sun = (part[0] for part in model.residuals(state))
     there, (field, sine) = state.strength[0], state.scatter[0]
-    moved = [along_track[0] / (steep * field), (along_track[1] / there)[model.with_sun] / (model.sigma * sine)]
-    jacobian = np.concatenate([np.column_stack([by_strength, -moved[0]]), np.column_stack([by_sun, -moved[1]])])
-    normal = (jacobian * student_weight(np.concatenate([strength, to_sun]))[:, None]).T @ jacobian + np.eye(13)
+    moved = [
+        along_track[0] / (steep * field),
+        (along_track[1] / there)[model.with_sun] / (model.sigma * sine),
+    ]
+    jacobian = np.concatenate(
+        [np.column_stack([by_strength, -moved[0]]), np.column_stack([by_sun, -moved[1]])]
+    )
+    normal = (
+        jacobian * student_weight(np.concatenate([strength, to_sun]))[:, None]
+    ).T @ jacobian + np.eye(13)
     normal[:12, :12] += model.prior(state)[0] - np.eye(12)
     # what these readings say of the place is in its sigma already, where they have judged the orbit
     normal[12, 12] = 1 + normal[12, :12] @ np.linalg.solve(normal[:12, :12], normal[:12, 12])

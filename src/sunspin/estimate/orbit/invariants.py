@@ -109,19 +109,36 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset, most: int = MOST_SAMPLES) -
         found, by_earth = sun_by_panels(vehicle, telemetry)
         sun, covariance = found["sun_B"].values, found["sun_cov_B"].values
         status = found["status"].values
-        light = np.where(status == SunStatus.MISSING, np.nan, np.where(status == SunStatus.DARK, 0.0, 1.0))
+        light = np.where(
+            status == SunStatus.MISSING, np.nan, np.where(status == SunStatus.DARK, 0.0, 1.0)
+        )
     if "sun_sensor_B" in telemetry:
         there = np.array(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
         sun = np.where(there[:, None], telemetry["sun_sensor_B"].values, sun)
-        covariance = np.where(there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance)
+        covariance = np.where(
+            there[:, None, None], telemetry["sun_sensor_cov_B"].values, covariance
+        )
         light = np.where(there, 1.0, np.where(np.isfinite(light), light, 0.0))
         by_earth &= ~there
-    known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))  # without an error it is no reading
+    known = np.asarray(
+        np.isfinite(covariance).all(axis=(1, 2))
+    )  # without an error it is no reading
     sun = np.where(known[:, None], sun, np.nan)
     field = np.asarray(np.isfinite(reading).all(axis=1))
-    use = spread_evenly(telemetry, field | np.isfinite(light), most, field & np.asarray(np.isfinite(sun).all(axis=1)))
-    seen, by_earth = Seen(*(part[use] for part in (time, reading, sun, covariance, light))), by_earth[use]
-    return seen._replace(covariance=seen.covariance + earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3))
+    use = spread_evenly(
+        telemetry,
+        field | np.isfinite(light),
+        most,
+        field & np.asarray(np.isfinite(sun).all(axis=1)),
+    )
+    seen, by_earth = (
+        Seen(*(part[use] for part in (time, reading, sun, covariance, light))),
+        by_earth[use],
+    )
+    return seen._replace(
+        covariance=seen.covariance
+        + earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
+    )
 
 
 def sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[xr.Dataset, np.ndarray]:
@@ -130,10 +147,14 @@ def sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[xr.Dataset, 
     found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
     facing = vehicle.response_in().facing_B
     alone = ~(facing @ facing.T < OPPOSITE).any(axis=1)
-    share = signals(telemetry) / (panel_quality(vehicle, telemetry).attrs["full_sun"] * vehicle.input_gains)
+    share = signals(telemetry) / (
+        panel_quality(vehicle, telemetry).attrs["full_sun"] * vehicle.input_gains
+    )
     rests = found["lit"].values & alone
     doubtful = (rests & (share < EARTH_MOST)).any(axis=1)
-    return found.assign(sun_B=found["sun_B"].where(~xr.DataArray(doubtful, dims="time"))), rests.any(axis=1) & ~doubtful
+    return found.assign(
+        sun_B=found["sun_B"].where(~xr.DataArray(doubtful, dims="time"))
+    ), rests.any(axis=1) & ~doubtful
 
 
 def earth_variance(count: int) -> float:
@@ -141,26 +162,40 @@ def earth_variance(count: int) -> float:
     return EARTH_RAD**2 * max(count / EARTH_ALIKE, 1.0)
 
 
-def spread_evenly(telemetry: xr.Dataset, shows: np.ndarray, most: int, first: np.ndarray | None = None) -> np.ndarray:
+def spread_evenly(
+    telemetry: xr.Dataset, shows: np.ndarray, most: int, first: np.ndarray | None = None
+) -> np.ndarray:
     """The samples that show something (n, of true and false) and came in time, at most so many of them, spread over the file. Of
     those that come `first` (n), as many are kept as an even spread has, or `MOST_WITH_SUN` of all if that is more."""
     use = np.flatnonzero(shows & ~came_late(telemetry))
     even = _even(use, most)
     wanted = use[first[use]] if first is not None else use[:0]
-    if first is None or len(even) == len(use) or first[even].sum() >= min(len(wanted), int(MOST_WITH_SUN * most)):
+    if (
+        first is None
+        or len(even) == len(use)
+        or first[even].sum() >= min(len(wanted), int(MOST_WITH_SUN * most))
+    ):
         return even
     kept = _even(wanted, int(MOST_WITH_SUN * most))
     return np.sort(np.concatenate([kept, _even(np.setdiff1d(use, wanted), most - len(kept))]))
 
 
 def _even(index: np.ndarray, most: int) -> np.ndarray:
-    return index[np.unique(np.linspace(0, len(index) - 1, min(len(index), most)).astype(int))] if len(index) else index
+    return (
+        index[np.unique(np.linspace(0, len(index) - 1, min(len(index), most)).astype(int))]
+        if len(index)
+        else index
+    )
 
 
-def predict(orbit: Orbit, seen: Seen, shifts: np.ndarray, node_rad: float = 0.0, phase_s: float = 0.0) -> Predicted:
+def predict(
+    orbit: Orbit, seen: Seen, shifts: np.ndarray, node_rad: float = 0.0, phase_s: float = 0.0
+) -> Predicted:
     """What samples should show at shifts (K) s beside the orbit's own, its node turned and itself so many s farther along."""
     sky = AlongTrack.of(orbit, seen.t_s, shifts, node_rad, phase_s)
-    return Predicted(np.linalg.norm(sky.field, axis=-1), (sky.field * sky.sun).sum(axis=-1), sky.lit)
+    return Predicted(
+        np.linalg.norm(sky.field, axis=-1), (sky.field * sky.sun).sum(axis=-1), sky.lit
+    )
 
 
 class State(NamedTuple):
@@ -186,11 +221,16 @@ class Calibrated(NamedTuple):
     def values(self) -> np.ndarray:
         """Matrix and zero (K, 12): field (T) = matrix reading - zero."""
         scale = self.unit_T / self.unit
-        matrix, zero = scale * (np.eye(3).ravel() + self.state.unknown[:, :9]), self.unit_T * self.state.unknown[:, 9:]
+        matrix, zero = (
+            scale * (np.eye(3).ravel() + self.state.unknown[:, :9]),
+            self.unit_T * self.state.unknown[:, 9:],
+        )
         return np.concatenate([matrix, zero], axis=1)
 
 
-def calibrated(seen: Seen, there: Predicted, scatter: np.ndarray | None = None, steps: int = STEPS) -> Calibrated:
+def calibrated(
+    seen: Seen, there: Predicted, scatter: np.ndarray | None = None, steps: int = STEPS
+) -> Calibrated:
     """The magnetometer's calibration at each shift by samples that have a field; residuals have Student's tails, and their scatter
     is fitted too, or given (2).
 
@@ -200,17 +240,31 @@ def calibrated(seen: Seen, there: Predicted, scatter: np.ndarray | None = None, 
     size = np.linalg.norm(seen.field, axis=1)
     unit = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
     unit_T, n_shift = float(np.median(there.strength)), len(there.strength)
-    state = State(np.zeros((n_shift, 12)), there.strength / unit_T, there.to_sun / unit_T,
-                  np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)), np.ones(n_shift))  # fmt: skip
+    state = State(
+        np.zeros((n_shift, 12)),
+        there.strength / unit_T,
+        there.to_sun / unit_T,
+        np.tile([0.1, 1.0] if scatter is None else scatter, (n_shift, 1)),
+        np.ones(n_shift),
+    )
     model = Model(seen.field / unit, seen.sun, seen.covariance)
-    state = _in_turn(model, _better_start(model, state, _sphere(seen.field / unit, state)), scatter is None, steps)
+    state = _in_turn(
+        model,
+        _better_start(model, state, _sphere(seen.field / unit, state)),
+        scatter is None,
+        steps,
+    )
     model = Model(seen.field / unit, seen.sun, seen.covariance, of_readings=True)
     if scatter is not None:
         return Calibrated(model, _in_turn(model, state, False, steps), unit, unit_T)
     state = _in_turn(model, state._replace(scatter=model.scatter(state)), True, steps)
     best = np.full(n_shift, model.linearise(state).cost.argmin())
-    other = state._replace(unknown=state.unknown[best], scatter=state.scatter[best], scale=state.scale[best])
-    other = _in_turn(model, other, True, steps)  # from the calibration of the best shift: each may rest in a minimum of its own
+    other = state._replace(
+        unknown=state.unknown[best], scatter=state.scatter[best], scale=state.scale[best]
+    )
+    other = _in_turn(
+        model, other, True, steps
+    )  # from the calibration of the best shift: each may rest in a minimum of its own
     return Calibrated(model, _better_start(model, state, other), unit, unit_T)
 
 
@@ -222,24 +276,39 @@ def _sphere(reading: np.ndarray, state: State) -> State:
     design[..., :3], design[..., 3], design[..., 4] = 2 * reading, 1.0, state.strength**2
     turned = np.swapaxes(design, 1, 2)
     weak = 1e-9 * np.einsum("kii->k", turned @ design)[:, None, None] * np.eye(5)
-    best = np.linalg.solve(turned @ design + weak, turned @ (reading**2).sum(axis=1)[:, None])[..., 0]
-    scale = np.where(best[:, 4] > 0, np.maximum(best[:, 4], 1e-12) ** -0.5, 1.0).clip(LEAST_SCALE, 1 / LEAST_SCALE)
+    best = np.linalg.solve(turned @ design + weak, turned @ (reading**2).sum(axis=1)[:, None])[
+        ..., 0
+    ]
+    scale = np.where(best[:, 4] > 0, np.maximum(best[:, 4], 1e-12) ** -0.5, 1.0).clip(
+        LEAST_SCALE, 1 / LEAST_SCALE
+    )
     matrix = (scale - 1)[:, None] * np.eye(3).ravel()
     zero = np.where(best[:, 4:] > 0, scale[:, None] * best[:, :3], 0.0)
-    return state._replace(unknown=np.concatenate([matrix, zero], axis=1), scale=scale * np.ones(n_shift))
+    return state._replace(
+        unknown=np.concatenate([matrix, zero], axis=1), scale=scale * np.ones(n_shift)
+    )
 
 
 def _better_start(model: Model, state: State, other: State) -> State:
     """Of two states, for each shift, the one that costs less."""
     better = model.linearise(other).cost < model.linearise(state).cost
-    return State(*(np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old) for new, old in zip(other, state, strict=True)))
+    return State(
+        *(
+            np.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+            for new, old in zip(other, state, strict=True)
+        )
+    )
 
 
 def _in_turn(model: Model, state: State, free: bool, steps: int) -> State:
     """Unknowns, their scale and, if `free`, the scatters fitted in turn."""
     for _ in range(ROUNDS if free else 1):
-        state = least_squares(model.linearise, stepped, dense, state, steps=steps, tolerance=TOLERANCE).state
-        state = state._replace(scatter=model.scatter(state) if free else state.scatter, scale=model.scale(state))
+        state = least_squares(
+            model.linearise, stepped, dense, state, steps=steps, tolerance=TOLERANCE
+        ).state
+        state = state._replace(
+            scatter=model.scatter(state) if free else state.scatter, scale=model.scale(state)
+        )
     return state
 
 
@@ -252,7 +321,9 @@ def fit(seen: Seen, there: Predicted, prior: np.ndarray, scatter: np.ndarray | N
     some = Predicted(*(part[:, use] for part in there))
     found = calibrated(Seen(*(part[use] for part in seen)), some, scatter)
     system = found.model.linearise(found.state)
-    cost = cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2  # all calibrations count, not the best alone
+    cost = (
+        cost + system.cost + np.linalg.slogdet(system.matrix)[1] / 2
+    )  # all calibrations count, not the best alone
     return Fits(cost, found.values, found.state.scatter)
 
 
@@ -264,14 +335,22 @@ class Model:
     """Residuals of readings (n, 3), in units of their median, with Sun directions (n, 3; NaN: none) and their covariance; those of
     the strength in the field, or `of_readings`: how far the reading is from one of the strength predicted."""
 
-    def __init__(self, reading: np.ndarray, sun: np.ndarray, covariance: np.ndarray, of_readings: bool = False) -> None:
+    def __init__(
+        self,
+        reading: np.ndarray,
+        sun: np.ndarray,
+        covariance: np.ndarray,
+        of_readings: bool = False,
+    ) -> None:
         self.of_readings = of_readings
         self.reading, self.with_sun = reading, np.isfinite(sun).all(axis=1)
         self.sun = sun[self.with_sun]
         size = np.linalg.norm(reading[self.with_sun], axis=1, keepdims=True)
         unit = reading[self.with_sun] / np.where(size > 0, size, 1.0)
         across = unit - (unit * self.sun).sum(axis=1, keepdims=True) * self.sun
-        self.sigma = np.sqrt(np.einsum("ni,nij,nj->n", across, covariance[self.with_sun], across) + 0.02**2)
+        self.sigma = np.sqrt(
+            np.einsum("ni,nij,nj->n", across, covariance[self.with_sun], across) + 0.02**2
+        )
         # the mean of the diagonal is the scale, which is free
         isotropic = np.eye(3).ravel() / np.sqrt(3)
         tied = np.eye(9) - np.outer(isotropic, isotropic)
@@ -304,8 +383,12 @@ class Model:
             by_strength[..., :9] -= spun.reshape(*strength.shape, 9)
         there = state.strength[:, self.with_sun]
         weight = 1 / (there * self.sigma * state.scatter[:, 1:])
-        to_sun = ((field[:, self.with_sun] * self.sun).sum(axis=2) - state.to_sun[:, self.with_sun]) * weight
-        by_sun = self._by_unknown(np.broadcast_to(self.sun, (len(field), *self.sun.shape)), self.reading[self.with_sun])
+        to_sun = (
+            (field[:, self.with_sun] * self.sun).sum(axis=2) - state.to_sun[:, self.with_sun]
+        ) * weight
+        by_sun = self._by_unknown(
+            np.broadcast_to(self.sun, (len(field), *self.sun.shape)), self.reading[self.with_sun]
+        )
         return strength, to_sun, by_strength, by_sun * weight[..., None]
 
     def fields(self, state: State) -> tuple[np.ndarray, ...]:
@@ -318,11 +401,17 @@ class Model:
     def steepness(self, unit: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """By how much the strength (K, n) of fields in directions (K, n, 3) changes with the reading: a matrix (K, 3, 3) that
         shrinks readings shrinks their noise."""
-        return np.maximum(np.linalg.norm(unit @ matrix, axis=2), 1e-9) if self.of_readings else np.ones(unit.shape[:2])
+        return (
+            np.maximum(np.linalg.norm(unit @ matrix, axis=2), 1e-9)
+            if self.of_readings
+            else np.ones(unit.shape[:2])
+        )
 
     @staticmethod
     def _by_unknown(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
-        rows = (direction[..., :, None] * reading[None, :, None, :]).reshape(*direction.shape[:2], 9)
+        rows = (direction[..., :, None] * reading[None, :, None, :]).reshape(
+            *direction.shape[:2], 9
+        )
         return np.concatenate([rows, -direction], axis=2)
 
     def linearise(self, state: State) -> Dense:
@@ -341,13 +430,20 @@ class Model:
 
     def scatter(self, state: State) -> np.ndarray:
         """The scatters (K, 2) that make the residuals likeliest, given their weights and how much of them has been fitted."""
-        least, covariance = np.array([LEAST_FIELD, LEAST_SINE]), np.linalg.inv(self.linearise(state).matrix)
+        least, covariance = (
+            np.array([LEAST_FIELD, LEAST_SINE]),
+            np.linalg.inv(self.linearise(state).matrix),
+        )
         found = []
         strength, to_sun, by_strength, by_sun = self.residuals(state)
         for k, (residual, by) in enumerate(((strength, by_strength), (to_sun, by_sun))):
             weight = student_weight(residual)
             free = residual.shape[1] - ((by @ covariance) * by).sum(axis=(1, 2))
-            rms = np.sqrt((weight * residual**2).sum(axis=1) / np.maximum(free, 1.0)) if residual.shape[1] else 1.0
+            rms = (
+                np.sqrt((weight * residual**2).sum(axis=1) / np.maximum(free, 1.0))
+                if residual.shape[1]
+                else 1.0
+            )
             found.append(np.maximum(state.scatter[:, k] * rms, least[k]))
         return np.stack(found, axis=1)
 
@@ -364,10 +460,16 @@ def angles(field: np.ndarray, sun: np.ndarray) -> np.ndarray:
 
 def contradicted(seen: Seen, there: Predicted, calibration: np.ndarray) -> bool:
     """Whether `FEWEST` samples or more show an angle between field and Sun that is not the one predicted (one shift)."""
-    off = np.abs(angles(seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:], seen.sun) - predicted_angles(there))
+    off = np.abs(
+        angles(seen.field @ calibration[:9].reshape(3, 3).T - calibration[9:], seen.sun)
+        - predicted_angles(there)
+    )
     both = np.isfinite(off)
     stated = np.sqrt(np.trace(seen.covariance[both], axis1=1, axis2=2) / 2)
-    return bool(both.sum() >= FEWEST and np.median(off[both]) > MOST_ANGLE_RAD + np.median(np.minimum(stated, MOST_ANGLE_RAD)))
+    return bool(
+        both.sum() >= FEWEST
+        and np.median(off[both]) > MOST_ANGLE_RAD + np.median(np.minimum(stated, MOST_ANGLE_RAD))
+    )
 
 
 def predicted_angles(there: Predicted) -> np.ndarray:
@@ -389,22 +491,35 @@ def turned_axes(seen: Seen, there: Predicted) -> tuple[str, list[int], tuple[flo
     values = calibrated(some._replace(sun=np.full_like(some.sun, np.nan)), part).values[0]
     field = some.field @ values[:9].reshape(3, 3).T - values[9:]
     ways, known = list(signed_axes()), predicted_angles(part)
-    left = np.array([np.nanmedian(np.abs(angles(field[:, order] * sign, some.sun) - known)) for _, order, sign in ways])
+    left = np.array(
+        [
+            np.nanmedian(np.abs(angles(field[:, order] * sign, some.sun) - known))
+            for _, order, sign in ways
+        ]
+    )
     best, second = np.argsort(left)[:2]
     reversed_all = np.array_equal(axes_matrix(*ways[best][1:]), -np.eye(3))
     clear = left[best] < min(CLEARER * min(left[0], left[second]), MOST_ANGLE_RAD)
     return ways[best] if clear and not reversed_all else None
 
 
-def axes_words(way: tuple[str, list[int], tuple[float, ...]], vehicle: Vehicle, telemetry: xr.Dataset) -> str:
+def axes_words(
+    way: tuple[str, list[int], tuple[float, ...]], vehicle: Vehicle, telemetry: xr.Dataset
+) -> str:
     """What :func:`turned_axes` says, in words, and what to write into the vehicle file."""
     what, order, sign = way
     magnetometer = vehicle.sensors.magnetometer
-    do = "" if magnetometer is None else f"; {to_write('magnetometer', magnetometer.read_as(order, sign))}"
+    do = (
+        ""
+        if magnetometer is None
+        else f"; {to_write('magnetometer', magnetometer.read_as(order, sign))}"
+    )
     change = Change("the magnetometer", axes={"field_B": axes_matrix(order, sign)})
     same = alike(Observed.of(vehicle, telemetry), change, column_changes(vehicle, telemetry))
     others = " or ".join(one.what for one, _ in same)
-    instead = f", or, which looks the same, {others}: find out which before you set it" if others else ""
+    instead = (
+        f", or, which looks the same, {others}: find out which before you set it" if others else ""
+    )
     return f"the magnetometer {what} has the angle to the Sun that the orbit predicts, and as stated it has not{do}{instead}"
 
 

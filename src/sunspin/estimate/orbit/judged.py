@@ -35,12 +35,19 @@ def elements_of(
         return parse_elements("\n".join(stated.tle), f"[orbit] of {vehicle.name}")
     if shift_sigma_s is not None:
         what = "a shift along the track needs elements"
-        raise InputError(sentence(what, do="give --tle FILE or --omm FILE, or tle under [orbit] in the vehicle file"))
+        raise InputError(
+            sentence(
+                what, do="give --tle FILE or --omm FILE, or tle under [orbit] in the vehicle file"
+            )
+        )
     return None
 
 
 def orbit_of(
-    vehicle: Vehicle, telemetry: xr.Dataset, elements: Path | str | None = None, shift_sigma_s: float | None = None
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    elements: Path | str | None = None,
+    shift_sigma_s: float | None = None,
 ) -> Orbit | None:
     """The environment of a telemetry file by the elements of :func:`elements_of`; None without them.
 
@@ -50,10 +57,14 @@ def orbit_of(
     if found is None:
         return None
     return in_orbit(
-        found, str(telemetry.attrs["epoch_utc"]), telemetry["time"].values, shift_s=stated.shift_s,
+        found,
+        str(telemetry.attrs["epoch_utc"]),
+        telemetry["time"].values,
+        shift_s=stated.shift_s,
         shift_sigma_s=stated.shift_sigma_s if shift_sigma_s is None else shift_sigma_s,
-        clock_s=stated.clock_s, clock_sigma_s=stated.clock_sigma_s,
-    )  # fmt: skip
+        clock_s=stated.clock_s,
+        clock_sigma_s=stated.clock_sigma_s,
+    )
 
 
 def drifting(found: OrbitCheck) -> str:
@@ -67,31 +78,51 @@ def clock_off(found: OrbitCheck) -> str:
     """What clock would make elements fit that do not, in words; empty where none would."""
     hours = round(found.clock_behind_s / 3600)
     side = "behind" if hours > 0 else "ahead of"
-    return f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC" if hours else ""
+    return (
+        f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC" if hours else ""
+    )
 
 
-def judged_orbit(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Orbit | None, OrbitCheck, str]:
+def judged_orbit(
+    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset
+) -> tuple[Orbit | None, OrbitCheck, str]:
     """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit.check`), and what follows, in words.
 
     Elements that fit get the shift that was found, with its sigma; where the telemetry cannot tell, they stay as they were;
     refused ones are None: no answer may rest on them.
     """
     found = check_orbit(orbit, vehicle, telemetry)
-    sign = "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round" if found.sign_turned else ""
+    sign = (
+        "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round"
+        if found.sign_turned
+        else ""
+    )
     sign += f"; {found.turned_axes}" if found.turned_axes else ""
     if found.verdict is Verdict.REFUSED:
         why = found.verdict.value.split(":")[0]
         clock = f"; {off}" if (off := clock_off(found)) else ""
-        return None, found, f"the orbit is NOT USED: {why}{clock} (`sunspin check` with the same elements says more)"
+        return (
+            None,
+            found,
+            f"the orbit is NOT USED: {why}{clock} (`sunspin check` with the same elements says more)",
+        )
     if found.verdict is Verdict.UNDECIDED:
         sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
         along = f"{orbit.shift_s:+z.0f} +- {sigma:.0f} s along the track"
-        return orbit, found, f"the orbit is used as it was given, {along}: the telemetry cannot judge it{sign}"
+        return (
+            orbit,
+            found,
+            f"the orbit is used as it was given, {along}: the telemetry cannot judge it{sign}",
+        )
     # the shift found is that of place and clock together, of which the data determine the sum
     rest = float(np.sqrt(max(found.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)))
     known = replace(
-        orbit, shift_s=found.shift_s, shift_sigma_s=rest, clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s),
-        drift_s_day=found.drift_s_day, drift_sigma_s_day=found.drift_sigma_s_day,
-    )  # fmt: skip
+        orbit,
+        shift_s=found.shift_s,
+        shift_sigma_s=rest,
+        clock_sigma_s=min(orbit.clock_sigma_s, found.shift_sigma_s),
+        drift_s_day=found.drift_s_day,
+        drift_sigma_s_day=found.drift_sigma_s_day,
+    )
     shift = f"{found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s along the track{drifting(found)}"
     return known, found, f"the orbit is used: its elements fit, {shift}{sign}"

@@ -86,7 +86,9 @@ class Readings(NamedTuple):
 
     @property
     def has_sun(self) -> np.ndarray:
-        return np.any(np.isfinite(self.angle[..., 0]), axis=1) | np.all(np.isfinite(self.sun), axis=1)
+        return np.any(np.isfinite(self.angle[..., 0]), axis=1) | np.all(
+            np.isfinite(self.sun), axis=1
+        )
 
     @property
     def has_field(self) -> np.ndarray:
@@ -170,19 +172,26 @@ class Calibration:
         return 1 + self.values[14:].reshape(self.faces, 5)[:, 2:]
 
 
-def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, prior: np.ndarray) -> Calibration:
+def fit_in_orbit(
+    orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, prior: np.ndarray
+) -> Calibration:
     """Calibrate by these readings, from a start or from the sphere that explains the field's strength, whichever fits better;
     `prior` (D): one sigma of each unknown (those of :func:`priors`)."""
     half = int(np.clip(np.ceil(REACH * prior[12] / STEP_S), 4, MOST_STEPS))
     sky = AlongTrack.of(orbit, seen.t_s, REACH * prior[12] / half * np.arange(-half, half + 1))
     dark = sky.lit_at(start.shift_s) < 0.5  # what is seen there is not the Sun
-    seen = seen._replace(angle=np.where(dark[:, None, None], np.nan, seen.angle), sun=np.where(dark[:, None], np.nan, seen.sun))
+    seen = seen._replace(
+        angle=np.where(dark[:, None, None], np.nan, seen.angle),
+        sun=np.where(dark[:, None], np.nan, seen.sun),
+    )
     keep = seen.has_field | seen.has_sun
     seen, sky = seen.take(keep), sky.take(keep)
     unit_T = float(np.median(np.linalg.norm(sky.at(start.shift_s)[0], axis=1)))
 
     def begun(one: Start, unit: float) -> tuple[_Model, _State]:
-        model = _Model(vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit))
+        model = _Model(
+            vehicle, seen._replace(field=seen.field / unit), sky, unit_T, _precision(prior, unit)
+        )
         inverse, first = np.linalg.inv(one.matrix), np.zeros(len(prior))
         first[:9] = (inverse * unit_T / unit - np.eye(3)).ravel()
         first[9:12], first[12] = inverse @ one.zero_T / unit, one.shift_s
@@ -194,14 +203,18 @@ def fit_in_orbit(orbit: Orbit, vehicle: Vehicle, seen: Readings, start: Start, p
         unit = unit_T * abs(np.linalg.det(one.matrix)) ** (-1 / 3)
         unknown = _settled(*begun(one, unit), rounds=2)[1].unknown[0]
         back = np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)) * unit_T / unit
-        own = unit_T * abs(np.linalg.det(back)) ** (-1 / 3)  # the prior is about a matrix near one in this unit
+        own = unit_T * abs(np.linalg.det(back)) ** (
+            -1 / 3
+        )  # the prior is about a matrix near one in this unit
         model, state = _settled(*begun(Start(back, unit * back @ unknown[9:12], unknown[12]), own))
         found.append((model.left_of_both(state.unknown[0]), model, state, own))
     _, model, state, unit = min(found, key=lambda each: each[0])
     return model.answer(state, unit)
 
 
-def by_sun_sensors(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start) -> Calibration | None:
+def by_sun_sensors(
+    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start
+) -> Calibration | None:
     """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, too few samples show them
     and the field, or the fit is clearly worse than its start."""
     if "sun_sensor_angle" not in telemetry or not vehicle.sensors.sun_sensors:
@@ -216,7 +229,9 @@ def by_sun_sensors(orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start:
 def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model, _State]:
     """Unknowns and scatters fitted in turn."""
     for _ in range(rounds):
-        solution = least_squares(model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE)
+        solution = least_squares(
+            model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE
+        )
         state = solution.state._replace(attitude=solution.system.kept[0])
         before, model = model, model.with_scatter(state)
         if np.allclose(model.scatter, before.scatter, rtol=STEADY):
@@ -234,10 +249,14 @@ def _sphere(seen: Readings, sky: AlongTrack, sigma_s: float) -> Start | None:
     for shift in np.linspace(-3, 3, SHIFTS) * sigma_s:
         strength = np.linalg.norm(some.at(shift)[0], axis=1)
         middle = float(np.median(strength))
-        design = np.column_stack([2 * reading / size, np.ones(len(reading)), (strength / middle) ** 2])
+        design = np.column_stack(
+            [2 * reading / size, np.ones(len(reading)), (strength / middle) ** 2]
+        )
         target = (reading**2).sum(axis=1) / size**2
         found = np.linalg.lstsq(design, target, rcond=None)[0]
-        left = float(np.abs(design @ found - target).sum()) / max(found[4], 1e-9)  # in units of the field
+        left = float(np.abs(design @ found - target).sum()) / max(
+            found[4], 1e-9
+        )  # in units of the field
         if found[4] > 0 and left < best[0]:
             scale = middle / size / np.sqrt(found[4])
             best = left, Start(scale * np.eye(3), scale * size * found[:3], shift)
@@ -249,14 +268,35 @@ def priors(vehicle: Vehicle, seen: Readings, orbit: Orbit) -> np.ndarray:
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     part, median = vehicle.sensors.magnetometer, 1.0
     if part is not None and seen.has_field.any():
-        median = float(np.nanmedian(np.linalg.norm(seen.field @ np.linalg.inv(part.matrix).T + part.zero, axis=1)))
-    zero_sigma = part.zero_sigma if part is not None and part.zero_sigma.any() else ZERO_SIGMA * median
-    found = [np.full(9, MATRIX_SIGMA), np.broadcast_to(zero_sigma, 3), [along, orbit.drift_sigma_s_day]]
+        median = float(
+            np.nanmedian(
+                np.linalg.norm(seen.field @ np.linalg.inv(part.matrix).T + part.zero, axis=1)
+            )
+        )
+    zero_sigma = (
+        part.zero_sigma if part is not None and part.zero_sigma.any() else ZERO_SIGMA * median
+    )
+    found = [
+        np.full(9, MATRIX_SIGMA),
+        np.broadcast_to(zero_sigma, 3),
+        [along, orbit.drift_sigma_s_day],
+    ]
     for sensor in vehicle.sensors.sun_sensors:
         stated = {key: vehicle.facts.get(f"sun_sensor.{sensor.name}.{key}") for key in SUN_KEYS}
-        own = [float(fact.sigma) if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0 else None
-               for fact in stated.values()]  # fmt: skip
-        size = [1.0, 1.0, *(abs(value or 1.0) for value in (sensor.x_scale, sensor.y_scale, sensor.y_turned_scale))]
+        own = [
+            float(fact.sigma)
+            if fact is not None and isinstance(fact.sigma, float) and fact.sigma > 0
+            else None
+            for fact in stated.values()
+        ]
+        size = [
+            1.0,
+            1.0,
+            *(
+                abs(value or 1.0)
+                for value in (sensor.x_scale, sensor.y_scale, sensor.y_turned_scale)
+            ),
+        ]
         usual = [BIAS_SIGMA_RAD] * 2 + [ANGLE_SCALE_SIGMA] * 3
         found.append([usual[i] if one is None else one / size[i] for i, one in enumerate(own)])
     return np.concatenate(found)
@@ -273,11 +313,16 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
     n, faces = len(time), len(vehicle.sensors.sun_sensors)
     angle, is_turned = np.full((n, faces, 2), np.nan), np.zeros((n, faces), dtype=bool)
     if "sun_sensor_angle" in telemetry:
-        angle, is_turned = telemetry["sun_sensor_angle"].values, telemetry["sun_sensor_y_turned"].values != 0
+        angle, is_turned = (
+            telemetry["sun_sensor_angle"].values,
+            telemetry["sun_sensor_y_turned"].values != 0,
+        )
     field = telemetry["field_B"].values if "field_B" in telemetry else np.full((n, 3), np.nan)
     usual = np.median(np.diff(time)) if n > 1 else 1.0
     passes = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])
-    seen = Readings(time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes)
+    seen = Readings(
+        time, angle, is_turned, sun, np.hypot(sun_sigma, PANEL_SIGMA_RAD), field, passes
+    )
     both = seen.has_field & seen.has_sun
     return seen.take(spread_evenly(telemetry, seen.has_field | seen.has_sun, MOST_SAMPLES, both))
 
@@ -290,8 +335,15 @@ def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray,
         found, by_earth = sun_by_panels(vehicle, telemetry)
         earth = np.sqrt(2 * earth_variance(min(by_earth.sum(), MOST_SAMPLES)))
         sun, sigma = found["sun_B"].values, np.hypot(found["sigma_rad"].values, earth * by_earth)
-    elif vehicle.sensors.sun_vector is not None and not vehicle.sensors.sun_sensors and "sun_sensor_B" in telemetry:
-        sun, sigma = telemetry["sun_sensor_B"].values, np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad)
+    elif (
+        vehicle.sensors.sun_vector is not None
+        and not vehicle.sensors.sun_sensors
+        and "sun_sensor_B" in telemetry
+    ):
+        sun, sigma = (
+            telemetry["sun_sensor_B"].values,
+            np.full(n, np.sqrt(2) * vehicle.sensors.sun_vector.sigma_rad),
+        )
     known = np.isfinite(sigma)  # a direction without an error is no reading
     return np.where(known[:, None], sun, np.nan), np.where(known, sigma, 1.0) / np.sqrt(2)
 
@@ -348,9 +400,14 @@ class _Model:
     def read(self) -> np.ndarray:
         """Which residuals (n, R) there are."""
         n = len(self.seen.t_s)
-        return np.concatenate([
-            np.isfinite(self.seen.angle).reshape(n, -1), np.isfinite(self.seen.sun[:, :2]), np.isfinite(self.seen.field)
-        ], axis=1)  # fmt: skip
+        return np.concatenate(
+            [
+                np.isfinite(self.seen.angle).reshape(n, -1),
+                np.isfinite(self.seen.sun[:, :2]),
+                np.isfinite(self.seen.field),
+            ],
+            axis=1,
+        )
 
     @property
     def conditions(self) -> np.ndarray:
@@ -367,18 +424,34 @@ class _Model:
         for k, sensor in enumerate(self.vehicle.sensors.sun_sensors):
             x, y = np.nan_to_num(self.seen.angle[:, k]).T
             side = np.cross(sensor.normal_B, sensor.x_axis_B)
-            direction = sensor.normal_B + np.tan(x)[:, None] * sensor.x_axis_B + np.tan(y)[:, None] * side
+            direction = (
+                sensor.normal_B + np.tan(x)[:, None] * sensor.x_axis_B + np.tan(y)[:, None] * side
+            )
             direction /= np.linalg.norm(direction, axis=1, keepdims=True)
             sun = sun + np.isfinite(self.seen.angle[:, k, :1]) * direction
-        field = np.nan_to_num(self.seen.field - unknown[9:12]) @ np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)).T
+        field = (
+            np.nan_to_num(self.seen.field - unknown[9:12])
+            @ np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)).T
+        )
         return _triad(field, sun) @ np.swapaxes(_triad(field_N, sun_N), -1, -2)
 
-    def _residuals(self, unknown: np.ndarray, attitude: np.ndarray, sky: tuple[np.ndarray, ...], whole: bool = True) -> _At:
+    def _residuals(
+        self,
+        unknown: np.ndarray,
+        attitude: np.ndarray,
+        sky: tuple[np.ndarray, ...],
+        whole: bool = True,
+    ) -> _At:
         sun_N, field_N, by_shift = sky[:3]
         sun, field = turned(attitude, sun_N), turned(attitude, field_N)
         n, d = len(sun), len(unknown) if whole else 0
-        parts = [self._of_sensor(k, unknown, sun, d) for k in range(len(self.vehicle.sensors.sun_sensors))]
-        e1, e2 = tangents(np.nan_to_num(self.seen.sun) + (~np.isfinite(self.seen.sun)) * [0.0, 0.0, 1.0])
+        parts = [
+            self._of_sensor(k, unknown, sun, d)
+            for k in range(len(self.vehicle.sensors.sun_sensors))
+        ]
+        e1, e2 = tangents(
+            np.nan_to_num(self.seen.sun) + (~np.isfinite(self.seen.sun)) * [0.0, 0.0, 1.0]
+        )
         weight = 1 / (self.seen.sun_sigma * self.scatter[1])
         value = np.column_stack([(e1 * sun).sum(axis=1), (e2 * sun).sum(axis=1)]) * weight[:, None]
         by_turn = np.stack([e1, e2], axis=1) @ cross_matrix(sun) * weight[:, None, None]
@@ -392,12 +465,24 @@ class _Model:
             along = turned(attitude, by_shift) @ matrix.T
             by_unknown[:, :, 12], by_unknown[:, :, 13] = along, along * self.sky.days[:, None]
         value = field @ matrix.T + unknown[9:12] - self.seen.field
-        parts.append(tuple(part / self.scatter[2] for part in (value, matrix @ cross_matrix(field), by_unknown)))
+        parts.append(
+            tuple(
+                part / self.scatter[2] for part in (value, matrix @ cross_matrix(field), by_unknown)
+            )
+        )
         read = self.read
-        value, by_turn, by_unknown = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-        return _At(np.where(read, value, 0.0), np.where(read[..., None], by_turn, 0.0), np.where(read[..., None], by_unknown, 0.0))
+        value, by_turn, by_unknown = (
+            np.concatenate(part, axis=1) for part in zip(*parts, strict=True)
+        )
+        return _At(
+            np.where(read, value, 0.0),
+            np.where(read[..., None], by_turn, 0.0),
+            np.where(read[..., None], by_unknown, 0.0),
+        )
 
-    def _of_sensor(self, k: int, unknown: np.ndarray, sun: np.ndarray, d: int) -> tuple[np.ndarray, ...]:
+    def _of_sensor(
+        self, k: int, unknown: np.ndarray, sun: np.ndarray, d: int
+    ) -> tuple[np.ndarray, ...]:
         """Residuals (n, 2) of a Sun sensor's angles and their slopes."""
         sensor, place = self.vehicle.sensors.sun_sensors[k], 14 + 5 * k
         n, high = len(sun), sun @ sensor.normal_B
@@ -408,9 +493,15 @@ class _Model:
             which = place + np.where((side == 1) & self.seen.y_turned[:, k], 4, 2 + side)
             scale = 1 + unknown[which]
             inverse = 1 / ((sensor.x_sigma_rad, sensor.y_sigma_rad)[side] * self.scatter[0])
-            value[:, side] = (scale * true + unknown[place + side] - self.seen.angle[:, k, side]) * inverse
-            by_sun = (high[:, None] * axis - wide[:, None] * sensor.normal_B) / np.maximum(high**2 + wide**2, 1e-6)[:, None]
-            by_turn[:, side] = inverse * scale[:, None] * (by_sun[:, None] @ cross_matrix(sun))[:, 0]
+            value[:, side] = (
+                scale * true + unknown[place + side] - self.seen.angle[:, k, side]
+            ) * inverse
+            by_sun = (high[:, None] * axis - wide[:, None] * sensor.normal_B) / np.maximum(
+                high**2 + wide**2, 1e-6
+            )[:, None]
+            by_turn[:, side] = (
+                inverse * scale[:, None] * (by_sun[:, None] @ cross_matrix(sun))[:, 0]
+            )
             if d:
                 by_unknown[np.arange(n), side, which] = true * inverse
                 by_unknown[:, side, place + side] = inverse
@@ -420,7 +511,9 @@ class _Model:
         field, slope = self.sky.at(unknown[12], unknown[13])
         return self.sky.sun, field / self.unit_T, slope / self.unit_T
 
-    def _settled(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, _At, np.ndarray]:
+    def _settled(
+        self, unknown: np.ndarray, attitude: np.ndarray
+    ) -> tuple[np.ndarray, _At, np.ndarray]:
         """Attitudes that fit best, what is there, and the inverse of the turns' information (n, 3, 3)."""
         sky = self._sky(unknown)
         for _ in range(INNER):
@@ -436,9 +529,13 @@ class _Model:
         attitude, scores, matrix, cost = self._scores(unknown, state.attitude[0])
         slope = self.precision @ unknown + scores.sum(axis=0)
         total = unknown @ self.precision @ unknown / 2 + cost
-        return Dense(np.array([total]), (self.precision + matrix)[None], slope[None], kept=(attitude[None],))
+        return Dense(
+            np.array([total]), (self.precision + matrix)[None], slope[None], kept=(attitude[None],)
+        )
 
-    def _scores(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    def _scores(
+        self, unknown: np.ndarray, attitude: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Attitudes, slope (n, D) of each sample's cost, curvature (D, D) and the cost, the prior left out."""
         attitude, at, back = self._settled(unknown, attitude)
         alone = self._projected(at, back)
@@ -453,7 +550,9 @@ class _Model:
     @staticmethod
     def _projected(at: _At, back: np.ndarray) -> np.ndarray:
         """Slopes (n, R, D) of residuals by the unknowns when the attitudes follow these."""
-        return at.by_unknown - at.by_turn @ (back @ (np.swapaxes(at.by_turn, -1, -2) @ at.by_unknown))
+        return at.by_unknown - at.by_turn @ (
+            back @ (np.swapaxes(at.by_turn, -1, -2) @ at.by_unknown)
+        )
 
     def with_scatter(self, state: _State) -> _Model:
         """With the scatters that make the residuals likeliest, given their weights and what has been fitted to them."""
@@ -478,30 +577,58 @@ class _Model:
         _, scores, _, _ = self._scores(unknown, state.attitude[0])
         _, at, back = self._settled(unknown, state.attitude[0])
         alone, conditions = self._projected(at, back), self.conditions
-        expected = (STUDENT + conditions) / (STUDENT + conditions + 2)  # of the Student law, on average
+        expected = (STUDENT + conditions) / (
+            STUDENT + conditions + 2
+        )  # of the Student law, on average
         whole = self.precision + _summed(expected, alone)
         covariance = np.linalg.inv(whole)
         clusters = _clusters(self.seen.pass_of)
         parts = [clusters == k for k in range(clusters.max() + 1)]
-        without = np.array([np.linalg.solve(whole - _summed(expected[p], alone[p]), scores[p].sum(axis=0)) for p in parts])
+        without = np.array(
+            [
+                np.linalg.solve(whole - _summed(expected[p], alone[p]), scores[p].sum(axis=0))
+                for p in parts
+            ]
+        )
         without -= without.mean(axis=0)
-        robust = (1 - 1 / len(parts)) * without.T @ without + covariance @ self.precision @ covariance
+        robust = (
+            1 - 1 / len(parts)
+        ) * without.T @ without + covariance @ self.precision @ covariance
         before, after = self._left(self._stated(unknown)), self._left(unknown)
         read = self.seen
-        samples = {"field": int(read.has_field.sum()), "Sun": int(read.has_sun.sum()), "passes": len(np.unique(read.pass_of)),
-                   "field and Sun": int((read.has_field & read.has_sun).sum())}  # fmt: skip
+        samples = {
+            "field": int(read.has_field.sum()),
+            "Sun": int(read.has_sun.sum()),
+            "passes": len(np.unique(read.pass_of)),
+            "field and Sun": int((read.has_field & read.has_sun).sum()),
+        }
         return Calibration(
-            unknown, covariance, robust, np.linalg.inv(self.precision), self.unit_T, unit,
-            len(self.vehicle.sensors.sun_sensors), self.scatter[2] * self.unit_T, self.scatter[0], self.scatter[1],
-            np.array([before[0], after[0]]) * self.unit_T, np.array([before[1], after[1]]), samples,
-        )  # fmt: skip
+            unknown,
+            covariance,
+            robust,
+            np.linalg.inv(self.precision),
+            self.unit_T,
+            unit,
+            len(self.vehicle.sensors.sun_sensors),
+            self.scatter[2] * self.unit_T,
+            self.scatter[0],
+            self.scatter[1],
+            np.array([before[0], after[0]]) * self.unit_T,
+            np.array([before[1], after[1]]),
+            samples,
+        )
 
     def _stated(self, unknown: np.ndarray) -> np.ndarray:
         """The unknowns as the vehicle file has them, at the shift found and with the scale that fits best."""
         field = self._sky(unknown)[1]
         plain = np.zeros(len(unknown))
-        scale = np.nanmedian(np.linalg.norm(self.seen.field, axis=1) / np.linalg.norm(field, axis=1))
-        plain[:9], plain[12:14] = ((scale if np.isfinite(scale) else 1.0) * np.eye(3) - np.eye(3)).ravel(), unknown[12:14]
+        scale = np.nanmedian(
+            np.linalg.norm(self.seen.field, axis=1) / np.linalg.norm(field, axis=1)
+        )
+        plain[:9], plain[12:14] = (
+            ((scale if np.isfinite(scale) else 1.0) * np.eye(3) - np.eye(3)).ravel(),
+            unknown[12:14],
+        )
         return plain
 
     def left_of_both(self, unknown: np.ndarray) -> float:
@@ -509,31 +636,45 @@ class _Model:
         sample has an attitude, does not tell a noisy field from noisy Suns."""
         strength, angle = self._left(unknown)
         both = (self.seen.has_field & self.seen.has_sun).sum()
-        return float(self.seen.has_field.sum() * np.log(strength) + (both * np.log(angle) if np.isfinite(angle) else 0.0))
+        return float(
+            self.seen.has_field.sum() * np.log(strength)
+            + (both * np.log(angle) if np.isfinite(angle) else 0.0)
+        )
 
     def _left(self, unknown: np.ndarray) -> tuple[float, float]:
         """Medians of what is left of the field's strength, in its unit, and of its angle to the Sun (rad)."""
         sun_N, field_N, _ = self._sky(unknown)
-        read = (self.seen.field - unknown[9:12]) @ np.linalg.inv(np.eye(3) + unknown[:9].reshape(3, 3)).T
+        read = (self.seen.field - unknown[9:12]) @ np.linalg.inv(
+            np.eye(3) + unknown[:9].reshape(3, 3)
+        ).T
         size = np.linalg.norm(read, axis=1)
         strength = np.abs(size - np.linalg.norm(field_N, axis=1))
         both = self.seen.has_field & self.seen.has_sun
         if not both.any():
             return float(np.nanmedian(strength)), np.nan
-        weight = [np.where(np.isfinite(self.seen.sun), self.seen.sun, 0.0) / self.seen.sun_sigma[:, None] ** 2]
+        weight = [
+            np.where(np.isfinite(self.seen.sun), self.seen.sun, 0.0)
+            / self.seen.sun_sigma[:, None] ** 2
+        ]
         for k, sensor in enumerate(self.vehicle.sensors.sun_sensors):
             place = 14 + 5 * k
             which = 3 + self.seen.y_turned[:, k]
             x = (self.seen.angle[:, k, 0] - unknown[place]) / (1 + unknown[place + 2])
             y = (self.seen.angle[:, k, 1] - unknown[place + 1]) / (1 + unknown[place + which])
             side = np.cross(sensor.normal_B, sensor.x_axis_B)
-            direction = sensor.normal_B + np.tan(x)[:, None] * sensor.x_axis_B + np.tan(np.nan_to_num(y))[:, None] * side
+            direction = (
+                sensor.normal_B
+                + np.tan(x)[:, None] * sensor.x_axis_B
+                + np.tan(np.nan_to_num(y))[:, None] * side
+            )
             direction /= np.linalg.norm(direction, axis=1, keepdims=True)
             weight.append(np.nan_to_num(direction) / sensor.x_sigma_rad**2)
         sun = np.sum(weight, axis=0)[both]
         cosine = (sun * read[both]).sum(axis=1) / np.linalg.norm(sun, axis=1) / size[both]
         known = (sun_N * field_N).sum(axis=1)[both] / np.linalg.norm(field_N[both], axis=1)
-        return float(np.nanmedian(strength)), float(np.median(np.abs(np.arccos(np.clip(cosine, -1, 1)) - np.arccos(known))))
+        return float(np.nanmedian(strength)), float(
+            np.median(np.abs(np.arccos(np.clip(cosine, -1, 1)) - np.arccos(known)))
+        )
 
 
 def _summed(weight: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -552,10 +693,16 @@ def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Axes (n, 3, 3) by columns: the first vector, what is at right angles to both, the third; any where a vector is zero."""
     size = np.linalg.norm(first, axis=1, keepdims=True)
     near = np.linalg.norm(second, axis=1, keepdims=True)
-    second = np.where(near > 0, second / np.maximum(near, 1e-300), tangents(first / np.maximum(size, 1e-300) + (size == 0))[0])
+    second = np.where(
+        near > 0,
+        second / np.maximum(near, 1e-300),
+        tangents(first / np.maximum(size, 1e-300) + (size == 0))[0],
+    )
     one = np.where(size > 0, first / np.maximum(size, 1e-300), tangents(second)[0])
     across = np.cross(one, second)
-    across = np.where(np.linalg.norm(across, axis=1, keepdims=True) > 1e-6, across, tangents(one)[0])
+    across = np.where(
+        np.linalg.norm(across, axis=1, keepdims=True) > 1e-6, across, tangents(one)[0]
+    )
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([one, across, np.cross(one, across)], axis=2)
 
@@ -564,5 +711,9 @@ def _clusters(pass_of: np.ndarray) -> np.ndarray:
     """Numbers (n) from zero of what may err as one: the passes, in pieces where they are few."""
     _, clusters = np.unique(pass_of, return_inverse=True)
     pieces = -(-FEWEST_CLUSTERS // (clusters.max() + 1))
-    place = np.arange(len(clusters)) - np.searchsorted(clusters, clusters)  # in its pass; samples are in the order of time
-    return np.unique(clusters * pieces + place * pieces // np.bincount(clusters)[clusters], return_inverse=True)[1]
+    place = np.arange(len(clusters)) - np.searchsorted(
+        clusters, clusters
+    )  # in its pass; samples are in the order of time
+    return np.unique(
+        clusters * pieces + place * pieces // np.bincount(clusters)[clusters], return_inverse=True
+    )[1]

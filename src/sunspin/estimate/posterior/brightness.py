@@ -52,9 +52,17 @@ def _likeliest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
     """
     light = value / vehicle.input_gains
     brightest = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:MOST_SAMPLES]
-    brightest = brightest[light[brightest].max(axis=1) > 0]  # the dark samples of an eclipse bound nothing
+    brightest = brightest[
+        light[brightest].max(axis=1) > 0
+    ]  # the dark samples of an eclipse bound nothing
     largest = light[brightest].max(axis=1)
-    scales = np.exp(np.arange(np.log(max(np.median(largest), LEAST * largest.max())), np.log(WIDEST * largest.max()), STEP))
+    scales = np.exp(
+        np.arange(
+            np.log(max(np.median(largest), LEAST * largest.max())),
+            np.log(WIDEST * largest.max()),
+            STEP,
+        )
+    )
     seen = panel_power(vehicle, sphere(CANDIDATE_GRID))
     density = np.zeros(len(scales))
     for i, scale in enumerate(scales):

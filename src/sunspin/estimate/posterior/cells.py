@@ -95,13 +95,18 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     return kept
 
 
-def shortfall(model: Model, data: Readings, sun: np.ndarray, angle: float, scale: float) -> np.ndarray:
+def shortfall(
+    model: Model, data: Readings, sun: np.ndarray, angle: float, scale: float
+) -> np.ndarray:
     """How far (n) readings of samples (K) speak against any direction within `angle` rad of `sun` (n, K, 3)."""
     low, high = model.vehicle.response_in().bounds(sun, angle)
     low, high = scale * low * (1 - SCALE_SHARE), scale * high * (1 + SCALE_SHARE)
     least = np.full(low.shape[:2], np.inf)
     for factor in _factors(data, low, high) if data.throttled else [1.0]:
-        beyond = np.maximum(np.maximum(factor * low - data.value, data.value - factor * high) / data.sigma - SIGMAS, 0.0)
+        beyond = np.maximum(
+            np.maximum(factor * low - data.value, data.value - factor * high) / data.sigma - SIGMAS,
+            0.0,
+        )
         least = np.minimum(least, np.where(data.used, np.minimum(beyond**2, CAP), 0.0).sum(axis=2))
     return least.sum(axis=1)
 
@@ -111,7 +116,9 @@ def _factors(data: Readings, low: np.ndarray, high: np.ndarray) -> Iterator[np.n
     ends of the intervals that each reading allows."""
     slack = SIGMAS * data.sigma
     for end, value in ((high, data.value - slack), (low, data.value + slack)):
-        ends = np.divide(np.maximum(value, 0.0), end, out=np.zeros_like(end), where=data.used & (end > 0))
+        ends = np.divide(
+            np.maximum(value, 0.0), end, out=np.zeros_like(end), where=data.used & (end > 0)
+        )
         yield from np.moveaxis(ends, -1, 0)[..., None]
 
 
@@ -166,16 +173,24 @@ class Attitudes:
 
     def rates(self, places: np.ndarray) -> np.ndarray:
         """Rates (n, 3) at places of the cube; halves and quarters between points are made by the caller."""
-        return (np.stack(np.unravel_index(places, (self.side,) * 3), axis=-1) - self.side // 2) * self.edge
+        return (
+            np.stack(np.unravel_index(places, (self.side,) * 3), axis=-1) - self.side // 2
+        ) * self.edge
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         model = self.model
         omega = self.rates(self.places[index]) + 1e-6 * self.edge  # no row is exactly at rest
-        nominal = State(omega, np.tile([0.0, 0.0, 1.0], (len(omega), 1)), np.zeros((len(omega), len(model.unknowns))))
+        nominal = State(
+            omega,
+            np.tile([0.0, 0.0, 1.0], (len(omega), 1)),
+            np.zeros((len(omega), len(model.unknowns))),
+        )
         rows = model.rows(nominal)
         momentum = g.total_momentum(model.vehicle, omega, rows.wheel_speed_rad_s)
         along = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
-        across = tangents(along)[0]  # any inertial direction will do for the run; one across H makes a frame with it
+        across = tangents(along)[
+            0
+        ]  # any inertial direction will do for the run; one across H makes a frame with it
         rows = model.rows(State(omega, across, nominal.u))
         frame = np.stack([along, across, np.cross(along, across)], axis=2)
         turns = np.empty((len(omega), len(self.times), 4), dtype=np.float32)
@@ -196,7 +211,9 @@ def first_speed(model: Model, state: State) -> np.ndarray:
     """Angular speeds (n) at the first sample of motions given at the reference, rad/s; infinite where they cannot be computed."""
     if not (model.after_s and len(state)):
         return np.linalg.norm(state.omega, axis=1)
-    speed = np.linalg.norm(model.run(model.rows(state), [-model.after_s], TRIAL_ERROR).omega_B[:, 0], axis=1)
+    speed = np.linalg.norm(
+        model.run(model.rows(state), [-model.after_s], TRIAL_ERROR).omega_B[:, 0], axis=1
+    )
     return np.where(np.isfinite(speed), speed, np.inf)
 
 
@@ -239,16 +256,30 @@ class Starts:
     def found(self, workers: int) -> tuple[State, np.ndarray]:
         """The starts, best first, and how many points of the grid settled there."""
         side = self.attitudes.side
-        corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [side**2, side, 1]
+        corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) @ [
+            side**2,
+            side,
+            1,
+        ]
         law = self.attitudes.model.vehicle.response_in().inside((NEAR + NODE_RAD, FAR + NODE_RAD))
-        law, readings = law._replace(gains=self.scale * law.gains), (self.data.value, self.data.used, self.data.sigma)
+        law, readings = (
+            law._replace(gains=self.scale * law.gains),
+            (self.data.value, self.data.used, self.data.sigma),
+        )
         throttled = self.data.throttled
         frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
         fixed = (
-            self.row_of, corners, self.turn, frame, *told(nodes(NODES), law, *readings, throttled), law,
-            np.concatenate([self.here[None], self.data.value]), np.concatenate([self.here_used[None], self.data.used]),
-            self.data.sigma, throttled,
-        )  # fmt: skip
+            self.row_of,
+            corners,
+            self.turn,
+            frame,
+            *told(nodes(NODES), law, *readings, throttled),
+            law,
+            np.concatenate([self.here[None], self.data.value]),
+            np.concatenate([self.here_used[None], self.data.used]),
+            self.data.sigma,
+            throttled,
+        )
         pieces = np.array_split(self.cells, max(1, len(self.cells) // 5_000))
         with ThreadPoolExecutor(workers) as pool:
             parts = list(pool.map(lambda cells: look_through(cells, *fixed), pieces))
@@ -257,7 +288,11 @@ class Starts:
         omega = self.attitudes.rates(cell) + rows[:, 2:5] * self.attitudes.edge
         size = np.linalg.norm(omega, axis=1, keepdims=True)
         omega = omega * np.minimum(1.0, self.attitudes.model.max_rate / np.maximum(size, 1e-12))
-        state = State(omega, moved(self.suns[sun], rows[:, 5:7]), np.zeros((len(rows), len(self.attitudes.model.unknowns))))
+        state = State(
+            omega,
+            moved(self.suns[sun], rows[:, 5:7]),
+            np.zeros((len(rows), len(self.attitudes.model.unknowns))),
+        )
         best, count = _distinct(state, rows[:, 7], float(np.abs(self.data.t_s).max()))
         return state.take(best), count
 
@@ -266,7 +301,9 @@ def _distinct(state: State, cost: np.ndarray, reach_s: float) -> tuple[np.ndarra
     """Of states in one box of rate and direction, `APART` wide at `reach_s` s, the best and their number; best first."""
     order = np.argsort(cost, kind="stable")
     box = np.concatenate([state.omega[order] * (reach_s / APART), state.sun[order] / APART], axis=1)
-    _, first, count = np.unique(np.floor(box).astype(np.int64), axis=0, return_index=True, return_counts=True)
+    _, first, count = np.unique(
+        np.floor(box).astype(np.int64), axis=0, return_index=True, return_counts=True
+    )
     rank = np.argsort(first)
     return order[first[rank]], count[rank]
 
@@ -314,7 +351,9 @@ def _points():
 
 
 @jit
-def look_through(cells, row_of, corners, turn, suns, short, total, law, value, used, sigma, throttled):
+def look_through(
+    cells, row_of, corners, turn, suns, short, total, law, value, used, sigma, throttled
+):
     """The settled starts of cells, (n, 8): place, direction, x, y, z in the cell, two steps of the direction, misfit. Of
     readings `value`, `used` (1 + m, n_panel) the first are the reference's."""
     room = 1024
@@ -339,7 +378,9 @@ def look_through(cells, row_of, corners, turn, suns, short, total, law, value, u
                 if least == np.inf:
                     continue
                 begin = points[eighth, best]
-                x, step, misfit = _settle(quaternions, begin, suns[c], law, value, used, sigma, throttled)
+                x, step, misfit = _settle(
+                    quaternions, begin, suns[c], law, value, used, sigma, throttled
+                )
                 if misfit <= SETTLED and np.abs(x - middles[eighth]).max() < 0.5:
                     if count == room:
                         room *= 2
@@ -356,7 +397,11 @@ def look_through(cells, row_of, corners, turn, suns, short, total, law, value, u
 def _weights(x, out):
     """How much each corner (8) counts at x (3, parts of the cell)."""
     for corner in range(8):
-        out[corner] = (x[0] if corner & 4 else 1 - x[0]) * (x[1] if corner & 2 else 1 - x[1]) * (x[2] if corner & 1 else 1 - x[2])
+        out[corner] = (
+            (x[0] if corner & 4 else 1 - x[0])
+            * (x[1] if corner & 2 else 1 - x[1])
+            * (x[2] if corner & 1 else 1 - x[2])
+        )
 
 
 @jit
@@ -371,9 +416,21 @@ def _rotations(quaternions, weights, out):
             c += w * quaternions[corner, m, 2]
             d += w * quaternions[corner, m, 3]
         half = 2.0 / max(a * a + b * b + c * c + d * d, 1e-9)
-        out[m, 0, 0], out[m, 0, 1], out[m, 0, 2] = 1 - half * (b * b + c * c), half * (a * b - c * d), half * (a * c + b * d)
-        out[m, 1, 0], out[m, 1, 1], out[m, 1, 2] = half * (a * b + c * d), 1 - half * (a * a + c * c), half * (b * c - a * d)
-        out[m, 2, 0], out[m, 2, 1], out[m, 2, 2] = half * (a * c - b * d), half * (b * c + a * d), 1 - half * (a * a + b * b)
+        out[m, 0, 0], out[m, 0, 1], out[m, 0, 2] = (
+            1 - half * (b * b + c * c),
+            half * (a * b - c * d),
+            half * (a * c + b * d),
+        )
+        out[m, 1, 0], out[m, 1, 1], out[m, 1, 2] = (
+            half * (a * b + c * d),
+            1 - half * (a * a + c * c),
+            half * (b * c - a * d),
+        )
+        out[m, 2, 0], out[m, 2, 1], out[m, 2, 2] = (
+            half * (a * c - b * d),
+            half * (b * c + a * d),
+            1 - half * (a * a + b * b),
+        )
 
 
 @jit
@@ -389,11 +446,18 @@ def told(nodes, law, value, used, sigma, throttled):
             factor = _factor(law, nodes[i], value[m], used[m])[0] if throttled else 1.0
             for j in range(len(law.gains)):
                 if used[m, j]:
-                    misfit[m, i] += min(((factor * law.gains[j] * seen(law, j, x, y, z)[0] - value[m, j]) / sigma) ** 2, 1e6)
+                    misfit[m, i] += min(
+                        ((factor * law.gains[j] * seen(law, j, x, y, z)[0] - value[m, j]) / sigma)
+                        ** 2,
+                        1e6,
+                    )
             for angle in range(count):
                 for j in range(len(law.gains)):
                     low[j], high[j] = between(law, angle, j, x, y, z)
-                    low[j], high[j] = law.gains[j] * low[j] * (1 - SCALE_SHARE), law.gains[j] * high[j] * (1 + SCALE_SHARE)
+                    low[j], high[j] = (
+                        law.gains[j] * low[j] * (1 - SCALE_SHARE),
+                        law.gains[j] * high[j] * (1 + SCALE_SHARE),
+                    )
                 short[angle, m, i] = _short(low, high, value[m], used[m], sigma, throttled)
     return short, misfit
 
@@ -522,7 +586,11 @@ def _times(q, vector, out):
     """`vector` turned by the quaternion q[0], of any length."""
     a, b, c, d = q[0, 0], q[0, 1], q[0, 2], q[0, 3]
     half = 2.0 / max(a * a + b * b + c * c + d * d, 1e-9)
-    x, y, z = b * vector[2] - c * vector[1], c * vector[0] - a * vector[2], a * vector[1] - b * vector[0]
+    x, y, z = (
+        b * vector[2] - c * vector[1],
+        c * vector[0] - a * vector[2],
+        a * vector[1] - b * vector[0],
+    )
     out[0] = vector[0] + half * (d * x + b * z - c * y)
     out[1] = vector[1] + half * (d * y + c * x - a * z)
     out[2] = vector[2] + half * (d * z + a * y - b * x)
@@ -535,8 +603,16 @@ def _change(q, i, r, out):
     a, b, c, d = q[0, 0], q[0, 1], q[0, 2], q[0, 3]
     e, f, g, h = q[i, 0], q[i, 1], q[i, 2], q[i, 3]
     half = 2.0 / max(a * a + b * b + c * c + d * d, 1e-9)
-    x, y, z = half * (d * e - h * a - f * c + g * b), half * (d * f - h * b - g * a + e * c), half * (d * g - h * c - e * b + f * a)
-    out[i - 1, 0], out[i - 1, 1], out[i - 1, 2] = y * r[2] - z * r[1], z * r[0] - x * r[2], x * r[1] - y * r[0]
+    x, y, z = (
+        half * (d * e - h * a - f * c + g * b),
+        half * (d * f - h * b - g * a + e * c),
+        half * (d * g - h * c - e * b + f * a),
+    )
+    out[i - 1, 0], out[i - 1, 1], out[i - 1, 2] = (
+        y * r[2] - z * r[1],
+        z * r[0] - x * r[2],
+        x * r[1] - y * r[0],
+    )
 
 
 @jit
@@ -560,7 +636,13 @@ def _settle(quaternions, x, frame, law, value, used, sigma, throttled):
     """Least squares from x for the place in the cell and the direction: place, the direction's two steps, misfit. Where this does
     not fall fast enough to become `SETTLED` it ends early."""
     x, step, sun = x.copy(), np.zeros(2), frame[0].copy()
-    r, column, q, change, follows = np.empty(3), np.empty((5, 3)), np.empty((4, 4)), np.empty(5), np.zeros(5)
+    r, column, q, change, follows = (
+        np.empty(3),
+        np.empty((5, 3)),
+        np.empty((4, 4)),
+        np.empty(5),
+        np.zeros(5),
+    )
     normal, gradient, move = np.empty((5, 5)), np.empty(5), np.empty(5)
     misfit, arrived = np.inf, False
     for iteration in range(STEPS + 1):
@@ -568,15 +650,23 @@ def _settle(quaternions, x, frame, law, value, used, sigma, throttled):
         before, misfit = misfit, 0.0
         for m in range(len(value)):
             _there(quaternions, m, x, sun, frame, r, column, q)
-            misfit += _gather(normal, gradient, r, column, law, value, used, m, sigma, throttled, change, follows)
-        if iteration > 1 and misfit - (STEPS - iteration) * FASTER * max(before - misfit, 0.0) > SETTLED:
+            misfit += _gather(
+                normal, gradient, r, column, law, value, used, m, sigma, throttled, change, follows
+            )
+        if (
+            iteration > 1
+            and misfit - (STEPS - iteration) * FASTER * max(before - misfit, 0.0) > SETTLED
+        ):
             break
         if iteration == STEPS or arrived:
             break
         for i in range(5):
             normal[i, i] += 1e-2 * normal[i, i] + 1e-3
         _solve(normal, gradient, move)
-        longest, across = max(abs(move[0]), abs(move[1]), abs(move[2])), max(abs(move[3]), abs(move[4]))
+        longest, across = (
+            max(abs(move[0]), abs(move[1]), abs(move[2])),
+            max(abs(move[3]), abs(move[4])),
+        )
         size = max(longest / 0.25, across / 0.3, 1.0)
         arrived = max(longest, across) < ARRIVED
         for i in range(3):
@@ -584,7 +674,9 @@ def _settle(quaternions, x, frame, law, value, used, sigma, throttled):
         for i in range(2):
             step[i] += move[3 + i] / size
         for i in range(3):
-            sun[i] = (frame[0, i] + step[0] * frame[1, i] + step[1] * frame[2, i]) / np.sqrt(1 + step[0] ** 2 + step[1] ** 2)
+            sun[i] = (frame[0, i] + step[0] * frame[1, i] + step[1] * frame[2, i]) / np.sqrt(
+                1 + step[0] ** 2 + step[1] ** 2
+            )
     length = np.sqrt(step[0] ** 2 + step[1] ** 2)
     if length > 0:
         step *= np.arctan(length) / length

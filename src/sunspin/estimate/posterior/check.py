@@ -33,16 +33,33 @@ def check(likelihood: Likelihood, state: State, rng: np.random.Generator) -> Che
     """Compare readings with copies drawn under hypotheses `state` (equal weights)."""
     part = state.take(np.arange(min(DRAWS, len(state))))
     prediction = likelihood.predict(part)
-    u, noise, tag, data = part.u, likelihood.noise(part.u), likelihood.model.time_sigma_s, likelihood.data
+    u, noise, tag, data = (
+        part.u,
+        likelihood.noise(part.u),
+        likelihood.model.time_sigma_s,
+        likelihood.data,
+    )
     real = likelihood.samples(prediction, u).sum(axis=1)
-    gain, size = (np.zeros(len(part)), np.zeros(len(part))) if tag else tags_wanted(likelihood, prediction, u)
+    gain, size = (
+        (np.zeros(len(part)), np.zeros(len(part)))
+        if tag
+        else tags_wanted(likelihood, prediction, u)
+    )
     worse, as_much = [], []
     for _ in range(COPIES):
-        shift = tag * rng.standard_normal(prediction.sun.shape[:2]) if tag else np.zeros(prediction.sun.shape[:2])
+        shift = (
+            tag * rng.standard_normal(prediction.sun.shape[:2])
+            if tag
+            else np.zeros(prediction.sun.shape[:2])
+        )
         power = likelihood.power(turned(prediction.sun, prediction.rate, shift), u)
         value, lit = _replicated(data, power, noise, rng)
         # readings of their own for each draw: (n, K, P), where there is one set for all otherwise
-        copy = Likelihood(likelihood.model, replace(data, value=value, lit=lit & data.used), likelihood.direction_error)
+        copy = Likelihood(
+            likelihood.model,
+            replace(data, value=value, lit=lit & data.used),
+            likelihood.direction_error,
+        )
         worse.append(copy.samples(prediction, u).sum(axis=1) <= real)
         as_much.append(gain <= (0.0 if tag else tags_wanted(copy, prediction, u)[0]))
     places = likelihood.model.where("noise")
@@ -51,7 +68,9 @@ def check(likelihood: Likelihood, state: State, rng: np.random.Generator) -> Che
     power = likelihood.power(turned(prediction.sun, prediction.rate, best), u)
     doubt = np.exp(likelihood.outlier - likelihood.readings(power, noise)).mean(axis=0)
     outliers = np.where(data.used, np.minimum(doubt, 1.0), 0.0)
-    return Check(float(np.mean(worse)), sigmas, outliers, float(np.mean(as_much)), float(np.median(size)))
+    return Check(
+        float(np.mean(worse)), sigmas, outliers, float(np.mean(as_much)), float(np.median(size))
+    )
 
 
 def _replicated(
@@ -61,6 +80,8 @@ def _replicated(
     shape = power.shape
     value = np.where(power > 0, power + noise[:, None, None] * rng.standard_normal(shape), 0.0)
     wrong = rng.random(shape) < OUTLIERS
-    other = np.where(rng.random(shape) < DARK_OUTLIER, 0.0, rng.random(shape) * BEYOND_LARGEST * data.largest)
+    other = np.where(
+        rng.random(shape) < DARK_OUTLIER, 0.0, rng.random(shape) * BEYOND_LARGEST * data.largest
+    )
     value = np.where(wrong, other, value)
     return value, value > data.threshold

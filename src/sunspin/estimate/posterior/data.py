@@ -76,7 +76,9 @@ class Readings:
         if not self.throttled:
             return np.ones((*power.shape[:-1], 1))
         size = np.sum(weight * self.used * power**2, axis=-1, keepdims=True)
-        along = np.sum(weight * self.used * np.maximum(self.value, 0.0) * power, axis=-1, keepdims=True)
+        along = np.sum(
+            weight * self.used * np.maximum(self.value, 0.0) * power, axis=-1, keepdims=True
+        )
         return np.divide(along, size, out=np.ones_like(size), where=size > 0)
 
     @property
@@ -94,7 +96,14 @@ class Readings:
         """Some of the samples, and what else was observed in the time that they span."""
         t = self.t_s[index]
         others = tuple(o for o in self.others if t.min() <= o.t_s <= t.max())
-        return replace(self, t_s=t, value=self.value[index], used=self.used[index], lit=self.lit[index], others=others)
+        return replace(
+            self,
+            t_s=t,
+            value=self.value[index],
+            used=self.used[index],
+            lit=self.lit[index],
+            others=others,
+        )
 
     def near(self, half_s: float) -> Readings:
         """The samples within a time of the reference."""
@@ -106,9 +115,13 @@ class Readings:
 
 
 def readings(
-    vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None = None, end_s: float | None = None,
-    phase: str | None = None, observations: Sequence[Mapping[str, Any]] = (),
-) -> tuple[Readings, float, list[str]]:  # fmt: skip
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    phase: str | None = None,
+    observations: Sequence[Mapping[str, Any]] = (),
+) -> tuple[Readings, float, list[str]]:
     """The readings in the window, the time (s from the epoch) of the first sample, and remarks on what was done.
 
     Raises
@@ -119,17 +132,29 @@ def readings(
     vehicle.require_panels()
     value = np.asarray(signals(telemetry), dtype=np.float64)
     if value.ndim != 2 or value.shape[1] != len(vehicle.inputs):
-        raise InputError(sentence("the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"))
+        raise InputError(
+            sentence(
+                "the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"
+            )
+        )
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
     finite = np.isfinite(value) & ~_wild(vehicle, value)
     usable = keep & np.isfinite(times) & ~came_late(telemetry) & finite.any(axis=1)
     index = np.flatnonzero(usable)
-    index = index[np.concatenate([[True], np.diff(np.maximum.accumulate(times[index])) > 0])] if len(index) else index
+    index = (
+        index[np.concatenate([[True], np.diff(np.maximum.accumulate(times[index])) > 0])]
+        if len(index)
+        else index
+    )
     if (np.isfinite(value) & ~finite)[index].any():
-        remarks.append(f"{np.count_nonzero((np.isfinite(value) & ~finite)[index])} readings far beyond full Sun were left out")
+        remarks.append(
+            f"{np.count_nonzero((np.isfinite(value) & ~finite)[index])} readings far beyond full Sun were left out"
+        )
     if int(keep.sum()) > len(index):
-        remarks.append(f"{int(keep.sum()) - len(index)} samples without readings or in disorder were left out")
+        remarks.append(
+            f"{int(keep.sum()) - len(index)} samples without readings or in disorder were left out"
+        )
     if len(index) > MAX_SAMPLES:
         remarks.append(f"{len(index)} samples were thinned to {MAX_SAMPLES}")
         index = index[np.unique(np.linspace(0, len(index) - 1, MAX_SAMPLES).round().astype(int))]
@@ -138,14 +163,28 @@ def readings(
     lit = used & (value > threshold)
     if np.count_nonzero(lit.any(axis=1)) < 3:
         raise InputError(
-            sentence("a motion needs three samples with a lit panel", got=f"{np.count_nonzero(lit.any(axis=1))} in the window",
-                     do="widen the window; `sunspin check` says what is wrong with samples")
-        )  # fmt: skip
+            sentence(
+                "a motion needs three samples with a lit panel",
+                got=f"{np.count_nonzero(lit.any(axis=1))} in the window",
+                do="widen the window; `sunspin check` says what is wrong with samples",
+            )
+        )
     largest = float(value[used].max())
     sigma, noise_from = _noise(vehicle, value, used)
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
-    made = Readings(times[index] - start, value, used, lit, sigma, threshold, largest, others, vehicle.throttled, noise_from)
+    made = Readings(
+        times[index] - start,
+        value,
+        used,
+        lit,
+        sigma,
+        threshold,
+        largest,
+        others,
+        vehicle.throttled,
+        noise_from,
+    )
     return made, start, remarks
 
 
@@ -163,20 +202,35 @@ def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
     relative = np.nan_to_num(value / vehicle.input_gains)
     brightest = relative.max(axis=1, initial=0.0)
     lit = brightest[brightest > 0]
-    return relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
+    return (
+        relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
+    )
 
 
 def _window(
-    telemetry: xr.Dataset, times: np.ndarray, begin_s: float | None, end_s: float | None, phase: str | None
+    telemetry: xr.Dataset,
+    times: np.ndarray,
+    begin_s: float | None,
+    end_s: float | None,
+    phase: str | None,
 ) -> tuple[np.ndarray, list[str]]:
     keep = np.ones(len(times), dtype=bool)
     remarks = []
-    phases = np.asarray(telemetry["phase"]).astype(str) if "phase" in telemetry.coords else np.array([], dtype=str)
+    phases = (
+        np.asarray(telemetry["phase"]).astype(str)
+        if "phase" in telemetry.coords
+        else np.array([], dtype=str)
+    )
     names = list(dict.fromkeys(phases.tolist()))
     if phase is None and begin_s is None and end_s is None and len(names) > 1:
         if FREE_PHASE not in names:
-            raise InputError(sentence("the telemetry has several phases, which are not one motion", got=", ".join(names),
-                                      do="name one, or give begin and end"))  # fmt: skip
+            raise InputError(
+                sentence(
+                    "the telemetry has several phases, which are not one motion",
+                    got=", ".join(names),
+                    do="name one, or give begin and end",
+                )
+            )
         phase = FREE_PHASE
         remarks.append(f"of the phases in the file only {phase} was used")
     if phase is not None:
@@ -184,7 +238,9 @@ def _window(
             there = f"it has {', '.join(names[:NAMED])}" if names else "it names none"
             raise InputError(sentence("the telemetry has no such phase", got=phase, do=there))
         keep &= phases == phase
-    keep &= (times >= (-np.inf if begin_s is None else begin_s)) & (times <= (np.inf if end_s is None else end_s))
+    keep &= (times >= (-np.inf if begin_s is None else begin_s)) & (
+        times <= (np.inf if end_s is None else end_s)
+    )
     return keep, remarks
 
 
@@ -193,9 +249,18 @@ def _observation(given: Mapping[str, Any], start: float, end: float) -> Reading:
     if kind is None or set(kind.keys) != set(given):
         more = "a field also angle_rad, the Sun's from it"
         raise InputError(
-            sentence(f"an observation has kind ({', '.join(READINGS)}), t_s, value and sigma, {more}", got=str(dict(given)))
+            sentence(
+                f"an observation has kind ({', '.join(READINGS)}), t_s, value and sigma, {more}",
+                got=str(dict(given)),
+            )
         )
     value, t = kind.checked(given), float(given["t_s"])
     if not start <= t <= end:
-        raise InputError(sentence("an observation lies outside the window", got=f"t_s {t:g}", do=f"from {start:g} to {end:g}"))
+        raise InputError(
+            sentence(
+                "an observation lies outside the window",
+                got=f"t_s {t:g}",
+                do=f"from {start:g} to {end:g}",
+            )
+        )
     return kind.of(given, value, t - start)

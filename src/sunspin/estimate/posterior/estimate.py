@@ -40,7 +40,17 @@ from sunspin.estimate.posterior.hypotheses import (
 from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
-from sunspin.estimate.posterior.modes import NO_TORQUES, Modes, Plan, Search, at_reference, beyond_all, plan, require_few, within
+from sunspin.estimate.posterior.modes import (
+    NO_TORQUES,
+    Modes,
+    Plan,
+    Search,
+    at_reference,
+    beyond_all,
+    plan,
+    require_few,
+    within,
+)
 from sunspin.estimate.posterior.period import with_periods
 from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import (
@@ -174,7 +184,9 @@ def posterior(
     k.require_device(device)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
     unsure = ", ".join(untold(vehicle, telemetry))
-    if not {"wheel_off_s", "wheel_off"} & set(priors or {}):  # else the vehicle's speeds are those of an earlier instant
+    if not {"wheel_off_s", "wheel_off"} & set(
+        priors or {}
+    ):  # else the vehicle's speeds are those of an earlier instant
         vehicle = as_measured(vehicle, telemetry, start_s)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
@@ -185,9 +197,15 @@ def posterior(
     search = Search(workers, None if store is None else Path(store), progress)
     modes = within(search.modes(there, here, chosen, scale), there.max_rate)
     stated = Hypothesis(STATED, 0.0, Likelihood(there, here, DIRECTION_ERROR), modes)
-    tried, lost = _tried(stated, seed, search, chosen, scale, float((priors or {}).get("steady_torque", MOST_TURNED)))
+    tried, lost = _tried(
+        stated, seed, search, chosen, scale, float((priors or {}).get("steady_torque", MOST_TURNED))
+    )
     drawn, picked, checked = _together(tried, seed, draws)
-    noticed = checked.tag_p < TAG_CHANCE and "time_s" not in (priors or {}) and not refused(checked.p, checked.noise_sigmas)
+    noticed = (
+        checked.tag_p < TAG_CHANCE
+        and "time_s" not in (priors or {})
+        and not refused(checked.p, checked.noise_sigmas)
+    )
     off = checked.tag_s if noticed else 0.0
     if off:
         there = replace(there, time_sigma_s=off)
@@ -200,40 +218,84 @@ def posterior(
     modes = _notes(modes, drawn)
     modes = replace(modes, notes=(*modes.notes, *dict.fromkeys(lost)))
     if off:
-        modes = replace(modes, notes=(*modes.notes, f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s"))
+        modes = replace(
+            modes,
+            notes=(
+                *modes.notes,
+                f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s",
+            ),
+        )
     prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
     tree = _tree(there, modes, drawn, picked, prior_sigma)
-    tree.attrs.update(_about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data))
-    edge = np.mean(np.linalg.norm(drawn.state.take(picked).omega, axis=1) > EDGE * min(chosen.limit, there.max_rate))
+    tree.attrs.update(
+        _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown, data)
+    )
+    edge = np.mean(
+        np.linalg.norm(drawn.state.take(picked).omega, axis=1)
+        > EDGE * min(chosen.limit, there.max_rate)
+    )
     if edge > 0.01:
-        modes = replace(modes, notes=(*modes.notes, "the rates run into the limit of those searched; raise max_rate_rad_s"))
+        modes = replace(
+            modes,
+            notes=(
+                *modes.notes,
+                "the rates run into the limit of those searched; raise max_rate_rad_s",
+            ),
+        )
     if unsure:
         cure = "give speed_rad_s or a speed_column, or leave out a wheel that stands"
-        modes = replace(modes, notes=(*modes.notes, f"nothing tells the speed of wheel {unsure}, taken for standing: {cure}"))
+        modes = replace(
+            modes,
+            notes=(
+                *modes.notes,
+                f"nothing tells the speed of wheel {unsure}, taken for standing: {cure}",
+            ),
+        )
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
-    tree.attrs["prior_widths"] = json.dumps({"word": word_of(found), "told": prior_widths(there, drawn, found)})
+    tree.attrs["prior_widths"] = json.dumps(
+        {"word": word_of(found), "told": prior_widths(there, drawn, found)}
+    )
     checked_by_others = bool(observations) or columns_seen(vehicle, telemetry)
-    row = believed(found, tree, prior_sigma, bool(off), AS_STATED if checked_by_others else UNCHECKED)
+    row = believed(
+        found, tree, prior_sigma, bool(off), AS_STATED if checked_by_others else UNCHECKED
+    )
     tree["passes"] = xr.Dataset(table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]})
-    tree.attrs["verdict"] += "; decided" if row.answers.decided else f"; not decided: {row.answers.why_not}"
+    tree.attrs["verdict"] += (
+        "; decided" if row.answers.decided else f"; not decided: {row.answers.why_not}"
+    )
     if periods:
         with_periods(vehicle, tree, periods)
     return tree
 
 
-def _sampled(every: list[Hypothesis], seed: int, search: Search, part: float, first: Sampled | None = None) -> list[Sampled]:
+def _sampled(
+    every: list[Hypothesis], seed: int, search: Search, part: float, first: Sampled | None = None
+) -> list[Sampled]:
     """The posteriors under hypotheses, about their modes; the others than the `first` may learn from its draws."""
     made = []
     for one in every:
         known, least = None, -np.inf
         if first is not None:
-            pairs = zip(first.hypothesis.likelihood.model.unknowns, one.likelihood.model.unknowns, strict=False)
+            pairs = zip(
+                first.hypothesis.likelihood.model.unknowns,
+                one.likelihood.model.unknowns,
+                strict=False,
+            )
             known = Known(first.drawn, np.array([wider.sigma / own.sigma for own, wider in pairs]))
             least = first.drawn.evidence - one.log_prior + np.log(LOST)
         hopeless = beyond_all(one.likelihood, one.modes)
         least, share = (np.inf, BEYOND_DRAWS * part) if hopeless else (least, part)
-        draws = sample(one.likelihood, one.modes, seed, search.run, chunk_rows(one.likelihood), share, known, least)
+        draws = sample(
+            one.likelihood,
+            one.modes,
+            seed,
+            search.run,
+            chunk_rows(one.likelihood),
+            share,
+            known,
+            least,
+        )
         if draws is not None:
             made.append(Sampled(one, draws))
         elif one.what == STATED:
@@ -246,8 +308,13 @@ def _unsampled(asked: list[Hypothesis], tried: list[Sampled]) -> list[str]:
     """Doubts about hypotheses that promise to count, by Laplace's method, and are left out since no draw of them was possible."""
     made, mass = {one.hypothesis.what for one in tried}, np.array([log_mass(one) for one in asked])
     counts = mass > logsumexp(mass) + np.log(COUNTS)
-    lost = [one.what for one, some in zip(asked, counts, strict=True) if some and one.what not in made]
-    return [f"{what} may explain the readings too, but no motion that it allows could be drawn" for what in lost]
+    lost = [
+        one.what for one, some in zip(asked, counts, strict=True) if some and one.what not in made
+    ]
+    return [
+        f"{what} may explain the readings too, but no motion that it allows could be drawn"
+        for what in lost
+    ]
 
 
 def _tried(
@@ -260,12 +327,24 @@ def _tried(
     asked = likely(stated, every)
     tried = [first, *_sampled(asked, seed, search, OTHERS_DRAWS, first)]
     checked = _together(tried[:1], seed, CHECKED)[2]
-    fits = checked.p > ASKED_P and abs(checked.noise_sigmas) < ASKED_NOISE and mixed(tried).weight[0] > ASKED_WEIGHT
+    fits = (
+        checked.p > ASKED_P
+        and abs(checked.noise_sigmas) < ASKED_NOISE
+        and mixed(tried).weight[0] > ASKED_WEIGHT
+    )
     lost: list[str] = []
     if not fits and most_deg and search.fitted > LONG_SEARCH:
         lost = [NO_TORQUES]
-    elif not fits and most_deg and stated.modes.complete:  # else motions that were not followed may fit without a torque
-        asked = likely(stated, [searched(one, search, chosen, scale) if one.likelihood.model.frame else one for one in every])
+    elif (
+        not fits and most_deg and stated.modes.complete
+    ):  # else motions that were not followed may fit without a torque
+        asked = likely(
+            stated,
+            [
+                searched(one, search, chosen, scale) if one.likelihood.model.frame else one
+                for one in every
+            ],
+        )
         tried = [first, *_sampled(asked, seed, search, 1.0)]
     return tried, _unsampled([stated, *asked], tried) + lost
 
@@ -279,7 +358,10 @@ def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.nd
     for one, places, own in drawn.each(picked):
         found.append(check(one.hypothesis.likelihood, one.drawn.state.take(own), rng))
         share.append(len(places) / len(picked))
-    means = [sum(part * value for part, value in zip(share, each, strict=True)) for each in zip(*map(astuple, found), strict=True)]
+    means = [
+        sum(part * value for part, value in zip(share, each, strict=True))
+        for each in zip(*map(astuple, found), strict=True)
+    ]
     return drawn, picked, Check(*means)
 
 
@@ -292,40 +374,65 @@ def _notes(modes: Modes, drawn: Mixed) -> Modes:
 def _whole(seed: Any, draws: Any) -> None:
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise InputError(sentence(f"{name} must be a whole number of at least {least}", got=value))
+            raise InputError(
+                sentence(f"{name} must be a whole number of at least {least}", got=value)
+            )
 
 
-def _tree(model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray, prior_sigma: float) -> xr.DataTree:
+def _tree(
+    model_: Model, modes: Modes, drawn: Mixed, picked: np.ndarray, prior_sigma: float
+) -> xr.DataTree:
     omega, sun, wheels, steady = drawn.first(picked)
     values = drawn.values(picked)
     each = ("chain", "draw")
     variables: dict[str, Any] = {
-        "omega_B": ((*each, "axis"), omega[None], {"units": "rad s-1", "long_name": "body rate at the first sample"}),
-        "sun_B": ((*each, "axis"), sun[None], {"units": "1", "long_name": "direction to the Sun at the first sample"}),
+        "omega_B": (
+            (*each, "axis"),
+            omega[None],
+            {"units": "rad s-1", "long_name": "body rate at the first sample"},
+        ),
+        "sun_B": (
+            (*each, "axis"),
+            sun[None],
+            {"units": "1", "long_name": "direction to the Sun at the first sample"},
+        ),
         "wheel_speed_rad_s": ((*each, "wheel"), wheels[None], {"units": "rad s-1"}),
         "mode_id": (each, drawn.region[picked][None]),
         "log_weight": (each, np.full((1, len(picked)), -np.log(len(picked))), {"units": "1"}),
         "log_likelihood_sum": (each, drawn.log_likelihood[picked][None], {"units": "1"}),
     }
-    about = {"units": "rad s-2", "long_name": "steady torques over the mean moment of inertia, in body axes at the first sample"}
+    about = {
+        "units": "rad s-2",
+        "long_name": "steady torques over the mean moment of inertia, in body axes at the first sample",
+    }
     variables["steady_torque"] = ((*each, "stays_in", "axis"), steady[None], about)
     for i, x in enumerate(model_.unknowns):
         if x.kind != "wheel_speed":
             about = {"units": x.unit, "prior_centre": x.centre, "prior_sigma": x.sigma}
             variables[x.name] = (each, values[:, i][None], about)
     coords = {
-        "axis": ["x", "y", "z"], "stays_in": ["body", "space"], "wheel": [wheel.name for wheel in model_.vehicle.wheels],
-        "chain": [0], "draw": np.arange(len(picked)),
-    }  # fmt: skip
+        "axis": ["x", "y", "z"],
+        "stays_in": ["body", "space"],
+        "wheel": [wheel.name for wheel in model_.vehicle.wheels],
+        "chain": [0],
+        "draw": np.arange(len(picked)),
+    }
     groups = {
-        "posterior": xr.Dataset(variables, coords), "modes": _modes(drawn, prior_sigma),
+        "posterior": xr.Dataset(variables, coords),
+        "modes": _modes(drawn, prior_sigma),
         "search": xr.Dataset(
-            {name: ("stage", np.array(modes.trace)[:, i]) for i, name in enumerate(("samples", "hypotheses", "kept"))}
+            {
+                name: ("stage", np.array(modes.trace)[:, i])
+                for i, name in enumerate(("samples", "hypotheses", "kept"))
+            }
         ),
         "sampling": xr.Dataset(
-            {name: ("round", drawn.trace[:, i]) for i, name in enumerate(("log_evidence", "effective_share", "pareto_k"))}
+            {
+                name: ("round", drawn.trace[:, i])
+                for i, name in enumerate(("log_evidence", "effective_share", "pareto_k"))
+            }
         ),
-    }  # fmt: skip
+    }
     return xr.DataTree.from_dict(groups)
 
 
@@ -349,7 +456,9 @@ def _modes(drawn: Mixed, prior_sigma: float) -> xr.Dataset:
     rows, rng = [], np.random.default_rng(0)
     for region in range(count):
         every = np.flatnonzero(drawn.region == region)
-        inside, times = np.unique(every[resampled(drawn.log_weight[every], OF_REGION, rng)], return_counts=True)
+        inside, times = np.unique(
+            every[resampled(drawn.log_weight[every], OF_REGION, rng)], return_counts=True
+        )
         share = times / OF_REGION
         omega, sun, *_ = drawn.first(inside)
         mean = share @ omega
@@ -357,19 +466,33 @@ def _modes(drawn: Mixed, prior_sigma: float) -> xr.Dataset:
         best, effective = int(np.argmax(drawn.log_likelihood[inside])), _effective(drawn, region)
         off = omega - mean
         covariance = np.einsum("n,ni,nj->ij", share, off, off)
-        rows.append((
-            mean, _of_proposed(drawn, every, mean, prior_sigma) if effective < TOO_FEW else covariance,
-            middle / np.linalg.norm(middle),
-            drawn.share[region], drawn.evidence + np.log(drawn.share[region]), omega[best],
-            *_chi_square(drawn, int(inside[best])), int(drawn.starts[region]), effective,
-        ))  # fmt: skip
+        rows.append(
+            (
+                mean,
+                _of_proposed(drawn, every, mean, prior_sigma)
+                if effective < TOO_FEW
+                else covariance,
+                middle / np.linalg.norm(middle),
+                drawn.share[region],
+                drawn.evidence + np.log(drawn.share[region]),
+                omega[best],
+                *_chi_square(drawn, int(inside[best])),
+                int(drawn.starts[region]),
+                effective,
+            )
+        )
     names = (
-        ("omega_B", ("mode", "axis"), "rad s-1"), ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
-        ("sun_B", ("mode", "axis"), "1"), ("weight", ("mode",), "1"), ("log_evidence", ("mode",), "1"),
+        ("omega_B", ("mode", "axis"), "rad s-1"),
+        ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
+        ("sun_B", ("mode", "axis"), "1"),
+        ("weight", ("mode",), "1"),
+        ("log_evidence", ("mode",), "1"),
         ("best_omega_B", ("mode", "axis"), "rad s-1"),
-        ("chi_square", ("mode",), "1"), ("lit_readings", ("mode",), "1"), ("starts", ("mode",), "1"),
+        ("chi_square", ("mode",), "1"),
+        ("lit_readings", ("mode",), "1"),
+        ("starts", ("mode",), "1"),
         ("effective_draws", ("mode",), "1"),
-    )  # fmt: skip
+    )
     columns = zip(names, zip(*rows, strict=True), strict=True)
     return xr.Dataset(
         {name: (dims, np.array(values), {"units": unit}) for (name, dims, unit), values in columns},
@@ -377,7 +500,9 @@ def _modes(drawn: Mixed, prior_sigma: float) -> xr.Dataset:
     )
 
 
-def _of_proposed(drawn: Mixed, every: np.ndarray, mean: np.ndarray, prior_sigma: float) -> np.ndarray:
+def _of_proposed(
+    drawn: Mixed, every: np.ndarray, mean: np.ndarray, prior_sigma: float
+) -> np.ndarray:
     """Covariance (3, 3) of a region's rates about their mean where few of its draws (`every`) have weight, so that theirs would be
     near zero: that of all draws proposed there, which spread more widely; where these are too few, the prior's."""
     if len(every) < TOO_FEW:
@@ -392,40 +517,71 @@ def _chi_square(drawn: Mixed, i: int) -> tuple[float, int]:
     likelihood, state = one.hypothesis.likelihood, one.drawn.state.take([int(drawn.row[i])])
     raw, _ = likelihood.misfit(likelihood.predict(state), state.u)
     used, lit, _ = likelihood.kinds
-    return float(np.sum((raw[0] / likelihood.data.sigma)[used & lit] ** 2)), int(np.count_nonzero(used & lit))
+    return float(np.sum((raw[0] / likelihood.data.sigma)[used & lit] ** 2)), int(
+        np.count_nonzero(used & lit)
+    )
 
 
-def _about(vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings) -> dict[str, Any]:
+def _about(
+    vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings
+) -> dict[str, Any]:
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
     return provenance("posterior", telemetry, **comments, **vehicle.said) | {
-        "seed": int(seed), "t_first_s": start_s, "t_last_s": start_s + float(data.t_s[-1]),
-        "noise": data.sigma, "noise_from": data.noise_from,
-        "samples": len(data), "reference_sample": chosen.anchor,
-        "priors": json.dumps(told), "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
-        "wheel_mode": json.dumps(unknown.wheel_mode), "max_rate_rad_s": unknown.max_rate,
-        "searched_rate_rad_s": float(chosen.limit), "device": unknown.device,
+        "seed": int(seed),
+        "t_first_s": start_s,
+        "t_last_s": start_s + float(data.t_s[-1]),
+        "noise": data.sigma,
+        "noise_from": data.noise_from,
+        "samples": len(data),
+        "reference_sample": chosen.anchor,
+        "priors": json.dumps(told),
+        "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
+        "wheel_mode": json.dumps(unknown.wheel_mode),
+        "max_rate_rad_s": unknown.max_rate,
+        "searched_rate_rad_s": float(chosen.limit),
+        "device": unknown.device,
         "torques": json.dumps([torque.name for torque in unknown.acting.torques]),
-    }  # fmt: skip
+    }
 
 
 def _judge(
-    tree: xr.DataTree, modes: Modes, drawn: Mixed, checked: Check, data: Readings, vehicle: Vehicle, remarks: list[str]
+    tree: xr.DataTree,
+    modes: Modes,
+    drawn: Mixed,
+    checked: Check,
+    data: Readings,
+    vehicle: Vehicle,
+    remarks: list[str],
 ) -> Found:
     regions = group(tree, "modes")
     doubts = list(modes.notes)
     told = regions["weight"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
-        doubts.append("a region of weight was reached from one start only, so others may have been missed")
+        doubts.append(
+            "a region of weight was reached from one start only, so others may have been missed"
+        )
     bright = data.used & (data.value > max(data.threshold, SURELY_LIT * data.sigma))
-    awake = bright.any(axis=1)  # where nothing is lit the vehicle may have been in shadow, which is no panel's fault
+    awake = bright.any(
+        axis=1
+    )  # where nothing is lit the vehicle may have been in shadow, which is no panel's fault
     spoilt = spoilt_panels(vehicle.input_names, checked.outliers[awake], data.lit[awake])
     rate, covariance = regions["omega_B"].values, regions["omega_cov_B"].values
     found = Found(
-        regions["weight"].values, rate, np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)), regions["starts"].values,
-        float(np.median(np.diff(data.t_s))), checked.p, checked.noise_sigmas, spoilt, drawn.tail,
-        drawn.effective, doubts, np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
-        dark_stretch(tree.attrs["t_first_s"] + data.t_s, awake), modes.complete,
-    )  # fmt: skip
+        regions["weight"].values,
+        rate,
+        np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
+        regions["starts"].values,
+        float(np.median(np.diff(data.t_s))),
+        checked.p,
+        checked.noise_sigmas,
+        spoilt,
+        drawn.tail,
+        drawn.effective,
+        doubts,
+        np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
+        dark_stretch(tree.attrs["t_first_s"] + data.t_s, awake),
+        modes.complete,
+    )
     word, text = verdict(found)
     if word != "not explained" and (alike := alike_motions(vehicle)):
         text += f"; {alike}"
@@ -433,11 +589,19 @@ def _judge(
     if likeliest != STATED:
         text += f"; the readings ask for {likeliest} (weight {weight:.2f})"
     if word == "not explained":
-        text += f"; rates up to {np.degrees(tree.attrs['searched_rate_rad_s']):.3g} deg/s were searched"
+        text += (
+            f"; rates up to {np.degrees(tree.attrs['searched_rate_rad_s']):.3g} deg/s were searched"
+        )
     tree.attrs |= {
-        "verdict": text, "verdict_word": word, "p_value": checked.p, "noise_sigmas": checked.noise_sigmas,
-        "pareto_k": drawn.tail, "effective_draws": drawn.effective, "log_evidence": drawn.evidence,
-        "remarks": "; ".join(remarks), "spoilt_readings": float(checked.outliers.sum()),
+        "verdict": text,
+        "verdict_word": word,
+        "p_value": checked.p,
+        "noise_sigmas": checked.noise_sigmas,
+        "pareto_k": drawn.tail,
+        "effective_draws": drawn.effective,
+        "log_evidence": drawn.evidence,
+        "remarks": "; ".join(remarks),
+        "spoilt_readings": float(checked.outliers.sum()),
         "hypotheses": json.dumps({what: round(share, 4) for what, share in drawn.said.items()}),
-    }  # fmt: skip
+    }
     return found

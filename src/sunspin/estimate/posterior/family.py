@@ -39,28 +39,44 @@ def offset(state: State, i: int, others: np.ndarray) -> np.ndarray:
 def coordinates(state: State, centre: State) -> np.ndarray:
     """Coordinates (n, D) of states about one centre: the direction by the great circle to it."""
     e1, e2 = tangents(centre.sun)
-    return _chart(state, centre, np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1), state.sun @ centre.sun[0])
+    return _chart(
+        state,
+        centre,
+        np.stack([state.sun @ e1[0], state.sun @ e2[0]], axis=1),
+        state.sun @ centre.sun[0],
+    )
 
 
 def apart(state: State, centre: State) -> np.ndarray:
     """The same (n, D) of states about a centre each."""
     across = np.stack(tangents(centre.sun), axis=1)
-    return _chart(state, centre, (across @ state.sun[:, :, None])[:, :, 0], np.sum(state.sun * centre.sun, axis=1))
+    return _chart(
+        state,
+        centre,
+        (across @ state.sun[:, :, None])[:, :, 0],
+        np.sum(state.sun * centre.sun, axis=1),
+    )
 
 
 def _chart(state: State, centre: State, side: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Coordinates of directions with the components `side` (n, 2) across and `along` (n) that of a centre."""
     size = np.linalg.norm(side, axis=1)
     stretch = np.divide(np.arctan2(size, along), size, out=np.ones_like(size), where=size > 1e-15)
-    return np.concatenate([state.omega - centre.omega, side * stretch[:, None], state.u - centre.u], axis=1)
+    return np.concatenate(
+        [state.omega - centre.omega, side * stretch[:, None], state.u - centre.u], axis=1
+    )
 
 
-def same_mode(state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME) -> int | None:
+def same_mode(
+    state: State, hessian: np.ndarray, i: int, kept: list[int], within: float = SAME
+) -> int | None:
     """Which of the kept ones the fit `i` is a copy of, if any."""
     if not kept:
         return None
     d = offset(state, i, np.array(kept))
-    distance = np.minimum(np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d))
+    distance = np.minimum(
+        np.einsum("mi,mij,mj->m", d, hessian[kept], d), np.einsum("mi,ij,mj->m", d, hessian[i], d)
+    )
     nearest = int(np.argmin(distance))
     return nearest if distance[nearest] < within else None
 
@@ -87,7 +103,10 @@ def joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarr
     reach, kept, count, left = _reach(normal), [], [], np.arange(len(state))
     while len(left):
         first = left[:1]
-        near = np.all(np.abs(state.omega[left] - state.omega[first]) <= np.maximum(reach[left], reach[first]), axis=1)
+        near = np.all(
+            np.abs(state.omega[left] - state.omega[first]) <= np.maximum(reach[left], reach[first]),
+            axis=1,
+        )
         near[0] = True
         d = offset(state, int(first[0]), left[near])
         one = np.minimum(_square(d, normal[first]), _square(d, normal[left[near]])) < JOINED
@@ -100,7 +119,12 @@ def joined(state: State, normal: np.ndarray, hits: np.ndarray) -> tuple[np.ndarr
 
 
 def denser(
-    state: State, normal: np.ndarray, hits: np.ndarray, beside: np.ndarray, reach_s: float, widest: float
+    state: State,
+    normal: np.ndarray,
+    hits: np.ndarray,
+    beside: np.ndarray,
+    reach_s: float,
+    widest: float,
 ) -> tuple[State, np.ndarray, np.ndarray, np.ndarray]:
     """Hypotheses, and neighbours of those that are one of a family, the starts that each stands for, `beside`, and whose neighbour
     each is.
@@ -111,24 +135,46 @@ def denser(
     has hardly grown they are near enough. `widest`: largest rate.
     """
     size = np.array([reach_s] * 3 + [1.0] * 2)
-    spread = np.linalg.inv(normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2))
+    spread = np.linalg.inv(
+        normal[:, :5, :5].astype(np.float64) + np.diag([widest**-2] * 3 + [1.0] * 2)
+    )
     values, vectors = np.linalg.eigh(spread * size[:, None] * size)
-    free = (np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE) & (AGAIN * beside < reach_s)[:, None]
+    free = (np.sqrt(values[:, ::-1][:, :FREE].clip(0)) > LOOSE) & (AGAIN * beside < reach_s)[
+        :, None
+    ]
     beside = np.where(free.any(axis=1), reach_s, beside)
     parts, parent = [state], [np.arange(len(state))]
     for signs in product((0, 1, -1), repeat=FREE):
         along = np.flatnonzero(signs)
         rows = np.flatnonzero(free[:, along].all(axis=1)) if len(along) else along
         if len(rows):
-            step = BESIDE * vectors[rows][:, :, ::-1][:, :, :FREE] @ np.array(signs, dtype=np.float64) / size
-            parts.append(State(state.omega[rows] + step[:, :3], moved(state.sun[rows], step[:, 3:]), state.u[rows]))
+            step = (
+                BESIDE
+                * vectors[rows][:, :, ::-1][:, :, :FREE]
+                @ np.array(signs, dtype=np.float64)
+                / size
+            )
+            parts.append(
+                State(
+                    state.omega[rows] + step[:, :3],
+                    moved(state.sun[rows], step[:, 3:]),
+                    state.u[rows],
+                )
+            )
             parent.append(rows)
     every, origin = State.joined(parts), np.concatenate(parent)
     _, first = np.unique(boxes(every, reach_s), axis=0, return_index=True)
     kept = np.union1d(first, np.arange(len(state)))  # the fits themselves stay
-    return every.take(kept), np.where(kept < len(state), hits[origin[kept]], 1), beside[origin[kept]], origin[kept]
+    return (
+        every.take(kept),
+        np.where(kept < len(state), hits[origin[kept]], 1),
+        beside[origin[kept]],
+        origin[kept],
+    )
 
 
 def boxes(state: State, reach_s: float) -> np.ndarray:
     """Boxes (n, 6) of rate and direction, `APART` wide at `reach_s` s."""
-    return np.floor(np.concatenate([state.omega * (reach_s / APART), state.sun / SUN_APART], axis=1)).astype(np.int64)
+    return np.floor(
+        np.concatenate([state.omega * (reach_s / APART), state.sun / SUN_APART], axis=1)
+    ).astype(np.int64)

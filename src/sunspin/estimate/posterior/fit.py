@@ -18,14 +18,28 @@ from sunspin.solve.linear import Dense, dense, each_row
 from sunspin.solve.rotations import moved, tangents
 
 FILES = (
-    "estimate/posterior/data.py", "estimate/posterior/model.py", "estimate/posterior/likelihood.py", "estimate/posterior/fit.py",
-    "estimate/posterior/cells.py", "estimate/posterior/importance.py", "estimate/posterior/tags.py", "estimate/inertia.py",
+    "estimate/posterior/data.py",
+    "estimate/posterior/model.py",
+    "estimate/posterior/likelihood.py",
+    "estimate/posterior/fit.py",
+    "estimate/posterior/cells.py",
+    "estimate/posterior/importance.py",
+    "estimate/posterior/tags.py",
+    "estimate/inertia.py",
     "estimate/terms/steady_torque.py",
-    "estimate/terms/reading.py", "estimate/terms/angular_speed.py", "estimate/terms/gyro.py", "estimate/terms/sun_angle.py",
+    "estimate/terms/reading.py",
+    "estimate/terms/angular_speed.py",
+    "estimate/terms/gyro.py",
+    "estimate/terms/sun_angle.py",
     "estimate/terms/sun_direction.py",
-    "solve/least_squares.py", "solve/linear.py", "solve/rotations.py", "solve/weights.py", "estimate/posterior/tilt.py",
-    "estimate/posterior/turns.py", "estimate/posterior/family.py",
-)  # fmt: skip
+    "solve/least_squares.py",
+    "solve/linear.py",
+    "solve/rotations.py",
+    "solve/weights.py",
+    "estimate/posterior/tilt.py",
+    "estimate/posterior/turns.py",
+    "estimate/posterior/family.py",
+)
 """Files whose text decides what the rows of a posterior give."""
 
 FLOOR = 1e-9
@@ -52,13 +66,20 @@ Levels = tuple[tuple[float, int], ...]
 
 def chunk_rows(likelihood: Likelihood) -> int:
     """Rows that one worker fits at once: more on a GPU, which few do not fill."""
-    size, more = likelihood.data.value.size * likelihood.model.dimension, 1 if likelihood.model.device == "cpu" else GPU_TIMES
+    size, more = (
+        likelihood.data.value.size * likelihood.model.dimension,
+        1 if likelihood.model.device == "cpu" else GPU_TIMES,
+    )
     return int(np.clip(more * READINGS_AT_ONCE // max(size, 1), 8, more * 1024))
 
 
 def asked(function: Any, model: Model) -> dict[str, Any]:
     """The identity of a function of rows: code, device, and all that it is made of."""
-    return {**code(*FILES), **k.device_identity(model.device), type(function).__name__.lower(): plain(function)}
+    return {
+        **code(*FILES),
+        **k.device_identity(model.device),
+        type(function).__name__.lower(): plain(function),
+    }
 
 
 class Begun(NamedTuple):
@@ -131,17 +152,32 @@ class Fit:
     @property
     def outputs(self) -> Mapping[str, Any]:
         d = self.likelihood.model.dimension
-        out = {"omega": ("float64", (3,)), "sun": ("float64", (3,)), "u": ("float64", (d - 5,)), "cost": ("float64", ())}
+        out = {
+            "omega": ("float64", (3,)),
+            "sun": ("float64", (3,)),
+            "u": ("float64", (d - 5,)),
+            "cost": ("float64", ()),
+        }
         if self.normal:
             out["normal"] = ("float32", (d, d))
-        return {**out, "hessian": ("float64", (d, d)), "readings": ("float64", ())} if self.curved else out
+        return (
+            {**out, "hessian": ("float64", (d, d)), "readings": ("float64", ())}
+            if self.curved
+            else out
+        )
 
     def identity(self) -> dict[str, Any]:
         return asked(self, self.likelihood.model)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        search = _Search(self.likelihood, self.start.take(index), self.still or self.free is not None, self.free)
-        search.refresh(None if self.begun is None else Begun(self.begun.state.take(index), *(x[index] for x in self.begun[1:])))
+        search = _Search(
+            self.likelihood, self.start.take(index), self.still or self.free is not None, self.free
+        )
+        search.refresh(
+            None
+            if self.begun is None
+            else Begun(self.begun.state.take(index), *(x[index] for x in self.begun[1:]))
+        )
         (factor, steps), *others = self.levels
         search.go(factor, steps)
         on, left = self._dropped(search, self.hopeless, np.arange(len(index)), {})
@@ -177,7 +213,9 @@ class Fit:
         search.only(rows)
         return on[rows], left
 
-    def _with(self, left: dict[str, np.ndarray], on: np.ndarray, search: _Search) -> dict[str, np.ndarray]:
+    def _with(
+        self, left: dict[str, np.ndarray], on: np.ndarray, search: _Search
+    ) -> dict[str, np.ndarray]:
         """What was told of all rows, with what is told of the rows `on` now."""
         found = self._told(search)
         for name, value in left.items():
@@ -186,17 +224,28 @@ class Fit:
 
     def _told(self, search: _Search) -> dict[str, np.ndarray]:
         state = search.state
-        out = {"omega": state.omega, "sun": state.sun, "u": state.u, "cost": np.array(search.objective)}
+        out = {
+            "omega": state.omega,
+            "sun": state.sun,
+            "u": state.u,
+            "cost": np.array(search.objective),
+        }
         if self.normal:
             out["normal"] = search.curvature().astype(np.float32)
-        return {**out, "hessian": search.curvature(), "readings": search.readings} if self.curved else out
+        return (
+            {**out, "hessian": search.curvature(), "readings": search.readings}
+            if self.curved
+            else out
+        )
 
 
 class _Search:
     """A batch of starts on its way; every row by itself. Derivatives of the motion are found once, by many runs, and then corrected
     by what each step shows, which takes one."""
 
-    def __init__(self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None) -> None:
+    def __init__(
+        self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None
+    ) -> None:
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
         self._moving = [*range(5), *(5 + i for i in likelihood.model.moving if not still)]
         self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
@@ -208,7 +257,9 @@ class _Search:
             self._system = self._seen_from(self.state)
             return
         step = apart(self.state, begun.state)[:, self._moving]
-        self._system = self._seen_from(self.state, *_turned(begun.state.sun, self.state.sun, begun.moves, begun.seen, step))
+        self._system = self._seen_from(
+            self.state, *_turned(begun.state.sun, self.state.sun, begun.moves, begun.seen, step)
+        )
 
     @property
     def objective(self) -> np.ndarray:
@@ -232,15 +283,28 @@ class _Search:
     def steps(self, count: int) -> None:
         """Steps of least squares, begun anew."""
         found = least_squares(
-            self._linearised, self._moved, dense, self._carried((self.state.omega, self.state.sun, self.state.u), self._system),
-            steps=count, system=self._system, longest=self._longest, limit=self._limited, carry=self._carried,
-        )  # fmt: skip
+            self._linearised,
+            self._moved,
+            dense,
+            self._carried((self.state.omega, self.state.sun, self.state.u), self._system),
+            steps=count,
+            system=self._system,
+            longest=self._longest,
+            limit=self._limited,
+            carry=self._carried,
+        )
         self.state, self._system = State(*found.state[:3]), found.system
 
     def _carried(self, state: tuple[Any, ...], system: Dense) -> _Point:
         """States with their derivatives and what is seen there, no step having been taken from them yet."""
         moves, seen = system.kept[4:]
-        return state[0], state[1], state[2], moves, Secant(seen, np.zeros((len(seen), len(self._moving))))
+        return (
+            state[0],
+            state[1],
+            state[2],
+            moves,
+            Secant(seen, np.zeros((len(seen), len(self._moving)))),
+        )
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
@@ -249,21 +313,41 @@ class _Search:
     def _linearised(self, state: _Point) -> Dense:
         return self._seen_from(State(*state[:3]), state[3], state[4])
 
-    def _seen_from(self, state: State, moves: np.ndarray | None = None, secant: Secant | None = None) -> Dense:
-        base, raw, extra, jacobian, moves = self.likelihood.linearised(state, self.still, moves, secant)
-        return self._weighed(state.u, raw, extra, jacobian, base.fine & np.isfinite(raw).all(axis=1), moves, base.seen)
+    def _seen_from(
+        self, state: State, moves: np.ndarray | None = None, secant: Secant | None = None
+    ) -> Dense:
+        base, raw, extra, jacobian, moves = self.likelihood.linearised(
+            state, self.still, moves, secant
+        )
+        return self._weighed(
+            state.u,
+            raw,
+            extra,
+            jacobian,
+            base.fine & np.isfinite(raw).all(axis=1),
+            moves,
+            base.seen,
+        )
 
     def _judge(self) -> None:
         """Weigh the same differences anew, under another noise."""
         self._system = self._weighed(self.state.u, *self._system.kept)
 
-    def _scaled(self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _scaled(
+        self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
         """Cost (n) of the readings, their residuals (n, R) and derivatives (n, R, D), weighed."""
         cost, s, w = self.likelihood.weigh(raw, extra, self._factor * self.likelihood.noise(u))
         return cost, np.sqrt(w) * raw / s, np.sqrt(w)[:, :, None] * (jacobian / s[:, :, None])
 
     def _weighed(
-        self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray, fine: np.ndarray, *motion: np.ndarray
+        self,
+        u: np.ndarray,
+        raw: np.ndarray,
+        extra: np.ndarray,
+        jacobian: np.ndarray,
+        fine: np.ndarray,
+        *motion: np.ndarray,
     ) -> Dense:
         cost, residual, scaled = self._scaled(u, raw, extra, jacobian)
         normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
@@ -283,9 +367,17 @@ class _Search:
 
     def _longest(self, state: _Point, step: np.ndarray) -> np.ndarray:
         move, window = self._whole(step), self.likelihood.data.reach_s
-        turn = np.maximum(np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1))
-        pushed = np.linalg.norm(self.likelihood.model.relative(move[:, 5:], "steady_torque", 3), axis=1) * window**2 / 2
-        return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0))
+        turn = np.maximum(
+            np.linalg.norm(move[:, :3], axis=1) * window, np.linalg.norm(move[:, 3:5], axis=1)
+        )
+        pushed = (
+            np.linalg.norm(self.likelihood.model.relative(move[:, 5:], "steady_torque", 3), axis=1)
+            * window**2
+            / 2
+        )
+        return np.maximum(
+            np.maximum(turn, pushed) / LARGEST_TURN, np.abs(move[:, 5:]).max(axis=1, initial=0.0)
+        )
 
     def _moved(self, state: _Point, step: np.ndarray) -> _Point:
         move = self._whole(step)
@@ -295,8 +387,16 @@ class _Search:
 
     def _limited(self, state: _Point) -> _Point:
         omega, u = shortened(state[0], self.likelihood.model.max_rate), np.clip(state[2], -FAR, FAR)
-        whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(axis=1)  # of a step cut off nothing is learnt
-        return omega, state[1], u, state[3], state[4]._replace(step=np.where(whole[:, None], state[4].step, 0.0))
+        whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(
+            axis=1
+        )  # of a step cut off nothing is learnt
+        return (
+            omega,
+            state[1],
+            u,
+            state[3],
+            state[4]._replace(step=np.where(whole[:, None], state[4].step, 0.0)),
+        )
 
     def fit_noise(self, few: bool = False) -> None:
         """Set the noise to its best value for the present residuals, by a few Newton steps in its logarithm.
@@ -309,16 +409,30 @@ class _Search:
         if not places:
             return
         at, lit = places[0], self.likelihood.kinds[1] & self.likelihood.kinds[0]
-        width, u, (raw, extra, *_) = model.unknowns[at].sigma, np.array(self.state.u), self._system.kept
+        width, u, (raw, extra, *_) = (
+            model.unknowns[at].sigma,
+            np.array(self.state.u),
+            self._system.kept,
+        )
         taken, least = (self._taken_up(), 0.0 if self.still else -5.0) if few else (0.0, -5.0)
         for _ in range(8):
             s = self.likelihood.noise(u)
             _, each, w = self.likelihood.weigh(raw, extra, s)
             share = (s[:, None] / each) ** 2 * w  # time tags' errors do not scale with the noise
             spread = np.sum(np.where(lit, share * (raw / each) ** 2, 0.0), axis=1)
-            count = np.maximum(np.sum(np.where(lit, share, 0.0), axis=1) - taken - self.likelihood.data.factors.sum(), 0.0)
+            count = np.maximum(
+                np.sum(np.where(lit, share, 0.0), axis=1)
+                - taken
+                - self.likelihood.data.factors.sum(),
+                0.0,
+            )
             slope = width * (count - spread) + u[:, at]
-            u[:, at] = np.clip(u[:, at] - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1), least, 5)
+            u[:, at] = np.clip(
+                u[:, at]
+                - np.clip(slope / (width**2 * 2 * np.maximum(spread, 0.3 * count) + 1), -1, 1),
+                least,
+                5,
+            )
         self.state = State(self.state.omega, self.state.sun, u)
         self._judge()
 
@@ -326,7 +440,9 @@ class _Search:
         """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
         scaled = self._scaled(self.state.u, *self._system.kept[:3])[2]
         told = np.swapaxes(scaled, 1, 2) @ scaled
-        size = np.sqrt(np.einsum("nii->ni", told) + self._prior + 1e-12)  # in these units no number is large
+        size = np.sqrt(
+            np.einsum("nii->ni", told) + self._prior + 1e-12
+        )  # in these units no number is large
         told /= size[:, :, None] * size[:, None, :]
         whole = told + np.eye(told.shape[1]) * (self._prior / size**2 + 1e-9)[:, :, None]
         return np.trace(np.linalg.solve(whole, told), axis1=1, axis2=2)
@@ -349,6 +465,8 @@ def _turned(
     """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
     across = np.stack(tangents(there), axis=1) @ np.swapaxes(np.stack(tangents(sun), axis=1), 1, 2)
     moves, step = np.array(moves), np.array(step)
-    moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(len(moves), 2, *moves.shape[2:])
+    moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(
+        len(moves), 2, *moves.shape[2:]
+    )
     step[:, 3:5] = (across @ step[:, 3:5, None])[:, :, 0]
     return moves, Secant(seen, step)

@@ -75,9 +75,18 @@ class First(NamedTuple):
 def others(first: Sampled, search: Search, most_deg: float) -> Iterator[Hypothesis]:
     """The other hypotheses, fitted from the best mode of each ridge under the model as stated, and from what fits worse than modes
     do."""
-    likelihood, modes, ridge = first.hypothesis.likelihood, first.hypothesis.modes, first.drawn.ridge
+    likelihood, modes, ridge = (
+        first.hypothesis.likelihood,
+        first.hypothesis.modes,
+        first.drawn.ridge,
+    )
     best = np.unique(ridge, return_index=True)[1]
-    parts = [(modes.state.take(best), np.bincount(ridge, weights=modes.hits).astype(np.int64)[ridge[best]])]
+    parts = [
+        (
+            modes.state.take(best),
+            np.bincount(ridge, weights=modes.hits).astype(np.int64)[ridge[best]],
+        )
+    ]
     parts += [] if modes.beyond is None else [modes.beyond]
     starts = State.joined([part for part, _ in parts]), np.concatenate([hits for _, hits in parts])
 
@@ -89,16 +98,29 @@ def others(first: Sampled, search: Search, most_deg: float) -> Iterator[Hypothes
     model = likelihood.model
     if most_deg:
         for frame, words in WORDS.items():
-            more = pushed(model, "B" if frame == "B" else "N", float(np.ptp(likelihood.data.t_s)), most_deg)
+            more = pushed(
+                model, "B" if frame == "B" else "N", float(np.ptp(likelihood.data.t_s)), most_deg
+            )
             still = np.zeros((len(starts[0]), 3))
             state = replace(starts[0], u=np.concatenate([starts[0].u, still], axis=1))
             yield under(more, f"a steady torque in {words}", 0.0, state)
     at = model.where("inertia")
     if at:
         sigma = [LOOSER if x.kind == "inertia" else 1.0 for x in model.unknowns]
-        looser = tuple(replace(x, sigma=x.sigma * times) for x, times in zip(model.unknowns, sigma, strict=True))
-        state, chance = replace(starts[0], u=starts[0].u / np.array(sigma)), float(np.log(LOOSER_CHANCE))
-        yield under(replace(model, unknowns=looser), "moments of inertia off by more than stated", chance, state)
+        looser = tuple(
+            replace(x, sigma=x.sigma * times)
+            for x, times in zip(model.unknowns, sigma, strict=True)
+        )
+        state, chance = (
+            replace(starts[0], u=starts[0].u / np.array(sigma)),
+            float(np.log(LOOSER_CHANCE)),
+        )
+        yield under(
+            replace(model, unknowns=looser),
+            "moments of inertia off by more than stated",
+            chance,
+            state,
+        )
 
 
 def likely(stated: Hypothesis, every: list[Hypothesis]) -> list[Hypothesis]:
@@ -112,7 +134,10 @@ def likely(stated: Hypothesis, every: list[Hypothesis]) -> list[Hypothesis]:
 def log_mass(one: Hypothesis) -> float:
     """The log evidence but for a constant, by Laplace's method at the best mode."""
     least = 1e-9 * np.eye(one.modes.hessian.shape[-1])
-    return float(np.max(-one.modes.objective - 0.5 * np.linalg.slogdet(one.modes.hessian + least)[1])) + one.log_prior
+    return (
+        float(np.max(-one.modes.objective - 0.5 * np.linalg.slogdet(one.modes.hessian + least)[1]))
+        + one.log_prior
+    )
 
 
 def searched(one: Hypothesis, search: Search, chosen: Plan, scale: float) -> Hypothesis:
@@ -122,12 +147,22 @@ def searched(one: Hypothesis, search: Search, chosen: Plan, scale: float) -> Hyp
     found = search.modes(replace(likelihood.model, share=share), likelihood.data, chosen, scale)
     both = (one.modes, found)
     parts = {
-        "omega": [m.state.omega for m in both], "sun": [m.state.sun for m in both], "u": [m.state.u for m in both],
-        "cost": [m.objective for m in both], "hessian": [m.hessian for m in both], "share": [m.share for m in both],
-    }  # fmt: skip
+        "omega": [m.state.omega for m in both],
+        "sun": [m.state.sun for m in both],
+        "u": [m.state.u for m in both],
+        "cost": [m.objective for m in both],
+        "hessian": [m.hessian for m in both],
+        "share": [m.share for m in both],
+    }
     every = {name: np.concatenate(values) for name, values in parts.items()}
     hits = np.concatenate([m.hits for m in both])
-    return replace(one, modes=within(distinct(every, hits, list(found.trace), list(found.notes), 2), likelihood.model.max_rate))
+    return replace(
+        one,
+        modes=within(
+            distinct(every, hits, list(found.trace), list(found.notes), 2),
+            likelihood.model.max_rate,
+        ),
+    )
 
 
 @dataclass(frozen=True)
@@ -140,7 +175,9 @@ class Sampled:
     @property
     def log_weight(self) -> np.ndarray:
         """Of its draws (n): together they weigh its evidence times its prior."""
-        return self.drawn.log_weight - np.log(len(self.drawn.log_weight)) + self.hypothesis.log_prior
+        return (
+            self.drawn.log_weight - np.log(len(self.drawn.log_weight)) + self.hypothesis.log_prior
+        )
 
     def first(self, index: np.ndarray) -> First:
         """Its draws at the first sample."""
@@ -154,7 +191,9 @@ class Sampled:
         run = model.run(rows, [back], likelihood.direction_error)
         if model.frame == "N":
             at = PER_DIRECTION * needed(model.acting.torques).index(OWN)
-            steady[:, 1] = run.carried[:, 0, at : at + 3] / (np.trace(model.vehicle.require_inertia()) / 3)
+            steady[:, 1] = run.carried[:, 0, at : at + 3] / (
+                np.trace(model.vehicle.require_inertia()) / 3
+            )
         return First(run.omega_B[:, 0], run.sun_B[:, 0], run.wheel_speed_rad_s[:, 0], steady)
 
 
@@ -185,7 +224,10 @@ class Mixed:
     @property
     def said(self) -> dict[str, float]:
         """Weights of the hypotheses in words."""
-        return {one.hypothesis.what: float(weight) for one, weight in zip(self.tried, self.weight, strict=True)}
+        return {
+            one.hypothesis.what: float(weight)
+            for one, weight in zip(self.tried, self.weight, strict=True)
+        }
 
     @cached_property
     def state(self) -> State:
@@ -214,7 +256,9 @@ class Mixed:
         """The unknowns (n, k) of the model as stated in their own units."""
         out = np.empty((len(index), self.state.u.shape[1]))
         for one, places, own in self.each(index):
-            out[places] = one.hypothesis.likelihood.model.values(one.drawn.state.u[own])[:, : out.shape[1]]
+            out[places] = one.hypothesis.likelihood.model.values(one.drawn.state.u[own])[
+                :, : out.shape[1]
+            ]
         return out
 
 
@@ -232,10 +276,19 @@ def mixed(tried: list[Sampled]) -> Mixed:
     rank = np.argsort(order, kind="stable")
     sizes = [len(one.drawn.log_weight) for one in tried]
     return Mixed(
-        tuple(tried), weight, np.repeat(np.arange(len(tried)), sizes), np.concatenate([np.arange(n) for n in sizes]), log_weight,
-        np.concatenate([one.drawn.log_likelihood for one in tried]), rank[label], by_region[order], starts[order],
-        effective_draws(share), pareto_tail(log_weight), float(logsumexp(log_weight)),
-    )  # fmt: skip
+        tuple(tried),
+        weight,
+        np.repeat(np.arange(len(tried)), sizes),
+        np.concatenate([np.arange(n) for n in sizes]),
+        log_weight,
+        np.concatenate([one.drawn.log_likelihood for one in tried]),
+        rank[label],
+        by_region[order],
+        starts[order],
+        effective_draws(share),
+        pareto_tail(log_weight),
+        float(logsumexp(log_weight)),
+    )
 
 
 def _regions(tried: list[Sampled], weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -272,7 +325,9 @@ def _regions(tried: list[Sampled], weight: np.ndarray) -> tuple[np.ndarray, np.n
     return np.concatenate([labels[h] for h in range(len(tried))]), np.array(starts)
 
 
-def _distance(mean: np.ndarray, spread: np.ndarray, other: np.ndarray, others_spread: np.ndarray) -> float:
+def _distance(
+    mean: np.ndarray, spread: np.ndarray, other: np.ndarray, others_spread: np.ndarray
+) -> float:
     """Squared distance of two regions in sigmas of the wider, or in what may be one motion bent by a hypothesis if that is less."""
     off, wider = mean - other, max((spread, others_spread), key=np.trace)
     bent = max(float(np.linalg.norm(off[:3])) / BENT_RAD, float(np.linalg.norm(off[3:])) / SUN_RAD)

@@ -80,7 +80,11 @@ class Weigh(OfStates):
 
     @property
     def outputs(self) -> Mapping[str, Any]:
-        return {"log_likelihood": ("float64", ()), "u": ("float64", self.state.u.shape[1:]), "density": ("float64", ())}
+        return {
+            "log_likelihood": ("float64", ()),
+            "u": ("float64", self.state.u.shape[1:]),
+            "density": ("float64", ()),
+        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         state, likelihood = self.state.take(index), self.likelihood
@@ -121,9 +125,15 @@ class Known(NamedTuple):
 
 
 def sample(
-    likelihood: Likelihood, modes: Modes, seed: int, run: Any, chunk: int, part: float = 1.0, known: Known | None = None,
+    likelihood: Likelihood,
+    modes: Modes,
+    seed: int,
+    run: Any,
+    chunk: int,
+    part: float = 1.0,
+    known: Known | None = None,
     least: float = -np.inf,
-) -> Sample | None:  # fmt: skip
+) -> Sample | None:
     """The posterior around the modes, None where no draw is possible: what is there is less than one part in all draws of what
     the modes promised. `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
@@ -137,7 +147,9 @@ def sample(
         rest = rest_of(likelihood.model)
         bent = known.drawn.bent.counted_in(known.times[rest[rest < len(known.times)]])
     tracks: list[_Track] = []
-    rough = known is not None and (known.drawn.effective < EFFECTIVE_LIMIT or known.drawn.tail > TAIL_LIMIT)
+    rough = known is not None and (
+        known.drawn.effective < EFFECTIVE_LIMIT or known.drawn.tail > TAIL_LIMIT
+    )
     for softs in SOFTS if bent is None else (LENT,) if rough else (LENT, *SOFTS):
         lent = bent if softs == LENT else None
         tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part, lent, least))
@@ -156,9 +168,19 @@ def sample(
     label, of_component = regions(last.log_weight, last.parts, last.density)
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
-        last.state, last.log_weight, last.log_likelihood, label, share, of_component[tracks[0].of_mode], last.effective, last.tail,
-        last.evidence, np.array(trace), tracks[best].of_mode, tracks[best].first,
-    )  # fmt: skip
+        last.state,
+        last.log_weight,
+        last.log_likelihood,
+        label,
+        share,
+        of_component[tracks[0].of_mode],
+        last.effective,
+        last.tail,
+        last.evidence,
+        np.array(trace),
+        tracks[best].of_mode,
+        tracks[best].first,
+    )
 
 
 @dataclass(frozen=True)
@@ -175,9 +197,16 @@ class _Track:
 
 
 def _taught(
-    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, part: float, bent: Mixture | None,
+    likelihood: Likelihood,
+    modes: Modes,
+    softs: int,
+    seed: int,
+    run: Any,
+    chunk: int,
+    part: float,
+    bent: Mixture | None,
     least: float,
-) -> _Track:  # fmt: skip
+) -> _Track:
     """Rounds of draws from which a mixture learns; its first components stand first in it. `bent`: components whose bends
     are taken instead of found; `least` as in `sample`."""
     first, of_mode = _first(likelihood, modes, softs, seed, run, chunk, bent)
@@ -196,7 +225,9 @@ def _taught(
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
             mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
-    return _Track(pooled(tried) if good is None and share else mixture, of_mode, share, trace, first, good)
+    return _Track(
+        pooled(tried) if good is None and share else mixture, of_mode, share, trace, first, good
+    )
 
 
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
@@ -204,9 +235,14 @@ def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
     total = sum(share for share, _ in tried)
     weights = [share / total * m.weight / m.weight.sum() for share, m in tried]
     n, first, second = len(weights[0]), tried[0][1], tried[1][1]
-    weights[1][:n] = sum(weight[:n] for weight in weights[1:])  # each round but the first begins with the same defence
+    weights[1][:n] = sum(
+        weight[:n] for weight in weights[1:]
+    )  # each round but the first begins with the same defence
     parts = [first, second, *(m.take(np.arange(n, len(m.weight))) for _, m in tried[2:])]
-    return replace(Mixture.joined(parts), weight=np.concatenate([*weights[:2], *(weight[n:] for weight in weights[2:])]))
+    return replace(
+        Mixture.joined(parts),
+        weight=np.concatenate([*weights[:2], *(weight[n:] for weight in weights[2:])]),
+    )
 
 
 @dataclass(frozen=True)
@@ -222,15 +258,29 @@ class _Round:
     evidence: float
 
 
-def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, turn: int, run: Any, chunk: int) -> _Round:
+def _round(
+    likelihood: Likelihood,
+    mixture: Mixture | Blend,
+    n: int,
+    seed: int,
+    turn: int,
+    run: Any,
+    chunk: int,
+) -> _Round:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, turn)))
     model, proposed = likelihood.model, mixture.draw(n, rng)
-    state = with_turns(model, proposed, rng.standard_normal((n, len(model.unknowns) - len(rest_of(model)))))
+    state = with_turns(
+        model, proposed, rng.standard_normal((n, len(model.unknowns) - len(rest_of(model))))
+    )
     inside = np.flatnonzero(np.isfinite(model.log_prior(state)))
     known, of_turns = np.full(n, -np.inf), np.zeros(n)
     if len(inside):
         found = run(Weigh(likelihood, state.take(inside)), "weighing", chunk)
-        known[inside], of_turns[inside], state.u[inside] = found["log_likelihood"], found["density"], found["u"]
+        known[inside], of_turns[inside], state.u[inside] = (
+            found["log_likelihood"],
+            found["density"],
+            found["u"],
+        )
     parts = mixture.log_densities(proposed)
     density = np.concatenate([np.asarray(logsumexp(parts[rows], axis=1)) for rows in _blocks(n)])
     weight = model.log_prior(state) + known - density - of_turns
@@ -239,7 +289,9 @@ def _round(likelihood: Likelihood, mixture: Mixture | Blend, n: int, seed: int, 
         return _Round(state, proposed, weight, known, parts, density, 0.0, np.inf, -np.inf)
     effective = effective_draws(np.exp(weight - weight.max()))
     evidence = float(logsumexp(weight) - np.log(n))
-    return _Round(state, proposed, weight, known, parts, density, effective, pareto_tail(weight), evidence)
+    return _Round(
+        state, proposed, weight, known, parts, density, effective, pareto_tail(weight), evidence
+    )
 
 
 def _blocks(n: int) -> list[slice]:
@@ -248,7 +300,13 @@ def _blocks(n: int) -> list[slice]:
 
 
 def _first(
-    likelihood: Likelihood, modes: Modes, softs: int, seed: int, run: Any, chunk: int, bent: Mixture | None = None
+    likelihood: Likelihood,
+    modes: Modes,
+    softs: int,
+    seed: int,
+    run: Any,
+    chunk: int,
+    bent: Mixture | None = None,
 ) -> tuple[Mixture, np.ndarray]:
     """Components by Laplace's method, bent along their ridges; and the component that each mode belongs to.
 
@@ -261,16 +319,22 @@ def _first(
     volume = 0.5 * np.linalg.slogdet(laplace)[1]
     laplace = (0.5 * (laplace + np.swapaxes(laplace, 1, 2)))[:, kept[:, None], kept]
     centres = without_turns(likelihood.model, modes.state)
-    sheet = Sheet.of(d, softs if bent is None else bent.sheet.softs, model.moving, model.where("scale"))
+    sheet = Sheet.of(
+        d, softs if bent is None else bent.sheet.softs, model.moving, model.where("scale")
+    )
     if bent is None:
         parts = [_straight(c, _basis(c, reach), sheet) for c in laplace]
     else:
         near = [_nearest(bent.centre, centres.take([m]), reach) for m in range(len(laplace))]
-        parts = [_straight(c, bent.basis[k], sheet, bent, k) for c, k in zip(laplace, near, strict=True)]
+        parts = [
+            _straight(c, bent.basis[k], sheet, bent, k) for c, k in zip(laplace, near, strict=True)
+        ]
     basis, bend, covariance = (np.array(every) for every in zip(*parts, strict=True))
     owner = np.arange(len(covariance))
     alike = np.ones(len(covariance))
-    mixture = Mixture(centres, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet)
+    mixture = Mixture(
+        centres, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet
+    )
     for m in range(min(len(covariance), MOST_BENT)):
         for k in np.flatnonzero(owner[:m] == np.arange(m)):
             off = mixture.coordinates(centres.take(np.array([m])), int(k))[0]
@@ -278,7 +342,11 @@ def _first(
                 owner[m] = k
                 break
         if owner[m] == m and bent is None:
-            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)))
+            rng = np.random.default_rng(
+                np.random.SeedSequence(
+                    seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)
+                )
+            )
             turns = np.delete(modes.state.u[[m]], rest_of(likelihood.model), axis=1)
             _follow_ridge(likelihood, mixture, m, turns, rng, run, chunk)
     kept = np.flatnonzero(owner == np.arange(len(owner)))
@@ -291,7 +359,9 @@ def _first(
     return first, np.searchsorted(of_kept, np.searchsorted(kept, owner))
 
 
-def _over_sizes(model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.ndarray) -> tuple[Mixture, np.ndarray, np.ndarray]:
+def _over_sizes(
+    model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.ndarray
+) -> tuple[Mixture, np.ndarray, np.ndarray]:
     """Components under each sigma that a steady torque may have instead of the one (m) of their fit, by linear theory, those of
     no mass and those beyond its reach (`FAR_TORQUE`) left out; their log masses, and which component each was made of, in order."""
     places = 5 + np.array(model.where("steady_torque"))
@@ -308,13 +378,19 @@ def _over_sizes(model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.nda
             if other > share and np.linalg.norm(torque + mean[places]) > FAR_TORQUE * other:
                 continue
             gain = 0.5 * (pull @ mean - more * torque @ torque)
-            size = 0.5 * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mixture.covariance[m])[1])
+            size = 0.5 * (
+                np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mixture.covariance[m])[1]
+            )
             made.append((m, mass[m] + gain + size - 3 * np.log(other / share), mean, covariance))
     every = np.array([one[1] for one in made])
     best = np.array([max(one[1] for one in made if one[0] == m) for m in range(len(fitted))])
     kept = [one for one, value in zip(made, every, strict=True) if value > best[one[0]] - NO_MASS]
     index = np.array([one[0] for one in kept])
-    found = replace(mixture.take(index), mean=np.array([one[2] for one in kept]), covariance=np.array([one[3] for one in kept]))
+    found = replace(
+        mixture.take(index),
+        mean=np.array([one[2] for one in kept]),
+        covariance=np.array([one[3] for one in kept]),
+    )
     return found, np.array([one[1] for one in kept]), index
 
 
@@ -352,7 +428,13 @@ def _straight(
 
 
 def _follow_ridge(
-    likelihood: Likelihood, mixture: Mixture, m: int, turns: np.ndarray, rng: np.random.Generator, run: Any, chunk: int
+    likelihood: Likelihood,
+    mixture: Mixture,
+    m: int,
+    turns: np.ndarray,
+    rng: np.random.Generator,
+    run: Any,
+    chunk: int,
 ) -> None:
     """Fit the bend of component m: the best of the stiff coordinates, and of the panels' turns, for values of the others about the
     centre's; `turns` (1, k): those of the centre."""
@@ -365,13 +447,17 @@ def _follow_ridge(
     whole = np.eye(model.dimension)
     whole[:5, :5] = np.linalg.inv(mixture.basis[m])
     free = whole[:, [*kept[stiff], *np.setdiff1d(np.arange(len(whole)), kept)]]
-    for width in RIDGE_WIDTHS:  # a narrow part first: its bend takes the starts of the wider ones near the ridge
+    for width in (
+        RIDGE_WIDTHS
+    ):  # a narrow part first: its bend takes the starts of the wider ones near the ridge
         x = np.zeros((n, d))
         x[:, along] = width * rng.standard_normal((n, len(along))) @ root.T
         start = with_turns(model, mixture.states(x, np.repeat(here, n)), turns)
         found = run(Fit(likelihood, start, ((3.0, 2), (1.0, 4)), free=free), "ridge", chunk)
         flat = replace(mixture, bend=np.zeros_like(mixture.bend))
-        answer = flat.coordinates(without_turns(model, State(found["omega"], found["sun"], found["u"])), m)
+        answer = flat.coordinates(
+            without_turns(model, State(found["omega"], found["sun"], found["u"])), m
+        )
         terms, good = monomials(answer, sheet), np.isfinite(found["cost"])
         good &= found["cost"] < np.median(found["cost"][good]) + 3.0 * d
         scale = np.linalg.cholesky(mixture.covariance[m][np.ix_(stiff, stiff)])
@@ -379,15 +465,21 @@ def _follow_ridge(
             if good.sum() < 1.5 * sheet.terms:
                 return
             bend = np.linalg.lstsq(terms[good], answer[good][:, stiff], rcond=None)[0]
-            off = np.linalg.norm(np.linalg.solve(scale, (answer[:, stiff] - terms @ bend).T), axis=0)
+            off = np.linalg.norm(
+                np.linalg.solve(scale, (answer[:, stiff] - terms @ bend).T), axis=0
+            )
             good &= off < max(4.0 * np.median(off[good]), 1.0)
         mixture.bend[m] = bend
 
 
-def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np.random.Generator) -> Mixture:
+def _learnt(
+    made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np.random.Generator
+) -> Mixture:
     """The mixture with the moments of the weighted draws, each draw shared out among the components that may have made it."""
     weight = made.log_weight - made.log_weight.max()
-    cut = logsumexp(weight) - np.log(len(weight)) / 2  # no draw counts for more than a root of their number
+    cut = (
+        logsumexp(weight) - np.log(len(weight)) / 2
+    )  # no draw counts for more than a root of their number
     weight = np.exp(np.minimum(weight, cut))
     share = np.exp(made.parts - made.density[:, None]) * (weight / weight.sum())[:, None]
     used = np.flatnonzero(share.sum(axis=0) > 1e-4)
@@ -403,20 +495,28 @@ def _learnt(made: _Round, first: Mixture, mixture: Mixture, local: bool, rng: np
     if local:
         pick = rng.choice(len(weight), LOCAL, p=weight / weight.sum())
         owner = np.argmax(share[np.ix_(pick, used)], axis=1)
-        points = [mixture.coordinates(made.proposed.take(pick[[i]]), int(used[o]))[0] for i, o in enumerate(owner)]
+        points = [
+            mixture.coordinates(made.proposed.take(pick[[i]]), int(used[o]))[0]
+            for i, o in enumerate(owner)
+        ]
         origin, mean = np.concatenate([used, used[owner]]), np.concatenate([mean, points])
         learnt = np.concatenate([learnt, LOCAL_SHRINK * learnt[owner]])
         shares = np.concatenate([0.4 * shares, np.full(LOCAL, 0.6 / LOCAL)])
     learnt = learnt + 1e-9 * np.einsum("mii,ij->mij", learnt, np.eye(learnt.shape[1]))
     return Mixture(
-        State.joined([first.centre, mixture.centre.take(origin)]), np.concatenate([first.basis, mixture.basis[origin]]),
-        np.concatenate([first.bend, mixture.bend[origin]]), np.concatenate([first.mean, mean]),
+        State.joined([first.centre, mixture.centre.take(origin)]),
+        np.concatenate([first.basis, mixture.basis[origin]]),
+        np.concatenate([first.bend, mixture.bend[origin]]),
+        np.concatenate([first.mean, mean]),
         np.concatenate([2.0 * first.covariance, learnt]),
-        np.concatenate([DEFENCE * first.weight, (1 - DEFENCE) * shares / shares.sum()]), mixture.sheet,
-    )  # fmt: skip
+        np.concatenate([DEFENCE * first.weight, (1 - DEFENCE) * shares / shares.sum()]),
+        mixture.sheet,
+    )
 
 
-def regions(log_weight: np.ndarray, parts: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def regions(
+    log_weight: np.ndarray, parts: np.ndarray, density: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The region of each draw (n) and of each component (m; -1: none of weight); arguments as in `_Round`."""
     weight = np.exp(log_weight - logsumexp(log_weight))
     count = parts.shape[1]
@@ -440,5 +540,7 @@ def regions(log_weight: np.ndarray, parts: np.ndarray, density: np.ndarray) -> t
 def resampled(log_weight: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
     """Indices (n) of draws of equal weight, systematic, in a random order."""
     edges = np.cumsum(np.exp(log_weight - logsumexp(log_weight)))
-    which = np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random()) / n * edges[-1]), len(edges) - 1)
+    which = np.minimum(
+        np.searchsorted(edges, (np.arange(n) + rng.random()) / n * edges[-1]), len(edges) - 1
+    )
     return rng.permutation(which)

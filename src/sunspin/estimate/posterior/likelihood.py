@@ -65,12 +65,18 @@ class Prediction:
 
     def piece(self, low: int, high: int) -> Prediction:
         part = slice(low, high)
-        return Prediction(self.sun[part], self.rate[part], self.omega[part], self.at[part], self.fine[part])
+        return Prediction(
+            self.sun[part], self.rate[part], self.omega[part], self.at[part], self.fine[part]
+        )
 
     @property
     def seen(self) -> np.ndarray:
         """All that differences depend on (n, K + 2 others, 3): `sun`, `omega`, `at`."""
-        return np.concatenate([self.sun, self.omega, self.at], axis=1) if self.at.shape[1] else self.sun
+        return (
+            np.concatenate([self.sun, self.omega, self.at], axis=1)
+            if self.at.shape[1]
+            else self.sun
+        )
 
 
 class Linearised(NamedTuple):
@@ -102,7 +108,9 @@ class Throttle(NamedTuple):
             return slope
         size = np.sum(self.weight * self.light**2, axis=-1, keepdims=True)
         along = np.sum(self.weight * self.light * slope, axis=-1, keepdims=True)
-        return self.factor * (slope - self.light * np.divide(along, size, out=np.zeros_like(size), where=size > 0))
+        return self.factor * (
+            slope - self.light * np.divide(along, size, out=np.zeros_like(size), where=size > 0)
+        )
 
 
 class Secant(NamedTuple):
@@ -150,7 +158,9 @@ class Likelihood:
                 parts.append((result.sun_B[:, back], result.omega_B[:, back]))
                 fine &= result.outcome == k.Outcome.FINE
         sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
-        return Prediction(sun[:, samples], omega[:, samples], omega[:, others], sun[:, others], fine)
+        return Prediction(
+            sun[:, samples], omega[:, samples], omega[:, others], sun[:, others], fine
+        )
 
     @cached_property
     def response(self) -> PanelResponse:
@@ -173,7 +183,9 @@ class Likelihood:
             return Throttle(light, weight, None)
         factor = data.factor(light)
         for _ in range(ROUNDS):
-            weight = data.used / (1.0 + ((data.value - factor * light) / (SPOILT * data.sigma)) ** 2)
+            weight = data.used / (
+                1.0 + ((data.value - factor * light) / (SPOILT * data.sigma)) ** 2
+            )
             factor = data.factor(light, weight)
         return Throttle(light, weight, factor)
 
@@ -210,7 +222,10 @@ class Likelihood:
     @cached_property
     def outlier(self) -> np.ndarray:
         """Log density (K, P) of each reading if it has nothing to do with the Sun, times the prior probability of that."""
-        return np.log(OUTLIERS * np.where(self.data.lit, (1 - DARK_OUTLIER) * self.data.outlier_density, DARK_OUTLIER))
+        return np.log(
+            OUTLIERS
+            * np.where(self.data.lit, (1 - DARK_OUTLIER) * self.data.outlier_density, DARK_OUTLIER)
+        )
 
     def samples(self, prediction: Prediction, u: np.ndarray) -> np.ndarray:
         """Log density (n, K) of each sample, the error of its time integrated out."""
@@ -245,9 +260,10 @@ class Likelihood:
         more = sum(o.value.size for o in self.data.others)
         fixed = np.ones(more, dtype=bool)
         return (
-            np.concatenate([self.data.used.ravel(), fixed]), np.concatenate([self.data.lit.ravel(), ~fixed]),
+            np.concatenate([self.data.used.ravel(), fixed]),
+            np.concatenate([self.data.lit.ravel(), ~fixed]),
             np.concatenate([self.outlier.ravel(), np.full(more, -np.inf)]),
-        )  # fmt: skip
+        )
 
     def misfit(self, prediction: Prediction, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differences (n, R) measured less predicted, and the variance (n, R) that errors of time tags add to them.
@@ -258,7 +274,10 @@ class Likelihood:
         power = self.power(prediction.sun, u)
         raw = np.where(data.lit, data.value - power, -np.maximum(power - data.threshold, 0.0))
         raw = np.where(data.used & prediction.fine[:, None, None], raw, 0.0).reshape(n, -1)
-        parts = [raw] + [o.residual(prediction.at[:, i], prediction.omega[:, i]) for i, o in enumerate(data.others)]
+        parts = [raw] + [
+            o.residual(prediction.at[:, i], prediction.omega[:, i])
+            for i, o in enumerate(data.others)
+        ]
         every = np.concatenate(parts, axis=1)
         extra = np.zeros_like(every)
         if self.model.time_sigma_s:
@@ -266,7 +285,9 @@ class Likelihood:
             extra[:, : raw.shape[1]] = ((slope * self.model.time_sigma_s) ** 2).reshape(n, -1)
         return every, extra
 
-    def weigh(self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def weigh(
+        self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Objective (n), sigma of each residual (n, R) and weights (n, R) that make least squares of it, under noise `sigma` (n).
 
         The objective is minus the log-likelihood, relative to readings just as predicted under the stated noise; dark readings are
@@ -284,7 +305,11 @@ class Likelihood:
         return cost, s, np.where(used, np.exp(good - total), 0.0)
 
     def linearised(
-        self, state: State, still: bool = False, moves: np.ndarray | None = None, secant: Secant | None = None
+        self,
+        state: State,
+        still: bool = False,
+        moves: np.ndarray | None = None,
+        secant: Secant | None = None,
     ) -> Linearised:
         """The differences about states, and how they change.
 
@@ -297,19 +322,29 @@ class Likelihood:
         error = ROUGH_ERROR if self.direction_error >= SEARCH_ERROR else DERIVATIVE_ERROR
         if moves is not None and secant is not None:
             base = self.predict(state, error)
-            return self._put_together(state, base, secant.corrected(moves, base.seen), [] if still else model.moving)
+            return self._put_together(
+                state, base, secant.corrected(moves, base.seen), [] if still else model.moving
+            )
         window = self.data.reach_s
         step = RATE_STEP / window
         own = self._steps(window)
         moving = [] if still else model.moving
         e1, _ = tangents(state.sun)
-        runs = [state] + [State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)]
+        runs = [state] + [
+            State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)
+        ]
         if model.turned:
-            runs += [State(state.omega, moved(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u) for x in np.eye(2)]
+            runs += [
+                State(state.omega, moved(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u)
+                for x in np.eye(2)
+            ]
         else:
             runs.append(State(state.omega, e1, state.u))
         first = len(runs)
-        runs += [State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i]) for i in moving]
+        runs += [
+            State(state.omega, state.sun, state.u + own[i] * np.eye(state.u.shape[1])[i])
+            for i in moving
+        ]
         every = self.predict(State.joined(runs), error)
         base, *parts = [every.piece(i * n, (i + 1) * n) for i in range(len(runs))]
         seen = base.seen
@@ -319,20 +354,28 @@ class Likelihood:
         else:
             changes.append(parts[3].seen * self._is_direction)
             changes.append(np.cross(seen, changes[3]))
-        changes += [(p.seen - seen) / own[i] for p, i in zip(parts[first - 1 :], moving, strict=True)]
+        changes += [
+            (p.seen - seen) / own[i] for p, i in zip(parts[first - 1 :], moving, strict=True)
+        ]
         return self._put_together(state, base, np.stack(changes, axis=1), moving)
 
-    def _put_together(self, state: State, base: Prediction, moves: np.ndarray, moving: list[int]) -> Linearised:
+    def _put_together(
+        self, state: State, base: Prediction, moves: np.ndarray, moving: list[int]
+    ) -> Linearised:
         """The differences and their derivatives, from those of what is seen (n, 5 + moving, seen, 3)."""
         raw, extra = self.misfit(base, state.u)
         throttle = self.throttle(self.light(base.sun, state.u))
         power = throttle.power
-        counts = self.data.used & (self.data.lit | (power > self.data.threshold))  # not a dark panel that should be dark
+        counts = self.data.used & (
+            self.data.lit | (power > self.data.threshold)
+        )  # not a dark panel that should be dark
         columns = self._along(base, state.u, list(np.moveaxis(moves, 1, 0)), counts, throttle)
         own_run = iter(columns[5:])
         each = range(state.u.shape[1])
         changes = self._standing(base, state.u, throttle)
-        columns = columns[:5] + [next(own_run) if i in moving else self._column(changes(i), counts) for i in each]
+        columns = columns[:5] + [
+            next(own_run) if i in moving else self._column(changes(i), counts) for i in each
+        ]
         jacobian = np.stack(columns, axis=-1)
         jacobian = np.where(np.isfinite(jacobian) & base.fine[:, None, None], jacobian, 0.0)
         return Linearised(base, raw, extra, jacobian, moves)
@@ -346,16 +389,32 @@ class Likelihood:
     def _steps(self, window_s: float) -> np.ndarray:
         """Steps (k) of the differences in the further unknowns."""
         own = min(UNIT_STEP * max(UNIT_STEP_S / window_s, 1.0), LARGEST_UNIT_STEP)
-        turned = [max(x.sigma * window_s**2 / 2, RATE_STEP) if x.kind == "steady_torque" else 0.0 for x in self.model.unknowns]
+        turned = [
+            max(x.sigma * window_s**2 / 2, RATE_STEP) if x.kind == "steady_torque" else 0.0
+            for x in self.model.unknowns
+        ]
         return np.array([RATE_STEP / turn if turn else own for turn in turned])
 
     def _along(
-        self, base: Prediction, u: np.ndarray, moves: list[np.ndarray], counts: np.ndarray, throttle: Throttle
+        self,
+        base: Prediction,
+        u: np.ndarray,
+        moves: list[np.ndarray],
+        counts: np.ndarray,
+        throttle: Throttle,
     ) -> list[np.ndarray]:
         """Derivatives (n, R) of the differences along those of the motion (n, K + 2 others, 3); `counts` (n, K, P): readings that
         change."""
-        found, gain, tilt, count, others = [], self.gain(u), self.tilt(u), len(self.data), self.data.others
-        slopes = self.response.along(base.sun, [move[:, :count] for move in moves], gain=gain, tilt=tilt)
+        found, gain, tilt, count, others = (
+            [],
+            self.gain(u),
+            self.tilt(u),
+            len(self.data),
+            self.data.others,
+        )
+        slopes = self.response.along(
+            base.sun, [move[:, :count] for move in moves], gain=gain, tilt=tilt
+        )
         for move, slope in zip(moves, slopes, strict=True):
             columns = [np.where(counts, -throttle.slope(slope), 0.0).reshape(len(u), -1)]
             for i, o in enumerate(others):
@@ -364,10 +423,16 @@ class Likelihood:
             found.append(np.concatenate(columns, axis=1))
         return found
 
-    def _standing(self, base: Prediction, u: np.ndarray, throttle: Throttle) -> Callable[[int], np.ndarray]:
+    def _standing(
+        self, base: Prediction, u: np.ndarray, throttle: Throttle
+    ) -> Callable[[int], np.ndarray]:
         """How powers (n, K, P) change with an unknown that does not change the motion, by its place: scale, gains, tilts."""
         turns, panels = self.model.turns, np.arange(throttle.light.shape[-1])
-        to_tilt = None if turns is None else self.response.slopes(base.sun, gain=self.gain(u), tilt=self.tilt(u)).to_tilt
+        to_tilt = (
+            None
+            if turns is None
+            else self.response.slopes(base.sun, gain=self.gain(u), tilt=self.tilt(u)).to_tilt
+        )
 
         def change(i: int) -> np.ndarray:
             unknown = self.model.unknowns[i]

@@ -29,7 +29,9 @@ class Sheet:
     bending: list[int]
 
     @classmethod
-    def of(cls, dimension: int, softs: int, moving: Sequence[int], brightness: Sequence[int]) -> Sheet:
+    def of(
+        cls, dimension: int, softs: int, moving: Sequence[int], brightness: Sequence[int]
+    ) -> Sheet:
         """`softs`: how many are soft; `moving`: places in u of what the motion depends on; `brightness`: of that of the Sun."""
         bright, soft = [5 + i for i in brightness], list(range(softs))
         along = [i for i in range(5, dimension) if i not in bright] + soft
@@ -80,7 +82,10 @@ class Mixture:
 
     def take(self, index: np.ndarray) -> Mixture:
         """Some of the components."""
-        parts = {name: getattr(self, name)[index] for name in ("basis", "bend", "mean", "covariance", "weight")}
+        parts = {
+            name: getattr(self, name)[index]
+            for name in ("basis", "bend", "mean", "covariance", "weight")
+        }
         return Mixture(centre=self.centre.take(index), sheet=self.sheet, **parts)
 
     @classmethod
@@ -88,12 +93,16 @@ class Mixture:
         """The components of several, one after the other."""
         columns = ("basis", "bend", "mean", "covariance", "weight")
         every = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
-        return cls(centre=State.joined([part.centre for part in parts]), sheet=parts[0].sheet, **every)
+        return cls(
+            centre=State.joined([part.centre for part in parts]), sheet=parts[0].sheet, **every
+        )
 
     def counted_in(self, units: np.ndarray) -> Mixture:
         """The same where u (k) is counted in units so many times as large."""
         size = np.concatenate([np.ones(5), units])
-        terms = np.concatenate([size[self.sheet.along], [size[i] * size[j] for i, j in self.sheet.products]])
+        terms = np.concatenate(
+            [size[self.sheet.along], [size[i] * size[j] for i, j in self.sheet.products]]
+        )
         bend = self.bend * terms[:, None] / size[self.sheet.stiff]
         centre = replace(self.centre, u=self.centre.u / units)
         covariance = self.covariance / (size[:, None] * size)
@@ -113,7 +122,11 @@ class Mixture:
     def charts(self, state: State, which: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Those of the components `which` that have their bent coordinates in common, and these (n, D): what is learnt of a
         component, or differs by the size of a torque, has its chart."""
-        parts = (*(getattr(self.centre, name) for name in ("omega", "sun", "u")), self.basis, self.bend)
+        parts = (
+            *(getattr(self.centre, name) for name in ("omega", "sun", "u")),
+            self.basis,
+            self.bend,
+        )
         chart = np.concatenate([part[which].reshape(len(which), -1) for part in parts], axis=1)
         number = np.unique(chart, axis=0, return_inverse=True)[1].ravel()
         for i in np.unique(number):
@@ -124,23 +137,35 @@ class Mixture:
         """The states (n) with bent coordinates x (n, D) about the components `which` (n)."""
         centre = self.centre.take(which)
         x = np.array(x)
-        x[:, self.sheet.stiff] += np.einsum("nm,nmj->nj", monomials(x, self.sheet), self.bend[which])
+        x[:, self.sheet.stiff] += np.einsum(
+            "nm,nmj->nj", monomials(x, self.sheet), self.bend[which]
+        )
         step = np.linalg.solve(self.basis[which], x[:, :5, None])[:, :, 0]
-        return State(centre.omega + step[:, :3], moved(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)), centre.u + x[:, 5:])
+        return State(
+            centre.omega + step[:, :3],
+            moved(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)),
+            centre.u + x[:, 5:],
+        )
 
     def draw(self, n: int, rng: np.random.Generator) -> State:
         """n draws: systematic over the components, so that each gets its share."""
         edges = np.cumsum(self.weight) / self.weight.sum()
-        which = np.minimum(np.searchsorted(edges, (np.arange(n) + rng.random()) / n), len(edges) - 1)
+        which = np.minimum(
+            np.searchsorted(edges, (np.arange(n) + rng.random()) / n), len(edges) - 1
+        )
         root = np.linalg.cholesky(self.covariance)
         x = np.einsum("nij,nj->ni", root[which], rng.standard_normal((n, self.covariance.shape[1])))
-        return self.states(self.mean[which] + x * np.sqrt(FREEDOM / rng.chisquare(FREEDOM, n))[:, None], which)
+        return self.states(
+            self.mean[which] + x * np.sqrt(FREEDOM / rng.chisquare(FREEDOM, n))[:, None], which
+        )
 
     def log_densities(self, state: State) -> np.ndarray:
         """Log density (n, m) of each component times its weight, over rates, the sphere and u."""
         out = np.empty((len(state), len(self.weight)))
         d = self.covariance.shape[1]
-        constant = gammaln((FREEDOM + d) / 2) - gammaln(FREEDOM / 2) - 0.5 * d * np.log(FREEDOM * np.pi)
+        constant = (
+            gammaln((FREEDOM + d) / 2) - gammaln(FREEDOM / 2) - 0.5 * d * np.log(FREEDOM * np.pi)
+        )
         for alike, x in self.charts(state, np.arange(len(self.weight))):
             angle = np.arccos(np.clip(state.sun @ self.centre.sun[alike[0]], -1.0, 1.0))
             sphere = -np.log(np.maximum(np.sinc(angle / np.pi), 1e-12))
@@ -148,7 +173,9 @@ class Mixture:
                 root = np.linalg.cholesky(self.covariance[m])
                 square = np.sum(((x - self.mean[m]) @ np.linalg.inv(root).T) ** 2, axis=1)
                 volume = np.linalg.slogdet(self.basis[m])[1] - np.log(np.diag(root)).sum()
-                out[:, m] = constant + volume - 0.5 * (FREEDOM + d) * np.log1p(square / FREEDOM) + sphere
+                out[:, m] = (
+                    constant + volume - 0.5 * (FREEDOM + d) * np.log1p(square / FREEDOM) + sphere
+                )
         with np.errstate(divide="ignore"):
             return out + np.log(self.weight)
 
@@ -163,12 +190,16 @@ class Blend:
     def draw(self, n: int, rng: np.random.Generator) -> State:
         """n draws, each part's share of them."""
         counts = np.diff(np.round(np.cumsum([0.0, *self.share]) * n).astype(int))
-        return State.joined([part.draw(int(count), rng) for part, count in zip(self.parts, counts, strict=True)])
+        return State.joined(
+            [part.draw(int(count), rng) for part, count in zip(self.parts, counts, strict=True)]
+        )
 
     def log_densities(self, state: State) -> np.ndarray:
         """Log density (n, m) of each component of all parts times its weight."""
         every = zip(self.parts, self.share, strict=True)
-        return np.concatenate([part.log_densities(state) + np.log(share) for part, share in every], axis=1)
+        return np.concatenate(
+            [part.log_densities(state) + np.log(share) for part, share in every], axis=1
+        )
 
 
 def monomials(x: np.ndarray, sheet: Sheet) -> np.ndarray:

@@ -46,8 +46,22 @@ SCALE_SIGMA = {True: 0.06, False: 1.0}
 MOST_TURNED = 300.0
 """deg by which a steady torque may turn the body over the window, unless the caller says otherwise."""
 
-KEYS = {"max_rate_rad_s", "steady_torque", "inertia", "wheel_speed", "wheel_inertia", "friction", "gain", "noise", "scale",
-        "time_s", "wheel_off_s", "wheel_off", "tilt", "tilt_common"}
+KEYS = {
+    "max_rate_rad_s",
+    "steady_torque",
+    "inertia",
+    "wheel_speed",
+    "wheel_inertia",
+    "friction",
+    "gain",
+    "noise",
+    "scale",
+    "time_s",
+    "wheel_off_s",
+    "wheel_off",
+    "tilt",
+    "tilt_common",
+}
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
 
@@ -71,7 +85,12 @@ class State:
 
     @classmethod
     def joined(cls, parts: list[State]) -> State:
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("omega", "sun", "u")))
+        return cls(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("omega", "sun", "u")
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -103,7 +122,9 @@ class Model:
     @property
     def precision(self) -> np.ndarray:
         """Of the unknowns' priors (k) in fits, in units of their sigmas."""
-        return np.array([self.share**-2 if x.kind == "steady_torque" else 1.0 for x in self.unknowns])
+        return np.array(
+            [self.share**-2 if x.kind == "steady_torque" else 1.0 for x in self.unknowns]
+        )
 
     @property
     def turned(self) -> bool:
@@ -130,7 +151,9 @@ class Model:
 
     def values(self, u: np.ndarray) -> np.ndarray:
         """The unknowns in their own units (n, k)."""
-        centre, sigma = (np.array([getattr(x, key) for x in self.unknowns]) for key in ("centre", "sigma"))
+        centre, sigma = (
+            np.array([getattr(x, key) for x in self.unknowns]) for key in ("centre", "sigma")
+        )
         return centre + sigma * u if len(self.unknowns) else u
 
     def relative(self, u: np.ndarray, kind: str, count: int) -> np.ndarray:
@@ -144,8 +167,12 @@ class Model:
         """Speeds at the reference (n, n_wheel), rad/s."""
         speeds = np.tile([wheel.speed_rad_s for wheel in self.vehicle.wheels], (len(u), 1))
         for i in self.where("wheel_speed"):
-            speeds[:, self.unknowns[i].index] = self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
-        elapsed = self.after_s + np.maximum(self.wheel_off_s + self.relative(u, "wheel_off", 1)[:, 0], 0.0)
+            speeds[:, self.unknowns[i].index] = (
+                self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
+            )
+        elapsed = self.after_s + np.maximum(
+            self.wheel_off_s + self.relative(u, "wheel_off", 1)[:, 0], 0.0
+        )
         if not np.any(elapsed):
             return speeds
         bodies, commands = self.bodies(u), k.check_commands(self.vehicle, self.wheel_mode)
@@ -153,13 +180,23 @@ class Model:
             if command != "hold":
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 dry, viscous = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i]
-                speeds[:, i] = spin_down_speed(dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], elapsed)
+                speeds[:, i] = spin_down_speed(
+                    dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], elapsed
+                )
         return speeds
 
     def rows(self, state: State) -> k.Rows:
         """Initial states for the kernel."""
-        rows = k.Rows(state.omega, state.sun, self.wheel_speeds(state.u), B_from_N=self._attitudes(state) if self.turned else None)
-        if not any(self.where(kind) for kind in ("inertia", "coulomb", "viscous", "wheel_inertia", "steady_torque")):
+        rows = k.Rows(
+            state.omega,
+            state.sun,
+            self.wheel_speeds(state.u),
+            B_from_N=self._attitudes(state) if self.turned else None,
+        )
+        if not any(
+            self.where(kind)
+            for kind in ("inertia", "coulomb", "viscous", "wheel_inertia", "steady_torque")
+        ):
             return rows
         return replace(rows, bodies=self.bodies(state.u))
 
@@ -167,18 +204,30 @@ class Model:
         """Quaternions B_from_N (n, 4): the shortest turn that takes the Sun to its direction, and then the unknown one about it."""
         here = replace(self.acting, start_s=self.acting.start_s + self.after_s).here()
         sun_N = np.zeros(3) if here is None else here.sun_N[0]
-        shortest = np.concatenate([np.cross(sun_N, state.sun), 1.0 + state.sun @ sun_N[:, None]], axis=1)
-        across = [*np.cross(sun_N, np.eye(3)[np.argmin(np.abs(sun_N))]), 0.0]  # half a turn about any axis across, if opposite
-        shortest = np.where(np.linalg.norm(shortest, axis=1, keepdims=True) < 1e-9, across, shortest)
+        shortest = np.concatenate(
+            [np.cross(sun_N, state.sun), 1.0 + state.sun @ sun_N[:, None]], axis=1
+        )
+        across = [
+            *np.cross(sun_N, np.eye(3)[np.argmin(np.abs(sun_N))]),
+            0.0,
+        ]  # half a turn about any axis across, if opposite
+        shortest = np.where(
+            np.linalg.norm(shortest, axis=1, keepdims=True) < 1e-9, across, shortest
+        )
         about = Rotation.from_rotvec(self.relative(state.u, "turn", 1) * state.sun)
         return (about * Rotation.from_quat(shortest)).as_quat()
 
     def run(self, rows: k.Rows, times_s: npt.ArrayLike, direction_error: float) -> k.BlockResult:
         """Motions from initial states at the reference to times from there, all later or all earlier."""
         return k.run_rows(
-            self.vehicle, rows, times_s, wheel_mode=self.wheel_mode, direction_error=direction_error, device=self.device,
+            self.vehicle,
+            rows,
+            times_s,
+            wheel_mode=self.wheel_mode,
+            direction_error=direction_error,
+            device=self.device,
             acting=replace(self.acting, start_s=self.acting.start_s + self.after_s),
-        )  # fmt: skip
+        )
 
     def bodies(self, u: np.ndarray) -> k.Bodies:
         """Inertia, wheel inertia, friction and steady torques of each hypothesis."""
@@ -192,7 +241,11 @@ class Model:
                 tensor[:, b, a] += self.unknowns[i].sigma * u[:, i]
         factors = {
             key: np.array(getattr(body, key)) * np.exp(self.relative(u, kind, wheels))
-            for key, kind in (("wheel_inertia_kg_m2", "wheel_inertia"), ("coulomb_N_m", "coulomb"), ("viscous_N_m_s", "viscous"))
+            for key, kind in (
+                ("wheel_inertia_kg_m2", "wheel_inertia"),
+                ("coulomb_N_m", "coulomb"),
+                ("viscous_N_m_s", "viscous"),
+            )
         }
         steady = np.zeros((len(u), 2, 3))
         mean = np.trace(self.vehicle.require_inertia()) / 3
@@ -207,7 +260,11 @@ class Model:
         out = -ball - np.log(4 * np.pi) - 0.5 * np.sum(plain**2 + np.log(2 * np.pi), axis=1)
         if steady:
             share = np.array(self.shares)[:, None]
-            each = -0.5 * np.sum(state.u[:, steady] ** 2, axis=1) / share**2 - 3 * np.log(share) - 1.5 * np.log(2 * np.pi)
+            each = (
+                -0.5 * np.sum(state.u[:, steady] ** 2, axis=1) / share**2
+                - 3 * np.log(share)
+                - 1.5 * np.log(2 * np.pi)
+            )
             out += logsumexp(each, axis=0) - np.log(len(share))
         allowed = np.linalg.norm(state.omega, axis=1) <= self.max_rate
         if self.where("inertia"):
@@ -234,31 +291,59 @@ def model(
     priors = dict(priors or {})
     unknown = sorted(set(priors) - KEYS)
     if unknown:
-        raise InputError(sentence(f"priors know {', '.join(sorted(KEYS))}", got=", ".join(map(str, unknown))))
+        raise InputError(
+            sentence(f"priors know {', '.join(sorted(KEYS))}", got=", ".join(map(str, unknown)))
+        )
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     commands = k.check_commands(vehicle, mode)
     told: dict[str, str] = {}
-    made = [Unknown("log_scale", "scale", "1", float(np.log(brightness)), _scale_sigma(vehicle, priors, told))]
+    made = [
+        Unknown(
+            "log_scale",
+            "scale",
+            "1",
+            float(np.log(brightness)),
+            _scale_sigma(vehicle, priors, told),
+        )
+    ]
     made.append(Unknown("log_noise", "noise", "1", 0.0, _noise_sigma(vehicle, priors, told)))
     made += _wheels(vehicle, priors, commands, told)
     off = _wheel_off(vehicle, priors, commands, told)
     made += [] if off is None else [off]
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
-    made += [Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j) for j, name in enumerate(vehicle.input_names) if gain]
+    made += [
+        Unknown(f"log_gain_{name}", "gain", "1", 0.0, gain, j)
+        for j, name in enumerate(vehicle.input_names)
+        if gain
+    ]
     made += _tilts(vehicle, priors, told)
-    limit = priors.get("max_rate_rad_s") or vehicle.sensors.disturbance.max_rate_rad_s or DEFAULT_MAX_RATE
+    limit = (
+        priors.get("max_rate_rad_s")
+        or vehicle.sensors.disturbance.max_rate_rad_s
+        or DEFAULT_MAX_RATE
+    )
     if not (np.isfinite(limit) and limit > 0):
         raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
     told["steady_torque"] = _most_turned(priors)
-    return Model(vehicle, tuple(x for x in made if x.sigma > 0), float(limit), mode, _tags(priors, told),
-                 wheel_off_s=0.0 if off is None else off.centre), told  # fmt: skip
+    return Model(
+        vehicle,
+        tuple(x for x in made if x.sigma > 0),
+        float(limit),
+        mode,
+        _tags(priors, told),
+        wheel_off_s=0.0 if off is None else off.centre,
+    ), told
 
 
 def under(model_: Model, acting: Acting) -> Model:
     """The model under torques; where they depend on directions beside the Sun's, the turn about the Sun becomes an unknown."""
-    turn = (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),) if needed_around(acting.torques) else ()
+    turn = (
+        (Unknown("turn_about_sun_rad", "turn", "rad", 0.0, np.pi),)
+        if needed_around(acting.torques)
+        else ()
+    )
     return replace(model_, acting=acting, unknowns=model_.unknowns + turn)
 
 
@@ -266,13 +351,19 @@ def pushed(model_: Model, frame: Literal["B", "N"], duration_s: float, most_deg:
     """The model under a steady torque that nobody told of, which turns the body by `most_deg` over the readings' time at most."""
     turned = TURNED[TURNED <= np.radians(most_deg) * (1 + 1e-9)]
     tried = sizes(duration_s, turned if len(turned) else np.radians([most_deg]))
-    more = SteadyTorque(float(tried[-1]), frame, np.array(model_.vehicle.require_inertia())).unknowns()
+    more = SteadyTorque(
+        float(tried[-1]), frame, np.array(model_.vehicle.require_inertia())
+    ).unknowns()
     acting_ = replace(model_.acting, torques=(*model_.acting.torques, Steady()))
     shares = tuple((tried / tried[-1]).tolist())
-    return replace(model_, acting=acting_, frame=frame, shares=shares, unknowns=model_.unknowns + more)
+    return replace(
+        model_, acting=acting_, frame=frame, shares=shares, unknowns=model_.unknowns + more
+    )
 
 
-def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: float, told: dict[str, str]) -> float:
+def _sigma(
+    priors: Mapping[str, Any], key: str, stated: float | None, assumed: float, told: dict[str, str]
+) -> float:
     """A relative sigma: the caller's, else the file's, else the assumed one."""
     value, source = assumed, "assumed"
     if stated is not None:
@@ -286,14 +377,21 @@ def _sigma(priors: Mapping[str, Any], key: str, stated: float | None, assumed: f
 
 def _not_negative(value: Any, said: str) -> None:
     """Refuse, as it is `said`, what is no finite number or a negative one."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not (np.isfinite(value) and value >= 0):
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not (np.isfinite(value) and value >= 0)
+    ):
         raise InputError(sentence(said, got=value))
 
 
 def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
     """Turns of the panels, where the file or the caller says that they may stand off."""
     for key in ("tilt", "tilt_common"):
-        _not_negative(priors.get(key, 0.0), f"the prior sigma of {key} must be zero (known) or positive, in rad")
+        _not_negative(
+            priors.get(key, 0.0),
+            f"the prior sigma of {key} must be zero (known) or positive, in rad",
+        )
     own, common, words = tilt.told(priors, vehicle)
     told.update(words)
     if (vehicle.channels or vehicle.throttled) and (own.any() or common):
@@ -306,7 +404,10 @@ def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) ->
 
 def _most_turned(priors: Mapping[str, Any]) -> str:
     most = priors.get("steady_torque", MOST_TURNED)
-    _not_negative(most, "steady_torque, the most that one may turn the body over the samples, must be zero or positive, in degrees")
+    _not_negative(
+        most,
+        "steady_torque, the most that one may turn the body over the samples, must be zero or positive, in degrees",
+    )
     source = "given" if "steady_torque" in priors else "assumed"
     return f"turns by up to {most:g} deg ({source})" if most else f"none ({source})"
 
@@ -332,10 +433,14 @@ def _scale_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, st
 
 
 def _noise_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> float:
-    return _sigma(priors, "noise", None, NOISE_SIGMA if vehicle.telemetry.noise else NOISE_UNKNOWN, told)
+    return _sigma(
+        priors, "noise", None, NOISE_SIGMA if vehicle.telemetry.noise else NOISE_UNKNOWN, told
+    )
 
 
-def _wheels(vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ...], told: dict[str, str]) -> list[Unknown]:
+def _wheels(
+    vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ...], told: dict[str, str]
+) -> list[Unknown]:
     made = []
     for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
         at = f"wheel.{wheel.name}"
@@ -345,17 +450,24 @@ def _wheels(vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ..
         relative = None if stated is None or not speed else float(stated) / speed
         assumed = ASSUMED["wheel_speed"] if command != "hold" else 0.0  # a motor keeps its speed
         sigma = speed * _sigma(priors, "wheel_speed", relative, assumed, told)
-        made.append(Unknown(f"wheel_speed{tail}", "wheel_speed", "rad/s", wheel.speed_rad_s, sigma, i))
+        made.append(
+            Unknown(f"wheel_speed{tail}", "wheel_speed", "rad/s", wheel.speed_rad_s, sigma, i)
+        )
         stated = _stated(vehicle, f"{at}.inertia_kg_m2")
         relative = None if stated is None else float(stated) / wheel.inertia_kg_m2
         own = _sigma(priors, "wheel_inertia", relative, 0.0, told)
         made.append(Unknown(f"log_wheel_inertia{tail}", "wheel_inertia", "1", 0.0, own, i))
         for kind, key, value in (
-            ("coulomb", "coulomb_N_m", wheel.friction.coulomb_N_m), ("viscous", "viscous_N_m_s", wheel.friction.viscous_N_m_s),
-        ):  # fmt: skip
+            ("coulomb", "coulomb_N_m", wheel.friction.coulomb_N_m),
+            ("viscous", "viscous_N_m_s", wheel.friction.viscous_N_m_s),
+        ):
             stated = _stated(vehicle, f"{at}.friction.{key}")
             relative = None if stated is None or not value else float(stated) / value
-            own = _sigma(priors, "friction", relative, ASSUMED["friction"], told) if value and command == "coast" else 0.0
+            own = (
+                _sigma(priors, "friction", relative, ASSUMED["friction"], told)
+                if value and command == "coast"
+                else 0.0
+            )
             made.append(Unknown(f"log_{kind}{tail}", kind, "1", 0.0, own, i))
     return made
 
@@ -382,11 +494,21 @@ def _inertia(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) 
     if sigma is not None and "inertia" not in priors:
         told["inertia"] = "vehicle file"
         return [
-            Unknown(f"inertia_{'xyz'[a]}{'xyz'[b]}", "inertia", "kg m2", tensor[a, b], float(sigma[a, b]), 3 * a + b)
-            for a in range(3) for b in range(a, 3)
-        ]  # fmt: skip
+            Unknown(
+                f"inertia_{'xyz'[a]}{'xyz'[b]}",
+                "inertia",
+                "kg m2",
+                tensor[a, b],
+                float(sigma[a, b]),
+                3 * a + b,
+            )
+            for a in range(3)
+            for b in range(a, 3)
+        ]
     relative = _sigma(priors, "inertia", None, ASSUMED["inertia"], told)
     return [
-        Unknown(f"inertia_{name}", "inertia", "kg m2", tensor[a, a], relative * tensor[a, a], 3 * a + b)
+        Unknown(
+            f"inertia_{name}", "inertia", "kg m2", tensor[a, a], relative * tensor[a, a], 3 * a + b
+        )
         for name, (a, b) in MOMENTS.items()
     ]

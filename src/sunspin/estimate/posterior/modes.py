@@ -158,7 +158,11 @@ def within(modes: Modes, max_rate: float) -> Modes:
     if np.any(np.linalg.norm(modes.state.omega, axis=1) <= max_rate):
         return modes
     state = replace(modes.state, omega=shortened(modes.state.omega, INSIDE * max_rate))
-    return replace(modes, state=state, notes=(*modes.notes, "the readings ask for faster rates than those of the prior"))
+    return replace(
+        modes,
+        state=state,
+        notes=(*modes.notes, "the readings ask for faster rates than those of the prior"),
+    )
 
 
 @dataclass(frozen=True)
@@ -183,9 +187,17 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
     """
     lit = np.flatnonzero(data.lit.any(axis=1))
     choices = [a for a in lit if _runs_on(model, float(data.t_s[a]))] or [lit[0]]
-    choices = [a for a in choices if _spun_up(model, float(data.t_s[a])) <= MOST_SPUN * model.max_rate] or choices[:1]
-    choices = [choices[i] for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))]
-    suns = {i: c.sun_candidates(model, data, scale, i) for i in sorted({int(i) for a in choices for i in _nearest(data, a, FEW)})}
+    choices = [
+        a for a in choices if _spun_up(model, float(data.t_s[a])) <= MOST_SPUN * model.max_rate
+    ] or choices[:1]
+    choices = [
+        choices[i]
+        for i in np.unique(np.linspace(0, len(choices) - 1, MOST_CHOICES).round().astype(int))
+    ]
+    suns = {
+        i: c.sun_candidates(model, data, scale, i)
+        for i in sorted({int(i) for a in choices for i in _nearest(data, a, FEW)})
+    }
     tried = []
     for a in choices:
         around, window = _neighbours(data, a), _nearest(data, a, FEW)
@@ -193,10 +205,20 @@ def plan(model: Model, data: Readings, scale: float) -> Plan:
         edge = min(edge, SHARED_EDGE * model.max_rate) if model.vehicle.channels else edge
         reach, after = float(np.abs(data.t_s[window] - data.t_s[a]).max()), float(data.t_s[a])
         took = START_S * len(suns[int(a)]) * c.cell_count(ball(model, after), edge)
-        took += WINDOW_S * (fastest(model, after) * reach) ** 3 * np.prod([len(suns[int(i)]) for i in window], dtype=float)
+        took += (
+            WINDOW_S
+            * (fastest(model, after) * reach) ** 3
+            * np.prod([len(suns[int(i)]) for i in window], dtype=float)
+        )
         tried.append((took, int(a), around, edge, suns[int(a)]))
     _, anchor, around, edge, found = min(tried, key=lambda one: one[0])
-    return Plan(anchor, around, edge, found, min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)))
+    return Plan(
+        anchor,
+        around,
+        edge,
+        found,
+        min(model.max_rate, c.largest_ball(c.MAX_CELLS / len(found), edge)),
+    )
 
 
 def require_few(model: Model, data: Readings, scale: float) -> Plan:
@@ -206,11 +228,24 @@ def require_few(model: Model, data: Readings, scale: float) -> Plan:
     if asked <= c.MAX_STARTS:
         return chosen
     smaller = model
-    while _starts(smaller, chosen) > c.MAX_STARTS:  # with a smaller ball another reference may be the best one
-        smaller = replace(smaller, max_rate=float(f"{0.99 * c.largest_ball(c.MAX_STARTS / len(chosen.suns), chosen.edge):.3g}"))
+    while (
+        _starts(smaller, chosen) > c.MAX_STARTS
+    ):  # with a smaller ball another reference may be the best one
+        smaller = replace(
+            smaller,
+            max_rate=float(
+                f"{0.99 * c.largest_ball(c.MAX_STARTS / len(chosen.suns), chosen.edge):.3g}"
+            ),
+        )
         chosen = plan(smaller, data, scale)
     what = f"max_rate_rad_s asks for {asked:.2g} starts, and {c.MAX_STARTS:.0e} at most can be tried in an hour"
-    raise InputError(sentence(what, got=f"{model.max_rate:g}", do=f"with these samples give {smaller.max_rate:.3g} at most"))
+    raise InputError(
+        sentence(
+            what,
+            got=f"{model.max_rate:g}",
+            do=f"with these samples give {smaller.max_rate:.3g} at most",
+        )
+    )
 
 
 def _starts(model: Model, chosen: Plan) -> float:
@@ -221,7 +256,12 @@ def _runs_on(model: Model, after_s: float) -> bool:
     """Whether every wheel still has a good part of its speed then, so that motions can be followed back through it."""
     none = np.zeros((1, len(model.unknowns)))
     there = np.abs(replace(model, after_s=after_s).wheel_speeds(none)[0])
-    return after_s == 0.0 or bool(np.all((there > SPEED_LEFT * np.abs(model.wheel_speeds(none)[0])) | (model.wheel_mode == "hold")))
+    return after_s == 0.0 or bool(
+        np.all(
+            (there > SPEED_LEFT * np.abs(model.wheel_speeds(none)[0]))
+            | (model.wheel_mode == "hold")
+        )
+    )
 
 
 def ball(model: Model, after_s: float) -> float:
@@ -233,7 +273,9 @@ def ball(model: Model, after_s: float) -> float:
     if after_s == 0.0:
         return model.max_rate
     moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
-    return model.max_rate * float(np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)) + 1.3 * _spun_up(model, after_s)
+    return model.max_rate * float(
+        np.clip(np.sqrt(moments[-1] / moments[0]), 1.05, 1.5)
+    ) + 1.3 * _spun_up(model, after_s)
 
 
 def fastest(model: Model, after_s: float) -> float:
@@ -249,7 +291,9 @@ def fastest(model: Model, after_s: float) -> float:
 def _spun_up(model: Model, after_s: float) -> float:
     """Rate (rad/s) that wheels running down hand over to the body in that time, about the axis of the least moment."""
     none = np.zeros((1, len(model.unknowns)))
-    change = np.abs(replace(model, after_s=after_s).wheel_speeds(none) - model.wheel_speeds(none))[0]
+    change = np.abs(replace(model, after_s=after_s).wheel_speeds(none) - model.wheel_speeds(none))[
+        0
+    ]
     spins = float(np.sum(change * [w.inertia_kg_m2 for w in model.vehicle.wheels]))
     return spins / float(np.linalg.eigvalsh(model.vehicle.require_inertia())[0])
 
@@ -271,7 +315,11 @@ def _nearest(data: Readings, a: int, count: int) -> np.ndarray:
 def _neighbours(data: Readings, a: int) -> np.ndarray:
     """The sample before and the one after, or at an end the two next; dark ones count too, as they bound the direction."""
     low = 1 if a > 0 else 0
-    around = np.array([a - 1, a + 1]) if low and a + 1 < len(data) else np.array([a + 1, a + 2] if a == 0 else [a - 2, a - 1])
+    around = (
+        np.array([a - 1, a + 1])
+        if low and a + 1 < len(data)
+        else np.array([a + 1, a + 2] if a == 0 else [a - 2, a - 1])
+    )
     return around[(around >= 0) & (around < len(data))]
 
 
@@ -303,19 +351,36 @@ class Search:
 
     def run(self, function: Any, label: str, chunk: int) -> dict[str, np.ndarray]:
         """All rows of a function, kept in a folder of its own."""
-        store = None if self.store is None else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
+        store = (
+            None
+            if self.store is None
+            else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
+        )
         self.stage += 1
-        return ensemble(function, workers=self.workers, chunk=chunk, store=store, progress=self.progress, label=label)
+        return ensemble(
+            function,
+            workers=self.workers,
+            chunk=chunk,
+            store=store,
+            progress=self.progress,
+            label=label,
+        )
 
-    def starts(self, model: Model, data: Readings, chosen: Plan, scale: float) -> tuple[State, np.ndarray]:
+    def starts(
+        self, model: Model, data: Readings, chosen: Plan, scale: float
+    ) -> tuple[State, np.ndarray]:
         """Starts around the reference; `data` counts time from it."""
         if (took := START_S * c.cell_count(chosen.limit, chosen.edge) * len(chosen.suns)) > LONG_S:
             smaller = chosen.given * (LONG_S / took) ** (1 / 3)
-            self._say(f"looking for starts takes about {took / 60:.1f} min; with {MAX_RATE}{smaller:.2g} it takes about one")
+            self._say(
+                f"looking for starts takes about {took / 60:.1f} min; with {MAX_RATE}{smaller:.2g} it takes about one"
+            )
         near = data.take(chosen.tried)
         tried = replace(near, others=())
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
-        free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model))
+        free = replace(
+            model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model)
+        )
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
         turn = self.run(grid, "grid of rates", 8192)["turn"]
         here = data.value[chosen.anchor], data.used[chosen.anchor]
@@ -326,16 +391,26 @@ class Search:
         return state.take(slow), hits[slow]
 
     def fit(
-        self, likelihood: Likelihood, state: State, levels: Levels, label: str, every: bool = False, **options: Any
+        self,
+        likelihood: Likelihood,
+        state: State,
+        levels: Levels,
+        label: str,
+        every: bool = False,
+        **options: Any,
     ) -> dict[str, np.ndarray]:
         """Least squares from each state; from several turns about the Sun where it depends on that: `every` one, or the best."""
         turns = _turned(likelihood.model, state)
         self.fitted += len(turns) * len(state) * len(likelihood.data)
-        found = self.run(Fit(likelihood, State.joined(turns), levels, **options), label, chunk_rows(likelihood))
+        found = self.run(
+            Fit(likelihood, State.joined(turns), levels, **options), label, chunk_rows(likelihood)
+        )
         if every or len(turns) == 1:
             return found
         cost = found["cost"].reshape(len(turns), len(state))
-        best = np.where(np.isfinite(cost), cost, np.inf).argmin(axis=0) * len(state) + np.arange(len(state))
+        best = np.where(np.isfinite(cost), cost, np.inf).argmin(axis=0) * len(state) + np.arange(
+            len(state)
+        )
         return {name: values[best] for name, values in found.items()}
 
     def modes(self, model: Model, data: Readings, chosen: Plan, scale: float) -> Modes:
@@ -345,7 +420,10 @@ class Search:
         turn of all panels stays an unknown: a few samples fit a motion in turned axes, too, and as noise it would let through many
         more motions than there are. Starts and looks ahead have room enough for turns.
         """
-        whole, wide = Likelihood(model, data), replace(data, sigma=tilt.spread(data.sigma, model.vehicle, model.unknowns, scale))
+        whole, wide = (
+            Likelihood(model, data),
+            replace(data, sigma=tilt.spread(data.sigma, model.vehicle, model.unknowns, scale)),
+        )
         model, kept = standing(model, (tilt.KIND,))
         few, held = _of_the_motion(model)
         state, hits = self.starts(few, data, chosen, scale)
@@ -369,27 +447,53 @@ class Search:
             limit = likeliest(likelihood, still)
             hopeless = limit + expected(part) * (np.log(levels[0][0]) + NOT_YET)
             begun = self._begun(likelihood, parents, origin, still)
-            fitted = self.fit(likelihood, state, levels, label, still=still, normal=True, hopeless=hopeless, begun=begun,
-                              promising=limit + SLACK_STILL)  # fmt: skip
+            fitted = self.fit(
+                likelihood,
+                state,
+                levels,
+                label,
+                still=still,
+                normal=True,
+                hopeless=hopeless,
+                begun=begun,
+                promising=limit + SLACK_STILL,
+            )
             following = _grown(data, used)
             reach = float(np.abs(data.t_s[following]).max())
             state = State(fitted["omega"], fitted["sun"], fitted["u"])
             keep, hits, note = _thinned(state, fitted["cost"], hits, reach, limit)
             notes += [f"{note} ({len(used)} samples)"] if note else []
             before = len(state)
-            state, normal, beside, first = state.take(keep), fitted["normal"][keep], beside[keep], False
+            state, normal, beside, first = (
+                state.take(keep),
+                fitted["normal"][keep],
+                beside[keep],
+                False,
+            )
             if not still:
-                state, normal, hits, beside, note = self._one_each(likelihood, state, normal, hits, beside, label)
+                state, normal, hits, beside, note = self._one_each(
+                    likelihood, state, normal, hits, beside, label
+                )
                 notes += [f"{note} ({len(used)} samples)"] if note else []
             trace.append((len(used), before, len(state)))
             if len(following) == len(used):
                 state = _among(state, model, held) if still else state
-                return self._with_images(whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes))
+                return self._with_images(
+                    whole, self._last(whole, _widened(state, whole.model, kept), hits, trace, notes)
+                )
             parents, origin = state, np.arange(len(state))
             if len(used) > GRID_SAMPLES or len(state) <= FEW_STARTS:
-                state, hits, beside, origin = denser(state, normal, hits, beside, reach, model.max_rate)
-            keep = self._looked(now, data.take(np.setdiff1d(following, used)), state, scale, chosen.fastest)
-            keep, note = self._followed(np.flatnonzero(keep) if keep.any() else np.arange(len(state)), len(following), chosen)
+                state, hits, beside, origin = denser(
+                    state, normal, hits, beside, reach, model.max_rate
+                )
+            keep = self._looked(
+                now, data.take(np.setdiff1d(following, used)), state, scale, chosen.fastest
+            )
+            keep, note = self._followed(
+                np.flatnonzero(keep) if keep.any() else np.arange(len(state)),
+                len(following),
+                chosen,
+            )
             notes += [f"{note} ({len(following)} samples)"] if note else []
             state, hits, beside, origin = state.take(keep), hits[keep], beside[keep], origin[keep]
             used = following
@@ -402,12 +506,16 @@ class Search:
         took = FIT_S * len(some) * samples / FEW
         if note:
             smaller = chosen.given * (len(some) / len(keep)) ** (1 / 3)
-            self._say(f"{len(keep)} motions may fit {samples} samples; {len(some)} of them are followed, which takes about "
-                      f"{took / 60:.1f} min, and the search will not be complete; with {MAX_RATE}{smaller:.2g} about all of "
-                      "them would be followed")  # fmt: skip
+            self._say(
+                f"{len(keep)} motions may fit {samples} samples; {len(some)} of them are followed, which takes about "
+                f"{took / 60:.1f} min, and the search will not be complete; with {MAX_RATE}{smaller:.2g} about all of "
+                "them would be followed"
+            )
         elif samples == FEW and took > LONG_S:
-            self._say(f"{len(keep)} motions may fit {samples} samples; following them takes about {took / 60:.1f} min, and in "
-                      f"proportion to the cube of {MAX_RATE.rstrip('=')} less")  # fmt: skip
+            self._say(
+                f"{len(keep)} motions may fit {samples} samples; following them takes about {took / 60:.1f} min, and in "
+                f"proportion to the cube of {MAX_RATE.rstrip('=')} less"
+            )
         return keep[some], note
 
     def _say(self, text: str) -> None:
@@ -417,11 +525,19 @@ class Search:
             logging.getLogger("sunspin").warning("sunspin: %s", text)
 
     def _one_each(
-        self, likelihood: Likelihood, state: State, normal: np.ndarray, hits: np.ndarray, beside: np.ndarray, label: str
+        self,
+        likelihood: Likelihood,
+        state: State,
+        normal: np.ndarray,
+        hits: np.ndarray,
+        beside: np.ndarray,
+        label: str,
     ) -> tuple[State, np.ndarray, np.ndarray, np.ndarray, str]:
         """Hypotheses (best first) with what goes with them, one for each sheet, and a remark where not all are followed."""
         if len(likelihood.data) > FEW:
-            first, hits = joined(state, normal, hits)  # most are copies already, and a fit to the end takes as long as the first
+            first, hits = joined(
+                state, normal, hits
+            )  # most are copies already, and a fit to the end takes as long as the first
             state, beside = state.take(first), beside[first]
             found = self.fit(likelihood, state, AGAIN_LEVELS, f"{label} again", normal=True)
             order = np.argsort(found["cost"], kind="stable")
@@ -431,17 +547,23 @@ class Search:
         some, note = _at_most(MOST, len(only))
         return state.take(only[some]), normal[only[some]], hits[some], beside[only[some]], note
 
-    def _begun(self, likelihood: Likelihood, parents: State, origin: np.ndarray, still: bool) -> Begun | None:
+    def _begun(
+        self, likelihood: Likelihood, parents: State, origin: np.ndarray, still: bool
+    ) -> Begun | None:
         """Derivatives to begin with at many neighbours of far fewer `parents`, `origin` (n): found at these."""
         if len(origin) < max(CHILDREN * len(parents), MANY) or likelihood.model.turned:
             return None
         found = self.run(Slopes(likelihood, parents, still), "derivatives", chunk_rows(likelihood))
         return Begun(parents.take(origin), found["moves"][origin], found["seen"][origin])
 
-    def _looked(self, model: Model, coming: Readings, state: State, scale: float, limit_rad_s: float) -> np.ndarray:
+    def _looked(
+        self, model: Model, coming: Readings, state: State, scale: float, limit_rad_s: float
+    ) -> np.ndarray:
         """Which hypotheses (n) the nearest of the coming samples allows; one run each, where a fit takes fifty."""
         nearest = coming.take(np.array([np.argmin(np.abs(coming.t_s))]))
-        look = Look(Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale, limit_rad_s)
+        look = Look(
+            Likelihood(model, replace(nearest, others=()), c.TRIAL_ERROR), state, scale, limit_rad_s
+        )
         return self.run(look, "looking ahead", 8192)["allowed"]
 
     def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
@@ -450,9 +572,17 @@ class Search:
         if len(images) == 1:
             return found
         every = State.joined([_imaged(found.state, image) for image in images])
-        return self._last(likelihood, every, np.tile(found.hits, len(images)), list(found.trace), list(found.notes))
+        return self._last(
+            likelihood,
+            every,
+            np.tile(found.hits, len(images)),
+            list(found.trace),
+            list(found.notes),
+        )
 
-    def _last(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
+    def _last(
+        self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]
+    ) -> Modes:
         if likelihood.model.frame:
             return self.refined(likelihood, state, hits, trace, notes)
         return distinct(*self._curved(likelihood, state, hits), trace, notes)
@@ -461,11 +591,20 @@ class Search:
         self, likelihood: Likelihood, state: State, hits: np.ndarray, levels: Levels = LAST_LEVELS
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Fits to all samples with their curvatures, and how many starts came together in each."""
-        found = self.fit(replace(likelihood, direction_error=1e-6), state, levels, "all samples", every=True, curved=True)
+        found = self.fit(
+            replace(likelihood, direction_error=1e-6),
+            state,
+            levels,
+            "all samples",
+            every=True,
+            curved=True,
+        )
         found["share"] = np.full(len(found["cost"]), likelihood.model.share)
         return found, np.tile(hits, len(found["cost"]) // len(hits))
 
-    def refined(self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]) -> Modes:
+    def refined(
+        self, likelihood: Likelihood, state: State, hits: np.ndarray, trace: list, notes: list[str]
+    ) -> Modes:
         """The modes under another model than the one under which states were found: with a steady torque, for each of its sizes."""
         if not likelihood.model.frame:
             return distinct(*self._curved(likelihood, state, hits), trace, notes)
@@ -476,25 +615,39 @@ class Search:
             sized = replace(likelihood, model=replace(likelihood.model, share=share))
             found, starts = self._curved(sized, state, hits, LAST_LEVELS[1:])
             state = State(found["omega"], found["sun"], found["u"]).take(slice(len(state)))
-            found["cost"] += 3 * np.log(share)  # the prior's height: a small torque is no wonder where small ones are expected
+            found["cost"] += 3 * np.log(
+                share
+            )  # the prior's height: a small torque is no wonder where small ones are expected
             parts.append((found, starts))
         every = {name: np.concatenate([found[name] for found, _ in parts]) for name in parts[0][0]}
-        return distinct(every, np.concatenate([starts for _, starts in parts]), trace, notes, len(parts))
+        return distinct(
+            every, np.concatenate([starts for _, starts in parts]), trace, notes, len(parts)
+        )
 
-    def _hopeful(self, likelihood: Likelihood, state: State, hits: np.ndarray, share: float) -> tuple[State, np.ndarray]:
+    def _hopeful(
+        self, likelihood: Likelihood, state: State, hits: np.ndarray, share: float
+    ) -> tuple[State, np.ndarray]:
         """The states that may become modes, fitted in haste under one sigma of a steady torque, and the starts that led to each."""
-        sized = replace(likelihood, direction_error=SEARCH_ERROR, model=replace(likelihood.model, share=share))
+        sized = replace(
+            likelihood, direction_error=SEARCH_ERROR, model=replace(likelihood.model, share=share)
+        )
         found = self.fit(sized, state, HASTE_LEVELS, "all samples in haste")
         keep = found["cost"] < found["cost"].min() + DROP + HASTE_SLACK
         return State(found["omega"], found["sun"], found["u"]).take(keep), hits[keep]
 
 
-def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes: list[str], times: int = 1) -> Modes:
+def distinct(
+    found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes: list[str], times: int = 1
+) -> Modes:
     """The modes among fits to all samples, copies joined; `times`: how often each start is among these."""
     order = np.argsort(found["cost"], kind="stable")
     order = order[np.isfinite(found["cost"][order])] if np.isfinite(found["cost"]).any() else order
     good = found["cost"][order] < found["cost"][order[0]] + DROP
-    state, cost, hessian = State(found["omega"], found["sun"], found["u"]), found["cost"], found["hessian"]
+    state, cost, hessian = (
+        State(found["omega"], found["sun"], found["u"]),
+        found["cost"],
+        found["hessian"],
+    )
     kept: list[int] = []
     count: list[int] = []
     for i in order[good]:
@@ -507,17 +660,28 @@ def distinct(found: dict[str, np.ndarray], hits: np.ndarray, trace: list, notes:
         elif not any("modes" in note for note in notes):
             notes.append(f"more than {MOST_MODES} modes")
     far = order[~good][:BEYOND]
-    index, trace = np.array(kept), [*trace, (int(trace[-1][0]) if trace else 0, len(cost), len(kept))]
+    index, trace = (
+        np.array(kept),
+        [*trace, (int(trace[-1][0]) if trace else 0, len(cost), len(kept))],
+    )
     starts = -(-np.array(count) // times)
     return Modes(
-        state.take(index), cost[index], hessian[index], starts, tuple(trace), tuple(notes), found["share"][index],
+        state.take(index),
+        cost[index],
+        hessian[index],
+        starts,
+        tuple(trace),
+        tuple(notes),
+        found["share"][index],
         (state.take(far), hits[far]),
-    )  # fmt: skip
+    )
 
 
 def _imaged(state: State, image: np.ndarray) -> State:
     """Motions as a mirror or a turn of the body (3, 3) shows them: rates are axial vectors."""
-    return replace(state, omega=np.linalg.det(image) * (state.omega @ image.T), sun=state.sun @ image.T)
+    return replace(
+        state, omega=np.linalg.det(image) * (state.omega @ image.T), sun=state.sun @ image.T
+    )
 
 
 def _turned(model: Model, state: State) -> list[State]:
@@ -532,13 +696,19 @@ def _turned(model: Model, state: State) -> list[State]:
 def standing(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> tuple[Model, np.ndarray]:
     """The model without turns of the panels of these kinds, and the places (k) in u of the unknowns that are left."""
     kept = rest_of(model, kinds)
-    return (model if len(kept) == len(model.unknowns) else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))), kept
+    return (
+        model
+        if len(kept) == len(model.unknowns)
+        else replace(model, unknowns=tuple(model.unknowns[i] for i in kept))
+    ), kept
 
 
 def _of_the_motion(model: Model) -> tuple[Model, np.ndarray]:
     """The model with the body's own constants known, and the places (k) in u of the unknowns that are left. A few samples tell
     nothing of these, and motions of one body run faster than one body for each."""
-    kept = np.array([i for i, x in enumerate(model.unknowns) if x.kind in (*STANDING, "turn")], dtype=np.int64)
+    kept = np.array(
+        [i for i, x in enumerate(model.unknowns) if x.kind in (*STANDING, "turn")], dtype=np.int64
+    )
     return replace(model, unknowns=tuple(model.unknowns[i] for i in kept)), kept
 
 
@@ -565,7 +735,9 @@ def _of_the_vehicle(model: Model) -> tuple[Unknown, ...]:
 
 def _anything(model: Model, chosen: Plan) -> State:
     """Starts where there is no hope: rest, and turns about the axes."""
-    rates = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * min(0.3, 0.5 * model.max_rate)
+    rates = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * min(
+        0.3, 0.5 * model.max_rate
+    )
     suns = np.tile(chosen.suns[0], (len(rates), 1))
     return State(rates + 1e-4, suns, np.zeros((len(rates), len(model.unknowns))))
 
@@ -595,8 +767,14 @@ def likeliest(likelihood: Likelihood, still: bool = False) -> float:
     nothing to do with each other, so their squares add.
     """
     model, n = likelihood.model, expected(likelihood.data)
-    noisy = min(NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST)
-    return 0.5 * n + float(np.sqrt((noisy * n) ** 2 + 4.5 * n + SLACK**2)) + (SLACK_STILL if still else 0.0)
+    noisy = min(
+        NOISE_SIGMAS * sum(model.unknowns[i].sigma for i in model.where("noise")), NOISE_MOST
+    )
+    return (
+        0.5 * n
+        + float(np.sqrt((noisy * n) ** 2 + 4.5 * n + SLACK**2))
+        + (SLACK_STILL if still else 0.0)
+    )
 
 
 def beyond_all(likelihood: Likelihood, modes: Modes) -> bool:
@@ -604,7 +782,9 @@ def beyond_all(likelihood: Likelihood, modes: Modes) -> bool:
     return float(modes.objective[0]) > FAR_BEYOND * likeliest(likelihood)
 
 
-def _thinned(state: State, cost: np.ndarray, hits: np.ndarray, reach_s: float, limit: float) -> tuple[np.ndarray, np.ndarray, str]:
+def _thinned(
+    state: State, cost: np.ndarray, hits: np.ndarray, reach_s: float, limit: float
+) -> tuple[np.ndarray, np.ndarray, str]:
     """Which hypotheses go on, how many starts each stands for, and a remark where that is not all that should."""
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
@@ -612,7 +792,9 @@ def _thinned(state: State, cost: np.ndarray, hits: np.ndarray, reach_s: float, l
     note = ""
     if not len(possible):
         possible, note = order[:KEPT_ANYWAY], "no motion is within the noise"
-    _, first, inverse = np.unique(boxes(state.take(possible), reach_s), axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(
+        boxes(state.take(possible), reach_s), axis=0, return_index=True, return_inverse=True
+    )
     counts = np.bincount(inverse.ravel(), weights=hits[possible]).astype(np.int64)
     rank = np.argsort(first, kind="stable")  # best first
     some, more = _at_most(MOST_FEW, len(rank))

@@ -57,21 +57,62 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
         best = int(np.argmax(np.where(region == number, height, -np.inf)))
         start = (rows.omega_B[best], rows.sun_B[best], rows.wheel_speed_rad_s[best])
         steady = bodies.steady_N_m[best]
-        run = _run(bodies.vehicle(vehicle, best), start, tree, unknown.wheel_mode, [Steady(steady)] if steady.any() else [])
+        run = _run(
+            bodies.vehicle(vehicle, best),
+            start,
+            tree,
+            unknown.wheel_mode,
+            [Steady(steady)] if steady.any() else [],
+        )
         signal = panel_power(vehicle, run["sun_B"].values)
         about = f"The likeliest draw of region {number + 1}, which holds {weight[number]:.0%} of the weight"
-        attrs = {"title": f"Region {number + 1}", "about": about, "region": int(number) + 1, "weight": float(weight[number])}
+        attrs = {
+            "title": f"Region {number + 1}",
+            "about": about,
+            "region": int(number) + 1,
+            "weight": float(weight[number]),
+        }
         carried = {key: tree.attrs[key] for key in ("epoch_utc", "synthetic") if key in tree.attrs}
-        found.append(run.assign(panel_signal=(("time", "panel"), signal, {"units": "1"})).assign_attrs(attrs | carried))
+        found.append(
+            run.assign(panel_signal=(("time", "panel"), signal, {"units": "1"})).assign_attrs(
+                attrs | carried
+            )
+        )
     return found
 
 
-def _run(vehicle: Vehicle, start: tuple[np.ndarray, ...], tree: Any, wheel_mode: Any, torques: list[Steady]) -> xr.Dataset:
+def _run(
+    vehicle: Vehicle,
+    start: tuple[np.ndarray, ...],
+    tree: Any,
+    wheel_mode: Any,
+    torques: list[Steady],
+) -> xr.Dataset:
     """From the first sample to the last, times in s from the epoch."""
     omega, sun, speeds = start
     first, last = float(tree.attrs["t_first_s"]), float(tree.attrs["t_last_s"])
-    coarse = propagate(vehicle, omega, sun, speeds, np.linspace(0.0, last - first, 200), wheel_mode, rtol=RTOL, torques=torques)
+    coarse = propagate(
+        vehicle,
+        omega,
+        sun,
+        speeds,
+        np.linspace(0.0, last - first, 200),
+        wheel_mode,
+        rtol=RTOL,
+        torques=torques,
+    )
     fastest = float(np.linalg.norm(coarse["omega_B"].values, axis=1).max())
     count = int(np.clip((last - first) * fastest / TURN, 200, MOST_INSTANTS))
-    run = propagate(vehicle, omega, sun, speeds, np.linspace(0.0, last - first, count), wheel_mode, rtol=RTOL, torques=torques)
-    return run.assign_coords(time=run["time"] + first).assign(event_time_s=run["event_time_s"] + first)
+    run = propagate(
+        vehicle,
+        omega,
+        sun,
+        speeds,
+        np.linspace(0.0, last - first, count),
+        wheel_mode,
+        rtol=RTOL,
+        torques=torques,
+    )
+    return run.assign_coords(time=run["time"] + first).assign(
+        event_time_s=run["event_time_s"] + first
+    )

@@ -32,8 +32,12 @@ def periods_of(vehicle: Vehicle, tree: xr.DataTree, seen: Period) -> np.ndarray:
     unknown, rows = drawn_rows(vehicle, tree)
     run = run_to(vehicle, rows, times - first, unknown.wheel_mode)
     bodies, axis = rows.bodies_of(vehicle), own_axis(vehicle.require_inertia())
-    at = zip(np.moveaxis(run["omega_B"], 1, 0), np.moveaxis(run["wheel_speed_rad_s"], 1, 0), strict=True)
-    return mean_periods([euler_rates(omega, g.total_momentum(bodies, omega, speeds), axis) for omega, speeds in at])
+    at = zip(
+        np.moveaxis(run["omega_B"], 1, 0), np.moveaxis(run["wheel_speed_rad_s"], 1, 0), strict=True
+    )
+    return mean_periods(
+        [euler_rates(omega, g.total_momentum(bodies, omega, speeds), axis) for omega, speeds in at]
+    )
 
 
 def with_periods(vehicle: Vehicle, tree: xr.DataTree, seen: Sequence[Period]) -> None:
@@ -47,20 +51,41 @@ def with_periods(vehicle: Vehicle, tree: xr.DataTree, seen: Sequence[Period]) ->
     count, draws = regions.sizes["mode"], drawn.sizes["chain"] * drawn.sizes["draw"]
     even = np.full(draws, 1 / draws)
     found = evidence(seen, [periods_of(vehicle, tree, one) for one in seen], even)
-    mode_id, rate = drawn["mode_id"].values.ravel(), np.linalg.norm(drawn["omega_B"].values.reshape(-1, 3), axis=1)
+    mode_id, rate = (
+        drawn["mode_id"].values.ravel(),
+        np.linalg.norm(drawn["omega_B"].values.reshape(-1, 3), axis=1),
+    )
     levels = np.array([0.05, 0.5, 0.95])
     variables: dict[str, Any] = {
-        "log_weight": (("chain", "draw"), np.log(np.maximum(found.weight, 1e-300))[None], {"units": "1"}),
+        "log_weight": (
+            ("chain", "draw"),
+            np.log(np.maximum(found.weight, 1e-300))[None],
+            {"units": "1"},
+        ),
         "probability": (("seen", "reading"), found.shares, {"units": "1"}),
     }
     for name, w in (("", found.weight), ("_before", even)):
-        variables[f"region_weight{name}"] = ("mode", np.array([w[mode_id == i].sum() for i in range(count)]), {"units": "1"})
-        variables[f"rate_quantile{name}"] = ("level", _quantiles(rate, w, levels), {"units": "rad s-1"})
+        variables[f"region_weight{name}"] = (
+            "mode",
+            np.array([w[mode_id == i].sum() for i in range(count)]),
+            {"units": "1"},
+        )
+        variables[f"rate_quantile{name}"] = (
+            "level",
+            _quantiles(rate, w, levels),
+            {"units": "rad s-1"},
+        )
     attrs = {
-        "effective_draws": found.effective, "told": int(found.told), "nearest_sigmas": found.nearest_sigmas,
-        "seen_s": [one.t_s for one in seen], "period_s": [one.period_s for one in seen], "sigma_s": [one.sigma_s for one in seen],
-    }  # fmt: skip
-    tree["period"] = xr.DataTree(xr.Dataset(variables, {"reading": list(READINGS), "level": levels}, attrs))
+        "effective_draws": found.effective,
+        "told": int(found.told),
+        "nearest_sigmas": found.nearest_sigmas,
+        "seen_s": [one.t_s for one in seen],
+        "period_s": [one.period_s for one in seen],
+        "sigma_s": [one.sigma_s for one in seen],
+    }
+    tree["period"] = xr.DataTree(
+        xr.Dataset(variables, {"reading": list(READINGS), "level": levels}, attrs)
+    )
 
 
 def _quantiles(values: np.ndarray, weight: np.ndarray, levels: np.ndarray) -> np.ndarray:
@@ -72,16 +97,22 @@ def period_sentences(found: xr.Dataset) -> list[str]:
     """What periods decide, in words."""
     about = found.attrs
     if why_not := unheard(about["nearest_sigmas"], about["effective_draws"], "this posterior"):
-        return [f"{why_not}; ask for more --draws" if about["nearest_sigmas"] <= FAR_SIGMAS else why_not]
-    each = zip(*(np.atleast_1d(about[key]) for key in ("seen_s", "period_s", "sigma_s")), found["probability"].values, strict=True)
+        return [
+            f"{why_not}; ask for more --draws" if about["nearest_sigmas"] <= FAR_SIGMAS else why_not
+        ]
+    each = zip(
+        *(np.atleast_1d(about[key]) for key in ("seen_s", "period_s", "sigma_s")),
+        found["probability"].values,
+        strict=True,
+    )
     lines = [reading_words(*one) for one in each]
     (low, middle, high), (was_low, was, was_high) = (
         np.degrees(found[f"rate_quantile{when}"].values) for when in ("", "_before")
-    )  # fmt: skip
+    )
     weights = [found[f"region_weight{when}"].values.max() for when in ("_before", "")]
     lines.append(
         f"with periods the angular speed at the first sample is {middle:.3g} deg/s, 90 % in {low:.3g} to {high:.3g} (without: "
         f"{was:.3g}, {was_low:.3g} to {was_high:.3g}); the likeliest region holds {weights[1]:.1%} (without: {weights[0]:.1%}); "
         f"{about['effective_draws']:.0f} effective draws"
-    )  # fmt: skip
+    )
     return lines

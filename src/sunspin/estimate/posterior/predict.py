@@ -35,24 +35,45 @@ LEVELS = (0.5, 0.9)
 def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     """The model behind a posterior and its draws (n) at the first sample as rows for the kernel."""
     if json.loads(tree.attrs.get("torques", "[]")):
-        raise InputError(sentence("draws of a posterior under torques cannot be carried on yet", got=tree.attrs["torques"]))
+        raise InputError(
+            sentence(
+                "draws of a posterior under torques cannot be carried on yet",
+                got=tree.attrs["torques"],
+            )
+        )
     posterior, mode = group(tree, "posterior"), json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), 1.0, mode)
     omega, sun, speeds = (
-        np.asarray(posterior[name].values).reshape(posterior.sizes["chain"] * posterior.sizes["draw"], size)
+        np.asarray(posterior[name].values).reshape(
+            posterior.sizes["chain"] * posterior.sizes["draw"], size
+        )
         for name, size in (("omega_B", 3), ("sun_B", 3), ("wheel_speed_rad_s", len(vehicle.wheels)))
     )
     u = np.zeros((len(omega), len(unknown.unknowns)))
     for i, x in enumerate(unknown.unknowns):
-        if x.kind in ("wheel_speed", "wheel_off", "scale"):  # told by the wheels' speeds, or of no effect on the motion
+        if x.kind in (
+            "wheel_speed",
+            "wheel_off",
+            "scale",
+        ):  # told by the wheels' speeds, or of no effect on the motion
             continue
-        if x.name not in posterior or not np.isclose(posterior[x.name].attrs["prior_centre"], x.centre, rtol=1e-9, atol=1e-12):
-            raise InputError(sentence("the posterior is not of this vehicle", got=vehicle.name, do="give the file it came from"))
+        if x.name not in posterior or not np.isclose(
+            posterior[x.name].attrs["prior_centre"], x.centre, rtol=1e-9, atol=1e-12
+        ):
+            raise InputError(
+                sentence(
+                    "the posterior is not of this vehicle",
+                    got=vehicle.name,
+                    do="give the file it came from",
+                )
+            )
         u[:, i] = (posterior[x.name].values.ravel() - x.centre) / x.sigma
     bodies = unknown.bodies(u)
     if "steady_torque" in posterior:
         mean = np.trace(vehicle.require_inertia()) / 3
-        bodies = replace(bodies, steady_N_m=mean * posterior["steady_torque"].values.reshape(-1, 2, 3))
+        bodies = replace(
+            bodies, steady_N_m=mean * posterior["steady_torque"].values.reshape(-1, 2, 3)
+        )
     return unknown, k.Rows(omega, sun, speeds, bodies=bodies)
 
 
@@ -69,8 +90,11 @@ class AtTimes:
     @property
     def outputs(self) -> Mapping[str, Any]:
         count, wheels = len(self.ends_s), len(self.vehicle.wheels)
-        return {"omega_B": ("float64", (count, 3)), "sun_B": ("float64", (count, 3)),
-                "wheel_speed_rad_s": ("float64", (count, wheels))}  # fmt: skip
+        return {
+            "omega_B": ("float64", (count, 3)),
+            "sun_B": ("float64", (count, 3)),
+            "wheel_speed_rad_s": ("float64", (count, wheels)),
+        }
 
     @property
     def n_rows(self) -> int:
@@ -78,17 +102,30 @@ class AtTimes:
 
     def identity(self) -> dict[str, Any]:
         parts = ("vehicle", "rows", "ends_s", "wheel_mode", "acting")
-        return {**code("estimate/posterior/predict.py"), **{name: plain(getattr(self, name)) for name in parts}}
+        return {
+            **code("estimate/posterior/predict.py"),
+            **{name: plain(getattr(self, name)) for name in parts},
+        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        run = k.run_rows(self.vehicle, self.rows.take(index), self.ends_s, wheel_mode=self.wheel_mode,
-                         direction_error=DIRECTION_ERROR, acting=self.acting)  # fmt: skip
+        run = k.run_rows(
+            self.vehicle,
+            self.rows.take(index),
+            self.ends_s,
+            wheel_mode=self.wheel_mode,
+            direction_error=DIRECTION_ERROR,
+            acting=self.acting,
+        )
         fine = (run.outcome == k.Outcome.FINE)[:, None, None]
         return {name: np.where(fine, getattr(run, name), np.nan) for name in self.outputs}
 
 
 def run_to(
-    vehicle: Vehicle, rows: k.Rows, after_s: npt.ArrayLike, wheel_mode: Any = "coast", workers: int | None = None
+    vehicle: Vehicle,
+    rows: k.Rows,
+    after_s: npt.ArrayLike,
+    wheel_mode: Any = "coast",
+    workers: int | None = None,
 ) -> dict[str, np.ndarray]:
     """Rows run to times (n_t), s after theirs, earlier ones backward: `omega_B`, `sun_B` (n, n_t, 3), `wheel_speed_rad_s`.
 
@@ -99,8 +136,11 @@ def run_to(
     n, wheels = len(rows), len(vehicle.wheels)
     pushed = rows.bodies is not None and rows.bodies.steady_N_m.any()
     acting = Acting((Steady(),)) if pushed else NOTHING
-    out = {"omega_B": np.empty((n, times.size, 3)), "sun_B": np.empty((n, times.size, 3)),
-           "wheel_speed_rad_s": np.empty((n, times.size, wheels))}  # fmt: skip
+    out = {
+        "omega_B": np.empty((n, times.size, 3)),
+        "sun_B": np.empty((n, times.size, 3)),
+        "wheel_speed_rad_s": np.empty((n, times.size, wheels)),
+    }
     for name, values in out.items():
         values[:, times == 0] = getattr(rows, name)[:, None]
     for side in (times < 0, times > 0):
@@ -115,36 +155,68 @@ def run_to(
     return out
 
 
-def predictions(unknown: Model, rows: k.Rows, run: dict[str, np.ndarray], times_s: np.ndarray) -> xr.Dataset:
+def predictions(
+    unknown: Model, rows: k.Rows, run: dict[str, np.ndarray], times_s: np.ndarray
+) -> xr.Dataset:
     """What runs (n, n_t, ...) say, over (chain, draw, predicted_s); the times are s from the epoch."""
     speed = np.linalg.norm(run["omega_B"], axis=-1)
     bodies = rows.bodies_of(unknown.vehicle)
-    at = zip(np.moveaxis(run["omega_B"], 1, 0), np.moveaxis(run["wheel_speed_rad_s"], 1, 0), strict=True)
+    at = zip(
+        np.moveaxis(run["omega_B"], 1, 0), np.moveaxis(run["wheel_speed_rad_s"], 1, 0), strict=True
+    )
     momentum = np.stack([g.total_momentum(bodies, omega, speeds) for omega, speeds in at], axis=1)
     cosine = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
     each = ("chain", "draw", "predicted_s")
     return xr.Dataset(
         {
-            "omega_B": ((*each, "axis"), run["omega_B"][None], {"units": "rad s-1", "long_name": "body rate"}),
+            "omega_B": (
+                (*each, "axis"),
+                run["omega_B"][None],
+                {"units": "rad s-1", "long_name": "body rate"},
+            ),
             "rate": (each, speed[None], {"units": "rad s-1", "long_name": "angular speed"}),
-            "sun_B": ((*each, "axis"), run["sun_B"][None], {"units": "1", "long_name": "direction to the Sun"}),
-            "z_to_sun": (each, _angle(run["sun_B"][..., 2])[None], {"units": "rad", "long_name": "angle between z and the Sun"}),
-            "z_to_momentum": (each, _angle(cosine)[None], {"units": "rad", "long_name": "angle between z and H"}),
-            "wheel_speed_rad_s": ((*each, "wheel"), run["wheel_speed_rad_s"][None], {"units": "rad s-1"}),
+            "sun_B": (
+                (*each, "axis"),
+                run["sun_B"][None],
+                {"units": "1", "long_name": "direction to the Sun"},
+            ),
+            "z_to_sun": (
+                each,
+                _angle(run["sun_B"][..., 2])[None],
+                {"units": "rad", "long_name": "angle between z and the Sun"},
+            ),
+            "z_to_momentum": (
+                each,
+                _angle(cosine)[None],
+                {"units": "rad", "long_name": "angle between z and H"},
+            ),
+            "wheel_speed_rad_s": (
+                (*each, "wheel"),
+                run["wheel_speed_rad_s"][None],
+                {"units": "rad s-1"},
+            ),
         },
         coords={
-            "chain": [0], "draw": np.arange(len(rows)), "axis": ["x", "y", "z"],
+            "chain": [0],
+            "draw": np.arange(len(rows)),
+            "axis": ["x", "y", "z"],
             "wheel": [wheel.name for wheel in unknown.vehicle.wheels],
-            "predicted_s": ("predicted_s", np.asarray(times_s), {"units": "s", "long_name": "time from the epoch"}),
+            "predicted_s": (
+                "predicted_s",
+                np.asarray(times_s),
+                {"units": "s", "long_name": "time from the epoch"},
+            ),
         },
-    )  # fmt: skip
+    )
 
 
 def _angle(cosine: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, workers: int | None = None) -> xr.Dataset:
+def predict(
+    vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, workers: int | None = None
+) -> xr.Dataset:
     """The posterior predictive of the motion at other times, before the first sample or after the last.
 
     Parameters
@@ -179,18 +251,27 @@ def predict(vehicle: Vehicle, tree: xr.DataTree, times_s: npt.ArrayLike, workers
 
 def carried(tree: xr.DataTree) -> dict[str, Any]:
     """What predictions take over from the posterior's attributes."""
-    told = {key: tree.attrs[key] for key in ("vehicle", "changes", "verdict_word") if key in tree.attrs}
+    told = {
+        key: tree.attrs[key] for key in ("vehicle", "changes", "verdict_word") if key in tree.attrs
+    }
     return provenance("predictions", tree, **told)
 
 
 def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:
     """Times (n_t) that can be predicted, in order and each once."""
     times = np.unique(np.asarray(times_s, dtype=np.float64))
-    if not times.size or not np.all(np.isfinite(times)) or np.abs(times - first_s).max() > LONGEST_S:
+    if (
+        not times.size
+        or not np.all(np.isfinite(times))
+        or np.abs(times - first_s).max() > LONGEST_S
+    ):
         raise InputError(
-            sentence("times to predict must be numbers, at most a week from the first sample", got=times.tolist(),
-                     do=f"give s from the epoch; the first sample is at {first_s:g}")
-        )  # fmt: skip
+            sentence(
+                "times to predict must be numbers, at most a week from the first sample",
+                got=times.tolist(),
+                do=f"give s from the epoch; the first sample is at {first_s:g}",
+            )
+        )
     return times
 
 
@@ -206,19 +287,41 @@ def intervals(found: xr.Dataset) -> list[dict[str, Any]]:
         mean = np.nanmean(sun, axis=0)
         mean = mean / max(float(np.linalg.norm(mean)), 1e-12)
         quantities = {
-            "omega_x": (omega[:, 0], "rad/s"), "omega_y": (omega[:, 1], "rad/s"), "omega_z": (omega[:, 2], "rad/s"),
-            "rate": (at["rate"].values, "rad/s"), "sun_x": (sun[:, 0], "1"), "sun_y": (sun[:, 1], "1"), "sun_z": (sun[:, 2], "1"),
-            "z_to_sun": (at["z_to_sun"].values, "rad"), "z_to_momentum": (at["z_to_momentum"].values, "rad"),
-        }  # fmt: skip
+            "omega_x": (omega[:, 0], "rad/s"),
+            "omega_y": (omega[:, 1], "rad/s"),
+            "omega_z": (omega[:, 2], "rad/s"),
+            "rate": (at["rate"].values, "rad/s"),
+            "sun_x": (sun[:, 0], "1"),
+            "sun_y": (sun[:, 1], "1"),
+            "sun_z": (sun[:, 2], "1"),
+            "z_to_sun": (at["z_to_sun"].values, "rad"),
+            "z_to_momentum": (at["z_to_momentum"].values, "rad"),
+        }
         for name, (values, unit) in quantities.items():
-            row = {"t_s": float(t), "quantity": name, "unit": unit, "median": float(np.nanmedian(values))}
+            row = {
+                "t_s": float(t),
+                "quantity": name,
+                "unit": unit,
+                "median": float(np.nanmedian(values)),
+            }
             for level in LEVELS:
                 low, high = np.nanquantile(values, [0.5 - level / 2, 0.5 + level / 2])
-                row |= {f"low_{100 * level:.0f}": float(low), f"high_{100 * level:.0f}": float(high)}
+                row |= {
+                    f"low_{100 * level:.0f}": float(low),
+                    f"high_{100 * level:.0f}": float(high),
+                }
             table.append(row)
         off = _angle(sun @ mean)
-        row = {"t_s": float(t), "quantity": "sun_off", "unit": "rad", "median": float(np.nanmedian(off))}
+        row = {
+            "t_s": float(t),
+            "quantity": "sun_off",
+            "unit": "rad",
+            "median": float(np.nanmedian(off)),
+        }
         for level in LEVELS:
-            row |= {f"low_{100 * level:.0f}": 0.0, f"high_{100 * level:.0f}": float(np.nanquantile(off, level))}
+            row |= {
+                f"low_{100 * level:.0f}": 0.0,
+                f"high_{100 * level:.0f}": float(np.nanquantile(off, level)),
+            }
         table.append(row)
     return table

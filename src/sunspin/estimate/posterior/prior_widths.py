@@ -21,10 +21,17 @@ from sunspin.solve.weights import effective_draws, pareto_tail
 FACTORS = (0.5, 2.0)
 
 KEYS = {
-    "inertia": ("inertia",), "wheel_speed": ("wheel_speed",), "wheel_inertia": ("wheel_inertia",),
-    "friction": ("coulomb", "viscous"), "gain": ("gain",), "tilt": ("tilt",), "tilt_common": ("tilt_common",),
-    "noise": ("noise",), "scale": ("scale",), "wheel_off": ("wheel_off",),
-}  # fmt: skip
+    "inertia": ("inertia",),
+    "wheel_speed": ("wheel_speed",),
+    "wheel_inertia": ("wheel_inertia",),
+    "friction": ("coulomb", "viscous"),
+    "gain": ("gain",),
+    "tilt": ("tilt",),
+    "tilt_common": ("tilt_common",),
+    "noise": ("noise",),
+    "scale": ("scale",),
+    "wheel_off": ("wheel_off",),
+}
 """Key of `priors` -> kinds of its unknowns."""
 
 RATE = "max_rate_rad_s"
@@ -60,13 +67,23 @@ def _one(model: Model, drawn: Mixed, found: Found, key: str, factor: float) -> d
     ratio = now / was
     order = np.argsort(-regions, kind="stable")
     changed = replace(
-        found, weight=regions[order], rate=found.rate[order], length=found.length[order], hits=found.hits[order], doubts=[],
-        tail=0.0, effective=np.inf,
-    )  # fmt: skip
+        found,
+        weight=regions[order],
+        rate=found.rate[order],
+        length=found.length[order],
+        hits=found.hits[order],
+        doubts=[],
+        tail=0.0,
+        effective=np.inf,
+    )
     return said | {
-        "told": True, "word": word_of(changed), "weight": float(regions.max(initial=0.0)), "effective": effective,
-        "shift": float(np.max(np.abs(new - old) / was)), "width": float(ratio[np.argmax(np.abs(np.log(ratio)))]),
-    }  # fmt: skip
+        "told": True,
+        "word": word_of(changed),
+        "weight": float(regions.max(initial=0.0)),
+        "effective": effective,
+        "shift": float(np.max(np.abs(new - old) / was)),
+        "width": float(ratio[np.argmax(np.abs(np.log(ratio)))]),
+    }
 
 
 def _log_ratio(model: Model, drawn: Mixed, key: str, factor: float) -> np.ndarray:
@@ -91,14 +108,19 @@ def prior_sentences(word: str, told: list[dict[str, Any]]) -> list[str]:
     found = []
     if known:
         most = max(known, key=lambda one: one["shift"])
-        stays = f'the verdict stays "{word}"' if not other else "the verdict changes with " + ", ".join(
-            f'{_named(one)} ("{one["word"]}")' for one in other
+        stays = (
+            f'the verdict stays "{word}"'
+            if not other
+            else "the verdict changes with "
+            + ", ".join(f'{_named(one)} ("{one["word"]}")' for one in other)
         )
         found.append(
             f"priors halved and doubled: {stays}; the rate moves by {most['shift']:.2g} sigma at most ({_named(most)})"
         )
     if open_:
-        found.append(f"not known, as these draws do not reach so far: the verdict with {', '.join(map(_named, open_))}")
+        found.append(
+            f"not known, as these draws do not reach so far: the verdict with {', '.join(map(_named, open_))}"
+        )
     return found
 
 

@@ -33,13 +33,19 @@ def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray
     return seen_turned(sun, rate * shift_s[..., None])
 
 
-def power_slope(likelihood: Likelihood, sun: np.ndarray, rate: np.ndarray, u: np.ndarray) -> np.ndarray:
+def power_slope(
+    likelihood: Likelihood, sun: np.ndarray, rate: np.ndarray, u: np.ndarray
+) -> np.ndarray:
     """Rates of change (n, K, P) of the powers at directions and rates (n, K, 3): none on dark panels."""
-    slope = likelihood.response.along(sun, [-np.cross(rate, sun)], gain=likelihood.gain(u), tilt=likelihood.tilt(u))[0]
+    slope = likelihood.response.along(
+        sun, [-np.cross(rate, sun)], gain=likelihood.gain(u), tilt=likelihood.tilt(u)
+    )[0]
     return likelihood.throttle(likelihood.light(sun, u)).slope(slope)
 
 
-def tagged(likelihood: Likelihood, prediction: Prediction, u: np.ndarray, tag_s: float) -> tuple[np.ndarray, np.ndarray]:
+def tagged(
+    likelihood: Likelihood, prediction: Prediction, u: np.ndarray, tag_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Log density (n, K) of samples with times off by `tag_s` (one sigma, s), and the error (n, K) that explains each best.
 
     The best of two ways there: readings far off are spoilt, or the time is and they are far off because of it.
@@ -56,20 +62,28 @@ def tagged(likelihood: Likelihood, prediction: Prediction, u: np.ndarray, tag_s:
     return found, best
 
 
-def tags_wanted(likelihood: Likelihood, prediction: Prediction, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tags_wanted(
+    likelihood: Likelihood, prediction: Prediction, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """What errors of time tags would add to the log-likelihood (n) of exact ones, and how large (n, s) they are then.
 
     With the slopes of exact times, as small errors are meant. The gain is that of the best of `TRIED`.
     """
     _, pull, hold = _sample(likelihood, prediction, u, np.zeros(prediction.sun.shape[:2]))
     tags = TRIED * float(np.median(np.diff(likelihood.data.t_s)))
-    each = [0.5 * np.sum(pull**2 / (hold + tag**-2) - np.log1p(tag**2 * hold), axis=1) for tag in tags]
+    each = [
+        0.5 * np.sum(pull**2 / (hold + tag**-2) - np.log1p(tag**2 * hold), axis=1) for tag in tags
+    ]
     best = np.argmax(each, axis=0)
     return np.max(each, axis=0), tags[best]
 
 
 def _sample(
-    likelihood: Likelihood, prediction: Prediction, u: np.ndarray, shift: np.ndarray, trusting: bool = False
+    likelihood: Likelihood,
+    prediction: Prediction,
+    u: np.ndarray,
+    shift: np.ndarray,
+    trusting: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log density (n, K) of samples `shift` s (n, K) later than they say, its derivative, and its curvature by Gauss and Newton.
 
@@ -80,7 +94,9 @@ def _sample(
     power, slope = likelihood.power(sun, u), power_slope(likelihood, sun, prediction.rate, u)
     good = likelihood.sunlight(power, s)
     total = np.logaddexp(good, likelihood.outlier)
-    weight = np.where(data.used, 1.0 if trusting else np.exp(good - total), 0.0)  # probability that it is the Sun's
+    weight = np.where(
+        data.used, 1.0 if trusting else np.exp(good - total), 0.0
+    )  # probability that it is the Sun's
     off = np.where(data.lit, data.value - power, data.threshold - power) / s
     mills = np.exp(-0.5 * off**2 - 0.5 * LOG_2PI - log_ndtr(off))
     pull = weight * np.where(data.lit, off, -mills) / s

@@ -32,10 +32,16 @@ LIT_SINE = 2 / 3
 def unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> list[Unknown]:
     """Those of turns with sigmas `own_rad` (n_panel) of each panel and `common_rad` of all, about each axis."""
     made = [
-        Unknown(f"tilt_{panel.name}_{side + 1}_rad", KIND, "rad", 0.0, float(own_rad[j]), 2 * j + side)
-        for j, panel in enumerate(vehicle.panels) for side in range(2)
-    ]  # fmt: skip
-    return made + [Unknown(f"tilt_all_{'xyz'[axis]}_rad", COMMON, "rad", 0.0, common_rad, axis) for axis in range(3)]
+        Unknown(
+            f"tilt_{panel.name}_{side + 1}_rad", KIND, "rad", 0.0, float(own_rad[j]), 2 * j + side
+        )
+        for j, panel in enumerate(vehicle.panels)
+        for side in range(2)
+    ]
+    return made + [
+        Unknown(f"tilt_all_{'xyz'[axis]}_rad", COMMON, "rad", 0.0, common_rad, axis)
+        for axis in range(3)
+    ]
 
 
 def turns(vehicle: Vehicle, unknown: Sequence[Unknown]) -> np.ndarray:
@@ -55,7 +61,9 @@ def spread(sigma: float, vehicle: Vehicle, unknown: Sequence[Unknown], scale: fl
     """Sigma of a reading with what the panels' own turns add to that of its noise, for the search, which does not know these: the
     root mean square over panels and over Suns in front of them."""
     own = [x for x in unknown if x.kind == KIND]
-    off = (np.cross(turns(vehicle, own), vehicle.panel_normals_B) ** 2).sum(axis=(0, 2)) / 2  # to each side
+    off = (np.cross(turns(vehicle, own), vehicle.panel_normals_B) ** 2).sum(
+        axis=(0, 2)
+    ) / 2  # to each side
     size = np.sqrt(np.mean(off * vehicle.panel_gains**2) * LIT_SINE) if len(off) else 0.0
     return float(np.hypot(sigma, size * scale)) if size else sigma
 
@@ -66,5 +74,12 @@ def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float
     own = np.full(len(own), float(priors["tilt"])) if "tilt" in priors else own
     common = float(priors.get("tilt_common", common))
     sizes = {"tilt": float(own.max(initial=0.0)), "tilt_common": common}
-    sources = {key: "given" if key in priors else "vehicle file" if size else "assumed" for key, size in sizes.items()}
-    return own, common, {key: f"{np.degrees(size):.3g} deg ({sources[key]})" for key, size in sizes.items()}
+    sources = {
+        key: "given" if key in priors else "vehicle file" if size else "assumed"
+        for key, size in sizes.items()
+    }
+    return (
+        own,
+        common,
+        {key: f"{np.degrees(size):.3g} deg ({sources[key]})" for key, size in sizes.items()},
+    )

@@ -22,7 +22,9 @@ FACTORS = (4.0, 1.0, 1.0)
 
 def rest_of(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> np.ndarray:
     """Places in u of all unknowns but turns of the panels, or those of these kinds."""
-    return np.array([i for i, x in enumerate(model.unknowns) if x.kind not in kinds], dtype=np.int64)
+    return np.array(
+        [i for i, x in enumerate(model.unknowns) if x.kind not in kinds], dtype=np.int64
+    )
 
 
 def without_turns(model: Model, state: State) -> State:
@@ -40,7 +42,9 @@ def with_turns(model: Model, state: State, turns: np.ndarray) -> State:
     return replace(state, u=u)
 
 
-def drawn_turns(likelihood: Likelihood, prediction: Prediction, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def drawn_turns(
+    likelihood: Likelihood, prediction: Prediction, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Unknowns (n, k) with turns drawn given the rest, and the log density (n) with which they were; in the place of its turns `u`
     holds standard normal numbers, of which the draws are made."""
     if likelihood.model.turns is None:
@@ -68,11 +72,17 @@ def _told(
     raw, extra = likelihood.misfit(prediction, u)
     _, sigma, weight = likelihood.weigh(raw, extra, factor * likelihood.noise(u))
     raw, weight = (x[:, : shape[1] * shape[2]].reshape(shape) for x in (raw, weight / sigma**2))
-    weight = np.where((likelihood.data.lit | (raw < 0)) & prediction.fine[:, None, None], weight, 0.0)
-    slope = np.asarray(likelihood.response.slopes(sun, gain=likelihood.gain(u), tilt=likelihood.tilt(u)).to_tilt)
+    weight = np.where(
+        (likelihood.data.lit | (raw < 0)) & prediction.fine[:, None, None], weight, 0.0
+    )
+    slope = np.asarray(
+        likelihood.response.slopes(sun, gain=likelihood.gain(u), tilt=likelihood.tilt(u)).to_tilt
+    )
     by_panel = np.moveaxis(np.where(weight[..., None] > 0, slope, 0.0), 2, 1)  # (n, P, K, 3)
     weighed = by_panel * np.swapaxes(weight, 1, 2)[..., None]
     pull = np.swapaxes(weighed, 2, 3) @ np.swapaxes(raw, 1, 2)[..., None]
     spread = np.swapaxes(weighed, 2, 3) @ by_panel @ np.moveaxis(turns, 0, 2)
     flat = turns.reshape(len(turns), -1)
-    return (flat @ pull.reshape(shape[0], -1, 1))[:, :, 0], flat @ spread.reshape(shape[0], -1, len(turns))
+    return (flat @ pull.reshape(shape[0], -1, 1))[:, :, 0], flat @ spread.reshape(
+        shape[0], -1, len(turns)
+    )

@@ -76,7 +76,10 @@ def verdict(found: Found) -> tuple[str, str]:
     told = np.flatnonzero(found.weight >= COUNTS)
     if refused(found.p, found.noise_sigmas):
         if not found.complete:
-            return "not sure", f"not sure: {'; '.join(found.doubts)}, and of the motions that were followed none fits"
+            return (
+                "not sure",
+                f"not sure: {'; '.join(found.doubts)}, and of the motions that were followed none fits",
+            )
         return "not explained", _not_explained(found)
     doubts = list(found.doubts)
     if found.rough:
@@ -107,7 +110,9 @@ def _is_line(found: Found, told: np.ndarray) -> bool:
 
 def _regions(found: Found, told: np.ndarray) -> str:
     if _is_line(found, told):
-        reach = 2 * max(float(found.length[told].max()), float(np.ptp(found.rate[told], axis=0).max()) / 2)
+        reach = 2 * max(
+            float(found.length[told].max()), float(np.ptp(found.rate[told], axis=0).max()) / 2
+        )
         return f"a line: motions over {np.degrees(reach):.2g} deg/s fit alike, and the data do not single one out"
     best = f"{np.degrees(found.speed[0]):.3g} deg/s"
     if len(told) == 1 and found.weight[0] >= UNIQUE:
@@ -153,11 +158,15 @@ def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray)
     count, base = outliers.sum(axis=0), np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
     for name, n, of in zip(names, count, base, strict=True):
         if n >= 3 and n > PANEL_SHARE * of:
-            told.append(f"panel {name} contradicts the motion in about {n:.0f} readings (shadow, dead panel or wrong name)")
+            told.append(
+                f"panel {name} contradicts the motion in about {n:.0f} readings (shadow, dead panel or wrong name)"
+            )
     return told
 
 
-def believed(found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring: str) -> PassMotions:
+def believed(
+    found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring: str
+) -> PassMotions:
     """The posterior's motions at the first sample, and the three answers. `tree`: its draws and regions; `prior_sigma`: that of a
     component of the rate in the ball that was searched; `tags_off`: the readings ask for errors of time tags said to be exact."""
     modes, about = tree["modes"], tree.attrs
@@ -165,16 +174,27 @@ def believed(found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring
     region = tree["posterior"]["mode_id"].values.ravel()
     covariance = modes["omega_cov_B"].values
     speed = speeds(modes["omega_B"].values, covariance)
-    for k in np.unique(region[(region >= 0) & (region < len(speed))]):  # the draws themselves, where there are any
+    for k in np.unique(
+        region[(region >= 0) & (region < len(speed))]
+    ):  # the draws themselves, where there are any
         speed[k] = np.quantile(np.linalg.norm(drawn[region == k], axis=1), SPEEDS)
     explained = not (tags_off or refused(found.p, found.noise_sigmas))
-    complete = len(found.doubts) == int(tags_off) and not found.rough  # of the doubts that one is about the fit
+    complete = (
+        len(found.doubts) == int(tags_off) and not found.rough
+    )  # of the doubts that one is about the fit
     first = about["t_first_s"]
     return PassMotions(
-        about["samples"], first, about["t_last_s"], first, modes["weight"].values, modes["omega_B"].values,
-        sigmas(modes), speed,
-        answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete), wiring,
-    )  # fmt: skip
+        about["samples"],
+        first,
+        about["t_last_s"],
+        first,
+        modes["weight"].values,
+        modes["omega_B"].values,
+        sigmas(modes),
+        speed,
+        answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete),
+        wiring,
+    )
 
 
 def sigmas(modes: Any) -> np.ndarray:
@@ -188,14 +208,30 @@ def summary(tree: Any) -> dict[str, Any]:
     rate = np.linalg.norm(posterior["omega_B"].values.reshape(-1, 3), axis=1)
     low, median, high = (float(np.quantile(rate, q)) for q in (0.05, 0.5, 0.95))
     return {
-        "verdict": tree.attrs["verdict"], "verdict_word": tree.attrs["verdict_word"],
+        "verdict": tree.attrs["verdict"],
+        "verdict_word": tree.attrs["verdict_word"],
         "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
         "modes": [
-            {"weight": float(w), "omega_B": o.tolist(), "sigma": s.tolist(), "chi_square": float(x), "starts": int(h),
-             "effective_draws": float(n)}
-            for w, o, s, x, h, n in zip(modes["weight"].values, modes["omega_B"].values, sigmas(modes), modes["chi_square"].values,
-                                        modes["starts"].values, modes["effective_draws"].values, strict=True)
+            {
+                "weight": float(w),
+                "omega_B": o.tolist(),
+                "sigma": s.tolist(),
+                "chi_square": float(x),
+                "starts": int(h),
+                "effective_draws": float(n),
+            }
+            for w, o, s, x, h, n in zip(
+                modes["weight"].values,
+                modes["omega_B"].values,
+                sigmas(modes),
+                modes["chi_square"].values,
+                modes["starts"].values,
+                modes["effective_draws"].values,
+                strict=True,
+            )
         ],
-        "p_value": float(tree.attrs["p_value"]), "effective_draws": float(tree.attrs["effective_draws"]),
-        "pareto_k": float(tree.attrs["pareto_k"]), "synthetic_telemetry": bool(tree.attrs.get("synthetic", 0)),
-    }  # fmt: skip
+        "p_value": float(tree.attrs["p_value"]),
+        "effective_draws": float(tree.attrs["effective_draws"]),
+        "pareto_k": float(tree.attrs["pareto_k"]),
+        "synthetic_telemetry": bool(tree.attrs.get("synthetic", 0)),
+    }

@@ -84,7 +84,10 @@ BENT_RAD = 1.0
 """Two hypotheses, or two meanings of a reading, may bend one motion apart by so much between two samples; other motions differ by
 more, mostly by whole turns."""
 
-TORQUES_STRONGER, SWINGS_QUICKLY = "unknown torques stronger than in the rest of the file", "a swinging quicker than the samples"
+TORQUES_STRONGER, SWINGS_QUICKLY = (
+    "unknown torques stronger than in the rest of the file",
+    "a swinging quicker than the samples",
+)
 """What such hypotheses change, in words."""
 
 
@@ -106,7 +109,14 @@ class Trial(NamedTuple):
         track, prior = self.fit.track, self.hypothesis.motion.rate_prior
         covariance = track.covariance[:, 0, 3:, 3:] / prior**2
         fine = np.linalg.eigvalsh(np.nan_to_num(covariance))[:, 0] > 0
-        gains = _sized(track.omega[:, 0] / prior, np.where(fine[:, None, None], covariance, np.eye(3)), SLOWER) * fine
+        gains = (
+            _sized(
+                track.omega[:, 0] / prior,
+                np.where(fine[:, None, None], covariance, np.eye(3)),
+                SLOWER,
+            )
+            * fine
+        )
         return np.logaddexp.reduce(gains, axis=0) - np.log(len(SLOWER))
 
     def take(self, index: np.ndarray) -> Trial:
@@ -133,12 +143,26 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     order = np.argsort(-weight, kind="stable")[:MODES]
     start = stated.take(order[weight[order] > LIGHTEST * weight.max()])
     noises = [stated, *_stronger(start)]
-    loosest = max([start, *noises[1:]], key=lambda trial: trial.best)  # where torques and steps that the noise holds down can grow
-    rungs = falling(loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise)[1:]
-    shared = [one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises]
-    found = [*shared, *_torques(loosest, rungs), *_steps(loosest, rungs, how.clock_time), *_coarser(start), *_off_zero(start)]
+    loosest = max(
+        [start, *noises[1:]], key=lambda trial: trial.best
+    )  # where torques and steps that the noise holds down can grow
+    rungs = falling(
+        loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise
+    )[1:]
+    shared = [
+        one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises
+    ]
+    found = [
+        *shared,
+        *_torques(loosest, rungs),
+        *_steps(loosest, rungs, how.clock_time),
+        *_coarser(start),
+        *_off_zero(start),
+    ]
     found += _without_readings(stated, how.clock_time)
-    found += [*_swinging(stated), *_wandering(stated)] if how.free else []  # else the vehicle's file says what torques there are
+    found += (
+        [*_swinging(stated), *_wandering(stated)] if how.free else []
+    )  # else the vehicle's file says what torques there are
     return [one for one in found if np.isfinite(one.best)]
 
 
@@ -154,7 +178,9 @@ def pooled(trials: list[Trial]) -> np.ndarray:
 
 def _tried(one: Hypothesis, begin: Trial) -> Trial:
     """A hypothesis fitted from where another ended."""
-    fit = again(one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, STEPS, CLOSE)
+    fit = again(
+        one.fitted(), begin.fit, begin.hypothesis.fitted(), one.motion, one.clock, STEPS, CLOSE
+    )
     return weighed(one, fit)
 
 
@@ -183,11 +209,16 @@ def _torques(start: Trial, rungs: list[float]) -> Iterator[Trial]:
         size = int(np.argmax(gains[:, k]))
         if size and evidence[k] > start.best - HOPELESS:
             sized = term.sized(float(tried[size] / tried[-1]))
-            trial = _tried(trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized), _in_sigmas_of(sized, term, trial))
+            trial = _tried(
+                trial.hypothesis.swapped(trial.hypothesis.o.terms[-1], sized),
+                _in_sigmas_of(sized, term, trial),
+            )
             pulled = np.linalg.norm(trial.fit.error[k, _place(trial)]) * sized.sigma
             what = f"a steady torque of {pulled:.1g} rad/s2 in {WORDS[frame]}"
             evidence = evidence - np.log(1 + len(rungs))
-            yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
+            yield trial._replace(
+                hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence
+            )
 
 
 def _in_sigmas_of(sized: SteadyTorque, term: SteadyTorque, trial: Trial) -> Trial:
@@ -200,12 +231,18 @@ def _in_sigmas_of(sized: SteadyTorque, term: SteadyTorque, trial: Trial) -> Tria
 def _place(trial: Trial) -> slice:
     """Where the unknowns of a steady torque stand."""
     one = trial.hypothesis
-    return next(place for term, place in places_of(one.fitted(), one.motion, one.clock).motion if isinstance(term, SteadyTorque))
+    return next(
+        place
+        for term, place in places_of(one.fitted(), one.motion, one.clock).motion
+        if isinstance(term, SteadyTorque)
+    )
 
 
 def _over_sizes(trial: Trial, place: slice, tried: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of unknowns fitted under the widest of the prior sigmas `tried` (m): gains of each (m, K), and the evidence over all (K)."""
-    gains = _sized(trial.fit.error[:, place], trial.fit.covariance[:, place, place], tried / tried[-1])
+    gains = _sized(
+        trial.fit.error[:, place], trial.fit.covariance[:, place, place], tried / tried[-1]
+    )
     return gains, trial.log_evidence + np.logaddexp.reduce(gains, axis=0) - np.log(len(tried))
 
 
@@ -220,7 +257,11 @@ def _sized(error: np.ndarray, covariance: np.ndarray, shares: np.ndarray) -> np.
     for share in shares:
         matrix = inverse + (1 / share**2 - 1) * eye
         after = np.einsum("ki,ki->k", slope, np.linalg.solve(matrix, slope[..., None])[..., 0])
-        size = np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(matrix)[1] - 2 * len(eye) * np.log(share)
+        size = (
+            np.linalg.slogdet(inverse)[1]
+            - np.linalg.slogdet(matrix)[1]
+            - 2 * len(eye) * np.log(share)
+        )
         found.append((after - before + size) / 2)
     return np.array(found)
 
@@ -249,7 +290,9 @@ def _steps(start: Trial, rungs: list[float], clock_time: Callable[[float], str])
             trials = [*trials, *_elsewhere(max(trials, key=lambda trial: trial.best))]
         for trial in trials:
             evidence = trial.log_evidence - np.log(1 + len(rungs))
-            yield trial._replace(hypothesis=replace(trial.hypothesis, what=words), log_evidence=evidence)
+            yield trial._replace(
+                hypothesis=replace(trial.hypothesis, what=words), log_evidence=evidence
+            )
 
 
 def _elsewhere(best: Trial) -> Iterator[Trial]:
@@ -269,7 +312,9 @@ def _step(best: Trial, k: int, rungs: list[float], wanted: float, odds: float) -
     widest = one.motion.rate_prior
     jump = RateStep(widest, np.zeros(len(one.o), dtype=bool)).at(one.kept[k])
     wide = _tried(one.beside(one.what, jump, odds - STEP_SIZES), best)
-    size = float(np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest))
+    size = float(
+        np.clip(np.linalg.norm(_defects(wide)[0][k, 3:]) / np.sqrt(3), 1e-3 * widest, widest)
+    )
     if wide.best + 3 * np.log(widest / size) < wanted:  # no more can be gained
         return [wide]
     first = _tried(wide.hypothesis.swapped(jump, replace(jump, sigma=size)), wide)
@@ -307,8 +352,11 @@ def _coarser(start: Trial) -> Iterator[Trial]:
             continue
         numbers = int(term.freedom()[stated.kept].sum())
         one = stated.swapped(term, term.coarser(factor))
-        one = replace(one, what=f"readings of the {term.called} {factor:g} times worse than stated",
-                      debt=stated.debt - np.log(len(COARSER)) - numbers * np.log(factor))  # fmt: skip
+        one = replace(
+            one,
+            what=f"readings of the {term.called} {factor:g} times worse than stated",
+            debt=stated.debt - np.log(len(COARSER)) - numbers * np.log(factor),
+        )
         yield _tried(one, start)
 
 
@@ -317,10 +365,15 @@ def _wanted(start: Trial, term: SunTerm | StateTerm) -> float:
     one, fit = start.hypothesis, start.fit.take(np.array([0]))
     o = one.fitted()
     places = places_of(o, one.motion, one.clock)
-    kept, place = next((mine, place) for mine, place in (*places.state, *places.sun) if mine.called == term.called)
+    kept, place = next(
+        (mine, place) for mine, place in (*places.state, *places.sun) if mine.called == term.called
+    )
     seen = fit.seen if isinstance(term, SunTerm) else fit.track
     numbers = kept.freedom().sum()
-    costs = [normal(kept.coarser(f), seen, fit.error[:, place])[2].sum() + numbers * np.log(f) for f in (1.0, *COARSER)]
+    costs = [
+        normal(kept.coarser(f), seen, fit.error[:, place])[2].sum() + numbers * np.log(f)
+        for f in (1.0, *COARSER)
+    ]
     return (1.0, *COARSER)[int(np.argmin(costs))]
 
 
@@ -341,7 +394,9 @@ def _off_zero(start: Trial) -> Iterator[Trial]:
             x, y, z = np.degrees(ZEROS[-1] * trial.fit.error[k, place]).round(2) + 0.0
             what = f"a zero of the {term.called} of ({x:.2f}, {y:.2f}, {z:.2f}) deg/s in body axes beside that of the file: "
             what += "state its zero with a sigma"
-            yield trial._replace(hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence)
+            yield trial._replace(
+                hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence
+            )
 
 
 def _without_readings(stated: Trial, clock_time: Callable[[float], str]) -> Iterator[Trial]:
@@ -368,10 +423,14 @@ def _one_fewer(one: Hypothesis, clock_time: Callable[[float], str]) -> Iterator[
             left = term.blind(int(one.kept[k])).take(one.kept).freed(t_s)
             if not (left.pairs() if isinstance(left, PairTerm) else left.present()).any():
                 continue
-            what = "without the reading" if one.what == AS_STATED else f"{one.what} and without that"
+            what = (
+                "without the reading" if one.what == AS_STATED else f"{one.what} and without that"
+            )
             debt = one.debt + BAD + whole.unrelated(t_s) - left.unrelated(t_s)
             swapped = one.swapped(term, term.blind(int(one.kept[k])))
-            yield replace(swapped, what=f"{what} of the {term.called} at {clock_time(t_s[k])}", debt=debt)
+            yield replace(
+                swapped, what=f"{what} of the {term.called} at {clock_time(t_s[k])}", debt=debt
+            )
 
 
 def _swinging(stated: Trial) -> Iterator[Trial]:
@@ -384,7 +443,9 @@ def _swinging(stated: Trial) -> Iterator[Trial]:
         begin = _joined(begin, _slowest(begin.fit.track.take(slice(1)), t_s))
     for angle in SWINGS:
         last = begin.best
-        begin = _tried(one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual)), OTHER_MODES), begin)
+        begin = _tried(
+            one.beside(SWINGS_QUICKLY, Swinging(angle / np.sqrt(usual)), OTHER_MODES), begin
+        )
         begin = begin.take(distinct_index(begin.fit.track, t_s))
         yield begin
         if begin.best < min(last, stated.best - HOPELESS):
@@ -402,11 +463,19 @@ def _wandering(stated: Trial) -> Iterator[Trial]:
     if begin.fit.track.cost[0] > cost_limit(o):
         return
     # the sum takes the place of the attitudes' Gaussian, that of the rate stays; the turn about the Sun has no prior there
-    wanted = stated.best - HOPELESS - np.log(2 * TURN_PRIOR) - 3 * np.log(one.motion.rate_prior) - one.debt
+    wanted = (
+        stated.best
+        - HOPELESS
+        - np.log(2 * TURN_PRIOR)
+        - 3 * np.log(one.motion.rate_prior)
+        - one.debt
+    )
     if about_most(o, begin.fit.seen, wander).max() + ROUGHLY * len(o) < wanted:
         return
     still = _slowest(begin.fit.track, o.t_s)
-    begin = begin._replace(fit=begin.fit._replace(track=Track(still.attitude, np.zeros_like(still.omega))))
+    begin = begin._replace(
+        fit=begin.fit._replace(track=Track(still.attitude, np.zeros_like(still.omega)))
+    )
     for noise, log in zip(wander, log_evidence(o, wander), strict=True):
         if log > wanted:
             trial = _tried(one.beside(SWINGS_QUICKLY, Swinging(float(noise))), begin)
@@ -417,8 +486,14 @@ def _wandering(stated: Trial) -> Iterator[Trial]:
 def _joined(start: Trial, more: Track) -> Trial:
     """Modes to begin with, and one more with the errors in common of the first."""
     first = start.fit.track
-    both = Track(np.concatenate([first.attitude, more.attitude]), np.concatenate([first.omega, more.omega]))
-    return start._replace(fit=start.fit._replace(track=both, error=np.concatenate([start.fit.error, start.fit.error[:1]])))
+    both = Track(
+        np.concatenate([first.attitude, more.attitude]), np.concatenate([first.omega, more.omega])
+    )
+    return start._replace(
+        fit=start.fit._replace(
+            track=both, error=np.concatenate([start.fit.error, start.fit.error[:1]])
+        )
+    )
 
 
 def _slowest(track: Track, t_s: np.ndarray) -> Track:
@@ -454,11 +529,16 @@ def counted(trials: list[Trial]) -> list[Counted]:
         one = trials[i].hypothesis
         place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
         for head, members in found:
-            others = all(every[n][0] != i for n in members) or any(term.several() for term in one.o.terms)
+            others = all(every[n][0] != i for n in members) or any(
+                term.several() for term in one.o.terms
+            )
             if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
                 members.append(m)
                 break
         else:
             found.append((place, [m]))
-    groups = [Counted([every[m] for m in members], weights[members] / weights.sum()) for _, members in found]
+    groups = [
+        Counted([every[m] for m in members], weights[members] / weights.sum())
+        for _, members in found
+    ]
     return sorted(groups, key=lambda one: -one.weights.sum())

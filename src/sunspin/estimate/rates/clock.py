@@ -50,12 +50,16 @@ def lateness(passes: list[tuple[Observations, Track]], motion: Motion, clock: Cl
         first = np.clip(np.array(TRIED_RAD) / rate / clock.sigma_s, -2, 2)
         fit = with_common(o, best, motion, clock, first)
         k = int(np.argmin(fit.track.cost))
-        own = 1 / (fit.covariance[k, -1, -1] * clock.sigma_s**2) - 1 / clock.sigma_s**2  # what the pass adds to the prior
+        own = (
+            1 / (fit.covariance[k, -1, -1] * clock.sigma_s**2) - 1 / clock.sigma_s**2
+        )  # what the pass adds to the prior
         if own > 0:
             late = clock.late_s + clock.sigma_s * fit.error[k, -1]
             precision += own
             weighted += own * late + (late - clock.late_s) / clock.sigma_s**2
-            gain += _cost_without(o, best.take(np.array([0])), motion, clock) - float(fit.track.cost[k])
+            gain += _cost_without(o, best.take(np.array([0])), motion, clock) - float(
+                fit.track.cost[k]
+            )
             count += 1
     if not count:
         return None
@@ -75,5 +79,7 @@ def suspected(passes: list[tuple[Observations, Track]], motion: Motion) -> Late 
     """A lateness that the vehicle file does not speak of but the data want; None where they do not."""
     longest = sorted(passes, key=lambda one: len(one[0]), reverse=True)[:LOOKED_AT]
     late = lateness(longest, motion, Clock(0.0, UNTOLD_SIGMA_S))
-    sure = late is not None and abs(late.late_s) > SURE_SIGMAS * late.sigma_s and late.gain > SURE_GAIN
+    sure = (
+        late is not None and abs(late.late_s) > SURE_SIGMAS * late.sigma_s and late.gain > SURE_GAIN
+    )
     return late if sure else None

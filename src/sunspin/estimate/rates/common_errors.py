@@ -16,7 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.estimate.rates.motion import Body, step
-from sunspin.estimate.rates.smooth import Intervals, between, damping_scale, followed, moved, noises, normal_equations, whitening
+from sunspin.estimate.rates.smooth import (
+    Intervals,
+    between,
+    damping_scale,
+    followed,
+    moved,
+    noises,
+    normal_equations,
+    whitening,
+)
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import TOLERANCE, least_squares, take
@@ -67,7 +76,9 @@ class Common(NamedTuple):
     def take(self, index: np.ndarray) -> Common:
         """The hypotheses `index`."""
         error, covariance, answer, system = take(self[1:-1], index)
-        return Common(self.track.take(index), error, covariance, answer, system, self.seen.take(index))
+        return Common(
+            self.track.take(index), error, covariance, answer, system, self.seen.take(index)
+        )
 
 
 def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
@@ -75,8 +86,12 @@ def of_a_body(body: Body, error: np.ndarray) -> np.ndarray:
     error = error.copy()
     for _ in range(DRAWN_IN):
         inertia = body.inertia + np.einsum("kr,rij->kij", error, body.errors)
-        about = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia  # the masses' second moments
-        wrong = (np.linalg.eigvalsh(about)[:, 0] < -THINNEST) | (np.linalg.eigvalsh(inertia)[:, 0] < THINNEST)
+        about = (
+            np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
+        )  # the masses' second moments
+        wrong = (np.linalg.eigvalsh(about)[:, 0] < -THINNEST) | (
+            np.linalg.eigvalsh(inertia)[:, 0] < THINNEST
+        )
         if not wrong.any():
             return error
         error[wrong] *= 0.8
@@ -98,11 +113,18 @@ def seen_later(o: Observations, track: Track, motion: Motion, late_s: np.ndarray
     """The track `late_s` (K) later than at the samples' states, a fraction of a turn."""
     late = late_s[:, None, None]
     change = acceleration(motion.body, track.omega, o.momentum)
-    return Track(turn(track.attitude, late * (track.omega + late / 2 * change)), track.omega + late * change)
+    return Track(
+        turn(track.attitude, late * (track.omega + late / 2 * change)), track.omega + late * change
+    )
 
 
 def with_common(
-    o: Observations, track: Track, motion: Motion, clock: Clock | None, first: np.ndarray | float = 0.0, begin: float = 0.0
+    o: Observations,
+    track: Track,
+    motion: Motion,
+    clock: Clock | None,
+    first: np.ndarray | float = 0.0,
+    begin: float = 0.0,
 ) -> Common:
     """K hypotheses fitted with their common errors; `first`: the clock's error to begin with, in sigmas.
 
@@ -125,7 +147,9 @@ def with_common(
     return _fitted(o, track, error, motion, clock, 20)
 
 
-def cooler(o: Observations, fit: Common, motion: Motion, clock: Clock | None = None, steps: int = 8) -> Common:
+def cooler(
+    o: Observations, fit: Common, motion: Motion, clock: Clock | None = None, steps: int = 8
+) -> Common:
     """A fit brought to a stiffer motion."""
     return _fitted(o, fit.track, fit.error, motion, clock, steps)
 
@@ -141,11 +165,17 @@ def from_other_bodies(o: Observations, fit: Common, motion: Motion, clock: Clock
     place = places_of(o, motion, clock).inertia
     best = fit.take(np.full(len(OTHER_BODIES), np.argmin(fit.track.cost)))
     error = best.error.copy()
-    error[:, place] += OTHER_BODIES @ np.einsum("rii->ir", motion.body.errors) / np.linalg.norm(motion.body.errors, axis=(1, 2))
+    error[:, place] += (
+        OTHER_BODIES
+        @ np.einsum("rii->ir", motion.body.errors)
+        / np.linalg.norm(motion.body.errors, axis=(1, 2))
+    )
     return both(o, fit, best._replace(error=error), motion, clock)
 
 
-def both(o: Observations, fit: Common, other: Common, motion: Motion, clock: Clock | None) -> Common:
+def both(
+    o: Observations, fit: Common, other: Common, motion: Motion, clock: Clock | None
+) -> Common:
     """The hypotheses of two fits, fitted from where these stand."""
     parts = ((x.track.attitude, x.track.omega, x.error) for x in (fit, other))
     attitude, omega, error = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -153,10 +183,18 @@ def both(o: Observations, fit: Common, other: Common, motion: Motion, clock: Clo
 
 
 def again(
-    o: Observations, fit: Common, before: Observations, motion: Motion, clock: Clock | None, steps: int, tolerance: float
+    o: Observations,
+    fit: Common,
+    before: Observations,
+    motion: Motion,
+    clock: Clock | None,
+    steps: int,
+    tolerance: float,
 ) -> Common:
     """Other observations of the same samples fitted from where a fit of those `before` ended, with the same errors in common."""
-    old, new = ([one.name for one in places_of(each, motion, clock).unknowns] for each in (before, o))
+    old, new = (
+        [one.name for one in places_of(each, motion, clock).unknowns] for each in (before, o)
+    )
     error = np.zeros((len(fit.error), len(new)))
     for i, name in enumerate(new):
         if name in old:
@@ -165,7 +203,13 @@ def again(
 
 
 def _fitted(
-    o: Observations, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None, steps: int, tolerance: float = TOLERANCE
+    o: Observations,
+    track: Track,
+    error: np.ndarray,
+    motion: Motion,
+    clock: Clock | None,
+    steps: int,
+    tolerance: float = TOLERANCE,
 ) -> Common:
     """K hypotheses and their common errors fitted at once."""
     places = places_of(o, motion, clock)
@@ -176,12 +220,20 @@ def _fitted(
         error[:, places.inertia] = of_a_body(motion.body, error[:, places.inertia])
         return state[0], followed(state[1], motion), error
 
-    unseen = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, SunTerm | StateTerm)))
+    unseen = replace(
+        o, terms=tuple(term for term in o.terms if not isinstance(term, SunTerm | StateTerm))
+    )
     found = least_squares(
-        lambda state: _equations(o, unseen, places, Track(state[0], state[1]), state[2], motion, clock),
+        lambda state: _equations(
+            o, unseen, places, Track(state[0], state[1]), state[2], motion, clock
+        ),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
-        bordered, (track.attitude, track.omega, error), steps=steps, tolerance=tolerance, limit=limit,
-    )  # fmt: skip
+        bordered,
+        (track.attitude, track.omega, error),
+        steps=steps,
+        tolerance=tolerance,
+        limit=limit,
+    )
     (attitude, omega, error), system, told = found.state, found.system, spread(found.system)
     fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
     seen = fitted if clock is None else seen_later(o, fitted, motion, _late(clock, error))
@@ -210,7 +262,10 @@ class Places(NamedTuple):
     @property
     def moving(self) -> slice:
         """Inertia and what terms of the motion and of neighbours have."""
-        return slice(self.inertia.start, [self.inertia, *(place for _, place in (*self.motion, *self.pairs))][-1].stop)
+        return slice(
+            self.inertia.start,
+            [self.inertia, *(place for _, place in (*self.motion, *self.pairs))][-1].stop,
+        )
 
 
 def places_of(o: Observations, motion: Motion, clock: Clock | None) -> Places:
@@ -226,9 +281,16 @@ def places_of(o: Observations, motion: Motion, clock: Clock | None) -> Places:
         return tuple((term, add(term.unknowns())) for term in terms)
 
     sizes = np.linalg.norm(motion.body.errors, axis=(1, 2))
-    late = () if clock is None else (Unknown("late_s", "clock", "s", clock.late_s, clock.sigma_s, scope="file"),)
+    late = (
+        ()
+        if clock is None
+        else (Unknown("late_s", "clock", "s", clock.late_s, clock.sigma_s, scope="file"),)
+    )
     state = of(o.of_state)
-    inertia = add(Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(x), i, limit=MOST_SIGMAS) for i, x in enumerate(sizes))
+    inertia = add(
+        Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(x), i, limit=MOST_SIGMAS)
+        for i, x in enumerate(sizes)
+    )
     moved, pairs, sun = of(o.of_motion), of(o.of_pairs), of(o.of_sun)
     last = add(late)
     return Places(tuple(every), state, inertia, moved, pairs, sun, last)
@@ -239,13 +301,21 @@ def _late(clock: Clock, error: np.ndarray) -> np.ndarray:
 
 
 def _equations(
-    o: Observations, unseen: Observations, places: Places, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None
+    o: Observations,
+    unseen: Observations,
+    places: Places,
+    track: Track,
+    error: np.ndarray,
+    motion: Motion,
+    clock: Clock | None,
 ) -> Bordered:
     """`unseen`: the observations without what was seen of the states themselves."""
     own = error[:, places.inertia].size > 0  # else one body serves all at once
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
     moved = [moving(unseen, track.take(k), motion, error[k, places.moving]) for k in each]
-    diagonal, upper, slope, cost, inside, between_errors, downhill = (np.concatenate(parts) for parts in zip(*moved, strict=True))
+    diagonal, upper, slope, cost, inside, between_errors, downhill = (
+        np.concatenate(parts) for parts in zip(*moved, strict=True)
+    )
     border = np.zeros((*slope.shape, places.n))
     corner = np.repeat(np.eye(places.n)[None], len(error), axis=0)
     error_slope = error.copy()
@@ -254,7 +324,12 @@ def _equations(
     error_slope[:, places.moving] += downhill
     sun = sun_part(o, places, track, error, motion, clock)
     cost = cost + (error**2).sum(axis=1) / 2 + sun.cost
-    slope, border, corner, error_slope = slope + sun.slope, border + sun.border, corner + sun.corner, error_slope + sun.error_slope
+    slope, border, corner, error_slope = (
+        slope + sun.slope,
+        border + sun.border,
+        corner + sun.corner,
+        error_slope + sun.error_slope,
+    )
     told = sun.matrix
     for term, place in places.state:
         matrix, gradient, part = normal(term, track, error[:, place])
@@ -264,10 +339,14 @@ def _equations(
         corner[:, place, place] += matrix[..., 6:, 6:].sum(axis=1)
         error_slope[:, place] += gradient[..., 6:].sum(axis=1)
         cost += part.sum(axis=1)
-    return Bordered(cost, diagonal + told, upper, slope, damping_scale(told, o.t_s), border, corner, error_slope)
+    return Bordered(
+        cost, diagonal + told, upper, slope, damping_scale(told, o.t_s), border, corner, error_slope
+    )
 
 
-def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> tuple[np.ndarray, ...]:
+def moving(
+    o: Observations, track: Track, motion: Motion, error: np.ndarray
+) -> tuple[np.ndarray, ...]:
     """What the motion of K hypotheses says, with inertia and the unknowns of its terms and of neighbours off by `error` (K, r)
     sigmas, the inertia of all being that of the first: blocks (K, n, 6, 6) and (K, n-1, 6, 6), gradient (K, n, 6), cost (K), and of
     the errors border (K, n, 6, r), corner (K, r, r) and gradient (K, r)."""
@@ -279,7 +358,11 @@ def moving(o: Observations, track: Track, motion: Motion, error: np.ndarray) -> 
     tied = between(o, track, motion, over)
     cost, diagonal, upper, slope, *_ = normal_equations(o, track, motion, tied)
     r = error.shape[1]
-    border, corner, downhill = np.zeros((*slope.shape, r)), np.zeros((len(cost), r, r)), np.zeros((len(cost), r))
+    border, corner, downhill = (
+        np.zeros((*slope.shape, r)),
+        np.zeros((len(cost), r, r)),
+        np.zeros((len(cost), r)),
+    )
     if not r:
         return diagonal, upper, slope, cost, border, corner, downhill
     value, first, second = tied
@@ -334,19 +417,33 @@ class SunPart(NamedTuple):
     cost: np.ndarray
 
 
-def sun_part(o: Observations, places: Places, track: Track, error: np.ndarray, motion: Motion, clock: Clock | None) -> SunPart:
+def sun_part(
+    o: Observations,
+    places: Places,
+    track: Track,
+    error: np.ndarray,
+    motion: Motion,
+    clock: Clock | None,
+) -> SunPart:
     """The Sun's readings, which answer to the states, to their own unknowns and to how late the states are, at errors (K, m)."""
     late = np.zeros(len(error)) if clock is None else _late(clock, error)
     seen = track if clock is None else seen_later(o, track, motion, late)
     size = 6 + places.n
-    matrix, slope = np.zeros((*track.omega.shape[:2], size, size)), np.zeros((*track.omega.shape[:2], size))
+    matrix, slope = (
+        np.zeros((*track.omega.shape[:2], size, size)),
+        np.zeros((*track.omega.shape[:2], size)),
+    )
     cost = np.zeros(len(error))
     for term, place in places.sun:
         own, downhill, part = normal(term, seen, error[:, place])
         # of a turn at the Sun's instant and the term's unknowns, what the states (6) and all unknowns (m) do to each
         bridge = np.zeros((*track.omega.shape[:2], downhill.shape[-1], size))
-        bridge[..., :3, :3] = seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)
-        bridge[..., :3, 3:6] = late[:, None, None, None] * np.eye(3)  # a rate turns it for as long as the state is late
+        bridge[..., :3, :3] = (
+            seen.attitude @ np.swapaxes(track.attitude, -1, -2) if clock is not None else np.eye(3)
+        )
+        bridge[..., :3, 3:6] = late[:, None, None, None] * np.eye(
+            3
+        )  # a rate turns it for as long as the state is late
         bridge[..., 3:, 6:][..., place] = np.eye(bridge.shape[-2] - 3)
         if clock is not None:
             bridge[..., :3, -1] = clock.sigma_s * seen.omega
@@ -355,4 +452,6 @@ def sun_part(o: Observations, places: Places, track: Track, error: np.ndarray, m
         slope += (carried @ downhill[..., None])[..., 0]
         cost += part.sum(axis=1)
     corner, error_slope = matrix[..., 6:, 6:].sum(axis=1), slope[..., 6:].sum(axis=1)
-    return SunPart(matrix[..., :6, :6].copy(), slope[..., :6], matrix[..., :6, 6:], corner, error_slope, cost)
+    return SunPart(
+        matrix[..., :6, :6].copy(), slope[..., :6], matrix[..., :6, 6:], corner, error_slope, cost
+    )

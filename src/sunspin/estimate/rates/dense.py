@@ -40,7 +40,10 @@ class Acts(NamedTuple):
 
     def at(self, t_s: np.ndarray) -> Acts:
         """The same, linear between these instants, as a step of the smoother has it."""
-        return Acts(t_s, *(np.stack([np.interp(t_s, self.t_s, x) for x in part.T], axis=1) for part in self[1:]))
+        return Acts(
+            t_s,
+            *(np.stack([np.interp(t_s, self.t_s, x) for x in part.T], axis=1) for part in self[1:]),
+        )
 
 
 @dataclass(frozen=True)
@@ -71,24 +74,38 @@ class Dense:
     rate_noise: float
 
     @classmethod
-    def of(cls, o: Observations, every: np.ndarray, kept: np.ndarray, track: Track, motion: Motion) -> Dense:
+    def of(
+        cls, o: Observations, every: np.ndarray, kept: np.ndarray, track: Track, motion: Motion
+    ) -> Dense:
         """Of hypotheses known at the samples `kept` (indices of `o`); `every` begins and ends with the same samples."""
         there = np.searchsorted(every, kept)
         new = np.setdiff1d(np.arange(len(every)), there)
         return cls.at(o.take(kept), Acts.of(o).take(every[new]), there, new, track, motion)
 
     @classmethod
-    def at(cls, o: Observations, acts: Acts, there: np.ndarray, new: np.ndarray, track: Track, motion: Motion) -> Dense:
+    def at(
+        cls,
+        o: Observations,
+        acts: Acts,
+        there: np.ndarray,
+        new: np.ndarray,
+        track: Track,
+        motion: Motion,
+    ) -> Dense:
         """Of hypotheses known at the samples `o`, at the instants of `acts`, each between two of them: in the order of time
         samples stand at the places `there` and the others at `new`."""
         before = np.searchsorted(there, new) - 1
         span = o.t_s[before + 1] - o.t_s[before]
         share = (acts.t_s - o.t_s[before]) / span
-        weight = share**2 * (3 - 2 * share)  # level at both ends, so that the attitude's rate of change there is the rate
+        weight = share**2 * (
+            3 - 2 * share
+        )  # level at both ends, so that the attitude's rate of change there is the rate
         on = _carried(o, track, before, acts, motion, 1 - weight)
         back = _carried(o, track, before + 1, acts, motion, weight)
         noise, rate_noise = noises(o, motion)
-        return cls(len(there) + len(new), there, new, on, back, share, span, noise[before], rate_noise)
+        return cls(
+            len(there) + len(new), there, new, on, back, share, span, noise[before], rate_noise
+        )
 
     def mean_map(self) -> np.ndarray:
         """What the mean rate over all samples answers to turn and rate at the kept ones, (K, n_kept, 3, 6)."""
@@ -102,28 +119,57 @@ class Dense:
     def filled(self, track: Track) -> Track:
         """Attitude, rate and covariance at all samples; at the kept ones they are those given."""
         attitude = np.empty((len(track.omega), self.count, 3, 3))
-        omega, covariance = np.empty((*attitude.shape[:2], 3)), np.empty((*attitude.shape[:2], 6, 6))
-        attitude[:, self.there], omega[:, self.there], covariance[:, self.there] = track.attitude, track.omega, track.covariance
+        omega, covariance = (
+            np.empty((*attitude.shape[:2], 3)),
+            np.empty((*attitude.shape[:2], 6, 6)),
+        )
+        attitude[:, self.there], omega[:, self.there], covariance[:, self.there] = (
+            track.attitude,
+            track.omega,
+            track.covariance,
+        )
         weight = self.back.weight[:, None]
-        attitude[:, self.new] = turn(self.on.attitude, weight * turn_between(self.on.attitude, self.back.attitude))
+        attitude[:, self.new] = turn(
+            self.on.attitude, weight * turn_between(self.on.attitude, self.back.attitude)
+        )
         omega[:, self.new] = self.on.omega + weight * (self.back.omega - self.on.omega)
         spread = bridge(self.share, self.span_s, self.noise, self.rate_noise)
         for way in (self.on, self.back):
             start = track.covariance[:, way.number]
-            spread = spread + way.weight[:, None, None] * (way.answer @ start @ np.swapaxes(way.answer, -1, -2))
+            spread = spread + way.weight[:, None, None] * (
+                way.answer @ start @ np.swapaxes(way.answer, -1, -2)
+            )
         covariance[:, self.new] = spread
         return replace(track, attitude=attitude, omega=omega, covariance=covariance)
 
 
-def _carried(o: Observations, track: Track, number: np.ndarray, acts: Acts, motion: Motion, weight: np.ndarray) -> Way:
+def _carried(
+    o: Observations,
+    track: Track,
+    number: np.ndarray,
+    acts: Acts,
+    motion: Motion,
+    weight: np.ndarray,
+) -> Way:
     """From the samples `number` (m) of `o` to the instants of `acts` (m)."""
     shape = (len(track.omega), len(number))
     if not len(number):
-        return Way(number, np.empty((*shape, 3, 3)), np.empty((*shape, 3)), np.empty((*shape, 6, 6)), weight)
+        return Way(
+            number,
+            np.empty((*shape, 3, 3)),
+            np.empty((*shape, 3)),
+            np.empty((*shape, 6, 6)),
+            weight,
+        )
     ends = Ends(momentum=o.momentum[number], momentum_end=acts.momentum)
     if np.any(motion.body.dipole):
-        known = np.all(np.isfinite(o.field_B[number]), axis=1) & np.all(np.isfinite(acts.field_B), axis=1)
-        first, second = (np.where(known[:, None], np.nan_to_num(field), 0.0) for field in (o.field_B[number], acts.field_B))
+        known = np.all(np.isfinite(o.field_B[number]), axis=1) & np.all(
+            np.isfinite(acts.field_B), axis=1
+        )
+        first, second = (
+            np.where(known[:, None], np.nan_to_num(field), 0.0)
+            for field in (o.field_B[number], acts.field_B)
+        )
         ends = ends._replace(field=first, field_end=second)
     ends = Ends(*(None if part is None else np.broadcast_to(part, (*shape, 3)) for part in ends))
     dt = np.broadcast_to(acts.t_s - o.t_s[number], shape)
@@ -135,24 +181,52 @@ def _carried(o: Observations, track: Track, number: np.ndarray, acts: Acts, moti
 def curve(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, Track]:
     """A motion (K = 1) known at the samples `o`, on even instants (m) s, so close that straight lines between them will do."""
     spans = np.diff(o.t_s)
-    angle = angle_turned(motion.body, track.omega[0, :-1], spans, Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:]))
+    angle = angle_turned(
+        motion.body,
+        track.omega[0, :-1],
+        spans,
+        Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:]),
+    )
     length = o.t_s[-1] - o.t_s[0]
-    count = int(np.clip(np.ceil(length * np.max(angle / spans) / CURVE_RAD), LEAST_INSTANTS, MOST_INSTANTS)) + 1
+    count = (
+        int(
+            np.clip(
+                np.ceil(length * np.max(angle / spans) / CURVE_RAD), LEAST_INSTANTS, MOST_INSTANTS
+            )
+        )
+        + 1
+    )
     instants, step = np.linspace(o.t_s[0], o.t_s[-1], count, retstep=True)
     there = np.searchsorted(instants, o.t_s - step * TOGETHER)
     met = np.abs(instants[there] - o.t_s) <= step * TOGETHER
     every = np.union1d(np.delete(instants, there[met]), o.t_s)
     known = np.isin(every, o.t_s)
-    found = Dense.at(o, Acts.of(o).at(every[~known]), np.flatnonzero(known), np.flatnonzero(~known), track, motion).filled(track)
+    found = Dense.at(
+        o,
+        Acts.of(o).at(every[~known]),
+        np.flatnonzero(known),
+        np.flatnonzero(~known),
+        track,
+        motion,
+    ).filled(track)
     at = np.searchsorted(every, instants - step * TOGETHER)
-    return instants, replace(found, attitude=found.attitude[:, at], omega=found.omega[:, at], covariance=found.covariance[:, at])
+    return instants, replace(
+        found,
+        attitude=found.attitude[:, at],
+        omega=found.omega[:, at],
+        covariance=found.covariance[:, at],
+    )
 
 
-def bridge(share: np.ndarray, span_s: np.ndarray, noise: npt.ArrayLike, rate_noise: float = 0.0) -> np.ndarray:
+def bridge(
+    share: np.ndarray, span_s: np.ndarray, noise: npt.ArrayLike, rate_noise: float = 0.0
+) -> np.ndarray:
     """Covariance (m, 6, 6) of turn and rate at a part `share` of an interval whose ends are held, under white angular
     acceleration: the variance of a bridge of its integral and twofold integral; and of the turn under white noise of the rate."""
     s, square = share * (1 - share), np.square(noise)
     made = np.zeros((len(share), 6, 6))
-    made[:, :3, :3] = (square * span_s**3 * s**3 / 3 + rate_noise**2 * span_s * s)[:, None, None] * np.eye(3)
+    made[:, :3, :3] = (square * span_s**3 * s**3 / 3 + rate_noise**2 * span_s * s)[
+        :, None, None
+    ] * np.eye(3)
     made[:, 3:, 3:] = (square * span_s * s * (1 - 3 * s))[:, None, None] * np.eye(3)
     return made

@@ -42,16 +42,37 @@ from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Fit, Hypothesis, odd_one, ranked, sensors_left_out
 from sunspin.estimate.rates.images import SAME_SIGMAS
 from sunspin.estimate.rates.motion import Body, load, require_followed
-from sunspin.estimate.rates.noise import HIGHER_NOISES, Task, choose, evidence_of_noises, quick_evidence, refined
+from sunspin.estimate.rates.noise import (
+    HIGHER_NOISES,
+    Task,
+    choose,
+    evidence_of_noises,
+    quick_evidence,
+    refined,
+)
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
-from sunspin.estimate.rates.result import SUSPECTED, believed, cures, dataset_of, in_space, in_the_field, verdict
+from sunspin.estimate.rates.result import (
+    SUSPECTED,
+    believed,
+    cures,
+    dataset_of,
+    in_space,
+    in_the_field,
+    verdict,
+)
 from sunspin.estimate.rates.rough import roughly
 from sunspin.estimate.rates.side_by_side import begun, each, processes
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.rates.wheel_signs import Anew, Reversed, doubted_signs, reversed_momenta, tasks
+from sunspin.estimate.rates.wheel_signs import (
+    Anew,
+    Reversed,
+    doubted_signs,
+    reversed_momenta,
+    tasks,
+)
 from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import TURN_RATE
@@ -97,7 +118,11 @@ FEW_MODES = 3
 MOST_LATE = 0.1
 """A lateness that nobody spoke of is not reported beyond this part of the longest pass."""
 
-NOT_LATE = {"sensors_late_s": np.nan, "sensors_late_sigma_s": np.nan, "sensors_late_from": "taken as read together"}
+NOT_LATE = {
+    "sensors_late_s": np.nan,
+    "sensors_late_sigma_s": np.nan,
+    "sensors_late_from": "taken as read together",
+}
 """What is said where sensors neither are nor seem late."""
 
 
@@ -198,62 +223,110 @@ def rates(
     """
     local = _along_the_sun(environment)
     forces = acting(torques, local)
-    calibration = calibration or (field_calibration(local.orbit, vehicle, telemetry) if isinstance(local, SunAlongZ) else None)
+    calibration = calibration or (
+        field_calibration(local.orbit, vehicle, telemetry) if isinstance(local, SunAlongZ) else None
+    )
     o, why, source = observations(vehicle, telemetry, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
     parts = [parts[k] for k in ids]
-    rate_max = _rate_max(vehicle.sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s, o, parts)
+    rate_max = _rate_max(
+        vehicle.sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s,
+        o,
+        parts,
+    )
     given = _known_noise(vehicle, o, acceleration_noise)
-    body = Body.of(vehicle, vehicle.sensors.disturbance.dipole, torques_known=given is not None, acting=forces)
+    body = Body.of(
+        vehicle, vehicle.sensors.disturbance.dipole, torques_known=given is not None, acting=forces
+    )
     momenta = wheel_momenta(vehicle, telemetry)
     for part in parts:
-        require_followed(body, np.concatenate([momentum[part] for momentum in momenta.values()]), np.diff(o.t_s[part]).max())
+        require_followed(
+            body,
+            np.concatenate([momentum[part] for momentum in momenta.values()]),
+            np.diff(o.t_s[part]).max(),
+        )
     _begin(body, parts, effort, progress)
     with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress is True else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
-            noise, o, wheels = choose(o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool))
-        signs = _signs(o, parts, reversed_momenta(vehicle, telemetry, wheels, o), noise, body, rate_max, given, spent, pool)
+            noise, o, wheels = choose(
+                o, parts, body, rate_max, given, momenta, partial(_evidences, spent, judged, pool)
+            )
+        signs = _signs(
+            o,
+            parts,
+            reversed_momenta(vehicle, telemetry, wheels, o),
+            noise,
+            body,
+            rate_max,
+            given,
+            spent,
+            pool,
+        )
         motion = Motion(body, noise, rate_max / 2)
-        wholes = [np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts]
+        wholes = [
+            np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts
+        ]
         tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
         o, more = _with_magnetic_torque(vehicle, o, noise)
-        ready = [(o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)]
+        ready = [
+            (o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)
+        ]
         with spent:
             spent.doing("errors in common")
             if given is None:
                 motion = replace(motion, noise=refined(ready, motion))
             clock, late = _clock(vehicle.sensors.clock, ready, motion)
             others = Others(given is None, partial(_clock_time, telemetry.attrs.get("epoch_utc")))
-            modes, fewer = _all_finished(o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others, pool)
-        turned = signs(o, list(zip(wholes, parts, modes, strict=True)), Anew(body, rate_max, given, clock, others, more))
+            modes, fewer = _all_finished(
+                o, wholes, parts, tracks, motion, clock, rate_max, noise, spent, others, pool
+            )
+        turned = signs(
+            o,
+            list(zip(wholes, parts, modes, strict=True)),
+            Anew(body, rate_max, given, clock, others, more),
+        )
     found, walk, period_attrs = _linked(o, modes, motion, periods, ids)
     cut = np.logical_or(cut, fewer) | judged.cut
     missed, unmet, fine = _doubted(o, parts, motion, rate_max, given)
     result = dataset_of(vehicle, telemetry, o, why, found, source, motion, rate_max, given is None)
-    result = result.assign_coords(pass_id=ids).assign_attrs(effort_given=effort, fine_up_to_rad_s=fine)
+    result = result.assign_coords(pass_id=ids).assign_attrs(
+        effort_given=effort, fine_up_to_rad_s=fine
+    )
     result = in_space(result, local, found, o) if isinstance(local, SunAlongZ) else result
     result = in_the_field(result) if source == FIELD and calibration is None else result
-    said = believed(o, found, motion, cures(result.attrs, cut, missed, unmet), telemetry.attrs.get("epoch_utc"))
+    said = believed(
+        o, found, motion, cures(result.attrs, cut, missed, unmet), telemetry.attrs.get("epoch_utc")
+    )
     result = result.assign(said | without_periods(found)).assign_attrs(
-        late | period_attrs, wheels=wheels, walk_between_passes=np.nan if walk is None else walk, coarse_passes=int(missed.sum()),
-        cut_passes=int(cut.sum()), effort=spent.spent / USUAL,
+        late | period_attrs,
+        wheels=wheels,
+        walk_between_passes=np.nan if walk is None else walk,
+        coarse_passes=int(missed.sum()),
+        cut_passes=int(cut.sum()),
+        effort=spent.spent / USUAL,
         no_sphere=int(unmet.sum()),
-    )  # fmt: skip
+    )
     observed = _observed(vehicle, telemetry, wheels, source, isinstance(local, SunAlongZ))
     result = _symmetric_checked(_columns_checked(result, observed, telemetry), observed, telemetry)
     if wirings and (not result["fits"].values.all() or _suspicious(result, observed, telemetry)):
         with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
-            result = _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques)
+            result = _other_wiring(
+                result, observed, telemetry, rate_max, environment, calibration, torques
+            )
             bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
             if bad and "wiring_doubt" not in result.attrs and turned is None and may_go_on():
-                result.attrs |= _odd_sensor(o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise)
+                result.attrs |= _odd_sensor(
+                    o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise
+                )
         result = result.assign_attrs(wirings_cut=int(tried.close()))
     return _judged(_wheel_doubted(result, turned, observed, telemetry), vehicle, telemetry)
 
 
-def _observed(vehicle: Vehicle, telemetry: xr.Dataset, wheels: str, source: str, in_orbit: bool) -> Observed:
+def _observed(
+    vehicle: Vehicle, telemetry: xr.Dataset, wheels: str, source: str, in_orbit: bool
+) -> Observed:
     """What the telemetry has read, as far as it tells changes of columns, signs and axes apart; `wheels`: what they do."""
     momenta = momentum_of_each(vehicle, telemetry, wheels)
     observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit=in_orbit)
@@ -270,8 +343,15 @@ def _columns_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Datas
         result = result.assign_attrs(alike=words)
     unseen = unseen_changes(replace(observed, sun_B=result["sun_B"].values), telemetry)
     if not unseen:
-        return result.assign(wiring=("pass_id", np.where(result["wiring"].values == UNCHECKED, AS_STATED, result["wiring"].values)))
-    told = [{"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen]
+        return result.assign(
+            wiring=(
+                "pass_id",
+                np.where(result["wiring"].values == UNCHECKED, AS_STATED, result["wiring"].values),
+            )
+        )
+    told = [
+        {"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen
+    ]
     return result.assign_attrs(columns_unseen=json.dumps(told))
 
 
@@ -280,20 +360,29 @@ def _symmetric_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dat
     by a rotation or mirror of the body, as where the lit panels lie in a plane."""
     if not observed.panels or "noise" not in result.attrs:
         return result
-    decided, unique, why = (result[name].values.copy() for name in ("decided", "unique", "why_not_decided"))
+    decided, unique, why = (
+        result[name].values.copy() for name in ("decided", "unique", "why_not_decided")
+    )
     why = why.astype(object)
     doubted = 0
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, _longest(result, telemetry, np.array([k]))).lit
         sun = result["sun_B"].values[result["pass_of"].values == k]
         seen = replace(observed, lit=lit, sun_B=sun)
-        omega, sigma = (np.stack([result[f"{what}_{axis}"].values[k] for axis in "xyz"], axis=1) for what in ("omega", "sigma"))
+        omega, sigma = (
+            np.stack([result[f"{what}_{axis}"].values[k] for axis in "xyz"], axis=1)
+            for what in ("omega", "sigma")
+        )
         if _unlisted(seen, omega, sigma, result.attrs["noise"]):
             decided[k] = unique[k] = False
             doubted += 1
-            why[k] = "; ".join(filter(None, (str(why[k]), "several motions: a symmetric one is not listed")))
+            why[k] = "; ".join(
+                filter(None, (str(why[k]), "several motions: a symmetric one is not listed"))
+            )
     flags = {name: ("pass_id", value) for name, value in (("decided", decided), ("unique", unique))}
-    return result.assign(flags | {"why_not_decided": ("pass_id", why.astype(np.str_))}).assign_attrs(symmetric_unlisted=doubted)
+    return result.assign(
+        flags | {"why_not_decided": ("pass_id", why.astype(np.str_))}
+    ).assign_attrs(symmetric_unlisted=doubted)
 
 
 def _unlisted(seen: Observed, omega: np.ndarray, sigma: np.ndarray, noise: float) -> bool:
@@ -301,8 +390,13 @@ def _unlisted(seen: Observed, omega: np.ndarray, sigma: np.ndarray, noise: float
     the same readings within their `noise` (W or A, or in gains) and is none of them."""
     power = seen.vehicle.response_in().power
     for m in equivalence(seen, AS_WRITTEN, AS_WRITTEN):
-        listed = (np.abs(rate_under(m, omega[0]) - omega) < SAME_SIGMAS * sigma).all(axis=1)  # NaN: there is no such motion
-        if not listed.any() and (((power(seen.sun_B @ m.T) - power(seen.sun_B)) / noise) ** 2).sum() / 2 <= CLEARLY:
+        listed = (np.abs(rate_under(m, omega[0]) - omega) < SAME_SIGMAS * sigma).all(
+            axis=1
+        )  # NaN: there is no such motion
+        if (
+            not listed.any()
+            and (((power(seen.sun_B @ m.T) - power(seen.sun_B)) / noise) ** 2).sum() / 2 <= CLEARLY
+        ):
             return True
     return False
 
@@ -311,11 +405,15 @@ def _suspicious(result: xr.Dataset, observed: Observed, telemetry: xr.Dataset) -
     """Whether a file of panels alone that fits may do so only because strong torques were allowed, or because gains were."""
     if not observed.panels or observed.sensors:
         return False
-    return _strained(result) or implausible(observed.vehicle, _longest(result, telemetry, np.arange(result.sizes["pass_id"])))
+    return _strained(result) or implausible(
+        observed.vehicle, _longest(result, telemetry, np.arange(result.sizes["pass_id"]))
+    )
 
 
 def _strained(result: xr.Dataset) -> bool:
-    chosen = result.attrs["acceleration_noise_from"] != "given" and not result.attrs["body"].startswith("nearly a sphere")
+    chosen = result.attrs["acceleration_noise_from"] != "given" and not result.attrs[
+        "body"
+    ].startswith("nearly a sphere")
     return chosen and result.attrs["acceleration_noise"] >= STRAINED
 
 
@@ -323,22 +421,35 @@ def _longest(result: xr.Dataset, telemetry: xr.Dataset, which: np.ndarray) -> xr
     """The samples used of the pass with the most of them, of some passes."""
     k = which[np.argmax(result["samples"].values[which])]
     times, first = np.unique(telemetry["time"].values, return_index=True)
-    return telemetry.isel(time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])])
+    return telemetry.isel(
+        time=first[np.isin(times, result["time"].values[result["pass_of"].values == k])]
+    )
 
 
 def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
     """The result with no pass decided, as `what` is in doubt, which is the same for the whole file."""
     why = ["; ".join(filter(None, (str(one), what))) for one in result["why_not_decided"].values]
-    doubted = {name: ("pass_id", np.full(len(why), one)) for name, one in (("decided", False), ("wiring", DOUBTFUL))}
+    doubted = {
+        name: ("pass_id", np.full(len(why), one))
+        for name, one in (("decided", False), ("wiring", DOUBTFUL))
+    }
     return result.assign(doubted | {"why_not_decided": ("pass_id", why)})
 
 
-def _begin(body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]) -> None:
+def _begin(
+    body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]
+) -> None:
     """Load the compiled step of a body, once a function `progress` has been called with what is searched and how long that may
     take: an effort of one is about a minute and a half of one core."""
     if callable(progress):
         most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
-        long = "as long as it needs" if np.isinf(most) else f"up to {most:.2g} minutes of one core" if most > 0.02 else "a second"
+        long = (
+            "as long as it needs"
+            if np.isinf(most)
+            else f"up to {most:.2g} minutes of one core"
+            if most > 0.02
+            else "a second"
+        )
         passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
         progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
     load(body)
@@ -360,8 +471,15 @@ def _doubted(
     """Of which passes the search was coarse, which may not have met their motion, and up to which rate (rad/s) the search is fine
     in all of the coarse ones, NaN where there is none."""
     missed = np.array([coarse(o.take(part), motion, rate_max) for part in parts])
-    fine = min((finest(o.take(part)) for part, much in zip(parts, missed, strict=True) if much), default=np.nan)
-    return missed, np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts]), fine
+    fine = min(
+        (finest(o.take(part)) for part, much in zip(parts, missed, strict=True) if much),
+        default=np.nan,
+    )
+    return (
+        missed,
+        np.array([not_met(motion, given, float(np.diff(o.t_s[part]).min())) for part in parts]),
+        fine,
+    )
 
 
 def not_met(motion: Motion, given: float | None, apart_s: float) -> bool:
@@ -369,22 +487,36 @@ def not_met(motion: Motion, given: float | None, apart_s: float) -> bool:
     be, too, the data want torques as strong as hardly any satellite has, or that turn the body far between samples `apart_s` s
     apart, as a nutation does that was not seen."""
     far = motion.noise * np.sqrt(apart_s**3 / 3) > UNSEEN_RAD
-    return given is None and bool(motion.body.spherical and (far or motion.noise >= HIGHER_NOISES[0]))
+    return given is None and bool(
+        motion.body.spherical and (far or motion.noise >= HIGHER_NOISES[0])
+    )
 
 
 def _useful(
-    workers: int, parts: list[np.ndarray], momenta: dict[str, np.ndarray], vehicle: Vehicle, torques: Sequence[Torque]
+    workers: int,
+    parts: list[np.ndarray],
+    momenta: dict[str, np.ndarray],
+    vehicle: Vehicle,
+    torques: Sequence[Torque],
 ) -> int:
     """Processes of use, as the signs of wheels are asked in them; none where torques bring an environment: it stays in this one."""
-    tasks = max(len(parts), len(momenta), 2 * bool(vehicle.wheels)) if may_copy() else len(parts) // PASSES_EACH
+    tasks = (
+        max(len(parts), len(momenta), 2 * bool(vehicle.wheels))
+        if may_copy()
+        else len(parts) // PASSES_EACH
+    )
     return 1 if torques else min(worker_count(workers), tasks)
 
 
-def _evidences(spent: Effort, part: Effort, pool: Executor | None, tasks: Sequence[Task]) -> list[np.ndarray]:
+def _evidences(
+    spent: Effort, part: Effort, pool: Executor | None, tasks: Sequence[Task]
+) -> list[np.ndarray]:
     """The evidence of noises of each task, each having an equal share of what is left of a part of the effort."""
     spent.doing("how strong torques are")
     found: list[np.ndarray] = []
-    for (evidence, rough), cut in each(evidence_of_noises, tasks, max(part.left, 0.0) / len(tasks), part, pool):
+    for (evidence, rough), cut in each(
+        evidence_of_noises, tasks, max(part.left, 0.0) / len(tasks), part, pool
+    ):
         spent.say(rough)
         part.cut |= cut
         found.append(evidence)
@@ -392,7 +524,12 @@ def _evidences(spent: Effort, part: Effort, pool: Executor | None, tasks: Sequen
 
 
 def _searched(
-    o: Observations, parts: list[np.ndarray], motion: Motion, rate_max: float, spent: Effort, pool: Executor | None
+    o: Observations,
+    parts: list[np.ndarray],
+    motion: Motion,
+    rate_max: float,
+    spent: Effort,
+    pool: Executor | None,
 ) -> tuple[list[tuple[Observations, Track]], list[bool]]:
     """The heavier modes of each pass, and whether its search was cut short. All may take an equal part of what is left; what some
     do not need goes to those that were cut, which begin anew if that is much more."""
@@ -404,7 +541,9 @@ def _searched(
         if (more := max(left, 0.0) / sum(cut)) <= MUCH_MORE * share:
             break
         share, to_do = more, [k for k, again in enumerate(cut) if again]
-        for k, made in zip(to_do, each(leading, [tasks[k] for k in to_do], share, spent, pool), strict=True):
+        for k, made in zip(
+            to_do, each(leading, [tasks[k] for k in to_do], share, spent, pool), strict=True
+        ):
             tracks[k], cut[k] = made
             spent.say(roughly(tasks[k][0], tracks[k]))
             spent.doing(f"pass {k + 1} of {len(parts)}")
@@ -412,8 +551,17 @@ def _searched(
 
 
 def _all_finished(
-    o: Observations, wholes: list[np.ndarray], parts: list[np.ndarray], tracks: list[tuple[Observations, Track]], motion: Motion,
-    clock: Clock | None, rate_max: float, begin: float, spent: Effort, others: Others, pool: Executor | None,
+    o: Observations,
+    wholes: list[np.ndarray],
+    parts: list[np.ndarray],
+    tracks: list[tuple[Observations, Track]],
+    motion: Motion,
+    clock: Clock | None,
+    rate_max: float,
+    begin: float,
+    spent: Effort,
+    others: Others,
+    pool: Executor | None,
 ) -> tuple[list[Pass], list[bool]]:
     """All passes `finished`, and where only some of the modes were, and no other model, the effort being spent."""
     found: list[Pass] = []
@@ -422,8 +570,20 @@ def _all_finished(
     for start in range(0, len(every), ROUND):
         spent.doing(f"fit of pass {start + 1} of {len(every)}")
         less = not may_go_on()
-        tasks = [(o, whole, part, track.take(slice(FEW_MODES)) if less else track, motion, clock, rate_max, begin,
-                  None if less else others) for whole, part, track in every[start : start + ROUND]]  # fmt: skip
+        tasks = [
+            (
+                o,
+                whole,
+                part,
+                track.take(slice(FEW_MODES)) if less else track,
+                motion,
+                clock,
+                rate_max,
+                begin,
+                None if less else others,
+            )
+            for whole, part, track in every[start : start + ROUND]
+        ]
         found += [made for made, _ in each(finished, tasks, spent.left, spent, pool)]
         fewer += [less] * len(tasks)
     spent.close()
@@ -437,7 +597,9 @@ def _linked(
     if not periods:
         return *link(o, each, motion), {}
     each, said = weighted(o, each, motion, periods)
-    return *link(o, each, motion), {"periods": json.dumps([{**one, "pass": int(ids[one["pass"]])} for one in said])}
+    return *link(o, each, motion), {
+        "periods": json.dumps([{**one, "pass": int(ids[one["pass"]])} for one in said])
+    }
 
 
 Doubts = Callable[[Observations, list[tuple[np.ndarray, np.ndarray, Pass]], Anew], Reversed | None]
@@ -446,17 +608,28 @@ data doubt."""
 
 
 def _signs(
-    o: Observations, parts: list[np.ndarray], momenta: dict[tuple[int, ...], np.ndarray], noise: float, body: Body,
-    rate_max: float, given: float | None, spent: Effort, pool: Executor | None,
-) -> Doubts:  # fmt: skip
+    o: Observations,
+    parts: list[np.ndarray],
+    momenta: dict[tuple[int, ...], np.ndarray],
+    noise: float,
+    body: Body,
+    rate_max: float,
+    given: float | None,
+    spent: Effort,
+    pool: Executor | None,
+) -> Doubts:
     """What tells the wheels whose sign the data doubt, as far as a share of the effort goes, once passes are found with the signs
     as stated. What does not hang on these other processes begin with now."""
     asked, most = tasks(o, parts, body, noise, given, rate_max, momenta), SIGN_SHARE * spent.most
     evidences = begun(evidence_of_noises, asked, most / max(len(asked), 1), pool)
 
-    def doubted(o: Observations, passes: list[tuple[np.ndarray, np.ndarray, Pass]], anew: Anew) -> Reversed | None:
+    def doubted(
+        o: Observations, passes: list[tuple[np.ndarray, np.ndarray, Pass]], anew: Anew
+    ) -> Reversed | None:
         with Effort(most) as own:
-            return doubted_signs(o, momenta, passes, noise, anew, [evidence for (evidence, _), _ in evidences(own)])
+            return doubted_signs(
+                o, momenta, passes, noise, anew, [evidence for (evidence, _), _ in evidences(own)]
+            )
 
     return doubted
 
@@ -480,7 +653,11 @@ def _wheel_doubted(
     others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
     at = int(np.argmin(np.abs(turned.t_s - (turned.t_s[0] + turned.t_s[-1]) / 2)))
     omega = turned.omega[at]
-    same = alike(replace(observed, sun_B=turned.sun_B), change, [one for one in others if one.what != change.what])
+    same = alike(
+        replace(observed, sun_B=turned.sun_B),
+        change,
+        [one for one in others if one.what != change.what],
+    )
     named = (Named(change, omega), *(Named(one, rate_under(m, omega)) for one, m in same))
     return _named(result, Better(named, turned.gain, float(turned.t_s[at]), turned.fits))
 
@@ -489,10 +666,17 @@ def _named(result: xr.Dataset, better: Better) -> xr.Dataset:
     """The result with the changes that fit better than the file as it is written: a sentence, and in JSON
     attrs["wiring_changes"]."""
     epoch = result.attrs.get("epoch_utc")
-    rates_deg_s = [None if one.omega is None else np.degrees(one.omega).round(6).tolist() for one in better.named]
-    told = [{"what": one.change.what, "do": one.change.do, "at_s": better.at_s, "omega_deg_s": rate}
-            for one, rate in zip(better.named, rates_deg_s, strict=True)]  # fmt: skip
-    return result.assign_attrs(wiring_doubt=better.words(partial(_clock_time, epoch)), wiring_changes=json.dumps(told))
+    rates_deg_s = [
+        None if one.omega is None else np.degrees(one.omega).round(6).tolist()
+        for one in better.named
+    ]
+    told = [
+        {"what": one.change.what, "do": one.change.do, "at_s": better.at_s, "omega_deg_s": rate}
+        for one, rate in zip(better.named, rates_deg_s, strict=True)
+    ]
+    return result.assign_attrs(
+        wiring_doubt=better.words(partial(_clock_time, epoch)), wiring_changes=json.dumps(told)
+    )
 
 
 def _odd_sensor(
@@ -509,18 +693,26 @@ def _odd_sensor(
             track = leading(part, replace(motion, noise=begin), rate_max)
         except InputError:
             return None
-        made = finished(one.o, np.arange(len(one.o)), one.kept, track, motion, clock, rate_max, begin)
+        made = finished(
+            one.o, np.arange(len(one.o)), one.kept, track, motion, clock, rate_max, begin
+        )
         fits = all(misfit(left[0]).fits for left in made.residual.values())
-        explained = not part.of_sun or made.track.cost[0] <= cost_limit(part)  # the limit is of passes that see the Sun
+        explained = not part.of_sun or made.track.cost[0] <= cost_limit(
+            part
+        )  # the limit is of passes that see the Sun
         return Fit(made.track.log_weight, bool(fits and explained))
 
     odd = odd_one(ranked([stated, *sensors_left_out(stated)], run))
     if odd is None:
         return {}
-    return {"odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"}
+    return {
+        "odd_sensor": f"{odd.hypothesis.what} the other readings fit: it does not see what they see"
+    }
 
 
-def _other_wiring(result, observed, telemetry, rate_max, environment, calibration, torques) -> xr.Dataset:
+def _other_wiring(
+    result, observed, telemetry, rate_max, environment, calibration, torques
+) -> xr.Dataset:
     """The result with the changes that fit the longest pass that does not fit as stated, or the sensor that is in its way. If all
     fit, the longest: then a change must explain the samples far better, each by itself or with far weaker torques."""
     bad = np.flatnonzero(~result["fits"].values)
@@ -529,14 +721,26 @@ def _other_wiring(result, observed, telemetry, rate_max, environment, calibratio
     most_noise = result.attrs["acceleration_noise"] / CALMER if calmer else np.inf
     source = None if result.attrs["source"] == "directions" else result.attrs["source"]
     vehicle = observed.vehicle
-    here = _observed(vehicle, part, result.attrs["wheels"], result.attrs["source"], observed.in_orbit)
-    setting: dict[str, Any] = {"source": source, "max_rate_rad_s": rate_max, "gap_s": np.inf, "environment": environment,
-                               "calibration": calibration}  # fmt: skip
+    here = _observed(
+        vehicle, part, result.attrs["wheels"], result.attrs["source"], observed.in_orbit
+    )
+    setting: dict[str, Any] = {
+        "source": source,
+        "max_rate_rad_s": rate_max,
+        "gap_s": np.inf,
+        "environment": environment,
+        "calibration": calibration,
+    }
 
     def evidence(other: Vehicle, data: xr.Dataset) -> float:
         try:
             o, why, _ = observations(other, data, source)
-            return quick_evidence(o, passes(o, why, np.inf)[0], Body.of(other, acting=acting(torques, environment)), rate_max)
+            return quick_evidence(
+                o,
+                passes(o, why, np.inf)[0],
+                Body.of(other, acting=acting(torques, environment)),
+                rate_max,
+            )
         except InputError:
             return -np.inf
 
@@ -564,8 +768,16 @@ def _asked_for(pass_id: int | None, count: int) -> list[int]:
     """Which of so many passes are estimated."""
     if pass_id is None:
         return list(range(count))
-    if isinstance(pass_id, bool) or not isinstance(pass_id, int | np.integer) or not 0 <= pass_id < count:
-        raise InputError(sentence("there is no such pass", got=pass_id, do=f"the file has passes 0 to {count - 1}"))
+    if (
+        isinstance(pass_id, bool)
+        or not isinstance(pass_id, int | np.integer)
+        or not 0 <= pass_id < count
+    ):
+        raise InputError(
+            sentence(
+                "there is no such pass", got=pass_id, do=f"the file has passes 0 to {count - 1}"
+            )
+        )
     return [int(pass_id)]
 
 
@@ -575,7 +787,12 @@ def _along_the_sun(environment: Environment | None) -> Environment | None:
         return SunAlongZ(environment)
     sun = SUN_N if environment is None else environment.at(0.0).sun_N[0]
     if np.linalg.norm(sun - SUN_N) > 1e-6:
-        raise InputError(sentence("rates needs an environment with z of its N to the Sun", got=f"the Sun at {np.round(sun, 3)}"))
+        raise InputError(
+            sentence(
+                "rates needs an environment with z of its N to the Sun",
+                got=f"the Sun at {np.round(sun, 3)}",
+            )
+        )
     return environment
 
 
@@ -588,7 +805,11 @@ def _known_noise(vehicle: Vehicle, o: Observations, asked: float | None) -> floa
     given = stated if asked is None else asked
     if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
         low, high = NOISE_RANGE
-        raise InputError(sentence(f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given))
+        raise InputError(
+            sentence(
+                f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given
+            )
+        )
     return given
 
 
@@ -602,7 +823,9 @@ def _with_magnetic_torque(
 
 def _torque_told(vehicle: Vehicle, o: Observations) -> bool:
     """Whether the vehicle file has a dipole, and the field that pulls at it is measured."""
-    return vehicle.sensors.disturbance.dipole is not None and bool(np.isfinite(o.field_B).all(axis=1).any())
+    return vehicle.sensors.disturbance.dipole is not None and bool(
+        np.isfinite(o.field_B).all(axis=1).any()
+    )
 
 
 def _clock(
@@ -612,15 +835,25 @@ def _clock(
     if told is None:
         late = suspected(tracks, motion)
         longest = max(float(np.ptp(o.t_s)) for o, _ in tracks)
-        if late is None or abs(late.late_s) > MOST_LATE * longest:  # it stands for a motion that does not fit
+        if (
+            late is None or abs(late.late_s) > MOST_LATE * longest
+        ):  # it stands for a motion that does not fit
             return None, NOT_LATE
-        return None, {"sensors_late_s": late.late_s, "sensors_late_sigma_s": late.sigma_s, "sensors_late_from": SUSPECTED}
+        return None, {
+            "sensors_late_s": late.late_s,
+            "sensors_late_sigma_s": late.sigma_s,
+            "sensors_late_from": SUSPECTED,
+        }
     clock = Clock(told.late_s, told.sigma_s)
     late = lateness(tracks, motion, clock) if told.sigma_s > 0 else None
     if late is not None:
         clock = Clock(late.late_s, late.sigma_s)
     words = "vehicle file" if late is None else "vehicle file and data"
-    return clock, {"sensors_late_s": clock.late_s, "sensors_late_sigma_s": clock.sigma_s, "sensors_late_from": words}
+    return clock, {
+        "sensors_late_s": clock.late_s,
+        "sensors_late_sigma_s": clock.sigma_s,
+        "sensors_late_from": words,
+    }
 
 
 def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
@@ -628,5 +861,9 @@ def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> 
         if not (np.isfinite(given) and given > 0):
             raise InputError(sentence("max_rate_rad_s must be positive", got=given))
         return float(given)
-    usual = float(np.median([np.sort(np.diff(o.t_s[part]))[: max(2, len(part) // 8)].mean() for part in parts]))
+    usual = float(
+        np.median(
+            [np.sort(np.diff(o.t_s[part]))[: max(2, len(part) // 8)].mean() for part in parts]
+        )
+    )
     return min(1.5 * 2 * np.pi / usual, DEFAULT_MAX_RATE)

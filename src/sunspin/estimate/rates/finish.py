@@ -11,7 +11,14 @@ from scipy.spatial.transform import Rotation
 from sunspin.dynamics.torques.acting import needed_around
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.alternatives import Others, Trial, alternatives, counted, weighed
-from sunspin.estimate.rates.common_errors import LOOSER, Clock, Common, both, from_other_bodies, with_common
+from sunspin.estimate.rates.common_errors import (
+    LOOSER,
+    Clock,
+    Common,
+    both,
+    from_other_bodies,
+    with_common,
+)
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.hypotheses import Hypothesis
@@ -19,7 +26,14 @@ from sunspin.estimate.rates.images import images_of
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.noise import settled
 from sunspin.estimate.rates.residuals import Fitted, residuals
-from sunspin.estimate.rates.search import distinct, distinct_index, field_leads, guesses, out_of_field, search
+from sunspin.estimate.rates.search import (
+    distinct,
+    distinct_index,
+    field_leads,
+    guesses,
+    out_of_field,
+    search,
+)
 from sunspin.estimate.rates.smooth import cost_limit, smooth
 from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import aliases
@@ -59,8 +73,22 @@ class Pass(NamedTuple):
     def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
         """The modes `order` with these weights."""
         left = {name: part[order] for name, part in self.residual.items()}
-        mean, sigma, before = self.mean[order], self.mean_sigma[order], None if self.before is None else self.before[order]
-        return Pass(self.index, self.kept, self.track.take(order), weight, mean, sigma, left, self.model, before)
+        mean, sigma, before = (
+            self.mean[order],
+            self.mean_sigma[order],
+            None if self.before is None else self.before[order],
+        )
+        return Pass(
+            self.index,
+            self.kept,
+            self.track.take(order),
+            weight,
+            mean,
+            sigma,
+            left,
+            self.model,
+            before,
+        )
 
 
 def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
@@ -70,7 +98,11 @@ def leading(o: Observations, motion: Motion, rate_max: float) -> Track:
         if found and not may_go_on():
             break
         track = search(guess, motion, rate_max)
-        track = out_of_field(o, track, motion) if field_leads(o) else _turned_about_sun(guess, track, motion)
+        track = (
+            out_of_field(o, track, motion)
+            if field_leads(o)
+            else _turned_about_sun(guess, track, motion)
+        )
         order, weight = _ranked(track)
         heavy = weight[: max(2 * MAX_MODES, most_modes(o))] > LEAST_WEIGHT**2
         found.append(track.take(order[: max(1, int(np.count_nonzero(heavy)))]))
@@ -87,7 +119,10 @@ def _turned_about_sun(o: Observations, track: Track, motion: Motion) -> Track:
     if not needed_around(motion.body.acting.torques) or not len(track.omega):
         return track
     angles = 2 * np.pi / TURNS * np.arange(TURNS)[:, None] * SUN_N
-    tried = [Track(track.attitude @ about, track.omega) for about in Rotation.from_rotvec(angles).as_matrix()]
+    tried = [
+        Track(track.attitude @ about, track.omega)
+        for about in Rotation.from_rotvec(angles).as_matrix()
+    ]
     fitted = joined([smooth(o, one, motion, steps=12) for one in tried])
     return distinct(fitted, o.t_s)
 
@@ -101,21 +136,34 @@ def _ranked(track: Track) -> tuple[np.ndarray, np.ndarray]:
 def loosened(plain: Observations, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
     """Modes found as if strong torques acted, then fitted with the inertia as it may be: where that of the file fits no motion."""
     loose = replace(motion, noise=max(LOOSER[0], motion.noise))
-    return with_common(plain.freed(), leading(plain, loose, rate_max), motion, clock, begin=loose.noise)
+    return with_common(
+        plain.freed(), leading(plain, loose, rate_max), motion, clock, begin=loose.noise
+    )
 
 
-def with_aliases(o: Observations, fit: Common, motion: Motion, clock: Clock | None, rate_max: float) -> Common:
+def with_aliases(
+    o: Observations, fit: Common, motion: Motion, clock: Clock | None, rate_max: float
+) -> Common:
     """A fit, and its aliases, which a search that held the inertia fast may have lost: fitted as if strong torques acted, then rung
     by rung, since the fit of a stiff motion ends where it begins."""
     more = aliases(o, fit.take(np.argsort(-fit.track.log_weight, kind="stable")).track, rate_max)
     if not len(more.omega):
         return fit
-    return both(o, fit, settled(o, more, motion, clock, max(motion.noise, LOOSER[0]), True), motion, clock)
+    return both(
+        o, fit, settled(o, more, motion, clock, max(motion.noise, LOOSER[0]), True), motion, clock
+    )
 
 
 def finished(
-    every: Observations, index: np.ndarray, kept: np.ndarray, track: Track, motion: Motion, clock: Clock | None,
-    rate_max: float, begin: float, others: Others | None = None,
+    every: Observations,
+    index: np.ndarray,
+    kept: np.ndarray,
+    track: Track,
+    motion: Motion,
+    clock: Clock | None,
+    rate_max: float,
+    begin: float,
+    others: Others | None = None,
 ) -> Pass:
     """The modes of one pass with their weights (masses of the posterior, by Laplace's method) and sigmas, at the Sun's instants:
     found at the samples `kept` of `index` under an acceleration noise `begin`, carried to all of them; with what else may have
@@ -128,20 +176,35 @@ def finished(
         fit = other if other.track.cost.min() < fit.track.cost.min() else fit
     fit = with_aliases(o, fit, motion, clock, rate_max)
     fit = from_other_bodies(o, fit, motion, clock)
-    fit = fit.take(distinct_index(fit.track, o.t_s))  # with their common errors two hypotheses may have become one
-    stated = weighed(Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit)
+    fit = fit.take(
+        distinct_index(fit.track, o.t_s)
+    )  # with their common errors two hypotheses may have become one
+    stated = weighed(
+        Hypothesis(AS_READ, every.take(index), np.searchsorted(index, kept), motion, clock), fit
+    )
     trials = [stated] if others is None else alternatives(stated, others)
     groups = counted(trials)
     used = sorted({i for group in groups for i, _ in group.members})
     heads = {group.members[0][0] for group in groups}
     each = {i: completed(trials[i], stated.hypothesis, index, kept, i in heads) for i in used}
-    modes = [mixed([each[i].take(np.array([k]), np.ones(1)) for i, k in group.members], group.weights) for group in groups]
-    shares = [(trials[i].hypothesis.what, float(w)) for one in groups for (i, _), w in zip(one.members, one.weights, strict=True)]
-    found = stacked(modes)._replace(model=(AS_READ, np.nan) if others is None else likeliest(shares))
+    modes = [
+        mixed([each[i].take(np.array([k]), np.ones(1)) for i, k in group.members], group.weights)
+        for group in groups
+    ]
+    shares = [
+        (trials[i].hypothesis.what, float(w))
+        for one in groups
+        for (i, _), w in zip(one.members, one.weights, strict=True)
+    ]
+    found = stacked(modes)._replace(
+        model=(AS_READ, np.nan) if others is None else likeliest(shares)
+    )
     return found.take(np.arange(len(modes)), np.array([group.weights.sum() for group in groups]))
 
 
-def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray, whole_story: bool = True) -> Pass:
+def completed(
+    trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndarray, whole_story: bool = True
+) -> Pass:
     """A trial's modes with their sigmas, at all samples, with residuals of sensors as good as stated if the `whole_story` is asked
     for."""
     one, fit, o = trial.hypothesis, trial.fit, trial.hypothesis.fitted()
@@ -150,12 +213,25 @@ def completed(trial: Trial, stated: Hypothesis, index: np.ndarray, kept: np.ndar
     whole = between.filled(replace(track, attitude=fit.seen.attitude, omega=fit.seen.omega))
     left = {}
     if whole_story:
-        left = residuals(stated.o.freed(), one.kept, whole, Fitted(o, fit.track, fit.error, one.motion, one.clock))
+        left = residuals(
+            stated.o.freed(),
+            one.kept,
+            whole,
+            Fitted(o, fit.track, fit.error, one.motion, one.clock),
+        )
     hidden = sum(term.hidden_variance(np.diff(o.t_s)) for term in o.of_motion)
     whole.covariance[..., 3:, 3:] += hidden * np.eye(3)
     whole = replace(whole, log_weight=trial.log_evidence)
     weight = np.exp(trial.log_evidence - trial.best)
-    return Pass(index, kept, whole, weight, whole.omega.mean(axis=1), np.sqrt(sigma**2 + hidden / len(o)), left)
+    return Pass(
+        index,
+        kept,
+        whole,
+        weight,
+        whole.omega.mean(axis=1),
+        np.sqrt(sigma**2 + hidden / len(o)),
+        left,
+    )
 
 
 def mixed(members: list[Pass], weights: np.ndarray) -> Pass:
@@ -176,8 +252,13 @@ def stacked(modes: list[Pass]) -> Pass:
     """All of a pass's modes."""
     first = modes[0]
     left = {name: np.concatenate([one.residual[name] for one in modes]) for name in first.residual}
-    weight, mean, sigma = (np.concatenate([getattr(one, name) for one in modes]) for name in ("weight", "mean", "mean_sigma"))
-    return Pass(first.index, first.kept, joined([one.track for one in modes]), weight, mean, sigma, left)
+    weight, mean, sigma = (
+        np.concatenate([getattr(one, name) for one in modes])
+        for name in ("weight", "mean", "mean_sigma")
+    )
+    return Pass(
+        first.index, first.kept, joined([one.track for one in modes]), weight, mean, sigma, left
+    )
 
 
 def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:
@@ -185,7 +266,11 @@ def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:
     total = {AS_READ: 0.0}
     for what, weight in shares:
         total[what] = total.get(what, 0.0) + weight
-    return (AS_READ, total[AS_READ]) if total[AS_READ] > NAMED else max(total.items(), key=lambda one: one[1])
+    return (
+        (AS_READ, total[AS_READ])
+        if total[AS_READ] > NAMED
+        else max(total.items(), key=lambda one: one[1])
+    )
 
 
 def link(o: Observations, found: list[Pass], motion: Motion) -> tuple[list[Pass], float | None]:

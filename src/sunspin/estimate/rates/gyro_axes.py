@@ -14,7 +14,15 @@ from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.rates.motion import MOST_NUTATION, Body, Ends, nutation, step
 from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
 from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
-from sunspin.telemetry.units import BETTER, LAGS, TURNS_RIGHT, TURNS_WRONG, carried_by, directions_seen, even_turns
+from sunspin.telemetry.units import (
+    BETTER,
+    LAGS,
+    TURNS_RIGHT,
+    TURNS_WRONG,
+    carried_by,
+    directions_seen,
+    even_turns,
+)
 from sunspin.vehicle import Vehicle
 
 AS_GOOD = 1.3
@@ -28,7 +36,11 @@ def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
     gyro = vehicle.sensors.gyro
     if gyro is None or "gyro_B" not in telemetry:
         return None
-    time, rate, seen = telemetry["time"].values, telemetry["gyro_B"].values, directions_seen(vehicle, telemetry)
+    time, rate, seen = (
+        telemetry["time"].values,
+        telemetry["gyro_B"].values,
+        directions_seen(vehicle, telemetry),
+    )
     ways = list(signed_axes())
     read = [rate[:, order] * sign for _, order, sign in ways]
     even, nutating = [even_turns(time, one) for one in read], None
@@ -37,7 +49,9 @@ def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
         if stated <= TURNS_WRONG:
             continue
         nutating = _nutating(vehicle, telemetry, read) if nutating is None else nutating
-        angles = np.min([carried_by(time, seen, turns, lag) for turns in (even, nutating) if turns], axis=0)
+        angles = np.min(
+            [carried_by(time, seen, turns, lag) for turns in (even, nutating) if turns], axis=0
+        )
         least = float(angles.min())
         if angles[0] > TURNS_WRONG and least < min(TURNS_RIGHT, BETTER * angles[0], BETTER * still):
             ties = np.flatnonzero(angles < AS_GOOD * least)

@@ -44,7 +44,9 @@ class Hypothesis:
 
     def beside(self, what: str, term: Term, odds: float = 0.0) -> Hypothesis:
         """The same with one more term, at log odds before the data."""
-        return replace(self, what=what, o=replace(self.o, terms=(*self.o.terms, term)), debt=self.debt + odds)
+        return replace(
+            self, what=what, o=replace(self.o, terms=(*self.o.terms, term)), debt=self.debt + odds
+        )
 
     def swapped(self, old: Term, new: Term) -> Hypothesis:
         """The same with another term in the place of one."""
@@ -53,7 +55,10 @@ class Hypothesis:
     def without(self, terms: Iterable[Term]) -> Hypothesis:
         """The same with some of its terms left out."""
         out = list(terms)
-        left = replace(self.o, terms=tuple(term for term in self.o.terms if not any(term is one for one in out)))
+        left = replace(
+            self.o,
+            terms=tuple(term for term in self.o.terms if not any(term is one for one in out)),
+        )
         t_s = self.o.t_s[self.kept]
         debt = sum(term.take(self.kept).freed(t_s).unrelated(t_s) for term in out)
         debt += ANY_TURN if self.o.of_sun and not left.of_sun else 0.0
@@ -75,17 +80,29 @@ class Judged(NamedTuple):
     fits: bool
 
 
-def ranked(hypotheses: Iterable[Hypothesis], run: Callable[[Hypothesis], Fit | None]) -> list[Judged]:
+def ranked(
+    hypotheses: Iterable[Hypothesis], run: Callable[[Hypothesis], Fit | None]
+) -> list[Judged]:
     """Hypotheses of the same readings by their evidence, best first; one that finds no motion is left out."""
     found = [(one, run(one)) for one in hypotheses]
-    judged = [Judged(one, float(np.logaddexp.reduce(fit.log_weight)) + one.debt, fit.fits) for one, fit in found if fit is not None]
+    judged = [
+        Judged(one, float(np.logaddexp.reduce(fit.log_weight)) + one.debt, fit.fits)
+        for one, fit in found
+        if fit is not None
+    ]
     return sorted(judged, key=lambda one: -one.log_evidence)
 
 
 def sensors_left_out(stated: Hypothesis) -> list[Hypothesis]:
     """Each sensor left out, whose absence the others can bear: without a Sun, one must read rates or turns."""
-    names = dict.fromkeys(term.called for term in stated.o.terms if not isinstance(term, MotionTerm) and term.present().any())
-    found = [stated.without([term for term in stated.o.terms if term.called == name]) for name in names]
+    names = dict.fromkeys(
+        term.called
+        for term in stated.o.terms
+        if not isinstance(term, MotionTerm) and term.present().any()
+    )
+    found = [
+        stated.without([term for term in stated.o.terms if term.called == name]) for name in names
+    ]
     return [one for one in found if one.o.of_sun or _moves(one.o)]
 
 
@@ -96,6 +113,8 @@ def _moves(o: Observations) -> bool:
 
 def odd_one(judged: list[Judged]) -> Judged | None:
     """The alternative that fits where the pass as stated does not, if its evidence is clearly better; `judged`: best first."""
-    stated = max((one.log_evidence for one in judged if one.hypothesis.what == AS_STATED), default=-np.inf)
+    stated = max(
+        (one.log_evidence for one in judged if one.hypothesis.what == AS_STATED), default=-np.inf
+    )
     best = next((one for one in judged if one.fits), None)
     return best if best is not None and best.log_evidence > stated + CLEARLY else None

@@ -48,7 +48,9 @@ def imaged(track: Track, image: np.ndarray) -> Track:
 def joined_images(track: Track, images: np.ndarray) -> Track:
     """All hypotheses in each of the images (m, 3, 3)."""
     each = [imaged(track, image) for image in images]
-    return Track(np.concatenate([one.attitude for one in each]), np.concatenate([one.omega for one in each]))
+    return Track(
+        np.concatenate([one.attitude for one in each]), np.concatenate([one.omega for one in each])
+    )
 
 
 def either_side(track: Track) -> np.ndarray:

@@ -21,7 +21,11 @@ FREEDOM = 4.0
 
 
 def linked(
-    times_s: Sequence[float], rates: Sequence[np.ndarray], sigmas: Sequence[np.ndarray], weights: Sequence[np.ndarray], prior: float
+    times_s: Sequence[float],
+    rates: Sequence[np.ndarray],
+    sigmas: Sequence[np.ndarray],
+    weights: Sequence[np.ndarray],
+    prior: float,
 ) -> tuple[list[np.ndarray], float | None]:
     """Weights of each pass's modes with the neighbours counted in, and the random walk (rad/s^1.5; None: passes not linked).
 
@@ -40,8 +44,17 @@ def linked(
     best: tuple[list[np.ndarray], list[np.ndarray], float] | None = None
     evidence = 0.0  # of passes that do not know of each other
     for walk in WALKS:
-        steps = [_step(rates[k], sigmas[k], rates[k + 1], sigmas[k + 1], walk**2 * abs(times_s[k + 1] - times_s[k]), prior)
-                 for k in range(len(rates) - 1)]  # fmt: skip
+        steps = [
+            _step(
+                rates[k],
+                sigmas[k],
+                rates[k + 1],
+                sigmas[k + 1],
+                walk**2 * abs(times_s[k + 1] - times_s[k]),
+                prior,
+            )
+            for k in range(len(rates) - 1)
+        ]
         forward = [alone[0]]
         for step, own in zip(steps, alone[1:], strict=True):
             forward.append(own + _log_sum(forward[-1][:, None] + step, axis=0))
@@ -59,17 +72,29 @@ def linked(
 
 
 def _log_sum(log: np.ndarray, axis: int | None = None) -> np.ndarray:
-    found: Any = logsumexp(log, axis=axis)  # SciPy declares the sign, which it gives on request, as well
+    found: Any = logsumexp(
+        log, axis=axis
+    )  # SciPy declares the sign, which it gives on request, as well
     return found
 
 
 def _step(
-    rate: np.ndarray, sigma: np.ndarray, next_rate: np.ndarray, next_sigma: np.ndarray, walk: float, prior: float
+    rate: np.ndarray,
+    sigma: np.ndarray,
+    next_rate: np.ndarray,
+    next_sigma: np.ndarray,
+    walk: float,
+    prior: float,
 ) -> np.ndarray:
     """Log density (K, L) of the modes of the next pass given those of this, over that of the prior alone."""
     variance = sigma[:, None] ** 2 + next_sigma[None] ** 2 + walk
     square = ((next_rate[None] - rate[:, None]) ** 2 / variance).sum(axis=-1)
-    size = gammaln((FREEDOM + 3) / 2) - gammaln(FREEDOM / 2) - 1.5 * np.log(np.pi * FREEDOM) - np.log(variance).sum(axis=-1) / 2
+    size = (
+        gammaln((FREEDOM + 3) / 2)
+        - gammaln(FREEDOM / 2)
+        - 1.5 * np.log(np.pi * FREEDOM)
+        - np.log(variance).sum(axis=-1) / 2
+    )
     density = size - (FREEDOM + 3) / 2 * np.log1p(square / FREEDOM)
     flat = -(next_rate**2).sum(axis=-1) / (2 * prior**2) - 1.5 * np.log(2 * np.pi * prior**2)
     return density - flat[None]

@@ -55,7 +55,11 @@ class Body:
 
     @classmethod
     def of(
-        cls, vehicle: Vehicle, dipole: npt.ArrayLike | None = None, torques_known: bool = False, acting: Acting = NOTHING
+        cls,
+        vehicle: Vehicle,
+        dipole: npt.ArrayLike | None = None,
+        torques_known: bool = False,
+        acting: Acting = NOTHING,
     ) -> Body:
         """The body of a vehicle; a sphere where its inertia is not known, give or take much.
 
@@ -65,7 +69,14 @@ class Body:
         if vehicle.inertia_kg_m2 is None and not acting.torques:
             return cls(np.eye(3), pull, True, unknown_errors()[: 0 if torques_known else None])
         unit = mean_moment(vehicle)
-        return cls(np.array(vehicle.inertia_kg_m2) / unit, pull, False, inertia_errors(vehicle) / unit, acting, unit)
+        return cls(
+            np.array(vehicle.inertia_kg_m2) / unit,
+            pull,
+            False,
+            inertia_errors(vehicle) / unit,
+            acting,
+            unit,
+        )
 
     def swing(self) -> float:
         """rad/s at which torques swing the body to and fro, at most."""
@@ -83,7 +94,9 @@ class Body:
         here = self.acting.here(t.ravel())
         flat = attitude.reshape(-1, 3, 3)
         sun = np.tile(SUN_N, (t.size, 1)) if here is None else here.sun_N
-        every = np.concatenate([np.einsum("nij,nj->ni", flat, sun), self.acting.carried(flat, t.ravel())], axis=1)
+        every = np.concatenate(
+            [np.einsum("nij,nj->ni", flat, sun), self.acting.carried(flat, t.ravel())], axis=1
+        )
         return ends._replace(directions=every.reshape(*t.shape, -1), t_s=t)
 
 
@@ -125,7 +138,11 @@ FREE = Ends()
 
 
 def step(
-    body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends = FREE, counts: np.ndarray | None = None
+    body: Body,
+    omega: np.ndarray,
+    dt: np.ndarray,
+    ends: Ends = FREE,
+    counts: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Relative attitude (..., 3, 3) and rate (..., 3) after `dt` (...) s, from rates `omega` (..., 3) rad/s.
 
@@ -134,11 +151,21 @@ def step(
     spend(dt.size)
     if body.spherical:
         return _sphere(body, omega, np.asarray(dt), ends.field, ends.field_end)
-    return _runge_kutta(body, omega, np.asarray(dt), ends, steps_of(body, omega, dt, ends) if counts is None else counts)
+    return _runge_kutta(
+        body,
+        omega,
+        np.asarray(dt),
+        ends,
+        steps_of(body, omega, dt, ends) if counts is None else counts,
+    )
 
 
 def _sphere(
-    body: Body, omega: np.ndarray, dt: np.ndarray, field: np.ndarray | None, field_end: np.ndarray | None
+    body: Body,
+    omega: np.ndarray,
+    dt: np.ndarray,
+    field: np.ndarray | None,
+    field_end: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A sphere's rate is its integrated torque; its turn is Magnus' series to fourth order on two halves of the interval."""
     still = np.broadcast_to(np.eye(3), (*omega.shape, 3))
@@ -160,14 +187,18 @@ def _sphere(
 
 def angle_turned(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
     """rad (...) by which body and rate turn at most in intervals `dt` (...) that begin at rates `omega` (..., 3)."""
-    wheels = [nutation(body, part) for part in (ends.momentum, ends.momentum_end) if part is not None]
+    wheels = [
+        nutation(body, part) for part in (ends.momentum, ends.momentum_end) if part is not None
+    ]
     swing = np.max(wheels, axis=0) if wheels else 0.0
     return (np.linalg.norm(omega, axis=-1) + swing + body.swing()) * np.abs(dt)
 
 
 def steps_of(body: Body, omega: np.ndarray, dt: npt.ArrayLike, ends: Ends) -> np.ndarray:
     """Runge-Kutta steps (...) for intervals that begin at rates `omega` (..., 3)."""
-    return np.clip(np.ceil(angle_turned(body, omega, dt, ends) / STEP_ANGLE), 2, MAX_STEPS).astype(np.int64)
+    return np.clip(np.ceil(angle_turned(body, omega, dt, ends) / STEP_ANGLE), 2, MAX_STEPS).astype(
+        np.int64
+    )
 
 
 def _runge_kutta(
@@ -177,16 +208,40 @@ def _runge_kutta(
     n = int(np.prod(shape))
 
     def flat(values: npt.ArrayLike | None, *size: int) -> np.ndarray:
-        return np.broadcast_to(nothing if values is None else values, (*shape, *size)).reshape(n, *size)
+        return np.broadcast_to(nothing if values is None else values, (*shape, *size)).reshape(
+            n, *size
+        )
 
     held, held_end = flat(ends.momentum, 3), flat(ends.momentum_end, 3)
-    field = () if ends.field is None or ends.field_end is None else (flat(ends.field, 3), flat(ends.field_end, 3))
+    field = (
+        ()
+        if ends.field is None or ends.field_end is None
+        else (flat(ends.field, 3), flat(ends.field_end, 3))
+    )
     seen = np.zeros(0) if ends.directions is None else ends.directions
-    start = flat(each_row(omega, body.inertia), 3) + held, flat(seen, seen.shape[-1]), flat((0.0, 0.0, 0.0, 1.0), 4)
-    numbers = body.inertia, body.dipole, np.array(body.unit), body.acting.values(Bodies.rigid(body.unit * body.inertia))
+    start = (
+        flat(each_row(omega, body.inertia), 3) + held,
+        flat(seen, seen.shape[-1]),
+        flat((0.0, 0.0, 0.0, 1.0), 4),
+    )
+    numbers = (
+        body.inertia,
+        body.dipole,
+        np.array(body.unit),
+        body.acting.values(Bodies.rigid(body.unit * body.inertia)),
+    )
     clock = flat(0.0 if ends.t_s is None else ends.t_s)
     # no step is fine enough for some trials: they must cost much, not fail
-    y = carry(np.concatenate(start, axis=1), flat(dt), flat(counts), (held, held_end), field, clock, numbers, torques)
+    y = carry(
+        np.concatenate(start, axis=1),
+        flat(dt),
+        flat(counts),
+        (held, held_end),
+        field,
+        clock,
+        numbers,
+        torques,
+    )
     q = y[:, -4:]
     lost = ~np.isfinite(y).all(axis=1) | ~np.any(q, axis=1)
     y[lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
@@ -206,7 +261,10 @@ def nutation(body: Body, momentum: np.ndarray) -> np.ndarray:
 
     Beside it, dw/dt = I^-1 (w x h), and the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
     """
-    return np.sqrt(np.einsum("...i,ij,...j->...", momentum, body.inertia, momentum) / np.linalg.det(body.inertia))
+    return np.sqrt(
+        np.einsum("...i,ij,...j->...", momentum, body.inertia, momentum)
+        / np.linalg.det(body.inertia)
+    )
 
 
 def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None:
@@ -214,9 +272,11 @@ def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None
     turned = float(np.max(nutation(body, np.nan_to_num(momentum)), initial=0.0)) * longest_s
     if not turned <= MOST_NUTATION:
         raise InputError(
-            sentence(f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
-                     do="check the wheels' speeds and inertia and their units, or use samples closer together")
-        )  # fmt: skip
+            sentence(
+                f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
+                do="check the wheels' speeds and inertia and their units, or use samples closer together",
+            )
+        )
 
 
 def step_with_answer(
@@ -231,7 +291,9 @@ def step_with_answer(
     matrix, rate = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.spread(), counts)
     answer = np.zeros((*omega.shape[:-1], 6, 6))
     answer[..., :3, :3] = matrix[0]  # a turn at the start is the same turn in the axes of the end
-    answer[..., :3, 3:] = np.moveaxis(turn_between(matrix[0], matrix[1:]) * size / DIFFERENCE, 0, -1)
+    answer[..., :3, 3:] = np.moveaxis(
+        turn_between(matrix[0], matrix[1:]) * size / DIFFERENCE, 0, -1
+    )
     answer[..., 3:, 3:] = np.moveaxis((rate[1:] - rate[0]) * size / DIFFERENCE, 0, -1)
     if ends.directions is not None:
         _add_turns(answer, body, omega, dt, ends, counts, matrix[0], rate[0])
@@ -239,13 +301,21 @@ def step_with_answer(
 
 
 def _add_turns(
-    answer: np.ndarray, body: Body, omega: np.ndarray, dt: np.ndarray, ends: Ends, counts: np.ndarray | None, matrix: np.ndarray,
+    answer: np.ndarray,
+    body: Body,
+    omega: np.ndarray,
+    dt: np.ndarray,
+    ends: Ends,
+    counts: np.ndarray | None,
+    matrix: np.ndarray,
     rate: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Into an answer (..., 6, 6): what a turn at the start does besides, where torques depend on directions in space."""
     small = DIFFERENCE * np.eye(3)
     many = np.broadcast_to(omega, (3, *omega.shape))
-    ended, rates = step(body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small), counts)
+    ended, rates = step(
+        body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small), counts
+    )
     for k in range(3):
         answer[..., :3, k] = turn_between(matrix, ended[k] @ turn(np.eye(3), small[k])) / DIFFERENCE
         answer[..., 3:, k] = (rates[k] - rate) / DIFFERENCE

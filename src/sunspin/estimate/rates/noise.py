@@ -38,9 +38,14 @@ SPHERE_NOISES = (1e-2,)
 
 
 def choose(
-    o: Observations, parts: list[np.ndarray], body: Body, rate_max: float, noise: float | None, wheels: dict[str, np.ndarray],
+    o: Observations,
+    parts: list[np.ndarray],
+    body: Body,
+    rate_max: float,
+    noise: float | None,
+    wheels: dict[str, np.ndarray],
     run: Callable[[Sequence[Task]], list[np.ndarray]],
-) -> tuple[float, Observations, str]:  # fmt: skip
+) -> tuple[float, Observations, str]:
     """The acceleration noise (of `NOISE_LADDER`, unless given) and what the wheels do, by their evidence over the passes with
     the most samples; with these wheels in the observations, and in words. `run`: what :func:`evidence_of_noises` makes of each."""
     noises = NOISE_LADDER if noise is None else (noise,)
@@ -49,20 +54,39 @@ def choose(
         return noises[0], replace(o, momentum=wheels[name]), name
     longest = sorted(parts, key=len, reverse=True)[:LADDER_PASSES]
     evidence: dict[tuple[float, str], float] = {}
-    ladder = (noises, HIGHER_NOISES) if len(noises) == 1 or not body.spherical else (noises + HIGHER_NOISES + SPHERE_NOISES,)
+    ladder = (
+        (noises, HIGHER_NOISES)
+        if len(noises) == 1 or not body.spherical
+        else (noises + HIGHER_NOISES + SPHERE_NOISES,)
+    )
     open_still = list(wheels)
     for rungs in ladder:
-        tasks = [(replace(o, momentum=wheels[what]).take(part), body, rungs, rate_max) for what in open_still for part in longest]
+        tasks = [
+            (replace(o, momentum=wheels[what]).take(part), body, rungs, rate_max)
+            for what in open_still
+            for part in longest
+        ]
         totals = np.reshape(run(tasks), (len(open_still), len(longest), len(rungs))).sum(axis=1)
         for what, total in zip(open_still, totals, strict=True):
-            evidence |= {(rung, what): float(value) for rung, value in zip(rungs, total, strict=True)}
-        best = {what: max(rungs, key=lambda rung, what=what: evidence[rung, what]) for what in open_still}
-        open_still = [what for what, rung in best.items() if noise is None and rung == NOISE_LADDER[-1]]
+            evidence |= {
+                (rung, what): float(value) for rung, value in zip(rungs, total, strict=True)
+            }
+        best = {
+            what: max(rungs, key=lambda rung, what=what: evidence[rung, what])
+            for what in open_still
+        }
+        open_still = [
+            what for what, rung in best.items() if noise is None and rung == NOISE_LADDER[-1]
+        ]
         if not open_still:
             break
     level, name = max(evidence, key=lambda one: evidence[one])
     others = [value for (_, other), value in evidence.items() if other != name]
-    told = f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)" if others else name
+    told = (
+        f"{name} (evidence {evidence[level, name] - max(others):.1f} above any other)"
+        if others
+        else name
+    )
     return level, replace(o, momentum=wheels[name]), told
 
 
@@ -70,14 +94,18 @@ Task = tuple[Observations, Body, tuple[float, ...], float]
 """A pass, its body, noises (rad/s^1.5) and the largest rate (rad/s)."""
 
 
-def evidence_of_noises(o: Observations, body: Body, noises: tuple[float, ...], rate_max: float) -> tuple[np.ndarray, str]:
+def evidence_of_noises(
+    o: Observations, body: Body, noises: tuple[float, ...], rate_max: float
+) -> tuple[np.ndarray, str]:
     """Log of the probability of a pass under each noise, up to a constant, minus infinity where nothing fits at all; and a rough
     answer, empty there.
 
     From the loosest to the stiffest, each from where the one before ended. Gains that are unknown are so here too: held at the
     vehicle file's, what they do to the Sun's direction would pass for strong torques. The inertia is the file's.
     """
-    each, words = zip(*(_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)), strict=True)
+    each, words = zip(
+        *(_evidence_of(o, guess, body, noises, rate_max) for guess in guesses(o)), strict=True
+    )
     return np.logaddexp.reduce(each, axis=0), words[0]
 
 
@@ -112,14 +140,18 @@ def _evidence_of(
         rough = rough or roughly(o, track)
         known = replace(motion, body=replace(body, errors=body.errors[:0]))
         free = any(term.unknowns() for term in o.of_sun)
-        fit = with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if free else track
+        fit = (
+            with_common(o, track.take(slice(EVIDENCE_MODES)), known, None).track if free else track
+        )
         found[k] = np.logaddexp.reduce(fit.log_weight) - 6 * (len(o) - 1) * np.log(noises[k])
     return found, rough
 
 
 def falling(begin: float, end: float = 0.0) -> list[float]:
     """The rungs (rad/s^1.5) from that of the search downward, as far as `end`."""
-    between = (noise for noise in sorted(NOISE_LADDER + HIGHER_NOISES, reverse=True) if end < noise < begin)
+    between = (
+        noise for noise in sorted(NOISE_LADDER + HIGHER_NOISES, reverse=True) if end < noise < begin
+    )
     return [begin, *between, *([end] if 0.0 < end < begin else [])]
 
 
@@ -138,7 +170,12 @@ def refined(passes: list[tuple[Observations, Track]], motion: Motion) -> float:
 
 
 def settled(
-    o: Observations, track: Track, motion: Motion, clock: Clock | None, begin: float, thinned: bool = False
+    o: Observations,
+    track: Track,
+    motion: Motion,
+    clock: Clock | None,
+    begin: float,
+    thinned: bool = False,
 ) -> Common:
     """Hypotheses that were found under an acceleration noise `begin`, fitted with all unknowns, there first, then rung by rung;
     `thinned`: without copies and the improbable at each."""
@@ -146,5 +183,7 @@ def settled(
     fit = with_common(o, track, replace(motion, noise=first), clock)
     for noise in others:
         fit = fit.take(distinct_index(fit.track, o.t_s)) if thinned else fit
-        fit = cooler(o, fit, replace(motion, noise=noise), clock, 20 if noise == motion.noise else 8)
+        fit = cooler(
+            o, fit, replace(motion, noise=noise), clock, 20 if noise == motion.noise else 8
+        )
     return fit

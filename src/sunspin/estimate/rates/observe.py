@@ -48,22 +48,31 @@ NOT_SEEN = ("dropped: no panel lit", IDLE, "dropped: no panel has a number", UNR
 
 
 def observations(
-    vehicle: Vehicle, telemetry: xr.Dataset, source: str | None = None, environment: Environment | None = None,
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    source: str | None = None,
+    environment: Environment | None = None,
     calibration: FieldCalibration | None = None,
-) -> tuple[Observations, np.ndarray, str]:  # fmt: skip
+) -> tuple[Observations, np.ndarray, str]:
     """All samples as `Observations`, a sentence for each (n), and where the Sun comes from.
 
     `source`: "sun_sensor", "panels" or "directions" (`sun_B` with `sun_cov_B`, as `sun_directions` returns them); default:
     the first of directions, Sun sensors, panels that the telemetry has. `environment`: with z of its N to the Sun;
     `calibration`: of the magnetometer along its orbit.
     """
-    source = sun_source(telemetry, source, calibration is not None or reads_directions(vehicle, telemetry))
+    source = sun_source(
+        telemetry, source, calibration is not None or reads_directions(vehicle, telemetry)
+    )
     t = np.asarray(telemetry["time"], dtype=np.float64)
     terms, why = read_terms(vehicle, telemetry, source, calibration)
     if environment is not None:
         here = environment.at(t)
         terms = tuple(term.placed(here) for term in terms)
-        known = [term.known.present() for term in terms if isinstance(term, Magnetometer) and term.known is not None]
+        known = [
+            term.known.present()
+            for term in terms
+            if isinstance(term, Magnetometer) and term.known is not None
+        ]
         field = np.logical_or.reduce([np.zeros(len(t), dtype=bool), *known])
         for k in np.flatnonzero(field & np.isin(why, NOT_SEEN)):
             why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
@@ -75,41 +84,63 @@ def observations(
 def usable(o: Observations, why: np.ndarray) -> np.ndarray:
     """Indices of the samples that are used: those that show the Sun, or a field whose direction is known."""
     alone = np.array([text.startswith(FIELD_ALONE) for text in why])
-    return np.flatnonzero((o.informed | alone) & np.array([not text.startswith("dropped") for text in why]))
+    return np.flatnonzero(
+        (o.informed | alone) & np.array([not text.startswith("dropped") for text in why])
+    )
 
 
 def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list[np.ndarray]:
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
     use = usable(o, why)
     if len(use) < 3:
-        lost = Counter(text.removeprefix("dropped: ") for text in why if text.startswith("dropped")).most_common(1)
+        lost = Counter(
+            text.removeprefix("dropped: ") for text in why if text.startswith("dropped")
+        ).most_common(1)
         raise InputError(
-            sentence("fewer than three samples say where the Sun is", got=f"{len(use)} of {len(o)}",
-                     do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "") + "`sunspin check` says why samples are dropped")
-        )  # fmt: skip
+            sentence(
+                "fewer than three samples say where the Sun is",
+                got=f"{len(use)} of {len(o)}",
+                do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "")
+                + "`sunspin check` says why samples are dropped",
+            )
+        )
     times = o.t_s[use]
     gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s
-    fields = [term for term in o.terms if isinstance(term, Magnetometer) and term.known is None and term.pairs().any()]
+    fields = [
+        term
+        for term in o.terms
+        if isinstance(term, Magnetometer) and term.known is None and term.pairs().any()
+    ]
     longest = MAX_FIELD_S if fields else MAX_PASS_S
     ends = np.flatnonzero(np.diff(times) > gap)
     if fields and gap_s is None:
         read = o.t_s[fields[0].present()]
-        ends = np.array([k for k in ends if not _goes_on(read, times[k], times[k + 1], gap)], dtype=int)
+        ends = np.array(
+            [k for k in ends if not _goes_on(read, times[k], times[k + 1], gap)], dtype=int
+        )
     found = []
     for part in np.split(use, ends + 1):
         pieces = max(1, int(np.ceil((o.t_s[part[-1]] - o.t_s[part[0]]) / longest)))
         edges = o.t_s[part[0]] + np.arange(1, pieces) * (o.t_s[part[-1]] - o.t_s[part[0]]) / pieces
         pieces_of = np.split(part, np.searchsorted(o.t_s[part], edges))
-        found += [thinned(piece, _dense_from(o.informed[piece])) for piece in pieces_of if len(piece) >= 3]
+        found += [
+            thinned(piece, _dense_from(o.informed[piece])) for piece in pieces_of if len(piece) >= 3
+        ]
     if not found:
-        raise InputError(sentence("no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"))
+        raise InputError(
+            sentence(
+                "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
+            )
+        )
     return found
 
 
 def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float) -> bool:
     """Whether readings at times (n) go on between two samples that show the Sun: a body with few panels turns them away."""
     between = read_s[(read_s >= start_s) & (read_s <= end_s)]
-    return end_s - start_s < MAX_DARK_S and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
+    return (
+        end_s - start_s < MAX_DARK_S and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
+    )
 
 
 def _dense_from(informed: np.ndarray) -> int:
@@ -129,11 +160,17 @@ def thinned(index: np.ndarray, dense_from: int = 0) -> np.ndarray:
         return index
     sides = index[dense_from:], index[dense_from::-1]
     splits = range(2, MAX_SAMPLES) if dense_from else ()
-    shares = [(_thinned_to(sides[0], MAX_SAMPLES + 1 - n), _thinned_to(sides[1], n)) for n in splits]
+    shares = [
+        (_thinned_to(sides[0], MAX_SAMPLES + 1 - n), _thinned_to(sides[1], n)) for n in splits
+    ]
     shares = [pair for pair in shares if pair[0][-1] == index[-1] and pair[1][-1] == index[0]]
     if not shares:  # steps that grow to both sides do not reach the ends of a very long pass
         return _thinned_to(index, MAX_SAMPLES)
-    return np.unique(np.concatenate(min(shares, key=lambda pair: max(np.abs(np.diff(side)).max(initial=0) for side in pair))))
+    return np.unique(
+        np.concatenate(
+            min(shares, key=lambda pair: max(np.abs(np.diff(side)).max(initial=0) for side in pair))
+        )
+    )
 
 
 def _thinned_to(index: np.ndarray, most: int) -> np.ndarray:

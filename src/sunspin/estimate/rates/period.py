@@ -18,7 +18,15 @@ from sunspin.estimate.passes import padded
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.motion import Body, Ends, step
 from sunspin.estimate.rates.state import Motion, Observations
-from sunspin.estimate.terms.period import FAR_SIGMAS, READINGS, Period, euler_rates, evidence, mean_periods, own_axis
+from sunspin.estimate.terms.period import (
+    FAR_SIGMAS,
+    READINGS,
+    Period,
+    euler_rates,
+    evidence,
+    mean_periods,
+    own_axis,
+)
 
 INERTIAS, DRAWS = 8, 500
 """Inertias drawn, and rates of each mode with each of them."""
@@ -56,19 +64,28 @@ def weighted(
     return changed, said
 
 
-def _decided(o: Observations, p: Pass, motion: Motion, seen: list[Period]) -> tuple[Pass, list[dict[str, Any]]]:
+def _decided(
+    o: Observations, p: Pass, motion: Motion, seen: list[Period]
+) -> tuple[Pass, list[dict[str, Any]]]:
     """One pass with the weights that its periods give it, and what they decided."""
     weight, each = p.weight / p.weight.sum(), INERTIAS * DRAWS
-    found = evidence(seen, [periods_of(o, p, motion, one) for one in seen], np.repeat(weight / each, each))
+    found = evidence(
+        seen, [periods_of(o, p, motion, one) for one in seen], np.repeat(weight / each, each)
+    )
     carried = float(weight[_have(found.density.reshape(len(weight), each), seen)].sum())
     counts = found.told and carried >= LEAST_SHARE
     after = found.weight.reshape(len(weight), each).sum(axis=1) if counts else weight
     about = {
-        "nearest_sigmas": found.nearest_sigmas, "effective": found.effective, "carried": carried, "told": counts,
+        "nearest_sigmas": found.nearest_sigmas,
+        "effective": found.effective,
+        "carried": carried,
+        "told": counts,
         "without": [float(weight[np.argmax(after)]), float(weight.max())],
-    }  # fmt: skip
+    }
     shares = zip(seen, found.shares.tolist(), strict=True)
-    return p._replace(weight=after), [{**asdict(one), "shares": share, **about} for one, share in shares]
+    return p._replace(weight=after), [
+        {**asdict(one), "shares": share, **about} for one, share in shares
+    ]
 
 
 def _have(density: np.ndarray, seen: Sequence[Period]) -> np.ndarray:
@@ -83,8 +100,16 @@ def _pass_of(o: Observations, found: list[Pass], seen: Period) -> int:
     away = [max(first - seen.t_s, seen.t_s - last, 0.0) for first, last, _ in spans]
     k = int(np.argmin(away))
     if away[k] > spans[k][2]:
-        each = ", ".join(f"{first:.0f} to {last:.0f}" for first, last, _ in spans[:6]) + (", ..." if len(spans) > 6 else "")
-        raise InputError(sentence("a period was seen at a time of no pass", got=f"{seen.t_s:g} s", do=f"passes are at {each} s"))
+        each = ", ".join(f"{first:.0f} to {last:.0f}" for first, last, _ in spans[:6]) + (
+            ", ..." if len(spans) > 6 else ""
+        )
+        raise InputError(
+            sentence(
+                "a period was seen at a time of no pass",
+                got=f"{seen.t_s:g} s",
+                do=f"passes are at {each} s",
+            )
+        )
     return k
 
 
@@ -98,23 +123,37 @@ def periods_of(o: Observations, p: Pass, motion: Motion, seen: Period) -> np.nda
     wander = motion.noise**2 * abs(seen.t_s - t_s[at]) * np.eye(3)
     width, axes = np.linalg.eigh(p.track.covariance[:, at, 3:, 3:] + wander)
     spread = axes * np.sqrt(np.maximum(width, 0.0))[:, None, :]
-    momentum = np.stack([np.interp(times, t_s, o.momentum[p.index][:, i]) for i in range(3)], axis=1)
+    momentum = np.stack(
+        [np.interp(times, t_s, o.momentum[p.index][:, i]) for i in range(3)], axis=1
+    )
     parts = []
     for body in _bodies(motion.body, rng):
-        drawn = p.track.omega[:, at, None] + np.einsum("kij,nj->kni", spread, rng.standard_normal((DRAWS, 3)))
-        parts.append(_periods(body, drawn.reshape(-1, 3), times - t_s[at], momentum).reshape(len(drawn), DRAWS, 3))
+        drawn = p.track.omega[:, at, None] + np.einsum(
+            "kij,nj->kni", spread, rng.standard_normal((DRAWS, 3))
+        )
+        parts.append(
+            _periods(body, drawn.reshape(-1, 3), times - t_s[at], momentum).reshape(
+                len(drawn), DRAWS, 3
+            )
+        )
     return np.stack(parts, axis=1).reshape(-1, 3)
 
 
-def _periods(body: Body, omega: np.ndarray, after_s: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+def _periods(
+    body: Body, omega: np.ndarray, after_s: np.ndarray, momentum: np.ndarray
+) -> np.ndarray:
     """Periods (n, 3) of motions with rates (n, 3) now over times (m) from now, the wheels' momentum (m, 3) there."""
     axis, found, now, held = own_axis(body.inertia), [], 0.0, momentum[0]
     for t, wheels in zip(after_s, momentum, strict=True):
         if t != now:
-            _, omega = step(body, omega, np.full(len(omega), t - now), Ends(momentum=held, momentum_end=wheels))
+            _, omega = step(
+                body, omega, np.full(len(omega), t - now), Ends(momentum=held, momentum_end=wheels)
+            )
         rates = euler_rates(omega, omega @ body.inertia + wheels, axis)
         if body.spherical:
-            rates = np.stack([*np.full((2, len(omega)), np.nan), np.linalg.norm(omega, axis=1)], axis=1)
+            rates = np.stack(
+                [*np.full((2, len(omega)), np.nan), np.linalg.norm(omega, axis=1)], axis=1
+            )
         found.append(rates)
         now, held = t, wheels
     return mean_periods(found)
@@ -125,7 +164,10 @@ def _bodies(body: Body, rng: np.random.Generator) -> list[Body]:
     free = replace(body, acting=NOTHING, dipole=np.zeros(3))
     drawn = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.spherical)
     inertias = body.inertia + np.einsum("am,mij->aij", drawn, body.errors)
-    return [replace(free, inertia=one if np.linalg.eigvalsh(one)[0] > 0 else body.inertia) for one in inertias]
+    return [
+        replace(free, inertia=one if np.linalg.eigvalsh(one)[0] > 0 else body.inertia)
+        for one in inertias
+    ]
 
 
 def without_periods(found: list[Pass]) -> dict[str, Any]:

@@ -26,7 +26,9 @@ class Fitted(NamedTuple):
     clock: Clock | None
 
 
-def residuals(every: Observations, kept: np.ndarray, whole: Track, fit: Fitted) -> dict[str, np.ndarray]:
+def residuals(
+    every: Observations, kept: np.ndarray, whole: Track, fit: Fitted
+) -> dict[str, np.ndarray]:
     """Sensor -> residuals (K, n) in sigmas of the modes `whole` (K) at the samples of `every` (n), the last of each pair where
     neighbours are compared, NaN where it read nothing; `kept`: the places of the samples that the motions were fitted to."""
     places = places_of(fit.o, fit.motion, fit.clock)
@@ -40,18 +42,26 @@ def residuals(every: Observations, kept: np.ndarray, whole: Track, fit: Fitted) 
     for term, (_, place) in zip(every.of_state, places.state, strict=True):
         if term.present().any():
             left = _at_samples(term, Seen(attitude, omega), fit.error[:, place], spread)
-            unknown = carried & (fit.clock is not None)  # carried to the Sun's instants, which are not its own
+            unknown = carried & (
+                fit.clock is not None
+            )  # carried to the Sun's instants, which are not its own
             found[term.called] = np.where(unknown, np.nan, left)
     relative = fit.track.attitude[:, 1:] @ np.swapaxes(fit.track.attitude[:, :-1], -1, -2)
     for term, place in places.pairs:
         value = term.between(fit.o.t_s, relative)[0]
-        value = value + np.einsum("knim,km->kni", term.gained(fit.o.t_s, fit.track), fit.error[:, place])
+        value = value + np.einsum(
+            "knim,km->kni", term.gained(fit.o.t_s, fit.track), fit.error[:, place]
+        )
         found[term.called] = np.full(omega.shape[:2], np.nan)
-        found[term.called][:, kept[1:]] = np.where(term.pairs(), in_sigma((value**2).sum(axis=-1), 3), np.nan)
+        found[term.called][:, kept[1:]] = np.where(
+            term.pairs(), in_sigma((value**2).sum(axis=-1), 3), np.nan
+        )
     return found
 
 
-def _at_samples(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def _at_samples(
+    term: SunTerm | StateTerm, seen: Seen, error: np.ndarray, spread: np.ndarray
+) -> np.ndarray:
     """Residuals (K, n) of a term under the covariance (K, n, 3 or 6, 3 or 6) of its readings and of the states together."""
     square = np.zeros(seen.omega.shape[:2])
     for value, slope in term.residuals(seen, error):

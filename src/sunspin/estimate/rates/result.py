@@ -43,7 +43,9 @@ SUSPECTED = "the data alone, not counted"
 """Where a lateness comes from that the vehicle file does not speak of."""
 
 
-def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen) -> xr.Dataset:
+def dataset_of(
+    vehicle, telemetry, o, why, found: list[Pass], source, motion, rate_max, chosen
+) -> xr.Dataset:
     index = np.concatenate([p.index for p in found])
     best = [p.track.take(np.array([0])) for p in found]
     attitude = np.concatenate([track.attitude[0] for track in best])
@@ -54,42 +56,80 @@ def dataset_of(vehicle, telemetry, o, why, found: list[Pass], source, motion, ra
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     sun_sigma = _sun_sigma(sun, covariance[:, :3, :3])
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
-        "source": source, "acceleration_noise": motion.noise, "max_rate_rad_s": rate_max,
+        "source": source,
+        "acceleration_noise": motion.noise,
+        "max_rate_rad_s": rate_max,
         "acceleration_noise_from": "evidence of the data" if chosen else "given",
-        "body": "nearly a sphere (no inertia)" if motion.body.spherical else "rigid body with the vehicle's inertia and wheels",
-        "earth_light": max((x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)), default=0.0),
+        "body": "nearly a sphere (no inertia)"
+        if motion.body.spherical
+        else "rigid body with the vehicle's inertia and wheels",
+        "earth_light": max(
+            (x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)),
+            default=0.0,
+        ),
         "frame_N": SUN_Z_LOCAL,
-        "panels_left_out": ", ".join(name for x in o.terms if isinstance(x, Panels) for name in x.left_out),
-    }  # fmt: skip
+        "panels_left_out": ", ".join(
+            name for x in o.terms if isinstance(x, Panels) for name in x.left_out
+        ),
+    }
     stated = vehicle.telemetry.noise
     for counted in (x.sigma[np.isfinite(x.sigma)] for x in o.terms if isinstance(x, Panels)):
         if len(counted):
-            attrs |= {"noise": float(np.median(counted)) if stated is None else stated,
-                      "noise_from": OF_SCATTER if stated is None else "given"}  # fmt: skip
+            attrs |= {
+                "noise": float(np.median(counted)) if stated is None else stated,
+                "noise_from": OF_SCATTER if stated is None else "given",
+            }
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))
     result = xr.Dataset(
         {
-            "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best]), {"units": "rad s-1"}),
-            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:], {"units": "rad2 s-2"}),
-            "sun_B": (("time", "axis"), sun, {"units": "1", "long_name": "direction to the Sun, smoothed"}),
+            "omega_B": (
+                ("time", "axis"),
+                np.concatenate([t.omega[0] for t in best]),
+                {"units": "rad s-1"},
+            ),
+            "omega_cov_B": (
+                ("time", "axis", "axis2"),
+                covariance[:, 3:, 3:],
+                {"units": "rad2 s-2"},
+            ),
+            "sun_B": (
+                ("time", "axis"),
+                sun,
+                {"units": "1", "long_name": "direction to the Sun, smoothed"},
+            ),
             "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
-            "B_from_N": (("time", "quaternion"), continuous(Rotation.from_matrix(attitude).as_quat(), pass_of), {"units": "1"}),
+            "B_from_N": (
+                ("time", "quaternion"),
+                continuous(Rotation.from_matrix(attitude).as_quat(), pass_of),
+                {"units": "1"},
+            ),
             "pass_of": ("time", pass_of),
-            "omega_mean_B": (("pass_id", "mode", "axis"), padded([m[0] for m in means]), {"units": "rad s-1"}),
-            "omega_sigma_B": (("pass_id", "mode", "axis"), padded([m[1] for m in means]), {"units": "rad s-1"}),
+            "omega_mean_B": (
+                ("pass_id", "mode", "axis"),
+                padded([m[0] for m in means]),
+                {"units": "rad s-1"},
+            ),
+            "omega_sigma_B": (
+                ("pass_id", "mode", "axis"),
+                padded([m[1] for m in means]),
+                {"units": "rad s-1"},
+            ),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
             "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
             "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
             "why": ("sample", why.astype(np.str_)),
         },
         coords={
-            "time": ("time", o.t_s[index], {"units": "s"}), "sample": o.t_s, "axis": ["x", "y", "z"],
-            "pass_id": np.arange(len(found)), "quaternion": ["x", "y", "z", "w"],
+            "time": ("time", o.t_s[index], {"units": "s"}),
+            "sample": o.t_s,
+            "axis": ["x", "y", "z"],
+            "pass_id": np.arange(len(found)),
+            "quaternion": ["x", "y", "z", "w"],
         },
         attrs=attrs,
-    )  # fmt: skip
+    )
     return with_curves(result, o, found, motion)
 
 
@@ -103,37 +143,58 @@ def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.where(lost, ANY_DIRECTION_RAD, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def with_curves(result: xr.Dataset, o: Observations, found: list[Pass], motion: Motion) -> xr.Dataset:
+def with_curves(
+    result: xr.Dataset, o: Observations, found: list[Pass], motion: Motion
+) -> xr.Dataset:
     """The result with the best motion of each pass between its samples, too, as the equations of motion carry it."""
     each = [curve(o.take(p.index), p.track.take(np.array([0])), motion) for p in found]
-    attitude, omega, covariance = (np.concatenate([getattr(track, x)[0] for _, track in each])
-                                   for x in ("attitude", "omega", "covariance"))  # fmt: skip
+    attitude, omega, covariance = (
+        np.concatenate([getattr(track, x)[0] for _, track in each])
+        for x in ("attitude", "omega", "covariance")
+    )
     sigma = np.sqrt(np.einsum("nii->ni", covariance[:, 3:, 3:]))
     pass_of = np.repeat(np.arange(len(found)), [len(t) for t, _ in each])
     quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), pass_of)
     return result.assign(
-        curve_omega_B=(("curve_time", "axis"), omega, {"units": "rad s-1", "long_name": "rate between the samples"}),
+        curve_omega_B=(
+            ("curve_time", "axis"),
+            omega,
+            {"units": "rad s-1", "long_name": "rate between the samples"},
+        ),
         curve_omega_sigma_B=(("curve_time", "axis"), sigma, {"units": "rad s-1"}),
-        curve_B_from_N=(("curve_time", "quaternion"), quaternion, {"units": "1"}), curve_pass_of=("curve_time", pass_of),
+        curve_B_from_N=(("curve_time", "quaternion"), quaternion, {"units": "1"}),
+        curve_pass_of=("curve_time", pass_of),
     ).assign_coords(curve_time=("curve_time", np.concatenate([t for t, _ in each]), {"units": "s"}))
 
 
-def in_space(result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations) -> xr.Dataset:
+def in_space(
+    result: xr.Dataset, local: SunAlongZ, found: list[Pass], o: Observations
+) -> xr.Dataset:
     """The result with the turn about the Sun and its sigma; where a magnetometer was used, with attitudes from J2000."""
     best = [p.track.take(np.array([0])) for p in found]
-    sun, covariance = (np.concatenate(parts) for parts in zip(*((t.sun_B[0], t.covariance[0]) for t in best), strict=True))
+    sun, covariance = (
+        np.concatenate(parts)
+        for parts in zip(*((t.sun_B[0], t.covariance[0]) for t in best), strict=True)
+    )
     sigma = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", sun, covariance[:, :3, :3], sun), 0.0))
     about = {"units": "rad", "long_name": "one sigma of the turn about the Sun"}
     result = result.assign(turn_sigma_rad=("time", sigma, about)).assign_attrs(
-        orbit=local.orbit.elements[0].number, orbit_name=printable(local.orbit.elements[0].name),
-        orbit_shift_s=local.orbit.shift_s, orbit_drift_s_day=local.orbit.drift_s_day,
+        orbit=local.orbit.elements[0].number,
+        orbit_name=printable(local.orbit.elements[0].name),
+        orbit_shift_s=local.orbit.shift_s,
+        orbit_drift_s_day=local.orbit.drift_s_day,
         orbit_shift_sigma_s=float(np.hypot(local.orbit.shift_sigma_s, local.orbit.clock_sigma_s)),
-    )  # fmt: skip
+    )
     if o.freed().field_N is None:
         return result
     turned = {}
-    for name, time, part in (("B_from_N", "time", "pass_of"), ("curve_B_from_N", "curve_time", "curve_pass_of")):
-        attitude = Rotation.from_quat(result[name].values).as_matrix() @ local.N_from_J2000(result[time].values)
+    for name, time, part in (
+        ("B_from_N", "time", "pass_of"),
+        ("curve_B_from_N", "curve_time", "curve_pass_of"),
+    ):
+        attitude = Rotation.from_quat(result[name].values).as_matrix() @ local.N_from_J2000(
+            result[time].values
+        )
         quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), result[part].values)
         turned[name] = (time, "quaternion"), quaternion, {"units": "1"}
     return result.assign(turned).assign_attrs(frame_N=J2000)
@@ -144,9 +205,10 @@ def in_the_field(result: xr.Dataset) -> xr.Dataset:
     nothing = result["sun_B"] * np.nan
     about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
     return result.assign(
-        field_direction_B=result["sun_B"].assign_attrs(about), sun_B=nothing.assign_attrs(result["sun_B"].attrs),
+        field_direction_B=result["sun_B"].assign_attrs(about),
+        sun_B=nothing.assign_attrs(result["sun_B"].attrs),
         sun_sigma_rad=result["sun_sigma_rad"] * np.nan,
-    ).assign_attrs(frame_N=FIELD_Z_LOCAL, field_used=1)  # fmt: skip
+    ).assign_attrs(frame_N=FIELD_Z_LOCAL, field_used=1)
 
 
 def more_effort(given: float) -> str:
@@ -161,7 +223,9 @@ def slower(limit_rad_s: float) -> str:
     return f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as `--max-rate`"
 
 
-def cures(attrs: dict[str, Any], cut: np.ndarray, coarse: np.ndarray, unmet: np.ndarray) -> list[str]:
+def cures(
+    attrs: dict[str, Any], cut: np.ndarray, coarse: np.ndarray, unmet: np.ndarray
+) -> list[str]:
     """Of each pass what the search may have left out and what would help, in words; empty where nothing. `cut` (n), `coarse` (n)
     and `unmet` (n): where it was cut short, was coarse, or may not have met the motion; `attrs` of the result: effort, rate up to
     which the search is fine, wheels whose speed nothing tells."""
@@ -170,12 +234,16 @@ def cures(attrs: dict[str, Any], cut: np.ndarray, coarse: np.ndarray, unmet: np.
         f"cut short: {more_effort(attrs['effort_given'])}": cut,
         f"coarse: {slower(attrs['fine_up_to_rad_s'])}": coarse,
         "torques as strong as no satellite has, or the body is no sphere: give its inertia": unmet,
-        f"nothing tells the speed of wheel {wheels}: give speed_rad_s or a speed_column": np.full(len(cut), wheels != ""),
+        f"nothing tells the speed of wheel {wheels}: give speed_rad_s or a speed_column": np.full(
+            len(cut), wheels != ""
+        ),
     }
     return ["; ".join(words for words, which in every.items() if which[k]) for k in range(len(cut))]
 
 
-def believed(o: Observations, found: list[Pass], motion: Motion, cure: list[str], epoch_utc: str | None) -> dict[str, Any]:
+def believed(
+    o: Observations, found: list[Pass], motion: Motion, cure: list[str], epoch_utc: str | None
+) -> dict[str, Any]:
     """What may be believed of each pass, and its motions at the sample nearest to its middle; `cure` as `cures` has it."""
     rows, names = [], sorted({name for p in found for name in p.residual})
     misfits = {name: np.full((len(found), 3), np.nan) for name in names}
@@ -190,19 +258,46 @@ def believed(o: Observations, found: list[Pass], motion: Motion, cure: list[str]
         explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
         one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
         unique = bool(p.weight[one].sum() >= DECIDED)
-        said = answers(unique, _spread(omega, sigma, p.weight), motion.rate_prior, told, explained, not missed, missed)
+        said = answers(
+            unique,
+            _spread(omega, sigma, p.weight),
+            motion.rate_prior,
+            told,
+            explained,
+            not missed,
+            missed,
+        )
         row = PassMotions(
-            len(t), t[0], t[-1], t[at], p.weight, omega, sigma, speeds(omega, covariance), said,
+            len(t),
+            t[0],
+            t[-1],
+            t[at],
+            p.weight,
+            omega,
+            sigma,
+            speeds(omega, covariance),
+            said,
             UNCHECKED if list(told) == ["Sun"] else AS_STATED,
-        )  # fmt: skip
+        )
         rows.append(row)
-    about = {"long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"}
+    about = {
+        "long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"
+    }
     return table(rows, epoch_utc) | {
-        "misfit": (("pass_id", "sensor", "figure"), np.stack([misfits[name] for name in names], axis=1), about),
-        "sensor": names, "figure": ["readings", "beyond", "chance"],
-        "model": ("pass_id", _models(found, motion), {"long_name": "what holds most of the weight of all that was tried"}),
+        "misfit": (
+            ("pass_id", "sensor", "figure"),
+            np.stack([misfits[name] for name in names], axis=1),
+            about,
+        ),
+        "sensor": names,
+        "figure": ["readings", "beyond", "chance"],
+        "model": (
+            "pass_id",
+            _models(found, motion),
+            {"long_name": "what holds most of the weight of all that was tried"},
+        ),
         "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
-    }  # fmt: skip
+    }
 
 
 def _models(found: list[Pass], motion: Motion) -> list[str]:
@@ -210,7 +305,12 @@ def _models(found: list[Pass], motion: Motion) -> list[str]:
     names = [p.model[0] for p in found]
     if 2 * sum(TORQUES_STRONGER in name for name in names) <= len(names):
         return names
-    return [name.replace(TORQUES_STRONGER, f"unknown torques stronger than {motion.noise:.2g} rad/s^1.5") for name in names]
+    return [
+        name.replace(
+            TORQUES_STRONGER, f"unknown torques stronger than {motion.noise:.2g} rad/s^1.5"
+        )
+        for name in names
+    ]
 
 
 def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -240,7 +340,9 @@ def verdict(result: xr.Dataset) -> str:
     decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
     informed = np.all([result[f"informed_{axis}"].values for axis in "xyz"], axis=0)
     text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight, "
-    text += f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
+    text += (
+        f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
+    )
     if not fits.all():
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
     for doubt in ("wiring_doubt", "odd_sensor"):
@@ -266,7 +368,10 @@ def verdict(result: xr.Dataset) -> str:
         text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: if they are, state "
         text += f"sensors_late_s = {{ value = {result.attrs['sensors_late_s']:.2f}, sigma = "
         text += f"{max(1.0, result.attrs['sensors_late_sigma_s']):.2f} }} under [clock] of the vehicle file"
-    elif np.isfinite(result.attrs["sensors_late_s"]) and result.attrs["sensors_late_from"] != SUSPECTED:
+    elif (
+        np.isfinite(result.attrs["sensors_late_s"])
+        and result.attrs["sensors_late_from"] != SUSPECTED
+    ):
         text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
     return text + _seen_alone(result)
 

@@ -97,16 +97,21 @@ def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observ
     return replace(o, terms=tuple(term.wider(drift, drift_rad_s) for term in o.terms))
 
 
-def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float, trust: bool = False) -> tuple[Track, int, int]:
+def first_tracks(
+    o: Observations, index: int, motion: Motion, rate_max: float, trust: bool = False
+) -> tuple[Track, int, int]:
     """The best rates around the pair (index, index + 1), smoothed on samples low to high - 1; `trust`: the gyro is one of them."""
     low, high = max(0, index - WINDOW), min(len(o), index + 2 + WINDOW)
     o, index = o.part(low, high), index - low
     dt = o.t_s[index + 1] - o.t_s[index]
     if not rate_max * dt < 2 * np.pi * MAX_TURNS:
         raise InputError(
-            sentence("too many whole turns fit between two samples to try them all", got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
-                     do="give a smaller --max-rate (max_rate_rad_s)")
-        )  # fmt: skip
+            sentence(
+                "too many whole turns fit between two samples to try them all",
+                got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+                do="give a smaller --max-rate (max_rate_rad_s)",
+            )
+        )
     suns, rates, apart = starts(o, index, motion, rate_max, trust)
     if len(rates) > CROWD:
         suns, rates = _thinned(o, index, suns, rates, motion, apart)
@@ -114,7 +119,11 @@ def first_tracks(o: Observations, index: int, motion: Motion, rate_max: float, t
         return Track(np.zeros((0, len(o), 3, 3)), np.zeros((0, len(o), 3))), low, high
     track = _best(o, index, suns, rates, motion, apart, KEEP_FIRST)
     for share in (1.0, 0.3, 0.0):
-        track = distinct(shot(wider(o, motion.noise, index, share * apart), index, track, motion, 4), o.t_s, KEEP_FIRST)
+        track = distinct(
+            shot(wider(o, motion.noise, index, share * apart), index, track, motion, 4),
+            o.t_s,
+            KEEP_FIRST,
+        )
     return distinct(smooth(o, track, motion, steps=6), o.t_s), low, high
 
 
@@ -144,7 +153,9 @@ def distinct(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DR
     return track.take(distinct_index(track, times, keep, drop))
 
 
-def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP) -> np.ndarray:
+def distinct_index(
+    track: Track, times: np.ndarray, keep: int = KEEP, drop: float = DROP
+) -> np.ndarray:
     """Which hypotheses those are."""
     order = np.argsort(track.cost, kind="stable")
     if not len(order):
@@ -164,7 +175,9 @@ def distinct_index(track: Track, times: np.ndarray, keep: int = KEEP, drop: floa
 def outline(track: Seen, times: np.ndarray) -> np.ndarray:
     """Turns between neighbours and directions of the Sun (K, m, 3) by which hypotheses differ."""
     turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    return np.concatenate([track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1).astype(np.float32)
+    return np.concatenate(
+        [track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1
+    ).astype(np.float32)
 
 
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
@@ -187,7 +200,9 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
                 omega = np.concatenate([rate[:, None], omega], axis=1)
                 low -= 1
         part = o.part(low, high)
-        track = _freed(part, distinct(smooth(part, Track(attitude, omega), motion, steps=4), part.t_s), motion)
+        track = _freed(
+            part, distinct(smooth(part, Track(attitude, omega), motion, steps=4), part.t_s), motion
+        )
     return track
 
 
@@ -198,7 +213,12 @@ def _freed(o: Observations, track: Track, motion: Motion) -> Track:
     drift = motion.noise * np.sqrt(np.abs(o.t_s - o.t_s[middle]).max() ** 3 / 3)
     if not len(poor) or drift > DRIFT_RAD:
         return track
-    moved = smooth(o, shot(wider(o, motion.noise, middle, 0.0), middle, track.take(poor), motion, 8), motion, steps=4)
+    moved = smooth(
+        o,
+        shot(wider(o, motion.noise, middle, 0.0), middle, track.take(poor), motion, 8),
+        motion,
+        steps=4,
+    )
     good = np.setdiff1d(np.arange(len(track.cost)), poor)
     both = moved if not len(good) else joined([track.take(good), moved])
     return distinct(both, o.t_s)
@@ -218,7 +238,11 @@ def with_images(o: Observations, track: Track, motion: Motion) -> Track:
     chosen: list[int] = []
     for i in range(len(track.cost)):
         as_seen = outline(joined_images(track.take(np.array([i])), images), o.t_s)
-        apart = ((as_seen[:, None] - outline(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2).sum(axis=-1).max(axis=-1)
+        apart = (
+            ((as_seen[:, None] - outline(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2)
+            .sum(axis=-1)
+            .max(axis=-1)
+        )
         if not chosen or apart.min() > ALIKE_RAD**2:
             chosen.append(i)
         if len(chosen) == FAMILIES:
@@ -238,11 +262,16 @@ def guesses(o: Observations) -> list[Observations]:
 
 def field_leads(o: Observations) -> bool:
     """Whether a field that is known in space leads the search: too few samples show the Sun."""
-    return bool(o.informed.sum() < FEWEST_SUNS and any(isinstance(x, Magnetometer) and x.known is not None for x in o.terms))
+    return bool(
+        o.informed.sum() < FEWEST_SUNS
+        and any(isinstance(x, Magnetometer) and x.known is not None for x in o.terms)
+    )
 
 
 def _known(o: Observations) -> KnownField:
-    return next(term.known for term in o.terms if isinstance(term, Magnetometer) and term.known is not None)
+    return next(
+        term.known for term in o.terms if isinstance(term, Magnetometer) and term.known is not None
+    )
 
 
 def out_of_field(o: Observations, track: Track, motion: Motion) -> Track:
@@ -254,7 +283,9 @@ def out_of_field(o: Observations, track: Track, motion: Motion) -> Track:
     for angle in 2 * np.pi / FIELD_TURNS * np.arange(FIELD_TURNS):
         attitude = track.attitude @ Rotation.from_rotvec(angle * SUN_N).as_matrix() @ frames
         tried.append(Track(attitude, track.omega + np.einsum("knij,nj->kni", attitude, turning)))
-    with_field = replace(o, terms=tuple(known if isinstance(term, Magnetometer) else term for term in o.terms))
+    with_field = replace(
+        o, terms=tuple(known if isinstance(term, Magnetometer) else term for term in o.terms)
+    )
     return distinct(joined([smooth(with_field, one, motion, steps=12) for one in tried]), o.t_s)
 
 
@@ -294,8 +325,14 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
     so little that four pairs are tried in any case, and each motion found is tried mirrored.
     """
     blind = blind_axis(o)
-    quality = np.where(o.points, 1.0, 2.0) * np.where(o.informed | (not o.informed.any()), 1.0, UNSEEN)
-    order = np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable") if blind is None else bright_pairs(o)
+    quality = np.where(o.points, 1.0, 2.0) * np.where(
+        o.informed | (not o.informed.any()), 1.0, UNSEEN
+    )
+    order = (
+        np.argsort(np.diff(o.t_s) * (quality[1:] + quality[:-1]), kind="stable")
+        if blind is None
+        else bright_pairs(o)
+    )
     dense = np.diff(o.t_s)[:3].max(initial=0.0) * rate_max < DENSE_RAD
     trust = gyro_decides(o, int(order[0]))
     one = dense or trust or not steady(o, int(order[0]), motion, rate_max)
@@ -311,9 +348,10 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
         raise InputError(
             sentence(
                 "no rate up to the largest allowed takes the Sun from one sample to the next",
-                got=f"largest rate {rate_max:.4g} rad/s", do="raise --max-rate, or check the times and the directions",
+                got=f"largest rate {rate_max:.4g} rad/s",
+                do="raise --max-rate, or check the times and the directions",
             )
-        )  # fmt: skip
+        )
     track = distinct(joined(tracks), o.t_s)
     if blind is None:
         return track

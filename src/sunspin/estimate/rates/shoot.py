@@ -20,7 +20,9 @@ CROWD = 4000
 """Starts moved at once, so that their numbers stay in the processor's cache."""
 
 
-def carried(o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, motion: Motion) -> Track:
+def carried(
+    o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, motion: Motion
+) -> Track:
     """Starts (K, 3) and (K, 3) at sample `index` moved to all samples of `o` by the equations of motion."""
     attitude, omega = np.empty((len(rates), len(o), 3, 3)), np.empty((len(rates), len(o), 3))
     order = np.argsort((rates**2).sum(axis=1), kind="stable")  # slow ones together need few steps
@@ -39,8 +41,10 @@ def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) 
     found = least_squares(
         lambda state: _equations(o, index, state[0], state[1], motion),
         lambda state, step: (turn(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
-        dense, (track.attitude[:, index], track.omega[:, index]), steps=steps,
-    )  # fmt: skip
+        dense,
+        (track.attitude[:, index], track.omega[:, index]),
+        steps=steps,
+    )
     attitude, omega = found.system.kept
     return Track(attitude, omega, found.system.cost)
 
@@ -50,7 +54,9 @@ def _ways(index: int, n: int) -> list[tuple[int, int]]:
     return [(i, i + 1) for i in range(index, n - 1)] + [(i, i - 1) for i in range(index, 0, -1)]
 
 
-def _equations(o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion) -> Dense:
+def _equations(
+    o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion
+) -> Dense:
     """Those of turn and rate (6) at sample `index`; kept are attitudes and rates at all samples."""
     k, n = len(omega), len(o)
     track = Track(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
@@ -59,7 +65,9 @@ def _equations(o: Observations, index: int, attitude: np.ndarray, omega: np.ndar
     for start, end in _ways(index, n):
         dt = np.full(k, o.t_s[end] - o.t_s[start])
         ends = motion.body.seen(o.wheels(start, end), track.attitude[:, start], o.t_s[start])
-        made, track.omega[:, end], one = step_with_answer(motion.body, track.omega[:, start], dt, ends)
+        made, track.omega[:, end], one = step_with_answer(
+            motion.body, track.omega[:, start], dt, ends
+        )
         track.attitude[:, end] = made @ track.attitude[:, start]
         answer[:, end] = one @ answer[:, start]
     each, slope, cost = measured(o, track)

@@ -24,7 +24,9 @@ def processes(workers: int) -> Generator[Executor | None]:
         yield None
         return
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("fork" if may_copy() else "spawn"), initializer=deaf)
+    pool = ProcessPoolExecutor(
+        workers, mp_context=get_context("fork" if may_copy() else "spawn"), initializer=deaf
+    )
     try:
         with copying():  # before this process has threads of its own
             pool.submit(int)
@@ -38,7 +40,11 @@ def processes(workers: int) -> Generator[Executor | None]:
 
 
 def each(
-    work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort, pool: Executor | None
+    work: Callable[..., Any],
+    tasks: Sequence[tuple[Any, ...]],
+    share: float,
+    spent: Effort,
+    pool: Executor | None,
 ) -> Iterator[tuple[Any, bool]]:
     """What `work` makes of each task, in order, and whether it was cut short, each having a `share` of the effort to spend."""
     return begun(work, tasks, share, pool if len(tasks) > 1 else None)(spent)
@@ -54,7 +60,9 @@ def begun(
         return partial(_taken, [pool.submit(_counted, work, task, share) for task in tasks])
 
 
-def _here(work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort) -> Iterator[tuple[Any, bool]]:
+def _here(
+    work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort
+) -> Iterator[tuple[Any, bool]]:
     for task in tasks:
         with spent.part(share, alone=True) as own:
             made = work(*task)
@@ -75,11 +83,17 @@ def _whole() -> Generator[None]:
     try:
         yield
     except BrokenExecutor:
-        raise InputError(sentence("a process that estimated a pass was ended from outside, for lack of memory perhaps",
-                                  do="give a smaller number of workers, 1 say")) from None  # fmt: skip
+        raise InputError(
+            sentence(
+                "a process that estimated a pass was ended from outside, for lack of memory perhaps",
+                do="give a smaller number of workers, 1 say",
+            )
+        ) from None
 
 
-def _counted(work: Callable[..., Any], task: tuple[Any, ...], share: float) -> tuple[Any, float, bool]:
+def _counted(
+    work: Callable[..., Any], task: tuple[Any, ...], share: float
+) -> tuple[Any, float, bool]:
     with Effort(share) as own:
         made = work(*task)
     return made, own.spent, own.cut

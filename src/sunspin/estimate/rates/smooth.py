@@ -76,11 +76,18 @@ class Intervals(NamedTuple):
         ends = Ends(momentum=o.momentum[:-1], momentum_end=o.momentum[1:])
         if o.field_at_ends is not None and np.any(motion.body.dipole):
             ends = ends._replace(field=o.field_at_ends[0], field_end=o.field_at_ends[1])
-        return cls(dt, relative, motion.body.seen(ends, start, o.t_s[:-1]), whitening(dt, *noises(o, motion)))
+        return cls(
+            dt,
+            relative,
+            motion.body.seen(ends, start, o.t_s[:-1]),
+            whitening(dt, *noises(o, motion)),
+        )
 
     def step(self, body: Body, omega: np.ndarray, derive: Callable[..., Any]) -> Any:
         """What a step of the motion (`step` or `step_with_answer`) makes of rates (K, n, 3) at the samples."""
-        return derive(body, omega[:, :-1], np.broadcast_to(self.dt, self.relative.shape[:2]), self.ends)
+        return derive(
+            body, omega[:, :-1], np.broadcast_to(self.dt, self.relative.shape[:2]), self.ends
+        )
 
     def defect(self, omega: np.ndarray, made: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
@@ -97,7 +104,10 @@ def between(o: Observations, track: Track, motion: Motion, over: Intervals | Non
     second = np.broadcast_to(over.white, (*value.shape, 6)).copy()
     for term in o.of_pairs:
         more = term.between(o.t_s, over.relative)
-        value, first, second = (np.concatenate([x, y], axis=2) for x, y in zip((value, first, second), more, strict=True))
+        value, first, second = (
+            np.concatenate([x, y], axis=2)
+            for x, y in zip((value, first, second), more, strict=True)
+        )
     return value, first, second
 
 
@@ -126,7 +136,9 @@ def whitening(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) ->
 
 @lru_cache(maxsize=64)
 def _whitening(dt: bytes, acceleration: bytes, rate: float) -> np.ndarray:
-    found = np.linalg.inv(np.linalg.cholesky(wandering(np.frombuffer(dt), np.frombuffer(acceleration), rate)))
+    found = np.linalg.inv(
+        np.linalg.cholesky(wandering(np.frombuffer(dt), np.frombuffer(acceleration), rate))
+    )
     found.setflags(write=False)
     return found
 
@@ -142,7 +154,9 @@ def cost_limit(o: Observations) -> float:
     return BAD_COST * len(o) + THREE_READINGS * sum(term.readings() for term in o.terms)
 
 
-def normal_equations(o: Observations, track: Track, motion: Motion, tied: Tied | None = None) -> Bordered:
+def normal_equations(
+    o: Observations, track: Track, motion: Motion, tied: Tied | None = None
+) -> Bordered:
     """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common; `tied`: as `between` says."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
@@ -180,14 +194,22 @@ def damping_scale(told: np.ndarray, t_s: np.ndarray) -> np.ndarray:
 def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Track:
     """K hypotheses fitted at once; returns them with cost, weight and covariance."""
     found = least_squares(
-        lambda state: normal_equations(o, Track(state[0], state[1]), motion), moved, bordered, (track.attitude, track.omega),
-        steps=steps, limit=lambda state: (state[0], followed(state[1], motion)),
-    )  # fmt: skip
+        lambda state: normal_equations(o, Track(state[0], state[1]), motion),
+        moved,
+        bordered,
+        (track.attitude, track.omega),
+        steps=steps,
+        limit=lambda state: (state[0], followed(state[1], motion)),
+    )
     (attitude, omega), told = found.state, spread(found.system)
-    return Track(attitude, omega, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes)
+    return Track(
+        attitude, omega, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes
+    )
 
 
-def moved(state: tuple[np.ndarray, np.ndarray], step: tuple[np.ndarray, None]) -> tuple[np.ndarray, np.ndarray]:
+def moved(
+    state: tuple[np.ndarray, np.ndarray], step: tuple[np.ndarray, None]
+) -> tuple[np.ndarray, np.ndarray]:
     """Attitudes and rates after a step of turns and rates."""
     return turn(state[0], step[0][..., :3]), state[1] + step[0][..., 3:]
 

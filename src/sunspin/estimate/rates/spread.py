@@ -27,7 +27,9 @@ def with_spread(
 
     def answer(slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
         downhill = error_slope + np.zeros_like(system.border_slope)
-        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[0][0]
+        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[
+            0
+        ][0]
 
     def slopes(other: Observations) -> tuple[np.ndarray, np.ndarray]:
         part = sun_part(other, places_of(other, motion, clock), track, common.error, motion, clock)
@@ -37,7 +39,11 @@ def with_spread(
     for axis in range(3):
         variance[:, axis] = np.einsum("kni,kni->k", mean[..., axis, :], answer(-mean[..., axis, :]))
     covariance, before = track.covariance, slopes(o)
-    for other, share in [(o.swapped(term, other), share) for term in o.terms for other, share in term.considered(common.seen)]:
+    for other, share in [
+        (o.swapped(term, other), share)
+        for term in o.terms
+        for other, share in term.considered(common.seen)
+    ]:
         shift = share * answer(*(new - old for new, old in zip(slopes(other), before, strict=True)))
         covariance = covariance + shift[..., :, None] * shift[..., None, :]
         variance += np.einsum("knji,kni->kj", mean, shift) ** 2

@@ -69,7 +69,9 @@ def candidates(o: Observations, index: int) -> np.ndarray:
     cost = costs(o.part(index, index + 1), still)[:, 0]
     allowed = grid[cost < cost.min() + 3.0]
     first = images_of(o) @ grid[np.argmin(cost)]
-    while len(first) < min(CANDIDATES, len(allowed)):  # the farthest from those taken already: they span the region
+    while len(first) < min(
+        CANDIDATES, len(allowed)
+    ):  # the farthest from those taken already: they span the region
         first = np.concatenate([first, allowed[[np.argmin((allowed @ first.T).max(axis=1))]]])
     return first
 
@@ -84,8 +86,12 @@ def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: fl
     if np.linalg.norm(middle) < 1e-6:
         middle = np.cross(side, first)
     middle, side = middle / np.linalg.norm(middle), side / np.linalg.norm(side)
-    angle = np.linspace(apart, np.pi, ANGLES // 2)  # larger ones are turns the other way about the opposite axis
-    tilt = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)  # sine of the axis's angle from the Sun
+    angle = np.linspace(
+        apart, np.pi, ANGLES // 2
+    )  # larger ones are turns the other way about the opposite axis
+    tilt = np.clip(
+        np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1
+    )  # sine of the axis's angle from the Sun
     along = np.sqrt(1 - tilt**2) / max(np.cos(apart / 2), 1e-9)
     along = np.clip(np.concatenate([along, -along]), -1, 1)
     axis = along[:, None] * middle + np.sqrt(1 - along**2)[:, None] * side
@@ -93,7 +99,10 @@ def rates_between(first: np.ndarray, second: np.ndarray, dt: float, rate_max: fl
     total = np.concatenate([angle, angle])[:, None] + 2 * np.pi * turns
     # the body's turn is the opposite of the Sun's; a turn by the rest of a circle goes the other way about the axis
     found: list[np.ndarray] = []
-    found += [-axis[:, None] * total[..., None] / dt, axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None] / dt]
+    found += [
+        -axis[:, None] * total[..., None] / dt,
+        axis[:, None] * (2 * np.pi * (turns + 1) - total[:, :1])[..., None] / dt,
+    ]
     if apart < 0.5 and len(turns) > 1:  # nearly whole turns: about any axis
         found.append(sphere(80)[:, None] * (2 * np.pi * turns[1:])[:, None] / dt)
     rates = np.concatenate([np.reshape(rate, (-1, 3)) for rate in found])
@@ -110,7 +119,9 @@ def aliases(o: Observations, track: Track, rate_max: float) -> Track:
     speed = np.linalg.norm(track.omega, axis=2, keepdims=True)
     most = 0 if told else int(2 * rate_max / turn)
     more = turn * np.array([k for k in range(-most, most + 1) if k])[:, None, None, None]
-    near = track.omega[:ALIASED] * (1 + more / np.maximum(speed[:ALIASED], 1e-12))  # (turns, K, n, 3)
+    near = track.omega[:ALIASED] * (
+        1 + more / np.maximum(speed[:ALIASED], 1e-12)
+    )  # (turns, K, n, 3)
     which, motion = np.nonzero(np.linalg.norm(near, axis=3).mean(axis=2) < rate_max)
     return Track(track.attitude[motion], near[which, motion])
 
@@ -123,7 +134,9 @@ def unsteadiness(body: Body, momentum: np.ndarray, rate_max: float) -> float:
 
 def steady(o: Observations, index: int, motion: Motion, rate_max: float) -> bool:
     """Whether rates up to the largest hardly turn in the body from sample `index` to the next."""
-    turned = unsteadiness(motion.body, o.momentum[index : index + 2], rate_max) * (o.t_s[index + 1] - o.t_s[index])
+    turned = unsteadiness(motion.body, o.momentum[index : index + 2], rate_max) * (
+        o.t_s[index + 1] - o.t_s[index]
+    )
     return bool(turned < PRECESSION_RAD)
 
 
@@ -152,9 +165,20 @@ def starts(
         size = grid_step(len(suns), dt, rate_max)
         rates = np.concatenate([_ball(size, rate_max), told])
         return np.repeat(suns, len(rates), axis=0), np.tile(rates, (len(suns), 1)), size * dt
-    found = [(s0, np.concatenate([*(rates_between(s0, s1, dt, rate_max) for s1 in candidates(o, index + 1)), told])) for s0 in suns]
-    return (np.concatenate([np.broadcast_to(s0, rates.shape) for s0, rates in found]),
-            np.concatenate([rates for _, rates in found]), 2 * np.pi / ANGLES)  # fmt: skip
+    found = [
+        (
+            s0,
+            np.concatenate(
+                [*(rates_between(s0, s1, dt, rate_max) for s1 in candidates(o, index + 1)), told]
+            ),
+        )
+        for s0 in suns
+    ]
+    return (
+        np.concatenate([np.broadcast_to(s0, rates.shape) for s0, rates in found]),
+        np.concatenate([rates for _, rates in found]),
+        2 * np.pi / ANGLES,
+    )
 
 
 def grid_step(suns: int, dt: float, rate_max: float) -> float:

@@ -36,7 +36,9 @@ class Observations:
     @cached_property
     def of_pairs(self) -> tuple[PairTerm, ...]:
         """Those that have something to compare."""
-        return tuple(term for term in self.terms if isinstance(term, PairTerm) and term.pairs().any())
+        return tuple(
+            term for term in self.terms if isinstance(term, PairTerm) and term.pairs().any()
+        )
 
     @cached_property
     def of_motion(self) -> tuple[MotionTerm, ...]:
@@ -45,12 +47,16 @@ class Observations:
     @cached_property
     def points(self) -> np.ndarray:
         """Which samples (n) have a direction of the Sun of their own."""
-        return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *(term.points() for term in self.of_sun)])
+        return np.logical_or.reduce(
+            [np.zeros(len(self), dtype=bool), *(term.points() for term in self.of_sun)]
+        )
 
     @cached_property
     def informed(self) -> np.ndarray:
         """Which samples (n) say something of the Sun."""
-        return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *(term.informs() for term in self.of_sun)])
+        return np.logical_or.reduce(
+            [np.zeros(len(self), dtype=bool), *(term.informs() for term in self.of_sun)]
+        )
 
     @cached_property
     def field_N(self) -> np.ndarray | None:
@@ -74,7 +80,9 @@ class Observations:
 
     def take(self, index: np.ndarray | slice) -> Observations:
         """The samples `index`."""
-        return Observations(self.t_s[index], self.momentum[index], tuple(term.take(index) for term in self.terms))
+        return Observations(
+            self.t_s[index], self.momentum[index], tuple(term.take(index) for term in self.terms)
+        )
 
     def part(self, low: int, high: int) -> Observations:
         """Samples low to high - 1."""
@@ -107,7 +115,9 @@ class Track(Seen):
     covariance: np.ndarray = field(default_factory=lambda: UNTOLD)
 
     def take(self, index: np.ndarray | slice) -> Track:
-        told = (x if x is UNTOLD else x[index] for x in (self.cost, self.log_weight, self.covariance))
+        told = (
+            x if x is UNTOLD else x[index] for x in (self.cost, self.log_weight, self.covariance)
+        )
         return Track(self.attitude[index], self.omega[index], *told)
 
 

@@ -60,7 +60,9 @@ class Anew(NamedTuple):
 
     def bare(self, o: Observations) -> Observations:
         """Without what a search does not know."""
-        return replace(o, terms=tuple(term for term in o.terms if not any(term is one for one in self.more)))
+        return replace(
+            o, terms=tuple(term for term in o.terms if not any(term is one for one in self.more))
+        )
 
     def estimated(self, o: Observations, whole: np.ndarray, part: np.ndarray, noise: float) -> Pass:
         """The pass of all samples `whole`, searched on `part` under a noise."""
@@ -68,10 +70,14 @@ class Anew(NamedTuple):
         bare = self.bare(o)
         track = leading(bare.take(part), motion, self.rate_max)
         if self.more:
-            o = replace(bare, terms=(*bare.terms, MagneticTorque.beside(noise, bare.freed().field_N)))
+            o = replace(
+                bare, terms=(*bare.terms, MagneticTorque.beside(noise, bare.freed().field_N))
+            )
         if self.given is None:
             motion = replace(motion, noise=refined([(o.take(part).freed(), track)], motion))
-        return finished(o, whole, part, track, motion, self.clock, self.rate_max, noise, self.others)
+        return finished(
+            o, whole, part, track, motion, self.clock, self.rate_max, noise, self.others
+        )
 
 
 class Reversed(NamedTuple):
@@ -104,14 +110,23 @@ def reversed_momenta(
 
 
 def tasks(
-    o: Observations, parts: Sequence[np.ndarray], body: Body, noise: float, given: float | None, rate_max: float,
+    o: Observations,
+    parts: Sequence[np.ndarray],
+    body: Body,
+    noise: float,
+    given: float | None,
+    rate_max: float,
     momenta: dict[tuple[int, ...], np.ndarray],
-) -> list[Task]:  # fmt: skip
+) -> list[Task]:
     """Of which the evidence says which reversed wheels are not out of the question for the longest pass: the wheels as stated
     under the `noise` of the search, then the reversed ones. What is observed is as a search takes it."""
     part = parts[_longest_first(parts)[0]]
     others = [(replace(o, momentum=momentum), _rungs(given)) for momentum in momenta.values()]
-    return [(one.take(part), body, noises, rate_max) for one, noises in [(o, (noise,)), *others]] if others else []
+    return (
+        [(one.take(part), body, noises, rate_max) for one, noises in [(o, (noise,)), *others]]
+        if others
+        else []
+    )
 
 
 def _rungs(given: float | None) -> tuple[float, ...]:
@@ -120,12 +135,19 @@ def _rungs(given: float | None) -> tuple[float, ...]:
 
 
 def _near(
-    o: Observations, momenta: dict[tuple[int, ...], np.ndarray], rungs: tuple[float, ...], evidence: Sequence[np.ndarray]
+    o: Observations,
+    momenta: dict[tuple[int, ...], np.ndarray],
+    rungs: tuple[float, ...],
+    evidence: Sequence[np.ndarray],
 ) -> dict[tuple[int, ...], tuple[Observations, float]]:
     """Which reversed wheels are not out of the question by the evidence of their :func:`tasks`: what is observed with them, and the
     acceleration noise (rad/s^1.5) that they want."""
     stated, *found = evidence
-    levels = {which: rungs[int(np.argmax(one))] for which, one in zip(momenta, found, strict=True) if one.max() > stated[0] - FAR}
+    levels = {
+        which: rungs[int(np.argmax(one))]
+        for which, one in zip(momenta, found, strict=True)
+        if one.max() > stated[0] - FAR
+    }
     return {which: (replace(o, momentum=momenta[which]), level) for which, level in levels.items()}
 
 
@@ -135,9 +157,13 @@ def _longest_first(parts: Sequence[np.ndarray]) -> list[int]:
 
 
 def doubted_signs(
-    o: Observations, momenta: dict[tuple[int, ...], np.ndarray], passes: list[tuple[np.ndarray, np.ndarray, Pass]], noise: float,
-    anew: Anew, evidence: Sequence[np.ndarray],
-) -> Reversed | None:  # fmt: skip
+    o: Observations,
+    momenta: dict[tuple[int, ...], np.ndarray],
+    passes: list[tuple[np.ndarray, np.ndarray, Pass]],
+    noise: float,
+    anew: Anew,
+    evidence: Sequence[np.ndarray],
+) -> Reversed | None:
     """The wheels whose sign the data doubt; None where they do not, or cannot.
 
     `momenta` (n, 3): with wheels reversed, by their numbers; `passes`: all samples of each, those searched, and what was found
@@ -150,7 +176,9 @@ def doubted_signs(
     for which, (other, level) in _near(o, momenta, _rungs(anew.given), evidence).items():
         gain, another, turned = 0.0, False, None
         for whole, part, stated in longest:
-            one = _gained(o, other, whole, part, stated, (noise, level), anew) if may_go_on() else OUT
+            one = (
+                _gained(o, other, whole, part, stated, (noise, level), anew) if may_go_on() else OUT
+            )
             gain, another, turned = gain + one.gain, another or one.another, turned or one.turned
             if gain < -AS_WELL:
                 break
@@ -164,7 +192,9 @@ def _reversed(o: Observations, which: tuple[int, ...], gain: float, turned: Pass
     """What is known of reversed wheels, with the longest pass as estimated with them."""
     agree = all(misfit(left[0]).fits for left in turned.residual.values())
     fits = bool(agree and turned.track.cost[0] <= cost_limit(o.take(turned.kept)))
-    return Reversed(which, gain, fits, o.t_s[turned.index], turned.track.omega[0], turned.track.sun_B[0])
+    return Reversed(
+        which, gain, fits, o.t_s[turned.index], turned.track.omega[0], turned.track.sun_B[0]
+    )
 
 
 class Gained(NamedTuple):
@@ -180,7 +210,13 @@ OUT = Gained(-np.inf, False)
 
 
 def _gained(
-    o: Observations, other: Observations, whole: np.ndarray, part: np.ndarray, stated: Pass, noises: tuple[float, float], anew: Anew
+    o: Observations,
+    other: Observations,
+    whole: np.ndarray,
+    part: np.ndarray,
+    stated: Pass,
+    noises: tuple[float, float],
+    anew: Anew,
 ) -> Gained:
     """Of one pass, under the noises (rad/s^1.5) that the wheels as stated and the others want, each tried under both where that
     decides: held fast, an inertia that is a little off passes for torques, and its noise is too strong."""
@@ -190,7 +226,11 @@ def _gained(
         gain = _evidence(turned) - _evidence(stated)
         if -FAR < gain < -AS_WELL and level != noise:
             again = anew.estimated(other, whole, part, noise)
-            turned, gain = max((turned, gain), (again, _evidence(again) - _evidence(stated)), key=lambda one: one[1])
+            turned, gain = max(
+                (turned, gain),
+                (again, _evidence(again) - _evidence(stated)),
+                key=lambda one: one[1],
+            )
         if gain > -AS_WELL and level != noise:
             gain = min(gain, _evidence(turned) - _evidence(anew.estimated(o, whole, part, level)))
     except InputError:

@@ -30,7 +30,10 @@ def wheel_momenta(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarr
     t = np.asarray(telemetry["time"], dtype=np.float64)
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return {"none": np.zeros((len(t), 3))}
-    return {what: _momentum(vehicle, speed) for what, speed in wheel_speeds(vehicle, telemetry, t).items()}
+    return {
+        what: _momentum(vehicle, speed)
+        for what, speed in wheel_speeds(vehicle, telemetry, t).items()
+    }
 
 
 def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -42,12 +45,19 @@ def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t: np.ndarray) -> dict
     found = {HELD: np.broadcast_to(nominal, (len(t), len(nominal)))}
     if np.any(nominal):
         begin = float(telemetry["time"].values[0])
-        names = dict.fromkeys(name for wheel in vehicle.wheels for name in wheel.alternative_frictions)
+        names = dict.fromkeys(
+            name for wheel in vehicle.wheels for name in wheel.alternative_frictions
+        )
         for name in (None, *names):
-            frictions = [w.friction if name is None else w.alternative_frictions.get(name, w.friction) for w in vehicle.wheels]
+            frictions = [
+                w.friction if name is None else w.alternative_frictions.get(name, w.friction)
+                for w in vehicle.wheels
+            ]
             if any(friction.coulomb_N_m or friction.viscous_N_m_s for friction in frictions):
                 speed = [
-                    spin_down_speed(f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - begin)
+                    spin_down_speed(
+                        f.coulomb_N_m, f.viscous_N_m_s, w.inertia_kg_m2, w.speed_rad_s, t - begin
+                    )
                     for w, f in zip(vehicle.wheels, frictions, strict=True)
                 ]
                 found[COASTING + (f", friction {name!r}" if name else "")] = np.stack(speed, axis=1)
@@ -63,8 +73,13 @@ def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, doing: str) -> np.
         return np.zeros((0, telemetry.sizes["time"], 3))
     shares = np.zeros((len(vehicle.wheels), *every[name].shape))
     for k in range(len(shares)):
-        turned = tuple(replace(w, axis_B=-np.asarray(w.axis_B)) if i == k else w for i, w in enumerate(vehicle.wheels))
-        shares[k] = (every[name] - wheel_momenta(replace(vehicle, wheels=turned), telemetry)[name]) / 2
+        turned = tuple(
+            replace(w, axis_B=-np.asarray(w.axis_B)) if i == k else w
+            for i, w in enumerate(vehicle.wheels)
+        )
+        shares[k] = (
+            every[name] - wheel_momenta(replace(vehicle, wheels=turned), telemetry)[name]
+        ) / 2
     return shares
 
 

@@ -16,7 +16,12 @@ from sunspin.vehicle.assumptions import TABLES
 
 
 def with_chosen(
-    volume: xr.DataArray, telemetry: xr.Dataset, factor: float, threshold: float | None, n_lines: int, seed: int
+    volume: xr.DataArray,
+    telemetry: xr.Dataset,
+    factor: float,
+    threshold: float | None,
+    n_lines: int,
+    seed: int,
 ) -> xr.Dataset:
     """The volume with `near_minimum (near_point, rate_axis)`, rad/s, and the lines of :func:`sunspin.fit_lines` through them.
 
@@ -35,13 +40,20 @@ def with_chosen(
     points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
     if not len(points):
         raise InputError(
-            sentence("no motion of the grid comes below --threshold", got=threshold,
-                     do=f"the smallest is {float(volume.min()):.4f}")
-        )  # fmt: skip
+            sentence(
+                "no motion of the grid comes below --threshold",
+                got=threshold,
+                do=f"the smallest is {float(volume.min()):.4f}",
+            )
+        )
     by = {"factor": factor} if threshold is None else {"threshold": threshold}
-    scan = volume.to_dataset().assign(near_minimum=(("near_point", "rate_axis"), points, {"units": "rad s-1"} | by))
+    scan = volume.to_dataset().assign(
+        near_minimum=(("near_point", "rate_axis"), points, {"units": "rad s-1"} | by)
+    )
     if n_lines and len(points) >= 2 * n_lines:
-        lines = fit_lines(points, n_lines, seed=seed).rename({"axis": "line_axis", "n": "near_point"})
+        lines = fit_lines(points, n_lines, seed=seed).rename(
+            {"axis": "line_axis", "n": "near_point"}
+        )
         scan = scan.merge(lines, combine_attrs="override")
     of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}
     return scan.assign_attrs(provenance("scan", telemetry, **of_vehicle, seed=seed))
@@ -53,7 +65,9 @@ def stored_vehicle(path: Path) -> dict[str, str]:
         return {}
     attrs = read_netcdf(path, str(path), InputError).attrs
     rules = tuple(f"{table}." for table in TABLES)
-    changes = "\n".join(line for line in str(attrs.get("changes", "")).splitlines() if not line.startswith(rules))
+    changes = "\n".join(
+        line for line in str(attrs.get("changes", "")).splitlines() if not line.startswith(rules)
+    )
     return {"vehicle": str(attrs.get("vehicle", ""))} | ({"changes": changes} if changes else {})
 
 
@@ -66,11 +80,27 @@ def stored_near_minimum(path: Path, factor: float) -> np.ndarray:
         The file is not there, is no scan, or is damaged.
     """
     if not path.is_file():
-        raise InputError(sentence("there is no such file", do="give scan.nc as `sunspin scan --out` writes it", where=str(path)))
+        raise InputError(
+            sentence(
+                "there is no such file",
+                do="give scan.nc as `sunspin scan --out` writes it",
+                where=str(path),
+            )
+        )
     file = read_netcdf(path, str(path), InputError)
     volume = file.get("emd", file.get("E"))
-    if volume is None or set(volume.dims) != {"omega_x", "omega_y", "omega_z"} or not set(volume.dims) <= set(volume.coords):
-        raise InputError(sentence("this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)))
+    if (
+        volume is None
+        or set(volume.dims) != {"omega_x", "omega_y", "omega_z"}
+        or not set(volume.dims) <= set(volume.coords)
+    ):
+        raise InputError(
+            sentence(
+                "this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)
+            )
+        )
     if not all(part.dtype.kind in "biuf" for part in (volume, *volume.coords.values())):
-        raise InputError(sentence("this scan holds what is no number", do="write it again", where=str(path)))
+        raise InputError(
+            sentence("this scan holds what is no number", do="write it again", where=str(path))
+        )
     return near_minimum(volume, factor)

@@ -23,9 +23,18 @@ from sunspin.base.provenance import provenance
 QUANTILES = (0.05, 0.5, 0.95)
 
 UNITS = {
-    "truth_touchdown_speed": "rad s-1", "n_told": "1", "emd_min": "1", "emd_truth": "1", "points": "1", "truth_to_set": "rad s-1",
-    "truth_to_line": "rad s-1", "line_angle": "rad", "line_distance": "rad s-1", "bound_set": "rad s-1", "bound_lines": "rad s-1",
-}  # fmt: skip
+    "truth_touchdown_speed": "rad s-1",
+    "n_told": "1",
+    "emd_min": "1",
+    "emd_truth": "1",
+    "points": "1",
+    "truth_to_set": "rad s-1",
+    "truth_to_line": "rad s-1",
+    "line_angle": "rad",
+    "line_distance": "rad s-1",
+    "bound_set": "rad s-1",
+    "bound_lines": "rad s-1",
+}
 """What is kept of each twin."""
 
 PARTS = {"levels": "level", "factors": "factor"}
@@ -50,8 +59,13 @@ class Share:
         if not self.n:
             return 0.0, 1.0
         z, p = float(ndtri(0.975)), self.value
-        centre, half = p + z**2 / (2 * self.n), z * np.sqrt(p * (1 - p) / self.n + z**2 / (4 * self.n**2))
-        return float((centre - half) / (1 + z**2 / self.n)), float((centre + half) / (1 + z**2 / self.n))
+        centre, half = (
+            p + z**2 / (2 * self.n),
+            z * np.sqrt(p * (1 - p) / self.n + z**2 / (4 * self.n**2)),
+        )
+        return float((centre - half) / (1 + z**2 / self.n)), float(
+            (centre + half) / (1 + z**2 / self.n)
+        )
 
     def __str__(self) -> str:
         low, high = self.interval
@@ -96,9 +110,11 @@ class Twins:
         table = self.factors if relative else self.levels
         k = min(int(np.searchsorted(table["at"], threshold)), len(table["at"]) - 1)
         return {
-            "threshold": float(table["at"][k]), "count": table["count"][k], "speed": table["speed"][k],
+            "threshold": float(table["at"][k]),
+            "count": table["count"][k],
+            "speed": table["speed"][k],
             "holds": Share(int(table["holds"][k]), self.n),
-        }  # fmt: skip
+        }
 
     def bound_threshold(self, confidence: float, relative: bool) -> float | None:
         """Smallest kept threshold from which on the level set's smallest speed is a bound with this probability."""
@@ -128,7 +144,13 @@ def check_confidence(n: int, confidence: float) -> int:
         raise InputError(sentence("a confidence must lie between 0 and 1", got=confidence))
     at = ceil(confidence * (n + 1)) - 1
     if at >= n:
-        raise InputError(sentence("too few twins for this confidence", got=f"{n} twins, {confidence:g}", do="ask for more twins"))
+        raise InputError(
+            sentence(
+                "too few twins for this confidence",
+                got=f"{n} twins, {confidence:g}",
+                do="ask for more twins",
+            )
+        )
     return at
 
 
@@ -136,7 +158,11 @@ def coverage_dataset(twins: Mapping[str, Twins], **said: Any) -> xr.Dataset:
     """Twins of every prior as a result of kind "coverage"; `said`: its attributes (seed, coarser, factor, grid_points, command)."""
     each = list(twins.values())
     data = {
-        name: (("prior", "twin", "line")[: each[0].twin[name].ndim + 1], np.stack([t.twin[name] for t in each]), {"units": unit})
+        name: (
+            ("prior", "twin", "line")[: each[0].twin[name].ndim + 1],
+            np.stack([t.twin[name] for t in each]),
+            {"units": unit},
+        )
         for name, unit in UNITS.items()
     }
     coords: dict[str, Any] = {"prior": list(twins), "quantile": list(QUANTILES)}
@@ -145,7 +171,11 @@ def coverage_dataset(twins: Mapping[str, Twins], **said: Any) -> xr.Dataset:
         coords[over] = over, tables[0]["at"], {"units": "1"}
         for name, unit in TABLE.items():
             dims = ("prior", over, "quantile")[: tables[0][name].ndim + 1]
-            data[f"{over}_{name}"] = dims, np.stack([table[name] for table in tables]), {"units": unit}
+            data[f"{over}_{name}"] = (
+                dims,
+                np.stack([table[name] for table in tables]),
+                {"units": unit},
+            )
     return xr.Dataset(data, coords, provenance("coverage", synthetic=1) | said)
 
 
@@ -156,7 +186,10 @@ def twins_of(found: xr.Dataset) -> dict[str, Twins]:
         return {"at": one[over].values} | {name: one[f"{over}_{name}"].values for name in TABLE}
 
     return {
-        str(prior): Twins({name: one[name].values for name in UNITS}, *(table(one, over) for over in PARTS.values()))
+        str(prior): Twins(
+            {name: one[name].values for name in UNITS},
+            *(table(one, over) for over in PARTS.values()),
+        )
         for prior in found["prior"].values
         for one in [found.sel(prior=prior)]
     }
@@ -173,17 +206,26 @@ def to_json(found: xr.Dataset) -> dict[str, Any]:
 
     return {
         "what": "the paper's method repeated on synthetic rebounds of known truth (sunspin.philae.coverage)",
-        "synthetic": True, "command": found.attrs["command"], **{key: _six(found.attrs[key]) for key in SAID},
+        "synthetic": True,
+        "command": found.attrs["command"],
+        **{key: _six(found.attrs[key]) for key in SAID},
         "twins": {
-            prior: {part: {name: listed(v) for name, v in getattr(twins, part).items()} for part in ("twin", *PARTS)}
+            prior: {
+                part: {name: listed(v) for name, v in getattr(twins, part).items()}
+                for part in ("twin", *PARTS)
+            }
             for prior, twins in twins_of(found).items()
         },
-    }  # fmt: skip
+    }
 
 
 def _six(value: Any) -> Any:
     number = value.item() if isinstance(value, np.generic | np.ndarray) else value
-    return (float(f"{number:.6g}") if np.isfinite(number) else None) if isinstance(number, float) else number
+    return (
+        (float(f"{number:.6g}") if np.isfinite(number) else None)
+        if isinstance(number, float)
+        else number
+    )
 
 
 def from_json(text: str, where: str) -> xr.Dataset:
@@ -191,10 +233,19 @@ def from_json(text: str, where: str) -> xr.Dataset:
     try:
         data = json.loads(text)
         twins = {
-            prior: Twins(*({name: np.array(values, dtype=np.float64) for name, values in parts[part].items()}
-                           for part in ("twin", *PARTS)))
+            prior: Twins(
+                *(
+                    {
+                        name: np.array(values, dtype=np.float64)
+                        for name, values in parts[part].items()
+                    }
+                    for part in ("twin", *PARTS)
+                )
+            )
             for prior, parts in data["twins"].items()
-        }  # fmt: skip
+        }
         return coverage_dataset(twins, command=data["command"], **{key: data[key] for key in SAID})
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(sentence(f"this is no result of `sunspin coverage` ({error})", where=where)) from None
+        raise InputError(
+            sentence(f"this is no result of `sunspin coverage` ({error})", where=where)
+        ) from None

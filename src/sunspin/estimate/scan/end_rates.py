@@ -18,7 +18,11 @@ RATE_DIRECTION_ERROR = 1e-9
 
 
 def end_rates(
-    vehicle: Vehicle, states: k.Rows, duration_s: float, direction_error: float = RATE_DIRECTION_ERROR, wheel_mode: str = "coast"
+    vehicle: Vehicle,
+    states: k.Rows,
+    duration_s: float,
+    direction_error: float = RATE_DIRECTION_ERROR,
+    wheel_mode: str = "coast",
 ) -> np.ndarray:
     """Body rates (n, 3) in rad/s, B, when each of the states (n) has moved for `duration_s` (negative: backward).
 
@@ -31,9 +35,16 @@ def end_rates(
     """
     if len(states) == 0:
         return np.zeros((0, 3))
-    run = k.run_rows(vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error)
+    run = k.run_rows(
+        vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error
+    )
     if np.any(run.outcome != k.Outcome.FINE):
-        raise MotionError(sentence("a motion could not be followed", got=k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))]))
+        raise MotionError(
+            sentence(
+                "a motion could not be followed",
+                got=k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))],
+            )
+        )
     return run.omega_B[:, 0]
 
 
@@ -55,10 +66,21 @@ class EndSpeedRows:
 
     def identity(self) -> dict[str, Any]:
         return {
-            **code(), "rows": "angular speed at the end", "vehicle": plain(self.vehicle), "start": plain(self.start),
-            "duration_s": float(self.duration_s), "direction_error": self.direction_error, "wheel_mode": self.wheel_mode,
-        }  # fmt: skip
+            **code(),
+            "rows": "angular speed at the end",
+            "vehicle": plain(self.vehicle),
+            "start": plain(self.start),
+            "duration_s": float(self.duration_s),
+            "direction_error": self.direction_error,
+            "wheel_mode": self.wheel_mode,
+        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        omega = end_rates(self.vehicle, self.start.take(index), self.duration_s, self.direction_error, self.wheel_mode)
+        omega = end_rates(
+            self.vehicle,
+            self.start.take(index),
+            self.duration_s,
+            self.direction_error,
+            self.wheel_mode,
+        )
         return {"speed": np.linalg.norm(omega, axis=1)}

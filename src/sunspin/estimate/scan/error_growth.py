@@ -49,14 +49,25 @@ class Motion:
 
     @classmethod
     def of(
-        cls, vehicle: Vehicle, omega_B: npt.ArrayLike, sun_B: npt.ArrayLike, wheel_speed_rad_s: Any, duration_s: float
+        cls,
+        vehicle: Vehicle,
+        omega_B: npt.ArrayLike,
+        sun_B: npt.ArrayLike,
+        wheel_speed_rad_s: Any,
+        duration_s: float,
     ) -> Motion:
         """Checked: the direction is made a unit vector, wheel speeds may be a number or None."""
         sun = np.asarray(sun_B, dtype=np.float64)
         if not (np.isfinite(duration_s) and duration_s > 0):
             raise InputError(sentence("duration_s must be positive", got=duration_s))
         speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
-        return cls(vehicle, np.asarray(omega_B, dtype=np.float64), sun / np.linalg.norm(sun), speeds, float(duration_s))
+        return cls(
+            vehicle,
+            np.asarray(omega_B, dtype=np.float64),
+            sun / np.linalg.norm(sun),
+            speeds,
+            float(duration_s),
+        )
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -96,17 +107,33 @@ def growth(motion: Motion) -> xr.Dataset:
     error = []
     for name in motion.inputs:
         chord = np.linalg.norm(motion.changed(name, SMALL_CHANGE).track(t) - unchanged, axis=1)
-        error.append(np.maximum.accumulate(2 * np.arcsin(np.minimum(chord / 2, 1.0))) / SMALL_CHANGE)
+        error.append(
+            np.maximum.accumulate(2 * np.arcsin(np.minimum(chord / 2, 1.0))) / SMALL_CHANGE
+        )
     values = np.array(error)
     late = t >= FIT_FROM * motion.duration_s
-    power = [float(np.polyfit(np.log(t[late]), np.log(np.maximum(row[late], 1e-12)), 1)[0]) for row in values]
+    power = [
+        float(np.polyfit(np.log(t[late]), np.log(np.maximum(row[late], 1e-12)), 1)[0])
+        for row in values
+    ]
     return xr.Dataset(
         {
-            "error_rad": (("input", "time"), values, {"units": "rad", "long_name": "direction error per relative change"}),
-            "power": ("input", power, {"units": "1", "long_name": "power of time with which the error grows"}),
+            "error_rad": (
+                ("input", "time"),
+                values,
+                {"units": "rad", "long_name": "direction error per relative change"},
+            ),
+            "power": (
+                "input",
+                power,
+                {"units": "1", "long_name": "power of time with which the error grows"},
+            ),
         },
         coords={"input": list(motion.inputs), "time": ("time", t, {"units": "s"})},
-        attrs={"vehicle": motion.vehicle.name, "angular_speed_rad_s": float(np.linalg.norm(motion.omega_B))},
+        attrs={
+            "vehicle": motion.vehicle.name,
+            "angular_speed_rad_s": float(np.linalg.norm(motion.omega_B)),
+        },
     )
 
 
@@ -122,26 +149,44 @@ def one_percent(motion: Motion, sample_step_s: float) -> xr.Dataset:
     unchanged = motion.track(t)
     seen = unchanged[allows(mask, unchanged), 2]
     if seen.size == 0:
-        raise InputError(sentence("none of this motion's directions could be reconstructed", do="choose another motion"))
+        raise InputError(
+            sentence(
+                "none of this motion's directions could be reconstructed",
+                do="choose another motion",
+            )
+        )
     table = np.zeros((len(motion.inputs), 2))
     for i, name in enumerate(motion.inputs):
         for sign in (1, -1):
             track = motion.changed(name, sign * ONE_PERCENT).track(t)
             other = track[allows(mask, track), 2]
-            found = direction_error(track[::every], unchanged[::every]), emd(other, seen) if other.size else 1.0
+            found = (
+                direction_error(track[::every], unchanged[::every]),
+                emd(other, seen) if other.size else 1.0,
+            )
             table[i] = np.maximum(table[i], found)
     return xr.Dataset(
-        {"E": ("input", table[:, 0], {"units": "1"}), "emd": ("input", table[:, 1], {"units": "1"})},
+        {
+            "E": ("input", table[:, 0], {"units": "1"}),
+            "emd": ("input", table[:, 1], {"units": "1"}),
+        },
         coords={"input": list(motion.inputs)},
         attrs={"relative_change": ONE_PERCENT},
     )
 
 
 def valleys(
-    motion: Motion, change_rad_s: npt.ArrayLike, windows_s: npt.ArrayLike, sample_step_s: float, workers: int | None = None
+    motion: Motion,
+    change_rad_s: npt.ArrayLike,
+    windows_s: npt.ArrayLike,
+    sample_step_s: float,
+    workers: int | None = None,
 ) -> xr.DataArray:
     """E over (window, change of omega_x in rad/s) against the motion's own directions, sampled every `sample_step_s`."""
-    change, windows = np.asarray(change_rad_s, dtype=np.float64), np.asarray(windows_s, dtype=np.float64)
+    change, windows = (
+        np.asarray(change_rad_s, dtype=np.float64),
+        np.asarray(windows_s, dtype=np.float64),
+    )
     axes = [motion.omega_B[0] + change, motion.omega_B[1:2], motion.omega_B[2:]]
     start = Start.on_grid(motion.vehicle, axes, motion.sun_B, motion.wheel_speed_rad_s)
     found = []
@@ -150,9 +195,15 @@ def valleys(
         rows = TrackRows(motion.vehicle, start, motion.track(times), times)
         found.append(ensemble(rows, workers=workers, chunk=512)["E"])
     return xr.DataArray(
-        np.array(found), dims=("window", "change"), name="E", attrs={"units": "1"},
-        coords={"window": ("window", windows, {"units": "s"}), "change": ("change", change, {"units": "rad s-1"})},
-    )  # fmt: skip
+        np.array(found),
+        dims=("window", "change"),
+        name="E",
+        attrs={"units": "1"},
+        coords={
+            "window": ("window", windows, {"units": "s"}),
+            "change": ("change", change, {"units": "rad s-1"}),
+        },
+    )
 
 
 def valley_width(valley: xr.DataArray) -> np.ndarray:
@@ -161,5 +212,7 @@ def valley_width(valley: xr.DataArray) -> np.ndarray:
     for row in valley.values:
         above = row > np.median(row) / 2
         left, right = change[above & (change < 0)], change[above & (change > 0)]
-        widths.append((right.min() if right.size else np.inf) - (left.max() if left.size else -np.inf))
+        widths.append(
+            (right.min() if right.size else np.inf) - (left.max() if left.size else -np.inf)
+        )
     return np.array(widths)

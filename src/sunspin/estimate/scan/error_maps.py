@@ -17,7 +17,14 @@ from sunspin.estimate.scan.metrics import direction_error
 from sunspin.estimate.scan.rows import TRACK_DIRECTION_ERROR, Start, TrackRows
 from sunspin.vehicle import Vehicle
 
-INERTIA = {"theta_xx": (0, 0), "theta_yy": (1, 1), "theta_zz": (2, 2), "theta_xy": (0, 1), "theta_xz": (0, 2), "theta_yz": (1, 2)}
+INERTIA = {
+    "theta_xx": (0, 0),
+    "theta_yy": (1, 1),
+    "theta_zz": (2, 2),
+    "theta_xy": (0, 1),
+    "theta_xz": (0, 2),
+    "theta_yz": (1, 2),
+}
 """Names of the elements of the inertia tensor that can be varied (kg m2)."""
 
 WHEEL_PARAMETERS = ("mu_0", "mu_1", "J")
@@ -39,9 +46,16 @@ def varied(vehicle: Vehicle, name: str, value: float) -> Vehicle:
         return replace(vehicle, inertia_kg_m2=tensor)
     if name not in WHEEL_PARAMETERS:
         known = ", ".join([*INERTIA, *WHEEL_PARAMETERS])
-        raise InputError(sentence("there is no parameter of this name", got=name, do=f"known: {known}"))
+        raise InputError(
+            sentence("there is no parameter of this name", got=name, do=f"known: {known}")
+        )
     if not vehicle.wheels:
-        raise InputError(sentence(f"{name} belongs to a wheel, and {vehicle.name!r} has none", do="vary its inertia instead"))
+        raise InputError(
+            sentence(
+                f"{name} belongs to a wheel, and {vehicle.name!r} has none",
+                do="vary its inertia instead",
+            )
+        )
     wheels = []
     for wheel in vehicle.wheels:
         if name == "J":
@@ -57,9 +71,18 @@ def nominal(vehicle: Vehicle, name: str) -> float:
     if name in INERTIA:
         return float(vehicle.require_inertia()[INERTIA[name]])
     if not vehicle.wheels:
-        raise InputError(sentence(f"{name} belongs to a wheel, and {vehicle.name!r} has none", do="vary its inertia instead"))
+        raise InputError(
+            sentence(
+                f"{name} belongs to a wheel, and {vehicle.name!r} has none",
+                do="vary its inertia instead",
+            )
+        )
     wheel = vehicle.wheels[0]
-    values = {"mu_0": wheel.friction.coulomb_N_m, "mu_1": wheel.friction.viscous_N_m_s, "J": wheel.inertia_kg_m2}
+    values = {
+        "mu_0": wheel.friction.coulomb_N_m,
+        "mu_1": wheel.friction.viscous_N_m_s,
+        "J": wheel.inertia_kg_m2,
+    }
     return float(values[name])
 
 
@@ -112,23 +135,40 @@ class ParameterRows:
         (one, other), (first, second) = self.names, self.values
         if (one in INERTIA) == (other in INERTIA) or "J" in self.names:
             at = zip(first[i], second[j], strict=True)
-            return k.Bodies.stack([varied(varied(self.vehicle, one, float(a)), other, float(b)) for a, b in at])
-        along = [k.Bodies.stack([varied(self.vehicle, name, float(value)) for value in axis])
-                 for name, axis in zip(self.names, self.values, strict=True)]  # fmt: skip
-        of_wheels, of_body = (along[1].take(j), along[0].take(i)) if one in INERTIA else (along[0].take(i), along[1].take(j))
+            return k.Bodies.stack(
+                [varied(varied(self.vehicle, one, float(a)), other, float(b)) for a, b in at]
+            )
+        along = [
+            k.Bodies.stack([varied(self.vehicle, name, float(value)) for value in axis])
+            for name, axis in zip(self.names, self.values, strict=True)
+        ]
+        of_wheels, of_body = (
+            (along[1].take(j), along[0].take(i))
+            if one in INERTIA
+            else (along[0].take(i), along[1].take(j))
+        )
         return replace(of_wheels, inertia_kg_m2=of_body.inertia_kg_m2)
 
 
 def rate_map(
-    vehicle: Vehicle, track: xr.Dataset, sun_B: Any, axes: list[np.ndarray], wheel_speed_rad_s: Any, workers: int | None = None
+    vehicle: Vehicle,
+    track: xr.Dataset,
+    sun_B: Any,
+    axes: list[np.ndarray],
+    wheel_speed_rad_s: Any,
+    workers: int | None = None,
 ) -> xr.DataArray:
     """E over a grid of initial rates (omega_x, omega_y, omega_z in rad/s) against the measured directions of a track."""
     measured, times = _known(track)
-    start = Start.on_grid(vehicle, [np.asarray(axis, dtype=np.float64) for axis in axes], sun_B, wheel_speed_rad_s)
+    start = Start.on_grid(
+        vehicle, [np.asarray(axis, dtype=np.float64) for axis in axes], sun_B, wheel_speed_rad_s
+    )
     out = ensemble(TrackRows(vehicle, start, measured, times), workers=workers, chunk=1024)
     dims = ("omega_x", "omega_y", "omega_z")
     coords = {dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)}
-    return xr.DataArray(out["E"].reshape(start.shape), dims=dims, coords=coords, name="E", attrs={"units": "1"})
+    return xr.DataArray(
+        out["E"].reshape(start.shape), dims=dims, coords=coords, name="E", attrs={"units": "1"}
+    )
 
 
 def parameter_map(
@@ -144,15 +184,25 @@ def parameter_map(
     if len(parameters) != 2:
         raise InputError(sentence("a map needs exactly two parameters", got=", ".join(parameters)))
     measured, times = _known(track)
-    start = Start.on_grid(vehicle, [np.array([float(rate)]) for rate in omega_B], sun_B, wheel_speed_rad_s)
-    (one, first), (other, second) = ((name, np.asarray(axis, dtype=np.float64)) for name, axis in parameters.items())
+    start = Start.on_grid(
+        vehicle, [np.array([float(rate)]) for rate in omega_B], sun_B, wheel_speed_rad_s
+    )
+    (one, first), (other, second) = (
+        (name, np.asarray(axis, dtype=np.float64)) for name, axis in parameters.items()
+    )
     for name, axis in ((one, first), (other, second)):
-        varied(vehicle, name, float(axis[0]))  # a name or value that will not do is refused before the work
+        varied(
+            vehicle, name, float(axis[0])
+        )  # a name or value that will not do is refused before the work
     rows = ParameterRows(vehicle, (one, other), (first, second), start, measured, times)
     out = ensemble(rows, workers=workers, chunk=1024)
     return xr.DataArray(
-        out["E"].reshape(rows.shape), dims=(one, other), coords={one: first, other: second}, name="E", attrs={"units": "1"},
-    )  # fmt: skip
+        out["E"].reshape(rows.shape),
+        dims=(one, other),
+        coords={one: first, other: second},
+        name="E",
+        attrs={"units": "1"},
+    )
 
 
 def _known(track: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:

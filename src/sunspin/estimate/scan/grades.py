@@ -61,7 +61,13 @@ class Graded:
         Interpolated motions that were run to try their bounds, and how many of them lay beyond.
     """
 
-    def __init__(self, axes: Sequence[np.ndarray], factors: Sequence[float], thresholds: Sequence[float], run: Run) -> None:
+    def __init__(
+        self,
+        axes: Sequence[np.ndarray],
+        factors: Sequence[float],
+        thresholds: Sequence[float],
+        run: Run,
+    ) -> None:
         """`axes`: rates in ascending order; `factors` times the smallest EMD and `thresholds` are the limits."""
         self.axes, self.factors, self.thresholds, self.run = axes, factors, thresholds, run
         shape = tuple(len(axis) for axis in axes)
@@ -99,8 +105,12 @@ class Graded:
         error = np.where(chosen, np.abs(self._known() - interpolated), 0.0)
         beyond = error > bound  # false where either is NaN
         if beyond.any():
-            nearby = maximum_filter(np.where(beyond, error, 0.0), size=2 * REACH * STRIDE + 1, mode="constant")
-            self.first_bound = np.where(self.exact, self.first_bound, np.maximum(self.first_bound, nearby))
+            nearby = maximum_filter(
+                np.where(beyond, error, 0.0), size=2 * REACH * STRIDE + 1, mode="constant"
+            )
+            self.first_bound = np.where(
+                self.exact, self.first_bound, np.maximum(self.first_bound, nearby)
+            )
         return beyond
 
     def _interpolate(self) -> None:
@@ -109,7 +119,10 @@ class Graded:
         there = np.zeros(self.emd.shape, dtype=bool)
         there[np.ix_(*places)] = True
         self._run(there)
-        emd, x = self._known()[np.ix_(*places)], [axis[at] for axis, at in zip(self.axes, places, strict=True)]
+        emd, x = (
+            self._known()[np.ix_(*places)],
+            [axis[at] for axis, at in zip(self.axes, places, strict=True)],
+        )
         rough = maximum_filter(_roughness(emd, x), size=2 * REACH + 1, mode="nearest")
         for k, axis in enumerate(self.axes):
             if len(x[k]) < len(axis):
@@ -124,7 +137,9 @@ class Graded:
             settled = self.emd - bound > self._smallest()
             for limit in self._limits():
                 settled &= np.abs(self.emd - limit) > bound
-            if not (chosen := ~settled & ~self.exact).any():  # NaN, beside what could not be computed, is never settled
+            if not (
+                chosen := ~settled & ~self.exact
+            ).any():  # NaN, beside what could not be computed, is never settled
                 return
             self._run(chosen)
 
@@ -134,8 +149,14 @@ class Graded:
         while doubtful.any():
             chosen, kind = self._sample(rng, doubtful), self._class()
             beyond = self._run(chosen)
-            tried, bad = (np.bincount(kind[of], minlength=len(self.scale)) for of in (chosen, beyond))
-            self.tried, self.violations, doubtful = self.tried + tried, self.violations + bad, bad > 0
+            tried, bad = (
+                np.bincount(kind[of], minlength=len(self.scale)) for of in (chosen, beyond)
+            )
+            self.tried, self.violations, doubtful = (
+                self.tried + tried,
+                self.violations + bad,
+                bad > 0,
+            )
             self.scale[doubtful] *= 2
             self._settle()
 
@@ -146,7 +167,9 @@ class Graded:
         for among in (gap < NEAR, gap < np.inf):
             for one in np.flatnonzero(classes):
                 there = np.flatnonzero(among & (kind == one) & ~self.exact & ~chosen)
-                chosen.ravel()[rng.choice(there, min(CHECKED // len(classes), len(there)), replace=False)] = True
+                chosen.ravel()[
+                    rng.choice(there, min(CHECKED // len(classes), len(there)), replace=False)
+                ] = True
         return chosen
 
     def reorder(self, places: Sequence[np.ndarray]) -> None:
@@ -161,11 +184,17 @@ class Graded:
         """What the result says of the bounds, by class; `violation_share_below` is the 95 % limit of the share beyond them."""
         from scipy.stats import beta
 
-        tried, bad = np.maximum(self.tried, 1), np.minimum(self.violations, np.maximum(self.tried, 1) - 1)
+        tried, bad = (
+            np.maximum(self.tried, 1),
+            np.minimum(self.violations, np.maximum(self.tried, 1) - 1),
+        )
         return {
-            "class_from_bound": [0.0, *CLASSES], "class_bound_factor": self.scale.tolist(), "class_tried": self.tried.tolist(),
-            "class_violations": self.violations.tolist(), "violation_share_below": beta.ppf(0.95, bad + 1, tried - bad).tolist(),
-        }  # fmt: skip
+            "class_from_bound": [0.0, *CLASSES],
+            "class_bound_factor": self.scale.tolist(),
+            "class_tried": self.tried.tolist(),
+            "class_violations": self.violations.tolist(),
+            "violation_share_below": beta.ppf(0.95, bad + 1, tried - bad).tolist(),
+        }
 
 
 @dataclass(frozen=True)
@@ -198,11 +227,19 @@ def applies(rows: EmdRows) -> bool:
     start, vehicle = rows.start, rows.vehicle
     given_off_B = np.zeros((2, 3))
     commands = check_commands(vehicle, rows.wheel_mode)
-    for wheel, speed, command in zip(vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True):
+    for wheel, speed, command in zip(
+        vehicle.wheels, start.wheel_speed_rad_s, commands, strict=True
+    ):
         times, friction = rows.duration_s * np.array([0.0, 0.5, 1.0]), wheel.friction
-        slowed = spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, wheel.inertia_kg_m2, speed, times)
-        given_off_B += np.outer(wheel.inertia_kg_m2 * np.diff(slowed) * (command != "hold"), wheel.axis_B)
-    axes = [axis for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS]
+        slowed = spin_down_speed(
+            friction.coulomb_N_m, friction.viscous_N_m_s, wheel.inertia_kg_m2, speed, times
+        )
+        given_off_B += np.outer(
+            wheel.inertia_kg_m2 * np.diff(slowed) * (command != "hold"), wheel.axis_B
+        )
+    axes = [
+        axis for axis in (start.omega_x, start.omega_y, start.omega_z) if len(axis) >= FEWEST_POINTS
+    ]
     step = max((np.diff(np.sort(axis)).max() for axis in axes), default=np.inf)
     apart = REACH * STRIDE * step * np.linalg.eigvalsh(vehicle.require_inertia())[-1]
     enough = bool(np.all(np.linalg.norm(given_off_B, axis=1) >= apart))
@@ -210,14 +247,24 @@ def applies(rows: EmdRows) -> bool:
 
 
 def in_two_grades(
-    rows: EmdRows, factors: Sequence[float], thresholds: Sequence[float], store: str | Path | None = None, **settings: Any
+    rows: EmdRows,
+    factors: Sequence[float],
+    thresholds: Sequence[float],
+    store: str | Path | None = None,
+    **settings: Any,
 ) -> Graded:
     """The grid of `rows` in two grades, in the order of its axes; `settings` as in :func:`sunspin.compute.rows.ensemble`.
 
     A `store` gets a folder for each stage, so that other limits find there what they share.
     """
     if store is not None and (Path(store) / "zarr.json").exists():
-        raise InputError(sentence("the store is of a scan that runs each motion", do="choose another folder", where=str(store)))
+        raise InputError(
+            sentence(
+                "the store is of a scan that runs each motion",
+                do="choose another folder",
+                where=str(store),
+            )
+        )
     start = rows.start
     axes = (start.omega_x, start.omega_y, start.omega_z)
     order = [np.argsort(axis) for axis in axes]
@@ -229,7 +276,9 @@ def in_two_grades(
         out = ensemble(ChosenRows(rows, chosen), store=folder, label="scan", **settings)
         return out["emd"], out["outcome"]
 
-    found = Graded([axis[of] for axis, of in zip(axes, order, strict=True)], factors, thresholds, run)
+    found = Graded(
+        [axis[of] for axis, of in zip(axes, order, strict=True)], factors, thresholds, run
+    )
     found.reorder([np.argsort(of) for of in order])
     return found
 
@@ -246,20 +295,27 @@ def _roughness(emd: np.ndarray, axes: list[np.ndarray]) -> np.ndarray:
         if len(x) < 5:
             continue
         inner = np.arange(2, len(x) - 2)
-        missed = np.abs(_curve(emd, k, inner[:, None] + [-2, -1, 1, 2], x, x[inner]) - np.take(emd, inner, axis=k))
+        missed = np.abs(
+            _curve(emd, k, inner[:, None] + [-2, -1, 1, 2], x, x[inner])
+            - np.take(emd, inner, axis=k)
+        )
         part = np.moveaxis(rough, k, 0)[2:-2]
         np.maximum(part, np.moveaxis(missed, k, 0), out=part)
     return np.where(np.isnan(rough), np.inf, rough)
 
 
-def _curve(values: np.ndarray, k: int, nodes: np.ndarray, x: np.ndarray, to: np.ndarray) -> np.ndarray:
+def _curve(
+    values: np.ndarray, k: int, nodes: np.ndarray, x: np.ndarray, to: np.ndarray
+) -> np.ndarray:
     """Along axis k, at `to` (m): the cubics through the values at `nodes` (m, 4) of x, by Lagrange's weights."""
     near, found = x[nodes], np.zeros(())
     for i in range(4):
         weight = np.ones(len(to))
         for j in {0, 1, 2, 3} - {i}:
             weight *= (to - near[:, j]) / (near[:, i] - near[:, j])
-        found = found + np.take(values, nodes[:, i], axis=k) * np.expand_dims(weight, [a for a in range(values.ndim) if a != k])
+        found = found + np.take(values, nodes[:, i], axis=k) * np.expand_dims(
+            weight, [a for a in range(values.ndim) if a != k]
+        )
     return found
 
 

@@ -66,7 +66,9 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
     """
     cloud = np.asarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.all(np.isfinite(cloud)):
-        raise InputError(sentence("points must have the shape (n, 3) and be finite", got=cloud.shape))
+        raise InputError(
+            sentence("points must have the shape (n, 3) and be finite", got=cloud.shape)
+        )
     if n_lines < 1 or len(np.unique(cloud, axis=0)) < 2 * n_lines:
         raise InputError(
             sentence(
@@ -76,13 +78,17 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
             )
         )
     cloud = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
-    found = [_refine(cloud, *start) for start in _search(cloud, n_lines, np.random.default_rng(seed))]
+    found = [
+        _refine(cloud, *start) for start in _search(cloud, n_lines, np.random.default_rng(seed))
+    ]
     best, best_cost = found[0], _total(cloud, *found[0])
     for lines in found[1:]:
         cost = _total(cloud, *lines)
         if cost < best_cost * (1 - TOLERANCE):
             best_cost, best = cost, lines
-    return _dataset(np.asarray(points, dtype=np.float64), *best).assign_attrs(provenance("lines", seed=seed))
+    return _dataset(np.asarray(points, dtype=np.float64), *best).assign_attrs(
+        provenance("lines", seed=seed)
+    )
 
 
 def _total(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> float:
@@ -92,7 +98,11 @@ def _total(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> floa
 def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Lines (origin, direction) through pairs of different points: all pairs of a small cloud, random ones of a large."""
     distinct = np.unique(cloud, axis=0)
-    first, second = np.triu_indices(len(distinct), 1) if len(distinct) <= 60 else rng.integers(len(distinct), size=(2, 4096))
+    first, second = (
+        np.triu_indices(len(distinct), 1)
+        if len(distinct) <= 60
+        else rng.integers(len(distinct), size=(2, 4096))
+    )
     use = np.flatnonzero(first != second)
     if len(use) > N_CANDIDATES:
         use = rng.choice(use, N_CANDIDATES, replace=False)
@@ -100,13 +110,21 @@ def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray
     return distinct[first[use]], step / np.linalg.norm(step, axis=1, keepdims=True)
 
 
-def _search(cloud: np.ndarray, n_lines: int, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+def _search(
+    cloud: np.ndarray, n_lines: int, rng: np.random.Generator
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """The best few sets of candidate lines: a greedy start and random ones, each improved by swaps while they help."""
-    sample = cloud if len(cloud) <= N_SEARCH_POINTS else cloud[rng.choice(len(cloud), N_SEARCH_POINTS, replace=False)]
+    sample = (
+        cloud
+        if len(cloud) <= N_SEARCH_POINTS
+        else cloud[rng.choice(len(cloud), N_SEARCH_POINTS, replace=False)]
+    )
     origin, direction = _candidates(cloud, rng)
     cost = distances(sample, origin, direction)
     n_starts = int(np.clip(SEARCH_WORK // cost.size, MIN_STARTS, MAX_STARTS))
-    starts = [_greedy(cost, n_lines)] + [rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)]
+    starts = [_greedy(cost, n_lines)] + [
+        rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)
+    ]
     found: dict[tuple[int, ...], float] = {}
     for start in starts:
         chosen = tuple(sorted(_swapped(cost, start)))
@@ -141,7 +159,9 @@ def _swapped(cost: np.ndarray, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _refine(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _refine(
+    cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Alternate between assigning points and fitting each line to its points, until the assignment settles."""
     origin, direction = origin.copy(), direction.copy()
     member = np.full(len(cloud), -1)
@@ -157,7 +177,9 @@ def _refine(cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tup
     return origin, direction
 
 
-def line_through(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def line_through(
+    points: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The line with the smallest sum of distances d to points (n, 3), near a first guess; never worse than the guess.
 
     Iteratively reweighted least squares on the sum of sqrt(d^2 + s^2), the smoothing s falling by halves from the width of
@@ -217,18 +239,24 @@ MIN_SLOPE = 1e-9
 """A line whose unit direction has a smaller component than this does not reach other values of that component."""
 
 
-def point_at(origin: np.ndarray, direction: np.ndarray, axis: int, value: npt.ArrayLike) -> np.ndarray:
+def point_at(
+    origin: np.ndarray, direction: np.ndarray, axis: int, value: npt.ArrayLike
+) -> np.ndarray:
     """Points (..., 3) of a line at which component `axis` has the given values."""
     step = (np.asarray(value, dtype=np.float64) - origin[axis]) / direction[axis]
     return origin + step[..., None] * direction
 
 
-def line_deviation(line_a: Line, line_b: Line, axis: int = 2, low: float = -0.2, high: float = 0.3) -> dict[str, float]:
+def line_deviation(
+    line_a: Line, line_b: Line, axis: int = 2, low: float = -0.2, high: float = 0.3
+) -> dict[str, float]:
     """How far two lines (point, direction) are apart: angle in rad, mean and largest distance over a range of one component.
 
     Distances are from the points of `line_b` in the range to line `line_a`.
     """
-    (point_a, dir_a), (point_b, dir_b) = [(np.asarray(p, float), np.asarray(d, float)) for p, d in (line_a, line_b)]
+    (point_a, dir_a), (point_b, dir_b) = [
+        (np.asarray(p, float), np.asarray(d, float)) for p, d in (line_a, line_b)
+    ]
     dir_a, dir_b = dir_a / np.linalg.norm(dir_a), dir_b / np.linalg.norm(dir_b)
     if abs(dir_b[axis]) < MIN_SLOPE:
         raise InputError(
@@ -239,7 +267,9 @@ def line_deviation(line_a: Line, line_b: Line, axis: int = 2, low: float = -0.2,
             )
         )
     angle = np.arctan2(np.linalg.norm(np.cross(dir_a, dir_b)), abs(dir_a @ dir_b))
-    apart = distances(point_at(point_b, dir_b, axis, np.linspace(low, high, 101)), point_a[None], dir_a[None])[0]
+    apart = distances(
+        point_at(point_b, dir_b, axis, np.linspace(low, high, 101)), point_a[None], dir_a[None]
+    )[0]
     return {"angle_rad": float(angle), "mean": float(apart.mean()), "max": float(apart.max())}
 
 
@@ -251,7 +281,12 @@ def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -
     lines = list(zip(fitted["point"].values, fitted["direction"].values, strict=True))
     if len(lines) < len(reference):
         raise InputError(
-            sentence("there are fewer fitted lines than reference lines", got=f"{len(lines)} and {len(reference)}")
+            sentence(
+                "there are fewer fitted lines than reference lines",
+                got=f"{len(lines)} and {len(reference)}",
+            )
         )
-    cost = np.array([[line_deviation(line, other, **options)["mean"] for line in lines] for other in reference])
+    cost = np.array(
+        [[line_deviation(line, other, **options)["mean"] for line in lines] for other in reference]
+    )
     return [int(index) for index in linear_sum_assignment(cost)[1]]

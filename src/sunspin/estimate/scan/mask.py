@@ -31,7 +31,9 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
         )
     unwanted = [pattern for pattern in possible if pattern not in set(wanted)]
     good, bad = (
-        np.array([[name in pattern for name in names] for pattern in some], dtype=bool).reshape(-1, len(names))
+        np.array([[name in pattern for name in names] for pattern in some], dtype=bool).reshape(
+            -1, len(names)
+        )
         for some in (wanted, unwanted)
     )
     return vehicle.response_in().counted(good, bad)

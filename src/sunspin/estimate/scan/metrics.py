@@ -17,8 +17,12 @@ Z_TOLERANCE = 1e-3
 @overload
 def direction_error(sun_sim: xr.Dataset, sun_meas: xr.Dataset) -> float: ...
 @overload
-def direction_error(sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset) -> Any: ...
-def direction_error(sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset) -> Any:
+def direction_error(
+    sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset
+) -> Any: ...
+def direction_error(
+    sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike | xr.Dataset
+) -> Any:
     """E, the mean of (1 - r.n) / 2 over the samples: 0 for a perfect fit, 1 for opposite directions (paper, eq. 12).
 
     Parameters
@@ -32,11 +36,18 @@ def direction_error(sun_sim: npt.ArrayLike | xr.Dataset, sun_meas: npt.ArrayLike
     """
     sim, meas = _track(sun_sim, "sun_sim"), _track(sun_meas, "sun_meas")
     if sim.shape[-2] != meas.shape[-2]:
-        raise InputError(sentence("both tracks must have the same samples", got=f"{sim.shape[-2]} and {meas.shape[-2]}"))
+        raise InputError(
+            sentence(
+                "both tracks must have the same samples",
+                got=f"{sim.shape[-2]} and {meas.shape[-2]}",
+            )
+        )
     known = np.all(np.isfinite(meas), axis=-1)
     if not np.all(np.any(known, axis=-1)):
         raise InputError(sentence("the measured track holds no direction to compare with"))
-    cosine = np.where(known, np.einsum("...i,...i->...", sim, np.where(known[..., None], meas, 0.0)), 0.0)
+    cosine = np.where(
+        known, np.einsum("...i,...i->...", sim, np.where(known[..., None], meas, 0.0)), 0.0
+    )
     count = np.broadcast_to(known, cosine.shape).sum(axis=-1)
     error = (1.0 - cosine.sum(axis=-1) / count) / 2
     return float(error) if np.ndim(error) == 0 else error
@@ -69,7 +80,9 @@ def emd(
 
     a, b = _sample(z_a, "z_a"), _sample(z_b, "z_b")
     return 0.5 * float(
-        wasserstein_distance(a, b, _weights(weights_a, a, "weights_a"), _weights(weights_b, b, "weights_b"))
+        wasserstein_distance(
+            a, b, _weights(weights_a, a, "weights_a"), _weights(weights_b, b, "weights_b")
+        )
     )
 
 
@@ -78,7 +91,12 @@ def _sample(z: npt.ArrayLike, name: str) -> np.ndarray:
     if values.size == 0:
         raise InputError(sentence(f"{name} is empty", do="give at least one z component"))
     if not np.all(np.abs(values) <= 1 + Z_TOLERANCE):
-        raise InputError(sentence(f"{name} must hold z components in [-1, 1]", got=float(values[~(np.abs(values) <= 1)][0])))
+        raise InputError(
+            sentence(
+                f"{name} must hold z components in [-1, 1]",
+                got=float(values[~(np.abs(values) <= 1)][0]),
+            )
+        )
     return values
 
 
@@ -86,6 +104,15 @@ def _weights(weights: npt.ArrayLike | None, z: np.ndarray, name: str) -> np.ndar
     if weights is None:
         return None
     values = np.asarray(weights, dtype=np.float64).ravel()
-    if values.shape != z.shape or not np.all(values >= 0) or not np.isfinite(values).all() or values.sum() == 0:
-        raise InputError(sentence(f"{name} must give one value >= 0 per z component, not all zero", got=values.shape))
+    if (
+        values.shape != z.shape
+        or not np.all(values >= 0)
+        or not np.isfinite(values).all()
+        or values.sum() == 0
+    ):
+        raise InputError(
+            sentence(
+                f"{name} must give one value >= 0 per z component, not all zero", got=values.shape
+            )
+        )
     return values

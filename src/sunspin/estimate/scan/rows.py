@@ -49,9 +49,14 @@ class Start:
 
     @classmethod
     def on_grid(
-        cls, vehicle: Vehicle, axes: list[np.ndarray], sun_B: npt.ArrayLike, wheel_speed_rad_s: Any, acting: Acting = NOTHING,
+        cls,
+        vehicle: Vehicle,
+        axes: list[np.ndarray],
+        sun_B: npt.ArrayLike,
+        wheel_speed_rad_s: Any,
+        acting: Acting = NOTHING,
         B_from_N: npt.ArrayLike | None = None,
-    ) -> Start:  # fmt: skip
+    ) -> Start:
         """Checked: `InputError` for a direction that is none, `MotionError` for speeds that do not fit the wheels, or an attitude
         that does not fit the direction."""
         sun = np.asarray(sun_B, dtype=np.float64)
@@ -59,7 +64,15 @@ class Start:
             raise InputError(sentence("sun_B must be a unit vector of three components", got=sun_B))
         x, y, z = axes
         attitude = acting.attitude(B_from_N, sun)
-        return cls(x, y, z, sun, wheel_speeds(vehicle, wheel_speed_rad_s), acting, attitude if acting.torques else None)
+        return cls(
+            x,
+            y,
+            z,
+            sun,
+            wheel_speeds(vehicle, wheel_speed_rad_s),
+            acting,
+            attitude if acting.torques else None,
+        )
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -75,7 +88,12 @@ class Start:
         omega = np.stack([axis[i] for axis, i in zip(axes, where, strict=True)], axis=-1)
         n = len(index)
         attitude = None if self.B_from_N is None else np.tile(self.B_from_N, (n, 1))
-        return k.Rows(omega, np.tile(self.sun_B, (n, 1)), np.tile(self.wheel_speed_rad_s, (n, 1)), B_from_N=attitude)
+        return k.Rows(
+            omega,
+            np.tile(self.sun_B, (n, 1)),
+            np.tile(self.wheel_speed_rad_s, (n, 1)),
+            B_from_N=attitude,
+        )
 
 
 @dataclass(frozen=True)
@@ -103,7 +121,9 @@ class EmdRows:
 
     def __post_init__(self) -> None:
         if self.duration_s is None or not (np.isfinite(self.duration_s) and self.duration_s != 0):
-            raise InputError(sentence("duration_s must be the length of the run in s", got=self.duration_s))
+            raise InputError(
+                sentence("duration_s must be the length of the run in s", got=self.duration_s)
+            )
         if self.mask not in ("reconstructible", None):
             raise InputError(sentence('mask must be "reconstructible" or None', got=self.mask))
         k.check_commands(self.vehicle, self.wheel_mode)
@@ -111,7 +131,9 @@ class EmdRows:
         if self.emd_error is None and self.direction_error is None:
             object.__setattr__(self, "emd_error", k.EMD_ERROR)
         k.accuracy(self.direction_error, self.emd_error)
-        object.__setattr__(self, "condition", reconstructible_mask(self.vehicle) if self.mask else None)
+        object.__setattr__(
+            self, "condition", reconstructible_mask(self.vehicle) if self.mask else None
+        )
         object.__setattr__(self, "segments", target_segments(self.target_z, self.weights))
 
     @property
@@ -121,7 +143,9 @@ class EmdRows:
     def identity(self) -> dict[str, Any]:
         return _identity(self) | {
             "target_z": plain(np.asarray(self.target_z, dtype=np.float64)),
-            "weights": None if self.weights is None else plain(np.asarray(self.weights, dtype=np.float64)),
+            "weights": None
+            if self.weights is None
+            else plain(np.asarray(self.weights, dtype=np.float64)),
             "mask": [self.mask, plain(self.condition)],
             "duration_s": float(self.duration_s),
             "bins": BINS,
@@ -136,26 +160,51 @@ class EmdRows:
     def _distances(self, states: k.Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """EMD, time (s) that the mask let pass, and outcome of each state (n)."""
         hist, outcome = histograms(
-            self.vehicle, states, self.duration_s, self.condition, self.wheel_mode, emd_error=self.emd_error,
-            direction_error=self.direction_error, device=self.device, acting=self.start.acting,
-        )  # fmt: skip
+            self.vehicle,
+            states,
+            self.duration_s,
+            self.condition,
+            self.wheel_mode,
+            emd_error=self.emd_error,
+            direction_error=self.direction_error,
+            device=self.device,
+            acting=self.start.acting,
+        )
         return *distances_to(hist, self.segments), outcome
 
 
 def histograms(
-    vehicle: Vehicle, states: k.Rows, duration_s: float, condition: k.Mask | None, wheel_mode: str | tuple[str, ...] = "coast",
-    *, emd_error: float | None = k.EMD_ERROR, direction_error: float | None = None, device: str = "cpu", bins: int = BINS,
+    vehicle: Vehicle,
+    states: k.Rows,
+    duration_s: float,
+    condition: k.Mask | None,
+    wheel_mode: str | tuple[str, ...] = "coast",
+    *,
+    emd_error: float | None = k.EMD_ERROR,
+    direction_error: float | None = None,
+    device: str = "cpu",
+    bins: int = BINS,
     acting: Acting = NOTHING,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Time (s) by r_z (n, bins) in the run of each state, of directions that the mask lets pass; outcome (n)."""
     result = k.run_rows(
-        vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error, emd_error=emd_error,
-        mask=condition, bins=bins, device=device, acting=acting,
-    )  # fmt: skip
+        vehicle,
+        states,
+        float(duration_s),
+        wheel_mode=wheel_mode,
+        direction_error=direction_error,
+        emd_error=emd_error,
+        mask=condition,
+        bins=bins,
+        device=device,
+        acting=acting,
+    )
     return result.hist, result.outcome
 
 
-def distances_to(hist: np.ndarray, segments: tuple[np.ndarray, ...], workers: int = 1) -> tuple[np.ndarray, np.ndarray]:
+def distances_to(
+    hist: np.ndarray, segments: tuple[np.ndarray, ...], workers: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
     """EMD (n) of histograms (n, BINS) to the target of `target_segments`, NaN where nothing was seen; time seen (n).
 
     `workers`: threads, each of which takes its share of the rows.
@@ -219,12 +268,17 @@ class TrackRows:
             acting=self.start.acting,
         )
         simulated = result.sun_B
-        return {"E": direction_error(simulated, self.measured), "outcome": result.outcome.astype(np.int8)}
+        return {
+            "E": direction_error(simulated, self.measured),
+            "outcome": result.outcome.astype(np.int8),
+        }
 
 
 def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     """What both kinds of rows depend on."""
-    used = replace(rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None, facts={})  # those are for landings, and sources
+    used = replace(
+        rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None, facts={}
+    )  # those are for landings, and sources
     return {
         **code(),
         **k.device_identity(rows.device),
@@ -234,12 +288,21 @@ def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     }
 
 
-def target_segments(target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> tuple[np.ndarray, ...]:
+def target_segments(
+    target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None
+) -> tuple[np.ndarray, ...]:
     """The target's CDF as constant pieces inside the kernel's bins: (bin, low, high, level); low, high are fractions."""
     z = np.asarray(target_z, dtype=np.float64).ravel()
     w = np.ones_like(z) if weights is None else np.asarray(weights, dtype=np.float64).ravel()
-    if z.size == 0 or w.shape != z.shape or not np.all(np.isfinite(z)) or np.abs(z).max() > 1 + 1e-6:
-        raise InputError(sentence("target_z must be one or more values in [-1, 1], with as many weights if any"))
+    if (
+        z.size == 0
+        or w.shape != z.shape
+        or not np.all(np.isfinite(z))
+        or np.abs(z).max() > 1 + 1e-6
+    ):
+        raise InputError(
+            sentence("target_z must be one or more values in [-1, 1], with as many weights if any")
+        )
     if not (np.all(w >= 0) and w.sum() > 0):
         raise InputError(sentence("weights must not be negative and not all zero"))
     if z.size > MAX_TARGET:

@@ -37,7 +37,9 @@ class HistogramRows:
     outputs = {"hist": ("float32", (BINS,)), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "condition", reconstructible_mask(self.vehicle) if self.mask else None)
+        object.__setattr__(
+            self, "condition", reconstructible_mask(self.vehicle) if self.mask else None
+        )
 
     @property
     def n_rows(self) -> int:
@@ -45,13 +47,20 @@ class HistogramRows:
 
     def identity(self) -> dict[str, Any]:
         return {
-            **code(), "table": "histograms of r_z", "vehicle": plain(self.vehicle), "start": plain(self.start),
-            "duration_s": float(self.duration_s), "mask": plain(self.condition), "bins": BINS,
+            **code(),
+            "table": "histograms of r_z",
+            "vehicle": plain(self.vehicle),
+            "start": plain(self.start),
+            "duration_s": float(self.duration_s),
+            "mask": plain(self.condition),
+            "bins": BINS,
             "emd_error": k.EMD_ERROR,
-        }  # fmt: skip
+        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        hist, outcome = histograms(self.vehicle, self.start.take(index), self.duration_s, self.condition)
+        hist, outcome = histograms(
+            self.vehicle, self.start.take(index), self.duration_s, self.condition
+        )
         return {"hist": hist, "outcome": outcome.astype(np.int8)}
 
 
@@ -63,16 +72,29 @@ class Table:
     hist: np.ndarray
     outcome: np.ndarray
 
-    def distances(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1) -> np.ndarray:
+    def distances(
+        self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
+    ) -> np.ndarray:
         """EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`: 1 where never seen."""
         emd, seen = distances_to(self.hist, target_segments(target_z, weights), workers)
         return np.where(seen == 0, 1.0, emd)
 
-    def volume(self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1) -> xr.DataArray:
+    def volume(
+        self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
+    ) -> xr.DataArray:
         """The same as a DataArray over (omega_x, omega_y, omega_z), as `scan` returns it."""
         emd = self.distances(target_z, weights, workers)
         start, count = self.rows.start, np.size(target_z)
-        return volume(self.rows.vehicle, start, "emd", emd, self.outcome, self.rows.mask, "coast", directions=count)
+        return volume(
+            self.rows.vehicle,
+            start,
+            "emd",
+            emd,
+            self.outcome,
+            self.rows.mask,
+            "coast",
+            directions=count,
+        )
 
 
 def make_table(
@@ -100,6 +122,8 @@ def make_table(
         As in :func:`sunspin.compute.rows.ensemble`.
     """
     grid = [np.asarray(axes[name], dtype=np.float64) for name in ("omega_x", "omega_y", "omega_z")]
-    rows = HistogramRows(vehicle, Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s), float(duration_s), mask)
+    rows = HistogramRows(
+        vehicle, Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s), float(duration_s), mask
+    )
     out = ensemble(rows, workers=workers, progress=progress, label="scan")
     return Table(rows, out["hist"], out["outcome"])

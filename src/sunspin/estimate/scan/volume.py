@@ -22,7 +22,15 @@ from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.estimate.scan.mask import reconstructible_mask
-from sunspin.estimate.scan.rows import BINS, TRACK_DIRECTION_ERROR, EmdRows, Start, TrackRows, distances_to, target_segments
+from sunspin.estimate.scan.rows import (
+    BINS,
+    TRACK_DIRECTION_ERROR,
+    EmdRows,
+    Start,
+    TrackRows,
+    distances_to,
+    target_segments,
+)
 from sunspin.vehicle import Vehicle
 
 MAX_ROWS = 50_000_000
@@ -118,7 +126,10 @@ def scan(
         for an interpolated motion, and `emd_bound`, of the difference to running it (0 where `exact`); attributes say how many
         interpolated motions were run to try the bounds, by class, and how many lay beyond (`class_tried`, `class_violations`).
     """
-    axes = [_axis(values, name) for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))]
+    axes = [
+        _axis(values, name)
+        for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))
+    ]
     n_rows = math.prod(len(axis) for axis in axes)
     check_size(*(len(axis) for axis in axes))
     forces = acting(torques, environment, start_s)
@@ -127,38 +138,89 @@ def scan(
     limits = _limits(factors, thresholds, target_z)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
-        name, rows = "E", _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device)
+        name, rows = (
+            "E",
+            _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device),
+        )
     else:
         length = np.nan if duration_s is None else duration_s  # refused there
-        name, rows = "emd", EmdRows(vehicle, start, target_z, weights, length, mask, mode, emd_error, direction_error, device)
+        name, rows = (
+            "emd",
+            EmdRows(
+                vehicle,
+                start,
+                target_z,
+                weights,
+                length,
+                mask,
+                mode,
+                emd_error,
+                direction_error,
+                device,
+            ),
+        )
     if scheduler is None:
         k.require_device(device)  # before a store is made
         if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
             k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
     chunk = CHUNK if device == "cpu" else GPU_CHUNK
     settings: dict[str, Any] = {
-        "workers": workers, "chunk": chunk, "store": store, "scheduler": scheduler, "progress": progress,
-    }  # fmt: skip
+        "workers": workers,
+        "chunk": chunk,
+        "store": store,
+        "scheduler": scheduler,
+        "progress": progress,
+    }
     count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
     if limits and isinstance(rows, EmdRows):
-        from sunspin.estimate.scan import grades  # imports scipy.ndimage, which other scans do not need
+        from sunspin.estimate.scan import (
+            grades,
+        )  # imports scipy.ndimage, which other scans do not need
 
         if grades.applies(rows):
-            found = grades.in_two_grades(rows, limits.get("factors", []), limits.get("thresholds", []), **settings)
-            result = volume(vehicle, start, name, found.emd, found.outcome, mask, wheel_mode, device, directions=count)
+            found = grades.in_two_grades(
+                rows, limits.get("factors", []), limits.get("thresholds", []), **settings
+            )
+            result = volume(
+                vehicle,
+                start,
+                name,
+                found.emd,
+                found.outcome,
+                mask,
+                wheel_mode,
+                device,
+                directions=count,
+            )
             return _graded(result, found.exact, found.bound, limits | found.attributes())
     out = ensemble(rows, label="scan", **settings)
-    result = volume(vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count)
-    return _graded(result, np.ones(start.shape, dtype=bool), np.zeros(start.shape), limits) if limits else result
+    result = volume(
+        vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count
+    )
+    return (
+        _graded(result, np.ones(start.shape, dtype=bool), np.zeros(start.shape), limits)
+        if limits
+        else result
+    )
 
 
-def _limits(factors: Sequence[float], thresholds: Sequence[float], target_z: Any) -> dict[str, list[float]]:
+def _limits(
+    factors: Sequence[float], thresholds: Sequence[float], target_z: Any
+) -> dict[str, list[float]]:
     """The sets asked for, as attributes of the result; checked."""
-    limits = {"factors": _above(factors, 1.0, "each factor of the smallest EMD must be a number above 1"),
-              "thresholds": _above(thresholds, 0.0, "each threshold on EMD must be a positive number")}  # fmt: skip
+    limits = {
+        "factors": _above(factors, 1.0, "each factor of the smallest EMD must be a number above 1"),
+        "thresholds": _above(thresholds, 0.0, "each threshold on EMD must be a positive number"),
+    }
     limits = {name: some for name, some in limits.items() if some}
     if limits and isinstance(target_z, xr.Dataset):
-        raise InputError(sentence("a scan by E runs each motion", got=str(limits), do="leave out factors and thresholds"))
+        raise InputError(
+            sentence(
+                "a scan by E runs each motion",
+                got=str(limits),
+                do="leave out factors and thresholds",
+            )
+        )
     return limits
 
 
@@ -168,20 +230,30 @@ def _above(given: Any, low: float, what: str) -> list[float]:
         found = np.asarray(given)
     except ValueError:  # rows of unlike length
         found = np.array(None)
-    if found.ndim != 1 or found.dtype.kind not in "iuf" or not np.all((found > low) & (found < np.inf)):
+    if (
+        found.ndim != 1
+        or found.dtype.kind not in "iuf"
+        or not np.all((found > low) & (found < np.inf))
+    ):
         raise InputError(sentence(what, got=str(given)[:80], do="give a list of them"))
     return found.astype(np.float64).tolist()
 
 
-def _graded(result: xr.DataArray, exact: np.ndarray, bound: np.ndarray, said: dict[str, Any]) -> xr.DataArray:
+def _graded(
+    result: xr.DataArray, exact: np.ndarray, bound: np.ndarray, said: dict[str, Any]
+) -> xr.DataArray:
     """With the coordinates of a scan in two grades, and what is said of it."""
-    return result.assign_coords(exact=(result.dims, exact), emd_bound=(result.dims, bound, {"units": "1"})).assign_attrs(said)
+    return result.assign_coords(
+        exact=(result.dims, exact), emd_bound=(result.dims, bound, {"units": "1"})
+    ).assign_attrs(said)
 
 
 def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
     """Compile what scans of these vehicles run and is not kept yet, and return the folder that keeps it."""
     runs = [(vehicle, [(reconstructible_mask(vehicle), BINS), (None, 0)]) for vehicle in vehicles]
-    folder = k.compile_all(structure for vehicle, some in runs for structure in k.structures(vehicle, some))
+    folder = k.compile_all(
+        structure for vehicle, some in runs for structure in k.structures(vehicle, some)
+    )
     distances_to(np.zeros((1, BINS), np.float32), target_segments([0.0]))
     return folder
 
@@ -204,11 +276,18 @@ def volume(
     result = xr.DataArray(
         values.reshape(start.shape),
         dims=dims,
-        coords={dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)},
+        coords={
+            dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)
+        },
         name=name,
-        attrs=provenance("scan", **vehicle.said) | {
-            "units": "1", "mask": str(mask), "wheel_mode": str(wheel_mode),
-            "vector_bits": k.vector_bits(), "device": device, "directions": directions,
+        attrs=provenance("scan", **vehicle.said)
+        | {
+            "units": "1",
+            "mask": str(mask),
+            "wheel_mode": str(wheel_mode),
+            "vector_bits": k.vector_bits(),
+            "device": device,
+            "directions": directions,
         },
     )
     result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
@@ -228,26 +307,45 @@ def check_size(*points: float) -> None:
             sentence(
                 f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}: it would take some {hours:.2g} h of one core and "
                 f"{memory:.2g} GB of memory",
-                got=" x ".join(f"{n:.0f}" for n in points), do="use a larger step or a smaller range",
+                got=" x ".join(f"{n:.0f}" for n in points),
+                do="use a larger step or a smaller range",
             )
-        )  # fmt: skip
+        )
 
 
 def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
     axis = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if axis.ndim != 1 or axis.size == 0 or not np.all(np.isfinite(axis)):
-        raise InputError(sentence(f"{name} must be a list of finite rates in rad/s, not deg/s", got=f"shape {axis.shape}"))
+        raise InputError(
+            sentence(
+                f"{name} must be a list of finite rates in rad/s, not deg/s",
+                got=f"shape {axis.shape}",
+            )
+        )
     if len(np.unique(axis)) < len(axis):
-        raise InputError(sentence(f"{name} has a rate twice", got=axis[:10].tolist(), do="give each once"))
+        raise InputError(
+            sentence(f"{name} has a rate twice", got=axis[:10].tolist(), do="give each once")
+        )
     return axis
 
 
 def _track_rows(
-    vehicle: Vehicle, start: Start, track: xr.Dataset, wheel_mode: str | tuple[str, ...], emd_error: float | None,
-    direction_error: float | None, device: str,
-) -> TrackRows:  # fmt: skip
+    vehicle: Vehicle,
+    start: Start,
+    track: xr.Dataset,
+    wheel_mode: str | tuple[str, ...],
+    emd_error: float | None,
+    direction_error: float | None,
+    device: str,
+) -> TrackRows:
     if emd_error is not None:
-        raise InputError(sentence("a track is compared by E, not by EMD", got=f"emd_error {emd_error}", do="give direction_error"))
+        raise InputError(
+            sentence(
+                "a track is compared by E, not by EMD",
+                got=f"emd_error {emd_error}",
+                do="give direction_error",
+            )
+        )
     measured = np.asarray(track["sun_B"], dtype=np.float64)
     known = np.all(np.isfinite(measured), axis=1)
     if not known.any():
@@ -276,7 +374,9 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
         raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
     values = _computed(emd)
     if not np.isfinite(values).any():
-        raise InputError(sentence("no motion of the grid could be computed", do="see its coordinate `outcome`"))
+        raise InputError(
+            sentence("no motion of the grid could be computed", do="see its coordinate `outcome`")
+        )
     return below(emd, factor * np.nanmin(values))
 
 
@@ -289,10 +389,16 @@ def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
         A scan in two grades leaves open who lies below.
     """
     if "emd_bound" in emd.coords:
-        unsettled = int(((emd["emd_bound"] > 0) & (np.abs(emd - threshold) <= emd["emd_bound"])).sum())
+        unsettled = int(
+            ((emd["emd_bound"] > 0) & (np.abs(emd - threshold) <= emd["emd_bound"])).sum()
+        )
         if unsettled:
             what = f"the scan leaves open on which side of {threshold:.4g} the EMD of {unsettled} interpolated motions lies"
-            raise InputError(sentence(what, do="scan with this limit among `factors` or `thresholds`, or without any"))
+            raise InputError(
+                sentence(
+                    what, do="scan with this limit among `factors` or `thresholds`, or without any"
+                )
+            )
     return _points(emd, _computed(emd) < threshold)
 
 
@@ -304,4 +410,6 @@ def _computed(emd: xr.DataArray) -> np.ndarray:
 
 def _points(emd: xr.DataArray, chosen: np.ndarray) -> np.ndarray:
     i, j, l = np.nonzero(chosen)
-    return np.stack([emd["omega_x"].values[i], emd["omega_y"].values[j], emd["omega_z"].values[l]], axis=-1)
+    return np.stack(
+        [emd["omega_x"].values[i], emd["omega_y"].values[j], emd["omega_z"].values[l]], axis=-1
+    )

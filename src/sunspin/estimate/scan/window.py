@@ -18,7 +18,9 @@ def target_weights(rule: str, t_s: np.ndarray) -> np.ndarray | None:
     return np.diff(edges)
 
 
-def directions_within(vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None, end_s: float | None) -> xr.Dataset:
+def directions_within(
+    vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None, end_s: float | None
+) -> xr.Dataset:
     """`sun_B (time, axis)` of the samples from `begin_s` to `end_s` (s of the file's clock; None: no bound) that give one.
 
     `time` is counted from the first of them.

@@ -20,6 +20,8 @@ class AngularSpeed(Reading):
     def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
         return np.linalg.norm(omega_B, axis=1)[:, None]
 
-    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+    def slope(
+        self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray
+    ) -> np.ndarray:
         size = np.maximum(np.linalg.norm(omega_B, axis=1, keepdims=True), 1e-12)
         return np.sum(omega_B * to_omega, axis=1, keepdims=True) / size

@@ -51,7 +51,9 @@ class Attitude(PairTerm):
             return np.zeros((0, 3))
         angle = -Rotation.from_matrix(self.B_from_N[index + 1] @ self.B_from_N[index].T).as_rotvec()
         size = max(float(np.linalg.norm(angle)), 1e-9)
-        turns = np.arange(-int(rate_max * dt / (2 * np.pi)) - 1, int(rate_max * dt / (2 * np.pi)) + 1)
+        turns = np.arange(
+            -int(rate_max * dt / (2 * np.pi)) - 1, int(rate_max * dt / (2 * np.pi)) + 1
+        )
         return angle / dt * (1 + 2 * np.pi * turns[:, None] / size)
 
     def unrelated(self, t_s: np.ndarray) -> float:
@@ -59,10 +61,16 @@ class Attitude(PairTerm):
         filled = (2 * np.pi * 2 * self.sigma_rad**2) ** 1.5 / (8 * np.pi**2)
         return self.readings() * min(float(np.log(filled)), 0.0)
 
-    def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def between(
+        self, t_s: np.ndarray, relative: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The turn less that of the given attitudes; small, so that turns add as vectors."""
         pair = self.pairs()
-        given = np.where(pair[:, None, None], self.B_from_N[1:] @ np.swapaxes(self.B_from_N[:-1], -1, -2), np.eye(3))
+        given = np.where(
+            pair[:, None, None],
+            self.B_from_N[1:] @ np.swapaxes(self.B_from_N[:-1], -1, -2),
+            np.eye(3),
+        )
         inverse = np.where(pair, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         value = turn_between(np.broadcast_to(given, relative.shape), relative) * inverse
         first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))

@@ -62,31 +62,59 @@ class EarthLight:
     known_N: np.ndarray | None = None
 
     @classmethod
-    def prior(cls, t_s: np.ndarray, share: float, gain: np.ndarray, known_N: np.ndarray | None = None) -> EarthLight:
+    def prior(
+        cls, t_s: np.ndarray, share: float, gain: np.ndarray, known_N: np.ndarray | None = None
+    ) -> EarthLight:
         """Of a pass at these times, if faces away from the Sun get this share of full Sun, on panels of these gains; `known_N`
         (n, 3): the light where an orbit knows it."""
         if known_N is None:
             return cls(drifting(t_s, WIDER * share / np.sqrt(3), TURN_RATE), ZERO * share * gain)
         bright = np.linalg.norm(known_N, axis=1)
         most = float(bright.max())
-        left = drifting(t_s, KNOWN * max(most, share) / np.sqrt(3), TURN_RATE) * (bright / max(most, 1e-300))[:, None, None]
+        left = (
+            drifting(t_s, KNOWN * max(most, share) / np.sqrt(3), TURN_RATE)
+            * (bright / max(most, 1e-300))[:, None, None]
+        )
         reflectivity = REFLECTIVITY_SIGMA / REFLECTIVITY * known_N
-        return cls(np.concatenate([reflectivity[:, None], left], axis=1), ZERO * share * gain, known_N)
+        return cls(
+            np.concatenate([reflectivity[:, None], left], axis=1), ZERO * share * gain, known_N
+        )
 
     def take(self, index: np.ndarray | slice) -> EarthLight:
         """The samples `index`."""
-        return replace(self, beam_N=self.beam_N[index], known_N=None if self.known_N is None else self.known_N[index])
+        return replace(
+            self,
+            beam_N=self.beam_N[index],
+            known_N=None if self.known_N is None else self.known_N[index],
+        )
 
     def unknowns(self, panels: tuple[str, ...]) -> tuple[Unknown, ...]:
         """The beam's and each panel's."""
         sizes = np.linalg.norm(self.beam_N, axis=2).max(axis=0)
-        names = [f"earth_beam_{i}" for i in range(len(sizes) - 1)] if self.known_N is not None else []
-        names = ["earth_reflectivity", *names] if names else [f"earth_beam_{i}" for i in range(len(sizes))]
-        limit = [np.inf if name != "earth_reflectivity" else REFLECTIVITY / REFLECTIVITY_SIGMA for name in names]
-        beam = [Unknown(name, "earth_light", "1", 0.0, float(size), i, limit=most)
-                for i, (name, size, most) in enumerate(zip(names, sizes, limit, strict=True))]  # fmt: skip
+        names = (
+            [f"earth_beam_{i}" for i in range(len(sizes) - 1)] if self.known_N is not None else []
+        )
+        names = (
+            ["earth_reflectivity", *names]
+            if names
+            else [f"earth_beam_{i}" for i in range(len(sizes))]
+        )
+        limit = [
+            np.inf if name != "earth_reflectivity" else REFLECTIVITY / REFLECTIVITY_SIGMA
+            for name in names
+        ]
+        beam = [
+            Unknown(name, "earth_light", "1", 0.0, float(size), i, limit=most)
+            for i, (name, size, most) in enumerate(zip(names, sizes, limit, strict=True))
+        ]
         zeros = zip(panels, self.zeros, strict=True)
-        return (*beam, *(Unknown(f"zero_{name}", "panel_zero", "reading", 0.0, float(s), i) for i, (name, s) in enumerate(zeros)))
+        return (
+            *beam,
+            *(
+                Unknown(f"zero_{name}", "panel_zero", "reading", 0.0, float(s), i)
+                for i, (name, s) in enumerate(zeros)
+            ),
+        )
 
     def light(
         self, response: PanelResponse, gain: np.ndarray, attitude: np.ndarray, error: np.ndarray
@@ -108,7 +136,10 @@ class EarthLight:
         return (error[:, self.beam_N.shape[1] :] * self.zeros)[:, None]
 
     def begin(
-        self, attitude: np.ndarray, cost: Callable[[np.ndarray, np.ndarray], np.ndarray], turned: bool = False
+        self,
+        attitude: np.ndarray,
+        cost: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        turned: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Hypotheses (K, n, 3, 3) whose z axis is where Sun and beam together were taken for the Sun: with z to the Sun itself, and
         where a fit of the beam begins (K, u), in sigmas. `cost` (K) of unknowns and attitudes; `turned`: the turn about the Sun is
@@ -129,7 +160,9 @@ class EarthLight:
             both = SUN_N + self.known_N.mean(axis=0)
             across = np.cross(both / np.linalg.norm(both), SUN_N)
             size = np.linalg.norm(across)
-            back = Rotation.from_rotvec(across * np.arcsin(min(size, 1.0)) / max(size, 1e-300)).as_matrix()
+            back = Rotation.from_rotvec(
+                across * np.arcsin(min(size, 1.0)) / max(size, 1e-300)
+            ).as_matrix()
             for angle in 2 * np.pi / AZIMUTHS * np.arange(1 if turned else AZIMUTHS):
                 yield Rotation.from_rotvec(angle * SUN_N).as_matrix() @ back, np.zeros(u)
             return
@@ -148,7 +181,12 @@ def faint(share: float) -> bool:
 
 
 def pairs_differing(
-    facing: np.ndarray, gain: np.ndarray, whole: np.ndarray, whole_sigma: np.ndarray, power: np.ndarray, sigma: np.ndarray
+    facing: np.ndarray,
+    gain: np.ndarray,
+    whole: np.ndarray,
+    whole_sigma: np.ndarray,
+    power: np.ndarray,
+    sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Powers and sigmas (n, n_panel) with those of two opposite panels replaced by their difference, on the brighter one."""
     share, error = whole / gain, whole_sigma / gain
@@ -165,5 +203,9 @@ def _sun_first(beam: np.ndarray) -> np.ndarray:
     in which this is the beam (3)."""
     across = np.array([beam[0], beam[1], 0.0])
     sun = -across + SUN_N * np.sqrt(max(1 - across @ across, 0.0))
-    axis = np.cross(SUN_N, sun)  # as long as the sine of the angle between them, which is less than a quarter turn
-    return Rotation.from_rotvec(axis * np.arcsin(min(np.linalg.norm(axis), 1.0)) / max(np.linalg.norm(axis), 1e-300)).as_matrix()
+    axis = np.cross(
+        SUN_N, sun
+    )  # as long as the sine of the angle between them, which is less than a quarter turn
+    return Rotation.from_rotvec(
+        axis * np.arcsin(min(np.linalg.norm(axis), 1.0)) / max(np.linalg.norm(axis), 1e-300)
+    ).as_matrix()

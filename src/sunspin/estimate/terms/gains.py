@@ -20,4 +20,7 @@ def errors(vehicle: Vehicle, quality: xr.Dataset) -> np.ndarray:
 def unknowns(free: np.ndarray) -> tuple[Unknown, ...]:
     """Those that are estimated (m, n_panel)."""
     sizes = np.linalg.norm(free, axis=1)
-    return tuple(Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, limit=MOST_SIGMAS) for i, size in enumerate(sizes))
+    return tuple(
+        Unknown(f"gain_{i}", "gain", "1", 0.0, float(size), i, limit=MOST_SIGMAS)
+        for i, size in enumerate(sizes)
+    )

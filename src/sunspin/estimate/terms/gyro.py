@@ -38,7 +38,10 @@ class Gyro(StateTerm):
         """That of telemetry, if it has one."""
         if VARIABLES[cls.table] not in telemetry:
             return None
-        rate, part = np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64), vehicle.sensors.with_columns.get(cls.table)
+        rate, part = (
+            np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64),
+            vehicle.sensors.with_columns.get(cls.table),
+        )
         return cls(rate, 1.0 if part is None else part.noise_rad_s, _common(part, rate))
 
     def present(self) -> np.ndarray:
@@ -61,7 +64,9 @@ class Gyro(StateTerm):
         return replace(self, common=common)
 
     def forgiving(self) -> Self:
-        return replace(self, sigma=float(np.hypot(self.sigma, np.sqrt((self.common**2).sum(axis=1).mean()))))
+        return replace(
+            self, sigma=float(np.hypot(self.sigma, np.sqrt((self.common**2).sum(axis=1).mean())))
+        )
 
     def rates(self, index: int, dt: float, rate_max: float) -> np.ndarray:
         return self.rate_B[index : index + 2]
@@ -73,8 +78,14 @@ class Gyro(StateTerm):
         """Rates of the size of those that it reads, from one law for all."""
         read = self.rate_B[self.present()]
         square = max(float((read**2).mean()), self.sigma**2)
-        filled = (STUDENT * np.pi * self.sigma**2) ** 1.5 * gamma((STUDENT - 1) / 2) / gamma((STUDENT + 2) / 2)
-        found = np.log(filled) - 1.5 * np.log(2 * np.pi * square) - (read**2).sum(axis=1) / (2 * square)
+        filled = (
+            (STUDENT * np.pi * self.sigma**2) ** 1.5
+            * gamma((STUDENT - 1) / 2)
+            / gamma((STUDENT + 2) / 2)
+        )
+        found = (
+            np.log(filled) - 1.5 * np.log(2 * np.pi * square) - (read**2).sum(axis=1) / (2 * square)
+        )
         return float(np.minimum(found, 0.0).sum())
 
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -82,7 +93,10 @@ class Gyro(StateTerm):
             return ()
         zero = self.common[0, :3].diagonal()
         scale = np.abs(self.common[:, 3]).max() / max(np.nanmax(np.abs(self.rate_B)), 1e-300)
-        made = (Unknown(f"gyro_zero_{axis}", "gyro_zero", "rad/s", 0.0, float(zero[i]), i) for i, axis in enumerate("xyz"))
+        made = (
+            Unknown(f"gyro_zero_{axis}", "gyro_zero", "rad/s", 0.0, float(zero[i]), i)
+            for i, axis in enumerate("xyz")
+        )
         return (*made, Unknown("gyro_scale", "gyro_scale", "1", 0.0, float(scale)))
 
     @cached_property
@@ -91,7 +105,9 @@ class Gyro(StateTerm):
         read = self.present()
         column = np.nan_to_num(self.common) * read[:, None, None] / self.sigma
         own = read[:, None, None] * np.eye(3) / self.sigma
-        slope = np.concatenate([np.zeros((len(read), 3, 3)), own, np.swapaxes(column, -1, -2)], axis=-1)
+        slope = np.concatenate(
+            [np.zeros((len(read), 3, 3)), own, np.swapaxes(column, -1, -2)], axis=-1
+        )
         return read, np.nan_to_num(self.rate_B), column, slope
 
     def residuals(self, seen: Seen, error: np.ndarray | None = None) -> Iterator[Residual]:
@@ -115,7 +131,9 @@ class GyroReading(Reading):
     def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
         return omega_B
 
-    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+    def slope(
+        self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray
+    ) -> np.ndarray:
         return to_omega
 
 

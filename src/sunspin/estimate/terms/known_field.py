@@ -28,7 +28,14 @@ class KnownField(StateTerm):
 
     name: ClassVar[str] = "field"
     called: ClassVar[str] = "magnetometer"
-    per_sample: ClassVar[tuple[str, ...]] = ("field_B", "read_B", "sigma_T", "field_N", "own_B", "along_N")
+    per_sample: ClassVar[tuple[str, ...]] = (
+        "field_B",
+        "read_B",
+        "sigma_T",
+        "field_N",
+        "own_B",
+        "along_N",
+    )
     measured: ClassVar[tuple[str, ...]] = ("read_B",)
 
     field_B: np.ndarray
@@ -50,14 +57,18 @@ class KnownField(StateTerm):
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, np.minimum(own, MOST_OFF * size)) / size
         unit = self.read_B / np.linalg.norm(self.read_B, axis=1, keepdims=True)
-        return SunDirection.of(unit, np.where(self.present(), sigma**2, np.nan)[:, None, None] * np.eye(3))
+        return SunDirection.of(
+            unit, np.where(self.present(), sigma**2, np.nan)[:, None, None] * np.eye(3)
+        )
 
     def frames(self) -> np.ndarray:
         """Matrices (n, 3, 3) from N to axes whose z is the field, turned as little as it turns."""
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
         made = [facing(unit[0]).T]
         for before, after in zip(unit, unit[1:], strict=False):
-            back = smallest_turn(np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3)).T  # takes the new direction to the old
+            back = smallest_turn(
+                np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3)
+            ).T  # takes the new direction to the old
             made.append(made[-1] @ back)
         return np.array(made)
 
@@ -76,7 +87,10 @@ class KnownField(StateTerm):
         if not self.present().any():
             return ()
         sizes = np.linalg.norm(self.own_B, axis=2).max(axis=0)
-        return tuple(Unknown(f"magnetometer_{i}", "magnetometer", "T", 0.0, float(size), i) for i, size in enumerate(sizes))
+        return tuple(
+            Unknown(f"magnetometer_{i}", "magnetometer", "T", 0.0, float(size), i)
+            for i, size in enumerate(sizes)
+        )
 
     def begin(self, seen: Seen) -> np.ndarray:
         """Attitudes (K, n, 3, 3) turned about the Sun so that the readings fit best: the search knows only the Sun."""
@@ -101,10 +115,17 @@ class KnownField(StateTerm):
         field = np.einsum("knij,nj->kni", seen.attitude, self.field_N)
         read, parts = np.nan_to_num(self.read_B), []
         if error is not None and error.shape[1]:
-            along, own = np.einsum("knij,nej->knie", seen.attitude, self.along_N), np.swapaxes(np.nan_to_num(self.own_B), 1, 2)
+            along, own = (
+                np.einsum("knij,nej->knie", seen.attitude, self.along_N),
+                np.swapaxes(np.nan_to_num(self.own_B), 1, 2),
+            )
             field = field + np.einsum("knie,ke->kni", along, error)
             read = read + np.einsum("nie,ke->kni", own, error)
             parts = [along - own]
         off = field - read
-        slope = [cross_matrix(field), np.zeros((*field.shape, 3)), *parts]  # a turn moves the field by field x turn
+        slope = [
+            cross_matrix(field),
+            np.zeros((*field.shape, 3)),
+            *parts,
+        ]  # a turn moves the field by field x turn
         yield off * inverse, np.concatenate(slope, axis=-1) * inverse[..., None]

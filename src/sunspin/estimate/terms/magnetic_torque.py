@@ -44,12 +44,24 @@ class MagneticTorque(MotionTerm):
 
     def unknowns(self) -> tuple[Unknown, ...]:
         if self.field_N is not None:
-            return tuple(Unknown(f"dipole_{axis}", "magnetic_torque", "rad/s2", 0.0, self.sigma / np.sqrt(2), i)
-                         for i, axis in enumerate("xyz"))  # fmt: skip
+            return tuple(
+                Unknown(
+                    f"dipole_{axis}", "magnetic_torque", "rad/s2", 0.0, self.sigma / np.sqrt(2), i
+                )
+                for i, axis in enumerate("xyz")
+            )
         return tuple(
-            Unknown(f"magnetic_{dipole}{axis}", "magnetic_torque", "rad/s2", 0.0, self.sigma / np.sqrt(6), 3 * i + j)
-            for i, dipole in enumerate("xyz") for j, axis in enumerate("xyz")
-        )  # fmt: skip
+            Unknown(
+                f"magnetic_{dipole}{axis}",
+                "magnetic_torque",
+                "rad/s2",
+                0.0,
+                self.sigma / np.sqrt(6),
+                3 * i + j,
+            )
+            for i, dipole in enumerate("xyz")
+            for j, axis in enumerate("xyz")
+        )
 
     def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
         """By Simpson's rule on the attitude at the ends and, carried by the rate, in the middle: to first order, and where the body
@@ -57,16 +69,27 @@ class MagneticTorque(MotionTerm):
         start = seen.attitude[:, :-1]
         middle = turn(start, seen.omega[:, :-1] * dt[:, None] / 2)
         if self.field_N is None:
-            pull = [_pull(attitude) * self.sigma / np.sqrt(6) for attitude in (start, middle, seen.attitude[:, 1:])]
+            pull = [
+                _pull(attitude) * self.sigma / np.sqrt(6)
+                for attitude in (start, middle, seen.attitude[:, 1:])
+            ]
         else:
             first, last = self.field_N[:-1], self.field_N[1:]
             each = ((start, first), (middle, (first + last) / 2), (seen.attitude[:, 1:], last))
             # e_j x b is what the matrix of -b x does to e_j; a dipole and a direction at random: m x b has a variance of two
-            pull = [-cross_matrix(np.einsum("knij,nj->kni", *one)) * self.sigma / np.sqrt(2) for one in each]
+            pull = [
+                -cross_matrix(np.einsum("knij,nj->kni", *one)) * self.sigma / np.sqrt(2)
+                for one in each
+            ]
         span = dt[:, None, None]
-        return np.concatenate([span**2 / 6 * (pull[0] + 2 * pull[1]), span / 6 * (pull[0] + 4 * pull[1] + pull[2])], axis=2)
+        return np.concatenate(
+            [span**2 / 6 * (pull[0] + 2 * pull[1]), span / 6 * (pull[0] + 4 * pull[1] + pull[2])],
+            axis=2,
+        )
 
 
 def _pull(attitude: np.ndarray) -> np.ndarray:
     """e_j x A e_l (..., 3, 9) for all j and l; if the products m_j b_l have a variance of one, m x A b has one of six."""
-    return np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude).reshape(*attitude.shape[:-1], 9)
+    return np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude).reshape(
+        *attitude.shape[:-1], 9
+    )

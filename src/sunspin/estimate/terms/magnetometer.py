@@ -74,9 +74,19 @@ class Magnetometer(PairTerm):
         part = vehicle.sensors.with_columns.get(cls.table)
         noise = part.noise if part is not None else None
         read = without_outliers(np.asarray(telemetry[VARIABLES[cls.table]], dtype=np.float64))
-        zero = np.zeros((0, 3)) if part is None or not part.zero_sigma.any() else (part.matrix * part.zero_sigma).T
+        zero = (
+            np.zeros((0, 3))
+            if part is None or not part.zero_sigma.any()
+            else (part.matrix * part.zero_sigma).T
+        )
         bent = SOFT_IRON if len(zero) else 0.0
-        return cls(read, noise or np.inf, drift_N=np.zeros((len(read), 0, 3)), zero_B=zero, matrix_sigma=bent)
+        return cls(
+            read,
+            noise or np.inf,
+            drift_N=np.zeros((len(read), 0, 3)),
+            zero_B=zero,
+            matrix_sigma=bent,
+        )
 
     def with_own_zero(self, t_s: np.ndarray) -> Self:
         """Less the zero, and with its errors, that the strengths at times (n) show: as a body turns, readings stay on a sphere
@@ -89,17 +99,26 @@ class Magnetometer(PairTerm):
             here = np.flatnonzero((window == k) & self.present())
             if len(here) >= FEWEST_IN_WINDOW:
                 changing = np.linalg.qr(np.vander((t_s[here] - t_s[here].mean()) / WINDOW_S, 3))[0]
-                both = np.column_stack([2 * self.field_B[here], (self.field_B[here] ** 2).sum(axis=1)])
+                both = np.column_stack(
+                    [2 * self.field_B[here], (self.field_B[here] ** 2).sum(axis=1)]
+                )
                 both = both - changing @ (changing.T @ both)
                 read.append(both[:, :3])
                 square.append(both[:, 3])
         if not read:
             return self
         slope, value = np.concatenate(read), np.concatenate(square)
-        prior, zero, keep = np.linalg.inv(self.zero_B.T @ self.zero_B), np.zeros(3), np.ones(len(value), dtype=bool)
+        prior, zero, keep = (
+            np.linalg.inv(self.zero_B.T @ self.zero_B),
+            np.zeros(3),
+            np.ones(len(value), dtype=bool),
+        )
         for _ in range(3):
             size = np.nanmedian(np.linalg.norm(self.field_B - zero, axis=1))
-            variance = max(np.mean((value - slope @ zero)[keep] ** 2), (2 * size * self.sigma) ** 2) * ALIKE
+            variance = (
+                max(np.mean((value - slope @ zero)[keep] ** 2), (2 * size * self.sigma) ** 2)
+                * ALIKE
+            )
             precision = prior + slope[keep].T @ slope[keep] / variance
             zero = np.linalg.solve(precision, slope[keep].T @ value[keep] / variance)
             off = np.abs(value - slope @ zero)
@@ -108,10 +127,14 @@ class Magnetometer(PairTerm):
         return replace(self, field_B=self.field_B - zero, zero_B=np.linalg.cholesky(covariance).T)
 
     def take(self, index: np.ndarray | slice) -> Self:
-        return replace(super().take(index), known=None if self.known is None else self.known.take(index))
+        return replace(
+            super().take(index), known=None if self.known is None else self.known.take(index)
+        )
 
     def blind(self, index: int) -> Self:
-        return replace(super().blind(index), known=None if self.known is None else self.known.blind(index))
+        return replace(
+            super().blind(index), known=None if self.known is None else self.known.blind(index)
+        )
 
     def placed(self, here: Surroundings) -> Self:
         """With the field known; noise and the zero's error are the calibration's, and the vehicle file need not state them."""
@@ -119,11 +142,22 @@ class Magnetometer(PairTerm):
         if one is None or here.field_N is None or here.field_along_N is None:
             return self
         read = self.field_B
-        sigma, along = one.sigma_T(read, here.field_N, here.field_along_N), one.along(here.field_along_N)
+        sigma, along = (
+            one.sigma_T(read, here.field_N, here.field_along_N),
+            one.along(here.field_along_N),
+        )
         known = KnownField(read, one.field(read), sigma, here.field_N, one.columns(read), along)
         # a zero turns with the body, so neighbours differ by its error; axes that are turned turn all readings alike
-        own = np.sqrt(np.nanmedian((_not_turned(known.own_B, known.read_B) ** 2).sum(axis=(1, 2))) / 3)
-        return replace(self, sigma=float(np.hypot(one.noise_T, own)), zero_B=np.zeros((0, 3)), matrix_sigma=0.0, known=known)
+        own = np.sqrt(
+            np.nanmedian((_not_turned(known.own_B, known.read_B) ** 2).sum(axis=(1, 2))) / 3
+        )
+        return replace(
+            self,
+            sigma=float(np.hypot(one.noise_T, own)),
+            zero_B=np.zeros((0, 3)),
+            matrix_sigma=0.0,
+            known=known,
+        )
 
     @property
     def vector_B(self) -> np.ndarray:
@@ -138,14 +172,19 @@ class Magnetometer(PairTerm):
 
     def sigmas(self, t_s: np.ndarray) -> np.ndarray:
         """One sigma (n - 1) of the field's change between neighbours: of two readings, and of its turning."""
-        return np.sqrt(2 * self.sigma**2 + (np.linalg.norm(self.vector_B[:-1], axis=1) * self.turn_rate * np.diff(t_s)) ** 2)
+        return np.sqrt(
+            2 * self.sigma**2
+            + (np.linalg.norm(self.vector_B[:-1], axis=1) * self.turn_rate * np.diff(t_s)) ** 2
+        )
 
     def forgiving(self) -> Self:
         change = np.diff(self.vector_B, axis=0)[self.pairs()]
         if not len(change) or not self.zero_B.any():
             return self
         # along an axis about which the body spins a zero moves no neighbour against the other, as the field there changes nothing
-        moved = ((change @ self.zero_B.T) ** 2).sum() / (change**2).sum() + self.matrix_sigma**2 * (change**2).sum(axis=1).mean()
+        moved = ((change @ self.zero_B.T) ** 2).sum() / (change**2).sum() + self.matrix_sigma**2 * (
+            change**2
+        ).sum(axis=1).mean()
         return replace(self, sigma=float(np.hypot(self.sigma, np.sqrt(moved))))
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
@@ -155,10 +194,14 @@ class Magnetometer(PairTerm):
     def unrelated(self, t_s: np.ndarray) -> float:
         """The next reading's direction is any: the mean of its law over the sphere that the first one can be carried to."""
         pair = self.pairs()
-        start, end = (np.linalg.norm(part[pair], axis=1) for part in (self.vector_B[:-1], self.vector_B[1:]))
+        start, end = (
+            np.linalg.norm(part[pair], axis=1) for part in (self.vector_B[:-1], self.vector_B[1:])
+        )
         variance = self.sigmas(t_s)[pair] ** 2
         both = start * end / variance
-        return float((np.log(-np.expm1(-2 * both) / (2 * both)) - (start - end) ** 2 / (2 * variance)).sum())
+        return float(
+            (np.log(-np.expm1(-2 * both) / (2 * both)) - (start - end) ** 2 / (2 * variance)).sum()
+        )
 
     def freed(self, t_s: np.ndarray) -> Term:
         if self.known is not None:
@@ -172,15 +215,28 @@ class Magnetometer(PairTerm):
         if not (self.pairs().any() and self.drift_N.shape[1]):
             return ()
         sizes = np.linalg.norm(self.drift_N, axis=2).max(axis=0)
-        drift = (Unknown(f"{self.name}_drift_{i}", "field_drift", "field s-1", 0.0, float(s), i) for i, s in enumerate(sizes))
+        drift = (
+            Unknown(f"{self.name}_drift_{i}", "field_drift", "field s-1", 0.0, float(s), i)
+            for i, s in enumerate(sizes)
+        )
         sizes = np.linalg.norm(self.zero_B, axis=1)
-        zero = (Unknown(f"{self.name}_zero_{i}", "field_zero", "field", 0.0, float(s), i) for i, s in enumerate(sizes))
-        bent = (Unknown(f"{self.name}_matrix_{i}", "field_matrix", "1", 0.0, self.matrix_sigma, i) for i in range(9))
+        zero = (
+            Unknown(f"{self.name}_zero_{i}", "field_zero", "field", 0.0, float(s), i)
+            for i, s in enumerate(sizes)
+        )
+        bent = (
+            Unknown(f"{self.name}_matrix_{i}", "field_matrix", "1", 0.0, self.matrix_sigma, i)
+            for i in range(9)
+        )
         return (*drift, *zero, *(bent if self.matrix_sigma else ()))
 
-    def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def between(
+        self, t_s: np.ndarray, relative: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pair = self.pairs()
-        start, end = (np.nan_to_num(part) * pair[:, None] for part in (self.vector_B[:-1], self.vector_B[1:]))
+        start, end = (
+            np.nan_to_num(part) * pair[:, None] for part in (self.vector_B[:-1], self.vector_B[1:])
+        )
         inverse = np.where(pair, 1 / self.sigmas(t_s), 0.0)[:, None]
         carried = np.einsum("knij,nj->kni", relative, start)
         value = (carried - end) * inverse
@@ -191,12 +247,19 @@ class Magnetometer(PairTerm):
 
     def gained(self, t_s: np.ndarray, seen: Seen) -> np.ndarray:
         inverse = np.where(self.pairs(), 1 / self.sigmas(t_s), 0.0)[:, None, None]
-        change = np.einsum("knij,nmj->knim", seen.attitude[:, 1:], self.drift_N[:-1]) * np.diff(t_s)[:, None, None]
+        change = (
+            np.einsum("knij,nmj->knim", seen.attitude[:, 1:], self.drift_N[:-1])
+            * np.diff(t_s)[:, None, None]
+        )
         relative = seen.attitude[:, 1:] @ np.swapaxes(seen.attitude[:, :-1], -1, -2)
-        zero = self.zero_B.T - relative @ self.zero_B.T  # a zero stays where it is while the field is carried on
+        zero = (
+            self.zero_B.T - relative @ self.zero_B.T
+        )  # a zero stays where it is while the field is carried on
         parts = [change, zero]
         if self.matrix_sigma:  # the elements of a matrix, row by row
-            off = self.matrix_sigma * np.einsum("ij,nk->nijk", np.eye(3), np.nan_to_num(self.vector_B)).reshape(-1, 3, 9)
+            off = self.matrix_sigma * np.einsum(
+                "ij,nk->nijk", np.eye(3), np.nan_to_num(self.vector_B)
+            ).reshape(-1, 3, 9)
             parts.append(off[1:] - relative @ off[:-1])
         return np.concatenate(parts, axis=-1) * inverse
 
@@ -206,7 +269,9 @@ def _not_turned(error_B: np.ndarray, field_B: np.ndarray) -> np.ndarray:
     read = np.isfinite(field_B).all(axis=1)
     field, error = field_B[read], error_B[read]
     spread = (field**2).sum() * np.eye(3) - field.T @ field
-    rotation = np.cross(field[:, None], error).sum(axis=0) @ np.linalg.pinv(spread, rcond=1e-6, hermitian=True)
+    rotation = np.cross(field[:, None], error).sum(axis=0) @ np.linalg.pinv(
+        spread, rcond=1e-6, hermitian=True
+    )
     left = error_B.copy()
     left[read] -= np.cross(rotation, field[:, None])
     return left

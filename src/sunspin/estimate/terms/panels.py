@@ -55,14 +55,20 @@ class Instants(NamedTuple):
     @classmethod
     def of(cls, vehicle: Vehicle) -> Instants:
         form = vehicle.telemetry
-        return cls(np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names]), form.averaged_s)
+        return cls(
+            np.array([form.offset_s.get(name, 0.0) for name in vehicle.input_names]),
+            form.averaged_s,
+        )
 
     def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
         """Each instant, s from the row's time, with the weights (n_panel) that it has in the panels' readings."""
         whole = (np.zeros(1), 2 * np.ones(1))
         for offset in np.unique(self.offset_s):
             for place, weight in zip(*(AVERAGED if self.averaged_s else whole), strict=True):
-                yield float(offset + place * self.averaged_s / 2), weight / 2 * (self.offset_s == offset)
+                yield (
+                    float(offset + place * self.averaged_s / 2),
+                    weight / 2 * (self.offset_s == offset),
+                )
 
 
 @dataclass(frozen=True)
@@ -79,7 +85,14 @@ class Panels(SunTerm):
 
     name: ClassVar[str] = "panels"
     called: ClassVar[str] = "Sun"
-    per_sample: ClassVar[tuple[str, ...]] = ("power", "sigma", "scale", "scale_sigma", "lit", "dark_sigma")
+    per_sample: ClassVar[tuple[str, ...]] = (
+        "power",
+        "sigma",
+        "scale",
+        "scale_sigma",
+        "lit",
+        "dark_sigma",
+    )
 
     power: np.ndarray
     sigma: np.ndarray
@@ -103,16 +116,34 @@ class Panels(SunTerm):
         """Those of telemetry, and a sentence for each sample (n)."""
         quality = panel_quality(vehicle, telemetry)
         errors = gains.errors(vehicle, quality)
-        known = np.isfinite(quality.attrs["spread"])  # by the brightness of the samples; else only a motion determines the gains
+        known = np.isfinite(
+            quality.attrs["spread"]
+        )  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
-        dark_sigma = np.hypot(quality.attrs["noise"], DARK * quality.attrs["full_sun"] * quality["gain"].values)
-        shown = np.isfinite(power) & ~quality["dead"].values & ~np.isin(quality["why"].values, UNUSABLE)[:, None]
+        dark_sigma = np.hypot(
+            quality.attrs["noise"], DARK * quality.attrs["full_sun"] * quality["gain"].values
+        )
+        shown = (
+            np.isfinite(power)
+            & ~quality["dead"].values
+            & ~np.isin(quality["why"].values, UNUSABLE)[:, None]
+        )
         made = cls(
-            power, quality["sigma"].values, vehicle.response_in(), quality["gain"].values / vehicle.input_gains,
-            errors[: len(errors) * known], errors[len(errors) * known :], quality["scale"].values, scale_sigma,
-            quality.attrs["earth_light"], (power, quality["sigma_beside_earth"].values, scale_sigma), vehicle.input_names,
-            Instants.of(vehicle), np.ones(len(power)), np.where(shown, dark_sigma, np.inf),
-        )  # fmt: skip
+            power,
+            quality["sigma"].values,
+            vehicle.response_in(),
+            quality["gain"].values / vehicle.input_gains,
+            errors[: len(errors) * known],
+            errors[len(errors) * known :],
+            quality["scale"].values,
+            scale_sigma,
+            quality.attrs["earth_light"],
+            (power, quality["sigma_beside_earth"].values, scale_sigma),
+            vehicle.input_names,
+            Instants.of(vehicle),
+            np.ones(len(power)),
+            np.where(shown, dark_sigma, np.inf),
+        )
         return made._differing(), quality["why"].values.astype(object)
 
     @property
@@ -125,8 +156,12 @@ class Panels(SunTerm):
         """For the search: of two opposite panels only their difference, good to what no beam explains."""
         if faint(self.earth_share):
             return self
-        power, sigma = pairs_differing(self.response.facing_B, self.full, *self.whole[:2], self.power, self.sigma)
-        return replace(self, power=power, sigma=sigma, scale_sigma=np.hypot(self.scale_sigma, self.earth_share))
+        power, sigma = pairs_differing(
+            self.response.facing_B, self.full, *self.whole[:2], self.power, self.sigma
+        )
+        return replace(
+            self, power=power, sigma=sigma, scale_sigma=np.hypot(self.scale_sigma, self.earth_share)
+        )
 
     def placed(self, here: Surroundings) -> Self:
         """With the Sun up or down, and the Earth's light where it is known. In the shadow panels must be dark, and say no more;
@@ -134,7 +169,11 @@ class Panels(SunTerm):
         made = self
         if here.albedo_light_N is not None:
             untold = self.earth_share == 0  # no panel has another opposite to it
-            made = replace(self, earth_N=here.albedo_light_N, earth_share=UNTOLD_SHARE if untold else self.earth_share)
+            made = replace(
+                self,
+                earth_N=here.albedo_light_N,
+                earth_share=UNTOLD_SHARE if untold else self.earth_share,
+            )
         if here.lit is None or here.lit_sigma is None:
             return made
         dark = here.lit + here.lit_sigma < LEAST_LIT
@@ -142,16 +181,24 @@ class Panels(SunTerm):
         power, sigma, scale_sigma = self.whole
         free = np.maximum(self.scale_sigma, LIMITED_SCALE), np.maximum(scale_sigma, LIMITED_SCALE)
         return replace(
-            made, lit=np.where(dark, 0.0, 1.0), sigma=np.where(dark[:, None], self.dark_sigma, self.sigma),
+            made,
+            lit=np.where(dark, 0.0, 1.0),
+            sigma=np.where(dark[:, None], self.dark_sigma, self.sigma),
             scale_sigma=np.where(open_, free[0], self.scale_sigma),
-            whole=(power, np.where(dark[:, None], self.dark_sigma, sigma), np.where(open_, free[1], scale_sigma)),
-        )  # fmt: skip
+            whole=(
+                power,
+                np.where(dark[:, None], self.dark_sigma, sigma),
+                np.where(open_, free[1], scale_sigma),
+            ),
+        )
 
     def take(self, index: np.ndarray | slice) -> Self:
         power, sigma, scale_sigma = (part[index] for part in self.whole)
         earth = None if self.earth is None else self.earth.take(index)
         known = None if self.earth_N is None else self.earth_N[index]
-        return replace(super().take(index), whole=(power, sigma, scale_sigma), earth=earth, earth_N=known)
+        return replace(
+            super().take(index), whole=(power, sigma, scale_sigma), earth=earth, earth_N=known
+        )
 
     def blind(self, index: int) -> Self:
         sigma, beside = self.sigma.copy(), self.whole[1].copy()
@@ -178,7 +225,10 @@ class Panels(SunTerm):
 
     def relative(self) -> np.ndarray:
         """Readings (n, n_panel) as shares of full Sun, zero where they say nothing."""
-        return np.where(np.isfinite(self.sigma), np.nan_to_num(self.power) / self.full, 0.0) / self.scale[:, None]
+        return (
+            np.where(np.isfinite(self.sigma), np.nan_to_num(self.power) / self.full, 0.0)
+            / self.scale[:, None]
+        )
 
     def blind_axis(self) -> np.ndarray | None:
         seeing = np.isfinite(self.sigma).any(axis=0)
@@ -194,7 +244,9 @@ class Panels(SunTerm):
         return self.response.images
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        return replace(self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None]))
+        return replace(
+            self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None])
+        )
 
     def coarser(self, factor: float) -> Self:
         power, sigma, scale_sigma = self.whole
@@ -213,7 +265,11 @@ class Panels(SunTerm):
         if self.blind_axis() is None or not len(self.gain_unknowns):
             return [loose]
         full = float(np.quantile(np.linalg.norm(self.relative(), axis=1), BRIGHTEST))
-        return [loose] if abs(full - 1) < OTHER_SCALE else [loose, replace(loose, gain=self.gain * full)]
+        return (
+            [loose]
+            if abs(full - 1) < OTHER_SCALE
+            else [loose, replace(loose, gain=self.gain * full)]
+        )
 
     def freed(self, t_s: np.ndarray) -> Self:
         """With the beam, and gains that were taken from brightness under it, as unknowns of the pass; the readings whole, and as
@@ -223,12 +279,21 @@ class Panels(SunTerm):
         power, sigma, scale_sigma = self.whole
         free = np.concatenate([self.gain_unknowns, self.gain_errors])
         return replace(
-            self, power=power, sigma=sigma, scale_sigma=scale_sigma, gain_unknowns=free, gain_errors=free[:0], earth_share=0.0,
+            self,
+            power=power,
+            sigma=sigma,
+            scale_sigma=scale_sigma,
+            gain_unknowns=free,
+            gain_errors=free[:0],
+            earth_share=0.0,
             earth=EarthLight.prior(t_s, self.earth_share, self.full, self.earth_N),
-        )  # fmt: skip
+        )
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        return (*gains.unknowns(self.gain_unknowns), *(() if self.earth is None else self.earth.unknowns(self.names)))
+        return (
+            *gains.unknowns(self.gain_unknowns),
+            *(() if self.earth is None else self.earth.unknowns(self.names)),
+        )
 
     def begin(self, seen: Seen, turned: bool = False) -> tuple[np.ndarray, np.ndarray]:
         error = np.zeros((len(seen.omega), len(self.unknowns())))
@@ -250,16 +315,27 @@ class Panels(SunTerm):
             return
         inverse = np.where(np.isfinite(self.sigma), 1 / self.sigma, 0.0)
         target = np.nan_to_num(self.power) * inverse
-        target = np.concatenate([target, np.broadcast_to((1 / self.scale_sigma)[:, None], (*target.shape[:-1], 1))], axis=-1)
+        target = np.concatenate(
+            [target, np.broadcast_to((1 / self.scale_sigma)[:, None], (*target.shape[:-1], 1))],
+            axis=-1,
+        )
         light, change = self._light(seen, error)
         shape = light * inverse * self.scale[:, None]
-        shape = np.concatenate([shape, np.broadcast_to((1 / self.scale_sigma)[:, None], (*shape.shape[:2], 1))], axis=-1)
+        shape = np.concatenate(
+            [shape, np.broadcast_to((1 / self.scale_sigma)[:, None], (*shape.shape[:2], 1))],
+            axis=-1,
+        )
         size = (shape**2).sum(axis=-1, keepdims=True)
         best = np.maximum((shape * target).sum(axis=-1, keepdims=True) / size, 0.0)
         change = (inverse * self.scale[:, None])[..., None] * change
-        change = np.concatenate([change, np.zeros((*change.shape[:2], 1, change.shape[-1]))], axis=-2) * best[..., None]
+        change = (
+            np.concatenate([change, np.zeros((*change.shape[:2], 1, change.shape[-1]))], axis=-2)
+            * best[..., None]
+        )
         unit = shape / np.sqrt(size)
-        change = change - unit[..., None] * np.einsum("...m,...mi->...i", unit, change)[..., None, :]
+        change = (
+            change - unit[..., None] * np.einsum("...m,...mi->...i", unit, change)[..., None, :]
+        )
         yield best * shape - target, change
 
     def _light(self, seen: Seen, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -273,7 +349,11 @@ class Panels(SunTerm):
             lit = error[:, len(free) :]
             more, slope = self.earth.light(self.response, gain, seen.attitude, lit)
             light = light + more + self.earth.zero(lit)
-            parts = [to_turn + slope[..., :3], parts[1] + (more / gain)[..., None] * free.T, slope[..., 3:]]  # as its gain
+            parts = [
+                to_turn + slope[..., :3],
+                parts[1] + (more / gain)[..., None] * free.T,
+                slope[..., 3:],
+            ]  # as its gain
         return light, np.concatenate(parts, axis=-1)
 
     def _over_time(self, seen: Seen, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -298,5 +378,12 @@ class Panels(SunTerm):
         found = [(replace(self, gain=self.gain + error), 1.0) for error in self.gain_errors]
         for side in np.vstack([np.eye(3), -np.eye(3)]) if self.earth_share > 0 else ():
             light = self.response.power(seen.attitude @ side, gain=self.gain)
-            found.append((replace(self, power=self.power + self.earth_share * self.scale[:, None] * light), 1 / np.sqrt(6)))
+            found.append(
+                (
+                    replace(
+                        self, power=self.power + self.earth_share * self.scale[:, None] * light
+                    ),
+                    1 / np.sqrt(6),
+                )
+            )
         return found

@@ -79,7 +79,10 @@ def euler_rates(omega_B: np.ndarray, momentum_B: np.ndarray, axis_B: np.ndarray)
     square = np.where(1 - cosine**2 > PARALLEL, 1 - cosine**2, np.nan)
     opposite = cosine < 0  # the sum of turns about opposite directions is their difference
     total = np.where(opposite, about_h - about_e, about_h + about_e) / (1 + np.abs(cosine))
-    return np.stack([(about_h - cosine * about_e) / square, (about_e - cosine * about_h) / square, total], axis=-1)
+    return np.stack(
+        [(about_h - cosine * about_e) / square, (about_e - cosine * about_h) / square, total],
+        axis=-1,
+    )
 
 
 def mean_periods(rates: Sequence[np.ndarray]) -> np.ndarray:
@@ -113,7 +116,10 @@ def evidence(seen: Sequence[Period], periods: Sequence[np.ndarray], weight: np.n
     if not total > 0:
         return Evidence(density, weight, np.zeros((len(seen), 3)), nearest, 0.0)
     after = weight * density / total
-    shares = [(after[:, None] * one / np.maximum(one.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0) for one in each]
+    shares = [
+        (after[:, None] * one / np.maximum(one.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0)
+        for one in each
+    ]
     return Evidence(density, after, np.array(shares), nearest, effective_draws(after))
 
 

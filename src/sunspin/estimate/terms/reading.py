@@ -29,7 +29,9 @@ class Reading:
     t_s: float
     value: np.ndarray
     sigma: float
-    kind: str = field(default="", init=False)  # a field, so that it is part of the identity of a run's rows
+    kind: str = field(
+        default="", init=False
+    )  # a field, so that it is part of the identity of a run's rows
 
     @classmethod
     def of(cls, given: Mapping[str, Any], value: np.ndarray, t_s: float) -> Self:
@@ -39,16 +41,30 @@ class Reading:
     @classmethod
     def checked(cls, given: Mapping[str, Any]) -> np.ndarray:
         """The numbers (`numbers`) of what a person gave, finite, its sigma positive."""
-        value, sigma = np.atleast_1d(np.asarray(given["value"], dtype=np.float64)), float(given["sigma"])
-        if value.shape != (cls.numbers,) or not np.all(np.isfinite(value)) or not (np.isfinite(sigma) and sigma > 0):
-            raise InputError(sentence(f"a {cls.kind} is {cls.numbers} finite numbers with a positive sigma", got=str(dict(given))))
+        value, sigma = (
+            np.atleast_1d(np.asarray(given["value"], dtype=np.float64)),
+            float(given["sigma"]),
+        )
+        if (
+            value.shape != (cls.numbers,)
+            or not np.all(np.isfinite(value))
+            or not (np.isfinite(sigma) and sigma > 0)
+        ):
+            raise InputError(
+                sentence(
+                    f"a {cls.kind} is {cls.numbers} finite numbers with a positive sigma",
+                    got=str(dict(given)),
+                )
+            )
         return value
 
     def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
         """What it would read (n, m)."""
         raise NotImplementedError("every reading says what it would read")
 
-    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+    def slope(
+        self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray
+    ) -> np.ndarray:
         """How that changes (n, m) where direction and rate change so."""
         raise NotImplementedError("every reading says how it changes")
 
@@ -58,4 +74,6 @@ class Reading:
 
     def log_density(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
         """Log density (n)."""
-        return np.sum(-0.5 * self.residual(sun_B, omega_B) ** 2 - np.log(self.sigma) - 0.5 * LOG_2PI, axis=1)
+        return np.sum(
+            -0.5 * self.residual(sun_B, omega_B) ** 2 - np.log(self.sigma) - 0.5 * LOG_2PI, axis=1
+        )

@@ -8,4 +8,6 @@ from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.sun_angle import SunAngle
 from sunspin.estimate.terms.sun_direction import SunReading
 
-READINGS: dict[str, type[Reading]] = {one.kind: one for one in (AngularSpeed, GyroReading, SunReading, SunAngle)}
+READINGS: dict[str, type[Reading]] = {
+    one.kind: one for one in (AngularSpeed, GyroReading, SunReading, SunAngle)
+}

@@ -39,16 +39,27 @@ def sun_source(telemetry: xr.Dataset, wanted: str | None, field_known: bool = Fa
     if wanted in (None, FIELD) and field_known:
         return FIELD
     if wanted not in has or not has[wanted]:
-        there = ", ".join(name for name, is_there in has.items() if is_there) or "nothing of the Sun"
+        there = (
+            ", ".join(name for name, is_there in has.items() if is_there) or "nothing of the Sun"
+        )
         do = f"use {', '.join(has)}"
         if wanted is None and "field_B" in telemetry:
             do = "a magnetometer alone needs its `noise` in the vehicle file, or an orbit (--tle)"
-        raise InputError(sentence(f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}", got=there, do=do))
+        raise InputError(
+            sentence(
+                f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}",
+                got=there,
+                do=do,
+            )
+        )
     return wanted
 
 
 def read_terms(
-    vehicle: Vehicle, telemetry: xr.Dataset, source: str, calibration: FieldCalibration | None = None
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    source: str,
+    calibration: FieldCalibration | None = None,
 ) -> tuple[tuple[Term, ...], np.ndarray]:
     """All that telemetry has, the Sun first, and a sentence for each sample (n); `calibration` of the magnetometer, by an orbit."""
     part = vehicle.sensors.magnetometer
@@ -58,10 +69,20 @@ def read_terms(
     if source == FIELD:
         sun, why = None, np.full(telemetry.sizes["time"], UNREAD, dtype=object)
     else:
-        sun, why = Panels.read(vehicle, telemetry) if source == "panels" else SunDirection.read(vehicle, telemetry, source)
+        sun, why = (
+            Panels.read(vehicle, telemetry)
+            if source == "panels"
+            else SunDirection.read(vehicle, telemetry, source)
+        )
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
-    others = [x if type(x) is not Magnetometer else x.with_own_zero(t_s) if calibration is None
-              else replace(x, calibration=calibration) for x in _read(vehicle, telemetry)]  # fmt: skip
+    others = [
+        x
+        if type(x) is not Magnetometer
+        else x.with_own_zero(t_s)
+        if calibration is None
+        else replace(x, calibration=calibration)
+        for x in _read(vehicle, telemetry)
+    ]
     return tuple(term for term in (sun, *others) if term is not None), why
 
 

@@ -43,7 +43,10 @@ class SteadyTorque(MotionTerm):
         return replace(self, sigma=share * self.sigma)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        return tuple(Unknown(f"steady_{axis}", "steady_torque", "rad/s2", 0.0, self.sigma, i) for i, axis in enumerate("xyz"))
+        return tuple(
+            Unknown(f"steady_{axis}", "steady_torque", "rad/s2", 0.0, self.sigma, i)
+            for i, axis in enumerate("xyz")
+        )
 
     def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
         """By the equations of motion, linear in turn and rate, at the mean rate of each interval."""
@@ -52,7 +55,9 @@ class SteadyTorque(MotionTerm):
         change[..., :3, :3] = change[..., 6:, 6:] = -cross_matrix(omega)
         change[..., :3, 3:6] = np.eye(3)
         inverse = np.linalg.inv(self.inertia)
-        change[..., 3:6, 3:6] = inverse @ (cross_matrix(omega @ self.inertia) - cross_matrix(omega) @ self.inertia)
+        change[..., 3:6, 3:6] = inverse @ (
+            cross_matrix(omega @ self.inertia) - cross_matrix(omega) @ self.inertia
+        )
         change[..., 3:6, 6:] = inverse
         if self.frame == "B":
             change[..., 6:, 6:] = 0.0

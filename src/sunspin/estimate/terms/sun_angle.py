@@ -25,12 +25,18 @@ class SunAngle(Reading):
     def of(cls, given: Mapping[str, Any], value: np.ndarray, t_s: float) -> Self:
         angle, length = float(given["angle_rad"]), float(np.linalg.norm(value))
         if not (0 <= angle <= np.pi and length > 0):
-            raise InputError(sentence("a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))))
+            raise InputError(
+                sentence(
+                    "a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))
+                )
+            )
         return cls(t_s, np.array([angle]), float(given["sigma"]), value / length)
 
     def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
         return np.arccos(np.clip(sun_B @ self.axis_B, -1.0, 1.0))[:, None]
 
-    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+    def slope(
+        self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray
+    ) -> np.ndarray:
         sine = np.sqrt(np.maximum(1.0 - (sun_B @ self.axis_B) ** 2, 1e-6))
         return -((to_sun @ self.axis_B) / sine)[:, None]

@@ -37,7 +37,12 @@ class SunDirection(SunTerm):
 
     name: ClassVar[str] = "sun"
     called: ClassVar[str] = "Sun"
-    per_sample: ClassVar[tuple[str, ...]] = ("direction_B", "covariance", "other_B", "other_covariance")
+    per_sample: ClassVar[tuple[str, ...]] = (
+        "direction_B",
+        "covariance",
+        "other_B",
+        "other_covariance",
+    )
     measured: ClassVar[tuple[str, ...]] = per_sample
 
     direction_B: np.ndarray
@@ -48,7 +53,12 @@ class SunDirection(SunTerm):
     @classmethod
     def of(cls, direction_B: np.ndarray, covariance: np.ndarray) -> Self:
         """Directions that mean one thing each."""
-        return cls(direction_B, covariance, np.full_like(direction_B, np.nan), np.full_like(covariance, np.nan))
+        return cls(
+            direction_B,
+            covariance,
+            np.full_like(direction_B, np.nan),
+            np.full_like(covariance, np.nan),
+        )
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:
@@ -88,10 +98,16 @@ class SunDirection(SunTerm):
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         more = (drift_rad**2)[:, None, None] * np.eye(3)
-        return replace(self, covariance=self.covariance + more, other_covariance=self.other_covariance + more)
+        return replace(
+            self, covariance=self.covariance + more, other_covariance=self.other_covariance + more
+        )
 
     def coarser(self, factor: float) -> Self:
-        return replace(self, covariance=factor**2 * self.covariance, other_covariance=factor**2 * self.other_covariance)
+        return replace(
+            self,
+            covariance=factor**2 * self.covariance,
+            other_covariance=factor**2 * self.other_covariance,
+        )
 
     @cached_property
     def _read(self) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +123,9 @@ class SunDirection(SunTerm):
         value, slope = _off(*self._read, seen.sun_B)
         if (unsure := np.isfinite(self.other_covariance[:, 0, 0])).any():
             other = _off(*(part[unsure] for part in self._other), seen.sun_B[:, unsure])
-            better = ((other[0] ** 2).sum(axis=-1) < (value[:, unsure] ** 2).sum(axis=-1))[..., None]
+            better = ((other[0] ** 2).sum(axis=-1) < (value[:, unsure] ** 2).sum(axis=-1))[
+                ..., None
+            ]
             value[:, unsure] = np.where(better, other[0], value[:, unsure])
             slope[:, unsure] = np.where(better[..., None], other[1], slope[:, unsure])
         yield value, slope
@@ -124,7 +142,9 @@ def _whitened(direction: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray
 def _off(direction: np.ndarray, white: np.ndarray, sun: np.ndarray) -> Residual:
     """Of the Sun (K, n, 3) from directions (n, 3), as `_whitened` gives them."""
     off = sun - direction
-    return np.einsum("nij,knj->kni", white, off), white @ cross_matrix(sun)  # a turn moves the Sun by sun x turn
+    return np.einsum("nij,knj->kni", white, off), white @ cross_matrix(
+        sun
+    )  # a turn moves the Sun by sun x turn
 
 
 @dataclass(frozen=True)
@@ -136,7 +156,9 @@ class SunReading(Reading):
     def predicted(self, sun_B: np.ndarray, omega_B: np.ndarray) -> np.ndarray:
         return sun_B
 
-    def slope(self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray) -> np.ndarray:
+    def slope(
+        self, sun_B: np.ndarray, omega_B: np.ndarray, to_sun: np.ndarray, to_omega: np.ndarray
+    ) -> np.ndarray:
         return to_sun
 
 
@@ -144,4 +166,6 @@ def _full_rank(direction: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     n = direction[:, :, None] * direction[:, None, :]
     along = np.einsum("nij,nij->n", covariance, n)
     add = np.where(along < RADIAL_SIGMA**2, RADIAL_SIGMA**2, 0.0)
-    return np.where(np.isfinite(direction[:, :1, None]), covariance + add[:, None, None] * n, np.nan)
+    return np.where(
+        np.isfinite(direction[:, :1, None]), covariance + add[:, None, None] * n, np.nan
+    )

@@ -229,7 +229,9 @@ class PairTerm(Term):
     def readings(self) -> int:
         return int(self.pairs().sum())
 
-    def between(self, t_s: np.ndarray, relative: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def between(
+        self, t_s: np.ndarray, relative: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals (K, n - 1, 3) of the turns between neighbours (K, n - 1, 3, 3), and derivatives (K, n - 1, 3, 6) to turn and
         rate at the first and at the second."""
         raise NotImplementedError("every term of neighbours compares them")
@@ -260,7 +262,9 @@ class MotionTerm(Term):
         return 0.0
 
 
-def normal(term: SunTerm | StateTerm, seen: Seen, error: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def normal(
+    term: SunTerm | StateTerm, seen: Seen, error: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal matrices (K, n, d, d), gradients (K, n, d) and costs (K, n) of a term at each sample, under a Student law."""
     k, n = seen.omega.shape[:2]
     size = (3 if isinstance(term, SunTerm) else 6) + (0 if error is None else error.shape[1])
@@ -291,4 +295,6 @@ def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
     """Unknowns (n, 6, 3) of a vector that drifts evenly over a pass, at its times (n): one sigma of each component in its middle,
     and of each component's drift, as fast as a turn at this rate."""
     away = rate_rad_s * (t_s - t_s.mean())
-    return (sigma * np.stack([np.ones(len(t_s)), away], axis=1)[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
+    return (
+        sigma * np.stack([np.ones(len(t_s)), away], axis=1)[:, :, None, None] * np.eye(3)
+    ).reshape(len(t_s), 6, 3)

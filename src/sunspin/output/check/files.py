@@ -35,20 +35,31 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
         "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
     }
     parts = ", ".join(_counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
-    known = "given" if summary["inertia_given"] else "not given (for `rates` a sphere; nothing can be simulated)"
+    known = (
+        "given"
+        if summary["inertia_given"]
+        else "not given (for `rates` a sphere; nothing can be simulated)"
+    )
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
-        summary |= {"lit_patterns": len(lit_patterns(craft)), "reconstructible": len(reconstructible_patterns(craft))}
+        summary |= {
+            "lit_patterns": len(lit_patterns(craft)),
+            "reconstructible": len(reconstructible_patterns(craft)),
+        }
         lines.append(
             f"  the Sun can light {summary['lit_patterns']} sets of panels; {summary['reconstructible']} of them give a direction"
         )
     if craft.channels:
-        about = [f"{one.name} ({'the largest' if one.reads == 'largest' else 'the sum'} of {', '.join(one.panels)})"
-                 for one in craft.channels]  # fmt: skip
+        about = [
+            f"{one.name} ({'the largest' if one.reads == 'largest' else 'the sum'} of {', '.join(one.panels)})"
+            for one in craft.channels
+        ]
         summary["channels"] = {one.name: list(one.panels) for one in craft.channels}
         copies = len(craft.response_in().images)
         alike = f", so that {copies} directions fit a sample alike" if copies > 1 else ""
-        lines.append(f"  inputs of several panels: {'; '.join(about)}; which of them is lit is not told{alike}")
+        lines.append(
+            f"  inputs of several panels: {'; '.join(about)}; which of them is lit is not told{alike}"
+        )
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
@@ -56,7 +67,9 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
     return summary, lines
 
 
-def about_telemetry(craft: Vehicle, path: Path, vehicle: str) -> tuple[xr.Dataset, dict[str, Any], list[str]]:
+def about_telemetry(
+    craft: Vehicle, path: Path, vehicle: str
+) -> tuple[xr.Dataset, dict[str, Any], list[str]]:
     """The telemetry, with summary and lines on what it holds and what can be learnt from it; `vehicle`: the file of `craft`."""
     samples = read_telemetry(path, craft)
     time, flag = samples["time"].values, samples["flag"].values
@@ -69,16 +82,31 @@ def about_telemetry(craft: Vehicle, path: Path, vehicle: str) -> tuple[xr.Datase
         "epoch_utc": str(samples.attrs["epoch_utc"]),
         "span_s": float(np.ptp(time)) if time.size else 0.0,
         "interval_s": spread,
-        "flags": {text: n for bit, text in FLAGS.items() if bit and (n := int(np.count_nonzero(flag & bit)))},
+        "flags": {
+            text: n
+            for bit, text in FLAGS.items()
+            if bit and (n := int(np.count_nonzero(flag & bit)))
+        },
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
-    begin = utc_after(float(time.min()), summary["epoch_utc"]) if time.size else summary["epoch_utc"]
-    lines = [f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"]
+    begin = (
+        utc_after(float(time.min()), summary["epoch_utc"]) if time.size else summary["epoch_utc"]
+    )
+    lines = [
+        f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"
+    ]
     if time.size and round(float(time[0])):
-        lines.append(f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample")
+        lines.append(
+            f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample"
+        )
     if spread:
-        lines.append("  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*spread))
-    for key, text in (("rows_sorted", "put in the order of time"), ("rows_merged", "repeats merged")):
+        lines.append(
+            "  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*spread)
+        )
+    for key, text in (
+        ("rows_sorted", "put in the order of time"),
+        ("rows_merged", "repeats merged"),
+    ):
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")
@@ -87,7 +115,10 @@ def about_telemetry(craft: Vehicle, path: Path, vehicle: str) -> tuple[xr.Datase
     summary, lines = summary | about, lines + more
     if "panel" in samples.coords:
         about, more = _about_panels(craft, samples)
-        summary, lines = summary | about, lines + ([NOT_READ] if summary["panels_misread"] else more)
+        summary, lines = (
+            summary | about,
+            lines + ([NOT_READ] if summary["panels_misread"] else more),
+        )
     about, more = worth(craft, samples, summary["panels_misread"])
     return samples, summary | about, lines + more
 
@@ -96,16 +127,30 @@ def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], 
     threshold = lit_threshold(craft, samples)
     sun = sun_directions(craft, samples, lit_threshold=threshold)
     stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
-    found = panel_health(craft, samples.isel(time=slice(None, None, stride)), lit_threshold=threshold, could_be_turned=True)
-    health, without_loss = health_summary(found), made_by(found, -(-samples.sizes["time"] // stride))
+    found = panel_health(
+        craft,
+        samples.isel(time=slice(None, None, stride)),
+        lit_threshold=threshold,
+        could_be_turned=True,
+    )
+    health, without_loss = (
+        health_summary(found),
+        made_by(found, -(-samples.sizes["time"] // stride)),
+    )
     missed = samples["panel"].values[panel_quality(craft, samples)["missed"].values].tolist()
-    if missed and health["impossible"] and without_loss != NOISE:  # patterns may blame another where panels are turned
+    if (
+        missed and health["impossible"] and without_loss != NOISE
+    ):  # patterns may blame another where panels are turned
         health["explanations"], without_loss = [missed], ""
     summary = {
-        "status": status_counts(sun), "noise": float(sun.attrs["noise"]), "noise_from": str(sun.attrs["noise_from"]),
+        "status": status_counts(sun),
+        "noise": float(sun.attrs["noise"]),
+        "noise_from": str(sun.attrs["noise_from"]),
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
-        "noise_made": without_loss == NOISE, "made_by": without_loss, "health_of_every": stride,
-    }  # fmt: skip
+        "noise_made": without_loss == NOISE,
+        "made_by": without_loss,
+        "health_of_every": stride,
+    }
     return summary, status_lines(sun) + health_lines(summary) + noise_lines(sun)
 
 

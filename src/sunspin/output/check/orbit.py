@@ -29,7 +29,9 @@ def about_orbit(
         return {}, []
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
     found = check_orbit(orbit, craft, samples)
-    return {"orbit": _age(orbit, samples, one) | _summary(one, found, notes)}, _lines(one, found, notes)
+    return {"orbit": _age(orbit, samples, one) | _summary(one, found, notes)}, _lines(
+        one, found, notes
+    )
 
 
 def orbit_used(
@@ -46,7 +48,9 @@ def orbit_used(
     calibration = None if used is None else field_calibration(used, craft, samples, found.made)
     said = [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
     if craft.telemetry.noise is None and "panel" in samples.coords:
-        said += noise_lines(sun_directions(craft, samples, lit_threshold=lit_threshold(craft, samples)))
+        said += noise_lines(
+            sun_directions(craft, samples, lit_threshold=lit_threshold(craft, samples))
+        )
     return used, calibration, {"orbit": summary}, said
 
 
@@ -58,7 +62,10 @@ def _age(orbit: Any, samples: xr.Dataset, one: Any) -> dict[str, Any]:
     """Epoch of elements, and their age in the middle of the telemetry."""
     middle = orbit.instants(samples["time"].values).middle
     day, fraction = one.epoch_jd
-    return {"epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"), "age_days": one.days_to(middle)}
+    return {
+        "epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"),
+        "age_days": one.days_to(middle),
+    }
 
 
 def _named(one: Any) -> str:
@@ -67,16 +74,29 @@ def _named(one: Any) -> str:
 
 def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
     summary = {
-        "satellite": one.number, "name": one.name, "verdict": found.verdict.name.lower(), "copies": found.copies,
-        "better_copies": found.better, "copies_expected_better_by_chance": found.mistaken,
-        "node_turn_rad": found.turn_rad, "node_turn_times": found.turn_times,
-        "shift_s": found.shift_s, "shift_sigma_s": found.shift_sigma_s, "shift_at_border": found.border,
-        "drift_s_day": found.drift_s_day, "drift_sigma_s_day": found.drift_sigma_s_day, "samples": found.samples,
-        "field_residual_T": found.strength_residual_T, "sun_field_residual_rad": found.angle_residual_rad,
-        "sign_turned": found.sign_turned, "turned_axes": found.turned_axes,
-        "clock_behind_s": found.clock_behind_s, "in_shadow": found.eclipse[1], "in_shadow_with_sun": found.eclipse[0],
+        "satellite": one.number,
+        "name": one.name,
+        "verdict": found.verdict.name.lower(),
+        "copies": found.copies,
+        "better_copies": found.better,
+        "copies_expected_better_by_chance": found.mistaken,
+        "node_turn_rad": found.turn_rad,
+        "node_turn_times": found.turn_times,
+        "shift_s": found.shift_s,
+        "shift_sigma_s": found.shift_sigma_s,
+        "shift_at_border": found.border,
+        "drift_s_day": found.drift_s_day,
+        "drift_sigma_s_day": found.drift_sigma_s_day,
+        "samples": found.samples,
+        "field_residual_T": found.strength_residual_T,
+        "sun_field_residual_rad": found.angle_residual_rad,
+        "sign_turned": found.sign_turned,
+        "turned_axes": found.turned_axes,
+        "clock_behind_s": found.clock_behind_s,
+        "in_shadow": found.eclipse[1],
+        "in_shadow_with_sun": found.eclipse[0],
         "notes": notes,
-    }  # fmt: skip
+    }
     if found.matrix is not None and found.zero is not None:
         summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
     return summary
@@ -87,24 +107,36 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     if off := clock_off(found):
         lines.append(f"  {off}")
     if found.sign_turned:
-        lines.append("  the magnetometer reads the field with the opposite sign: turn its `matrix` round")
+        lines.append(
+            "  the magnetometer reads the field with the opposite sign: turn its `matrix` round"
+        )
     if found.turned_axes:
         lines.append(f"  {found.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
-    lines.append(f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)")
+    lines.append(
+        f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)"
+    )
     if found.turn_times > 1.05:
         turn = f"with the node turned by {np.degrees(found.turn_rad):+z.0f} deg"
         lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
     both = " (with the clock: of both, the data determine the sum)"
-    lines.append(f"  shift along the track {found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}")
+    lines.append(
+        f"  shift along the track {found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}"
+    )
     if np.isfinite(found.strength_residual_T):
         angle = np.degrees(found.angle_residual_rad)
-        few = f" (too few samples to judge: {n})" if (n := found.samples.get("field and Sun", 0)) < FEWEST else ""
+        few = (
+            f" (too few samples to judge: {n})"
+            if (n := found.samples.get("field and Sun", 0)) < FEWEST
+            else ""
+        )
         sun = f", of its angle to the Sun {angle:.1f} deg{few}" if np.isfinite(angle) else ""
-        lines.append(f"  residuals in the middle: of the field's strength {1e6 * found.strength_residual_T:.2f} uT{sun}")
+        lines.append(
+            f"  residuals in the middle: of the field's strength {1e6 * found.strength_residual_T:.2f} uT{sun}"
+        )
     seen, dark = found.eclipse
     if dark:
         lines.append(f"  {dark} samples lie in the Earth's shadow; {seen} of them show a Sun")

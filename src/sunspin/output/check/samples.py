@@ -20,22 +20,38 @@ SHOWN = 30
 """Columns listed by name."""
 
 
-def doubts(craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
+def doubts(
+    craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None
+) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
     units, found = [], wrong_units(craft, samples)
     for wrong in found:
-        stands = None if vehicle is None else line_of(vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0])
-        units.append(str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),"))
+        stands = (
+            None
+            if vehicle is None
+            else line_of(
+                vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0]
+            )
+        )
+        units.append(
+            str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),")
+        )
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
     lines = [f"  WRONG UNIT: {text}" for text in units]
-    axes = None if any(wrong.table == "gyro" for wrong in found) else wrong_gyro_axes(craft, samples)
+    axes = (
+        None if any(wrong.table == "gyro" for wrong in found) else wrong_gyro_axes(craft, samples)
+    )
     lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
     misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
-    summary = {"wrong_units": units, "wrong_axes": [axes] if axes else [], "panels_misread": misread}
+    summary = {
+        "wrong_units": units,
+        "wrong_axes": [axes] if axes else [],
+        "panels_misread": misread,
+    }
     return summary | {"missing_sensors": missing, "unused_columns": unused}, lines
 
 
@@ -54,7 +70,9 @@ def noise_lines(sun: xr.Dataset) -> list[str]:
     ]
 
 
-def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
+def worth(
+    craft: Vehicle, samples: xr.Dataset, misread: bool = False
+) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
     wrong unit, no lines on what their numbers would mean."""
     summary: dict[str, Any] = {}
@@ -65,10 +83,16 @@ def worth(craft: Vehicle, samples: xr.Dataset, misread: bool = False) -> tuple[d
         lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
     alone = {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
     sensors = {"sun_sensor_B": "Sun sensors"} | alone | {"wheel_speed_rad_s": "wheel speeds"}
-    there = {label: int(np.isfinite(samples[name].values).all(axis=1).sum()) for name, label in sensors.items() if name in samples}
+    there = {
+        label: int(np.isfinite(samples[name].values).all(axis=1).sum())
+        for name, label in sensors.items()
+        if name in samples
+    }
     if there:
         summary["sensors"] = there
-        lines.append("  other sensors: " + ", ".join(f"{label} ({n} samples)" for label, n in there.items()))
+        lines.append(
+            "  other sensors: " + ", ".join(f"{label} ({n} samples)" for label, n in there.items())
+        )
     about, more = _sampling(samples)
     return summary | about, lines + more
 
@@ -77,29 +101,52 @@ def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[s
     quality = panel_quality(craft, samples)
     why = reasons(quality)
     silent, missed = quality["dead"].values, quality["missed"].values
-    dead, unlit = ([str(name) for name in quality["panel"].values[which]] for which in (missed, silent & ~missed))
+    dead, unlit = (
+        [str(name) for name in quality["panel"].values[which]]
+        for which in (missed, silent & ~missed)
+    )
     faces = np.bincount(_lit(craft, samples, quality))
-    summary = {"worth": why, "dead_panels": dead, "unlit_panels": unlit, "full_sun": quality.attrs["full_sun"],
-               "albedo": quality.attrs["albedo"], "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n},
-               }  # fmt: skip
+    summary = {
+        "worth": why,
+        "dead_panels": dead,
+        "unlit_panels": unlit,
+        "full_sun": quality.attrs["full_sun"],
+        "albedo": quality.attrs["albedo"],
+        "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n},
+    }
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
-        lines.append(f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out")
+        lines.append(
+            f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out"
+        )
     if unlit:
-        lines.append(f"  panel {', '.join(unlit)} reads nothing, as if never in the Sun: the others show full Sun; not used")
-    gain, sigma = quality["gain"].values / craft.input_gains, quality["gain_sigma"].values / craft.input_gains
+        lines.append(
+            f"  panel {', '.join(unlit)} reads nothing, as if never in the Sun: the others show full Sun; not used"
+        )
+    gain, sigma = (
+        quality["gain"].values / craft.input_gains,
+        quality["gain_sigma"].values / craft.input_gains,
+    )
     names = [str(name) for name in quality["panel"].values]
-    summary["gains"] = {name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)}
+    summary["gains"] = {
+        name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)
+    }
     summary["gains_from"] = quality.attrs["gains_from"]
     if np.isfinite(quality.attrs["spread"]):
-        told = ", ".join(f"{name} {g:.3f} +- {s:.3f}" for name, g, s in zip(names, gain, sigma, strict=True))
-        lines.append(f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {told}")
+        told = ", ".join(
+            f"{name} {g:.3f} +- {s:.3f}" for name, g, s in zip(names, gain, sigma, strict=True)
+        )
+        lines.append(
+            f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {told}"
+        )
     else:
         lines.append(f"  gains: {quality.attrs['gains_from']}")
     lines.append(f"  light on dark faces: up to {quality.attrs['albedo']:.0%} of full Sun")
     counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
-    lines.append(f"  {lit} lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too")
+    lines.append(
+        f"  {lit} lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too"
+    )
     return summary, lines
 
 
@@ -110,7 +157,9 @@ def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
     lit = np.nan_to_num(signals(samples)) > floor
     if craft.channels:
         return lit.sum(axis=1)
-    _, face = np.unique(np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True)
+    _, face = np.unique(
+        np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True
+    )
     return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
 
 
@@ -128,7 +177,11 @@ def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     clear = 180 / usual
     near = gaps[gaps < 6 * usual]
     jitter = float(np.std(near) / usual)
-    lines = [f"  sampling: rates up to {clear:.3g} deg/s can be determined unambiguously (half a turn between samples)"]
+    lines = [
+        f"  sampling: rates up to {clear:.3g} deg/s can be determined unambiguously (half a turn between samples)"
+    ]
     if jitter < 0.02:
-        lines.append(f"  the samples are evenly spaced: a rate and one that differs by {360 / usual:.3g} deg/s look alike")
+        lines.append(
+            f"  the samples are evenly spaced: a rate and one that differs by {360 / usual:.3g} deg/s look alike"
+        )
     return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines

@@ -48,7 +48,10 @@ def _metadata(attitude: Attitude, part: np.ndarray) -> list[tuple[str, str]]:
         ("OBJECT_NAME", _plain(attitude.name) or "UNKNOWN"),
         ("OBJECT_ID", _plain(attitude.number) or _plain(attitude.name) or "UNKNOWN"),
         ("CENTER_NAME", attitude.centre),
-        ("REF_FRAME_A", "EME2000" if attitude.frame == J2000 else attitude.frame),  # as the standard calls it
+        (
+            "REF_FRAME_A",
+            "EME2000" if attitude.frame == J2000 else attitude.frame,
+        ),  # as the standard calls it
         ("REF_FRAME_B", BODY_FRAME),
         ("ATTITUDE_DIR", "A2B"),
         ("TIME_SYSTEM", "UTC"),
@@ -84,17 +87,26 @@ def _xml(attitude: Attitude, stamp: str) -> str:
         for text in _comments(attitude):
             _add(metadata, "COMMENT", text)
         for key, value in _metadata(attitude, part):
-            if key not in ("ATTITUDE_DIR", "QUATERNION_TYPE"):  # version 2.0 knows one direction, A to B, and one order only
+            if key not in (
+                "ATTITUDE_DIR",
+                "QUATERNION_TYPE",
+            ):  # version 2.0 knows one direction, A to B, and one order only
                 _add(metadata, key, value)
         data = ElementTree.SubElement(segment, "data")
         for i in part:
-            state = ElementTree.SubElement(ElementTree.SubElement(data, "attitudeState"), "quaternionEphemeris")
+            state = ElementTree.SubElement(
+                ElementTree.SubElement(data, "attitudeState"), "quaternionEphemeris"
+            )
             _add(state, "EPOCH", attitude.utc(i))
             numbers = ElementTree.SubElement(state, "quaternion")
             for key, value in zip(("Q1", "Q2", "Q3", "QC"), q[i], strict=True):
                 _add(numbers, key, f"{value:.15f}")
     ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        + ElementTree.tostring(root, encoding="unicode")
+        + "\n"
+    )
 
 
 def _add(parent: ElementTree.Element, key: str, text: str) -> None:

@@ -29,17 +29,45 @@ KERNEL_S = 20
 """CPU time in which rates are read from kernels: they are read in another process, as damaged ones end SPICE."""
 
 LEAP_SECONDS = (
-    (1972, 1, 10), (1972, 7, 11), (1973, 1, 12), (1974, 1, 13), (1975, 1, 14), (1976, 1, 15), (1977, 1, 16), (1978, 1, 17),
-    (1979, 1, 18), (1980, 1, 19), (1981, 7, 20), (1982, 7, 21), (1983, 7, 22), (1985, 7, 23), (1988, 1, 24), (1990, 1, 25),
-    (1991, 1, 26), (1992, 7, 27), (1993, 7, 28), (1994, 7, 29), (1996, 1, 30), (1997, 7, 31), (1999, 1, 32), (2006, 1, 33),
-    (2009, 1, 34), (2012, 7, 35), (2015, 7, 36), (2017, 1, 37),
-)  # fmt: skip
+    (1972, 1, 10),
+    (1972, 7, 11),
+    (1973, 1, 12),
+    (1974, 1, 13),
+    (1975, 1, 14),
+    (1976, 1, 15),
+    (1977, 1, 16),
+    (1978, 1, 17),
+    (1979, 1, 18),
+    (1980, 1, 19),
+    (1981, 7, 20),
+    (1982, 7, 21),
+    (1983, 7, 22),
+    (1985, 7, 23),
+    (1988, 1, 24),
+    (1990, 1, 25),
+    (1991, 1, 26),
+    (1992, 7, 27),
+    (1993, 7, 28),
+    (1994, 7, 29),
+    (1996, 1, 30),
+    (1997, 7, 31),
+    (1999, 1, 32),
+    (2006, 1, 33),
+    (2009, 1, 34),
+    (2012, 7, 35),
+    (2015, 7, 36),
+    (2017, 1, 37),
+)
 """TAI - UTC in s from the first of (year, month) on; IERS Bulletin C, no further one announced until 2026."""
 
 
 def ephemeris_time(moment: datetime) -> float:
     """SPICE's ephemeris time (TDB seconds past J2000) of a UTC moment, to 0.05 ms (NAIF time-kernel formula)."""
-    offsets = [seconds for year, month, seconds in LEAP_SECONDS if moment >= datetime(year, month, 1, tzinfo=UTC)]
+    offsets = [
+        seconds
+        for year, month, seconds in LEAP_SECONDS
+        if moment >= datetime(year, month, 1, tzinfo=UTC)
+    ]
     if not offsets:
         raise InputError(sentence("UTC before 1972 has no leap seconds", got=moment.isoformat()))
     since = (moment - datetime(2000, 1, 1, 12, tzinfo=UTC)).total_seconds() + offsets[-1] + 32.184
@@ -52,7 +80,9 @@ def spice() -> Any:
     try:
         import spiceypy
     except ImportError:
-        raise OutputError(sentence("SPICE kernels need spiceypy", do='pip install "sunspin[spice]"')) from None
+        raise OutputError(
+            sentence("SPICE kernels need spiceypy", do='pip install "sunspin[spice]"')
+        ) from None
     return spiceypy
 
 
@@ -60,9 +90,17 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into `folder`; one interpolation interval per pass."""
     sp = spice()
     if not str(folder).isprintable():
-        raise OutputError(sentence("SPICE takes no such folder name", got=str(folder), do="give one of plain letters"))
-    clock = write_whole(folder / "sunspin.tsc", lambda part: part.write_text(_clock_kernel(attitude), "ascii"))
-    frames = write_whole(folder / "sunspin.tf", lambda part: part.write_text(_frame_kernel(attitude), "ascii"))
+        raise OutputError(
+            sentence(
+                "SPICE takes no such folder name", got=str(folder), do="give one of plain letters"
+            )
+        )
+    clock = write_whole(
+        folder / "sunspin.tsc", lambda part: part.write_text(_clock_kernel(attitude), "ascii")
+    )
+    frames = write_whole(
+        folder / "sunspin.tf", lambda part: part.write_text(_frame_kernel(attitude), "ascii")
+    )
     ticks = np.round((attitude.t_s - min(0.0, attitude.t_s.min())) * TICKS_PER_S)
     if np.any(np.diff(ticks) <= 0):
         raise InputError(sentence("a C-kernel needs times that increase by a microsecond or more"))
@@ -74,8 +112,21 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     def write(path: Path) -> None:
         handle = sp.ckopn(str(path), "sunspin attitude", 0)
         try:
-            sp.ckw03(handle, ticks[0], ticks[-1], BODY_ID, attitude.frame, True, "sunspin", len(ticks), ticks, quaternion, rate,
-                     len(starts), starts)  # fmt: skip
+            sp.ckw03(
+                handle,
+                ticks[0],
+                ticks[-1],
+                BODY_ID,
+                attitude.frame,
+                True,
+                "sunspin",
+                len(ticks),
+                ticks,
+                quaternion,
+                rate,
+                len(starts),
+                starts,
+            )
         finally:
             sp.ckcls(handle)
 
@@ -83,7 +134,9 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     try:
         return [write_whole(folder / "sunspin.bc", write), clock, frames]
     except sp.exceptions.SpiceyError as error:
-        raise OutputError(sentence(f"SPICE refused the kernel ({_short(error)})", where=str(folder))) from None
+        raise OutputError(
+            sentence(f"SPICE refused the kernel ({_short(error)})", where=str(folder))
+        ) from None
     finally:
         sp.unload([str(clock), str(frames)])
 
@@ -121,10 +174,20 @@ def _frame_kernel(attitude: Attitude) -> str:
     local = [] if "LOCAL" not in attitude.frame.upper() else [(attitude.frame.upper(), LOCAL_ID)]
     lines = []
     for name, number in [(BODY_NAME, BODY_ID), *local]:
-        lines += [f"FRAME_{name} = {number}", f"FRAME_{number}_NAME = '{name}'", f"FRAME_{number}_CLASS = 3",
-                  f"FRAME_{number}_CLASS_ID = {number}", f"FRAME_{number}_CENTER = {SPACECRAFT}",
-                  f"CK_{number}_SCLK = {SPACECRAFT}", f"CK_{number}_SPK = {SPACECRAFT}"]  # fmt: skip
-    return "KPL/FK\nFrames of sunspin's attitude kernel.\n\\begindata\n" + "\n".join(lines) + "\n\\begintext\n"
+        lines += [
+            f"FRAME_{name} = {number}",
+            f"FRAME_{number}_NAME = '{name}'",
+            f"FRAME_{number}_CLASS = 3",
+            f"FRAME_{number}_CLASS_ID = {number}",
+            f"FRAME_{number}_CENTER = {SPACECRAFT}",
+            f"CK_{number}_SCLK = {SPACECRAFT}",
+            f"CK_{number}_SPK = {SPACECRAFT}",
+        ]
+    return (
+        "KPL/FK\nFrames of sunspin's attitude kernel.\n\\begindata\n"
+        + "\n".join(lines)
+        + "\n\\begintext\n"
+    )
 
 
 def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> np.ndarray:
@@ -137,14 +200,25 @@ def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> n
             raise InputError(sentence(what, got=path, do="give the paths of SPICE kernels"))
     try:
         printed = elsewhere(
-            Path(__file__).with_name("spice_rates.py"), frame, base, *pool, seconds=KERNEL_S,
+            Path(__file__).with_name("spice_rates.py"),
+            frame,
+            base,
+            *pool,
+            seconds=KERNEL_S,
             content=np.asarray(et, dtype=np.float64).tobytes(),
-        )  # fmt: skip
+        )
     except Elsewhere as error:
-        raise InputError(sentence(f"the kernels cannot be used ({error})", got=", ".join(pool))) from None
+        raise InputError(
+            sentence(f"the kernels cannot be used ({error})", got=", ".join(pool))
+        ) from None
     rates = np.frombuffer(printed, dtype=np.float64).reshape(-1, 3)
     if np.any(np.abs(rates) > MAX_RATE):
-        raise InputError(sentence(f"the kernels hold rates beyond {MAX_RATE:g} rad/s", do="check them: they may be damaged"))
+        raise InputError(
+            sentence(
+                f"the kernels hold rates beyond {MAX_RATE:g} rad/s",
+                do="check them: they may be damaged",
+            )
+        )
     return rates
 
 

@@ -17,7 +17,12 @@ from sunspin.output.folder import write_whole
 
 # colour-blind safe (Okabe and Ito)
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2, "frameon": False}
+ABOVE: dict[str, Any] = {
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 1.0),
+    "borderaxespad": 0.2,
+    "frameon": False,
+}
 """A legend above the axes, where it covers no data."""
 ON_PAPER: dict[str, Any] = {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.5}
 """The ground of a label that stands on lines."""
@@ -33,7 +38,9 @@ def lay_out(figure: Figure) -> Figure:
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-        with matplotlib.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
+        with matplotlib.rc_context(
+            {"figure.autolayout": False, "figure.constrained_layout.use": False}
+        ):
             figure.set_layout_engine(None)
     return figure
 
@@ -41,7 +48,9 @@ def lay_out(figure: Figure) -> Figure:
 def drawn(figure: Figure) -> dict[str, bytes]:
     """A figure as the content of a PNG and of an SVG file."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from")  # names may have letters that the font has not: boxes
+        warnings.filterwarnings(
+            "ignore", "Glyph .* missing from"
+        )  # names may have letters that the font has not: boxes
         lay_out(figure)
         found = {}
         for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
@@ -53,8 +62,12 @@ def drawn(figure: Figure) -> dict[str, bytes]:
 
 def write(files: dict[str, bytes], folder: Path, name: str) -> list[Path]:
     """Write a figure's files."""
-    return [write_whole(folder / f"{name}.{suffix}", lambda part, content=content: part.write_bytes(content))
-            for suffix, content in files.items()]  # fmt: skip
+    return [
+        write_whole(
+            folder / f"{name}.{suffix}", lambda part, content=content: part.write_bytes(content)
+        )
+        for suffix, content in files.items()
+    ]
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

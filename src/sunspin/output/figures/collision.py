@@ -19,20 +19,30 @@ def collision_figure(found: xr.Dataset) -> Figure:
     facts, sigma = facts_of(found), found.attrs["sigma_m_s"]
     fine = np.isfinite(found["speed_after"].values)
     image = left.hexbin(
-        found["velocity_change"].values[fine], found["speed_after"].values[fine], gridsize=45, cmap="cividis", mincnt=1, lw=0
+        found["velocity_change"].values[fine],
+        found["speed_after"].values[fine],
+        gridsize=45,
+        cmap="cividis",
+        mincnt=1,
+        lw=0,
     )
     figure.colorbar(image, ax=left, label="simulated collisions")
     turn = np.linspace(0, 2 * np.pi, 100)
     for k in (1, 2):
         left.plot(
-            facts["velocity_change"] + k * sigma * np.cos(turn), facts["speed_after"] + k * sigma * np.sin(turn),
-            color=COLOURS[1], lw=1.8, label="trajectory kernel, 1 and 2 sigma" if k == 1 else None,
-        )  # fmt: skip
+            facts["velocity_change"] + k * sigma * np.cos(turn),
+            facts["speed_after"] + k * sigma * np.sin(turn),
+            color=COLOURS[1],
+            lw=1.8,
+            label="trajectory kernel, 1 and 2 sigma" if k == 1 else None,
+        )
     left.set_xlabel("change of velocity at the collision (m/s)")
     left.set_ylabel("speed after the collision (m/s)")
     left.legend(fontsize=8, loc="lower left")
     impacts = "Sticking impacts" if _sticks(found) else "Impacts"
-    left.set_title(f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows", fontsize=10)
+    left.set_title(
+        f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows", fontsize=10
+    )
     rate = np.linalg.norm(found["omega_after_B"].values, axis=1)
     edges = np.linspace(0, 1.0, 51)
     weighted = found["weight"].values, "weighted by the kernel's speeds"
@@ -51,9 +61,13 @@ def collision_figure(found: xr.Dataset) -> Figure:
         )
     period, wide = found.attrs["period_after_s"], 2 * found.attrs["sigma_period_s"]
     right.axvspan(
-        2 * np.pi / (period + wide), 2 * np.pi / (period - wide), color=COLOURS[2], alpha=0.25, lw=0,
+        2 * np.pi / (period + wide),
+        2 * np.pi / (period - wide),
+        color=COLOURS[2],
+        alpha=0.25,
+        lw=0,
         label=f"magnetometer: {period:g} s, drawn {wide:g} s wide to each side",
-    )  # fmt: skip
+    )
     right.set_xlim(0, 1)
     right.set_xlabel("angular speed just after the collision (rad/s)")
     right.set_ylabel("probability density (s/rad)")
@@ -68,4 +82,6 @@ def _sticks(found: xr.Dataset) -> bool:
         scenario = json.loads(str(found.attrs.get("scenario", "{}")))
     except ValueError:
         return False
-    return isinstance(scenario, dict) and not any(scenario.get(name) for name in ("restitution", "damper"))
+    return isinstance(scenario, dict) and not any(
+        scenario.get(name) for name in ("restitution", "damper")
+    )

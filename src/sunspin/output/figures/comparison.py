@@ -20,7 +20,9 @@ LEAST = 1e-2
 
 def comparison_figure(found: xr.Dataset) -> Figure:
     """The rows with a known error that moved most, in errors; beyond the line at one they moved by more."""
-    known = np.flatnonzero(np.isfinite(found["error"].values) & (found["change"].values != 0))[:MOST_ROWS]
+    known = np.flatnonzero(np.isfinite(found["error"].values) & (found["change"].values != 0))[
+        :MOST_ROWS
+    ]
     size, change = found["size"].values[known], found["change"].values[known]
     place = np.arange(len(known))[::-1]
     figure = Figure(figsize=(10, 1.5 + 0.27 * max(len(known), 4)), layout="constrained")
@@ -28,7 +30,13 @@ def comparison_figure(found: xr.Dataset) -> Figure:
     for up, marker, label in ((True, ">", "larger in B"), (False, "<", "smaller in B")):
         use = (change > 0) == up
         axes.plot(
-            np.maximum(size[use], LEAST), place[use], marker, ms=7, color=COLOURS[1] if up else COLOURS[0], label=label, zorder=3
+            np.maximum(size[use], LEAST),
+            place[use],
+            marker,
+            ms=7,
+            color=COLOURS[1] if up else COLOURS[0],
+            label=label,
+            zorder=3,
         )
     axes.hlines(place, LEAST, np.maximum(size, LEAST), color="0.8", lw=1)
     axes.axvline(1.0, color="0.3", lw=1, ls="--")
@@ -41,7 +49,14 @@ def comparison_figure(found: xr.Dataset) -> Figure:
     axes.set_title(f"What moved{whose}", loc="left")
     axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
     if not len(known):
-        axes.text(0.5, 0.5, "no row with a known error moved", transform=axes.transAxes, ha="center", color="0.3")
+        axes.text(
+            0.5,
+            0.5,
+            "no row with a known error moved",
+            transform=axes.transAxes,
+            ha="center",
+            color="0.3",
+        )
     return figure
 
 

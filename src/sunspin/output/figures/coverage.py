@@ -27,14 +27,25 @@ def coverage_figure(found: xr.Dataset) -> Figure:
     _coverage(cover, twins, about["factor"], about["confidence"])
     _turned(turned, twins["lines"], about["factor"])
     _bound(bound, twins["lines"], about["published_touchdown_speed_rad_s"], about["confidence"])
-    figure.suptitle(f"The method repeated on synthetic rebounds of known truth: {twins['lines'].n} twins of each kind", fontsize=11)
+    figure.suptitle(
+        f"The method repeated on synthetic rebounds of known truth: {twins['lines'].n} twins of each kind",
+        fontsize=11,
+    )
     return figure
 
 
 def _scatter(axes: Any, each: dict[str, Twins], factor: float, published: float) -> None:
     for k, (kind, twins) in enumerate(each.items()):
-        axes.loglog(twins.twin["emd_min"], twins.twin["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, color=COLOURS[k],
-                    label=NAMES[kind])  # fmt: skip
+        axes.loglog(
+            twins.twin["emd_min"],
+            twins.twin["emd_truth"],
+            "o^"[k],
+            ms=3.5,
+            mfc="none",
+            mew=0.7,
+            color=COLOURS[k],
+            label=NAMES[kind],
+        )
     low, high = axes.get_xlim()
     x = np.array([low, high])
     axes.loglog(x, x, lw=0.8, color=COLOURS[7])
@@ -55,14 +66,26 @@ def _coverage(axes: Any, each: dict[str, Twins], chosen: float, confidence: floa
         shares = [twins.in_set(factor) for factor in at]
         band = np.array([share.interval for share in shares])
         axes.fill_between(at, band[:, 0], band[:, 1], color=COLOURS[k], alpha=0.25, lw=0)
-        axes.semilogx(at, [share.value for share in shares], "-" if k == 0 else "--", color=COLOURS[k], label=NAMES[kind])
+        axes.semilogx(
+            at,
+            [share.value for share in shares],
+            "-" if k == 0 else "--",
+            color=COLOURS[k],
+            label=NAMES[kind],
+        )
     axes.axvline(chosen, ls="--", lw=1, color=COLOURS[6], label=f"the paper's {chosen:g}")
     axes.axhline(confidence, ls=":", lw=1, color=COLOURS[7])
     axes.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
     axes.minorticks_off()
-    axes.set(xlabel="factor on the smallest EMD", ylabel="share of twins whose truth lies in the set", ylim=(0, 1.02))
+    axes.set(
+        xlabel="factor on the smallest EMD",
+        ylabel="share of twins whose truth lies in the set",
+        ylim=(0, 1.02),
+    )
     axes.legend(fontsize=9, loc="lower right")
-    axes.set_title("how often the level set holds the truth\n(band: 95 % sampling error)", fontsize=10)
+    axes.set_title(
+        "how often the level set holds the truth\n(band: 95 % sampling error)", fontsize=10
+    )
 
 
 def _turned(axes: Any, lines: Twins, factor: float) -> None:
@@ -75,24 +98,48 @@ def _turned(axes: Any, lines: Twins, factor: float) -> None:
     fitted = Share(int(np.isfinite(lines.twin["line_angle"][:, 0]).sum()), lines.n)
     axes.set(xlabel="angle between fitted and published line (deg)", ylabel="twins per 3 deg")
     axes.legend(fontsize=9)
-    axes.set_title(f"lines fitted to EMD < {factor:g} EMD_min;\npossible in {fitted.value:.0%} of the twins", fontsize=10)
+    axes.set_title(
+        f"lines fitted to EMD < {factor:g} EMD_min;\npossible in {fitted.value:.0%} of the twins",
+        fontsize=10,
+    )
 
 
 def _bound(axes: Any, lines: Twins, published: float, confidence: float) -> None:
     table = lines.levels
     speed = np.where(np.isfinite(table["speed"]), table["speed"], np.nan)
-    top = np.where(np.isfinite(speed[:, 2]), speed[:, 2], BOUND_TOP)  # more than 5 % of the sets are empty and bound nothing
-    axes.fill_between(table["at"], speed[:, 0], top, color=COLOURS[0], alpha=0.25, lw=0, label="5 to 95 % of the twins")
+    top = np.where(
+        np.isfinite(speed[:, 2]), speed[:, 2], BOUND_TOP
+    )  # more than 5 % of the sets are empty and bound nothing
+    axes.fill_between(
+        table["at"],
+        speed[:, 0],
+        top,
+        color=COLOURS[0],
+        alpha=0.25,
+        lw=0,
+        label="5 to 95 % of the twins",
+    )
     axes.plot(table["at"], speed[:, 1], color=COLOURS[0], label="median twin")
     axes.plot([], [], color=COLOURS[3], label="share of twins in which it is a bound (right)")
     value, low, high = lines.threshold(confidence, False)
     axes.axvspan(low, high, color=COLOURS[4], alpha=0.35, lw=0)
     axes.axvline(value, lw=1, color=COLOURS[4], label=f"holds the truth with {confidence:.0%}")
     axes.axhline(published, ls="--", lw=1, color=COLOURS[6], label="published bound")
-    axes.set(xlabel="threshold on EMD", ylabel=r"smallest $|\omega|$ at the touchdown (rad/s)", xlim=(table["at"][0], 0.12))
+    axes.set(
+        xlabel="threshold on EMD",
+        ylabel=r"smallest $|\omega|$ at the touchdown (rad/s)",
+        xlim=(table["at"][0], 0.12),
+    )
     axes.set_ylim(0, BOUND_TOP)
     right = axes.twinx()
     right.plot(table["at"], table["holds"] / lines.n, color=COLOURS[3], lw=1)
     right.set(ylim=(0, 1.02), ylabel="share of twins")
-    axes.legend(fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, frameon=False, columnspacing=0.8)
+    axes.legend(
+        fontsize=9,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.17),
+        ncols=2,
+        frameon=False,
+        columnspacing=0.8,
+    )
     axes.set_title("lower bound on the angular speed,\ntruth on the published lines", fontsize=10)

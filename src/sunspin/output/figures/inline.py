@@ -12,9 +12,18 @@ from matplotlib.figure import Figure
 from sunspin.output.figures import lay_out
 
 THEME = {
-    "#000000": "ink", "#ffffff": "paper", "#0072b2": "blue", "#d55e00": "orange", "#009e73": "green", "#cc79a7": "pink",
-    "#e69f00": "gold", "#56b4e9": "sky", "#999999": "grey", "#cccccc": "line", "#555555": "muted",
-}  # fmt: skip
+    "#000000": "ink",
+    "#ffffff": "paper",
+    "#0072b2": "blue",
+    "#d55e00": "orange",
+    "#009e73": "green",
+    "#cc79a7": "pink",
+    "#e69f00": "gold",
+    "#56b4e9": "sky",
+    "#999999": "grey",
+    "#cccccc": "line",
+    "#555555": "muted",
+}
 """Colours of the figures -> the page's variables of them, which a dark page has in other shades."""
 
 DRAWS = {"svg", "g", "defs", "path", "use", "rect", "clipPath", "image", "circle", "pattern"}
@@ -34,13 +43,18 @@ def inline_svg(figure: Figure, prefix: str) -> str:
     """The drawing as an `svg` element, with `prefix` before every id: two drawings of a page must not share any."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # odd numbers of a damaged file are drawn as far as they can be
+        warnings.simplefilter(
+            "ignore"
+        )  # odd numbers of a damaged file are drawn as far as they can be
         lay_out(figure).savefig(buffer, format="svg", metadata={"Date": None})
     root = _cleaned(ElementTree.fromstring(buffer.getvalue()), prefix)
     for name in ("width", "height"):
         root.attrib.pop(name, None)
     wide = float(figure.get_size_inches()[0])
-    root.set("style", f"min-width:{LEAST_PX_PER_INCH * wide:.0f}px;max-width:{MOST_PX_PER_INCH * wide:.0f}px")
+    root.set(
+        "style",
+        f"min-width:{LEAST_PX_PER_INCH * wide:.0f}px;max-width:{MOST_PX_PER_INCH * wide:.0f}px",
+    )
     root.set("aria-hidden", "true")  # the element around it says in words what it shows
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -57,7 +71,11 @@ def _cleaned(element: ElementTree.Element, prefix: str) -> ElementTree.Element:
         elif name in ("style", "clip-path", "fill", "stroke"):
             value = re.sub(r"url\(#([^)]*)\)", rf"url(#{prefix}\1)", _themed(value))
         kept.set(name, value)
-    kept.extend(_cleaned(child, prefix) for child in element if isinstance(child.tag, str) and _local(child.tag) in DRAWS)
+    kept.extend(
+        _cleaned(child, prefix)
+        for child in element
+        if isinstance(child.tag, str) and _local(child.tag) in DRAWS
+    )
     return kept
 
 
@@ -67,4 +85,8 @@ def _local(name: str) -> str:
 
 def _themed(style: str) -> str:
     """A style with the page's colours; those that no theme knows stay as they are."""
-    return re.sub(r"#[0-9a-fA-F]{6}\b", lambda m: f"var(--{THEME[m[0].lower()]})" if m[0].lower() in THEME else m[0], style)
+    return re.sub(
+        r"#[0-9a-fA-F]{6}\b",
+        lambda m: f"var(--{THEME[m[0].lower()]})" if m[0].lower() in THEME else m[0],
+        style,
+    )

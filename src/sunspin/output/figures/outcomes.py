@@ -16,7 +16,11 @@ DOTS = (
     (
         "antenna's cone holds the orbiter",
         "probability",
-        (("antenna_share", "in flight"), ("antenna_at_contact", "at contact"), ("antenna_at_rest", "at rest")),
+        (
+            ("antenna_share", "in flight"),
+            ("antenna_at_contact", "at contact"),
+            ("antenna_at_rest", "at rest"),
+        ),
     ),
     (
         "speed at first contact",
@@ -28,7 +32,11 @@ DOTS = (
         "share of the time",
         (("rz_time_below_0", "$r_z$ < 0"), ("rz_time_below_-0.5", "$r_z$ < -0.5")),
     ),
-    ("angular speed", "mean (deg/s)", (("rate_before", "before the collision"), ("rate_after", "after it"))),
+    (
+        "angular speed",
+        "mean (deg/s)",
+        (("rate_before", "before the collision"), ("rate_after", "after it")),
+    ),
 )
 """Panels of the comparison: title, axis, (quantity, label) pairs."""
 
@@ -48,8 +56,23 @@ def sun_height_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
         edges = np.append(curve["rz"].values - width / 2, 1.0)
         said = f"{_short(name)}: {found.sizes['run']:,} runs".replace(",", " ").replace("\n", " ")
         colour, alpha = COLOURS[k % 8], 0.45 if k == 0 else 1
-        axes.stairs(curve["density"].values, edges, color=colour, lw=1.6, fill=k == 0, alpha=alpha, label=said)
-        axes.errorbar(curve["rz"].values, curve["density"].values, curve["error"].values, fmt="none", ecolor=colour, elinewidth=1.0)
+        axes.stairs(
+            curve["density"].values,
+            edges,
+            color=colour,
+            lw=1.6,
+            fill=k == 0,
+            alpha=alpha,
+            label=said,
+        )
+        axes.errorbar(
+            curve["rz"].values,
+            curve["density"].values,
+            curve["error"].values,
+            fmt="none",
+            ecolor=colour,
+            elinewidth=1.0,
+        )
     axes.set_xlim(-1, 1)
     axes.set_ylim(bottom=0)
     axes.set_xlabel("$r_z$, cosine of the angle between the Sun and the z axis")
@@ -73,13 +96,33 @@ def strategies_figure(table: xr.Dataset) -> Figure:
         for k, (name, text) in enumerate(q for q in quantities if q[0] in known):
             at = table[["value", "error"]].sel(quantity=name) * quantity(name).scale
             place = np.arange(len(names)) + 0.12 * (k - 0.5)
-            error = _within(at["value"].values, at["error"].values) if label in SHARES else at["error"].values
-            axes.errorbar(place, at["value"], yerr=error, fmt="osD"[k], ms=5, color=COLOURS[k], capsize=2, label=text)
+            error = (
+                _within(at["value"].values, at["error"].values)
+                if label in SHARES
+                else at["error"].values
+            )
+            axes.errorbar(
+                place,
+                at["value"],
+                yerr=error,
+                fmt="osD"[k],
+                ms=5,
+                color=COLOURS[k],
+                capsize=2,
+                label=text,
+            )
         axes.set_title(title, fontsize=10)
         axes.set_ylabel(label)
         axes.set_ylim(0, 1.3 * max([axes.dataLim.y1, 1e-3]))
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize=8, frameon=False, loc="upper center", ncols=3, columnspacing=1, handletextpad=0.3)
+            axes.legend(
+                fontsize=8,
+                frameon=False,
+                loc="upper center",
+                ncols=3,
+                columnspacing=1,
+                handletextpad=0.3,
+            )
         else:
             _nothing(axes, "not determined by this vehicle and scenario")
     for axes in parts:
@@ -98,8 +141,15 @@ def _synthetic(runs: Mapping[str, xr.Dataset]) -> bool:
 def _short(name: str) -> str:
     if name.startswith("delay:"):
         seconds = float(name[6:])
-        return f"off after\n{seconds:g} s" if seconds < 120 else f"off after\n{seconds / 60:.3g} min"
-    return {"off": "off at\ntouchdown", "held": "held", "brake": "braked", "after_rest": "off after\nrest"}.get(name, named(name))
+        return (
+            f"off after\n{seconds:g} s" if seconds < 120 else f"off after\n{seconds / 60:.3g} min"
+        )
+    return {
+        "off": "off at\ntouchdown",
+        "held": "held",
+        "brake": "braked",
+        "after_rest": "off after\nrest",
+    }.get(name, named(name))
 
 
 SHARES = ("probability", "share of the time")
@@ -124,11 +174,27 @@ def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[st
         at = table.sel(quantity=f"{prefix}_{kind}")
         label = {"leg": "leg", "panel": "panel", "body": "bare body"}[kind]
         axes.bar(
-            range(len(names)), at["value"], 0.65, bottom, color=COLOURS[k], hatch=HATCHES[k], alpha=0.85, label=label, ec="white"
+            range(len(names)),
+            at["value"],
+            0.65,
+            bottom,
+            color=COLOURS[k],
+            hatch=HATCHES[k],
+            alpha=0.85,
+            label=label,
+            ec="white",
         )
         bottom = bottom + at["value"].values
         error = _within(bottom, at["error"].values)
-        axes.errorbar(range(len(names)), bottom, yerr=error, fmt="none", ecolor="black", elinewidth=1, capsize=2)
+        axes.errorbar(
+            range(len(names)),
+            bottom,
+            yerr=error,
+            fmt="none",
+            ecolor="black",
+            elinewidth=1,
+            capsize=2,
+        )
     axes.set_ylabel("probability")
     axes.set_ylim(0, 1.22)
     if np.any(bottom):
@@ -143,7 +209,9 @@ def _nothing(axes, why: str) -> None:
     axes.set_yticks([])
 
 
-def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: float | None = None) -> Figure:
+def distributions_figure(
+    runs: Mapping[str, xr.Dataset], published_tip_speed: float | None = None
+) -> Figure:
     """Distributions over runs for each strategy: z axis against the ground's normal, fastest leg tip, antenna's share of time.
 
     `published_tip_speed` (m/s): the paper's estimate, drawn as a line.
@@ -151,9 +219,24 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
     figure = Figure(figsize=(11.5, 3.9), layout="constrained")
     parts = figure.subplots(1, 3)
     panels = (
-        ("up_z", np.linspace(-1, 1, 41), "cosine of z axis to the ground's normal at contact", "probability density"),
-        ("leg_tip_speed", np.linspace(0, 2, 51), "fastest leg tip at first contact (m/s)", "probability density (s/m)"),
-        ("antenna_share", np.linspace(0, 1, 26), "share of time, orbiter in the antenna's cone", "probability density"),
+        (
+            "up_z",
+            np.linspace(-1, 1, 41),
+            "cosine of z axis to the ground's normal at contact",
+            "probability density",
+        ),
+        (
+            "leg_tip_speed",
+            np.linspace(0, 2, 51),
+            "fastest leg tip at first contact (m/s)",
+            "probability density (s/m)",
+        ),
+        (
+            "antenna_share",
+            np.linspace(0, 1, 26),
+            "share of time, orbiter in the antenna's cone",
+            "probability density",
+        ),
     )
     for axes, (name, edges, x, y) in zip(parts, panels, strict=True):
         if not any(np.isfinite(found[name].values).any() for found in runs.values()):
@@ -166,13 +249,26 @@ def distributions_figure(runs: Mapping[str, xr.Dataset], published_tip_speed: fl
             line = ("-", "--", "-.", ":")[k % 4]
             axes.stairs(counts / width, edges, color=COLOURS[k % 8], lw=1.6, ls=line, label=label)
             error = np.sqrt(counts * (1 - counts) / max(values.size, 1)) / width
-            axes.errorbar((edges[1:] + edges[:-1]) / 2, counts / width, error, fmt="none", ecolor=COLOURS[k % 8], elinewidth=0.8)
+            axes.errorbar(
+                (edges[1:] + edges[:-1]) / 2,
+                counts / width,
+                error,
+                fmt="none",
+                ecolor=COLOURS[k % 8],
+                elinewidth=0.8,
+            )
         axes.set_xlabel(x)
         axes.set_ylabel(y)
         axes.set_ylim(bottom=0)
         axes.set_xlim(edges[0], edges[-1])
     if published_tip_speed is not None:
-        parts[1].axvline(published_tip_speed, color=COLOURS[6], lw=1, ls=":", label=f"paper: {published_tip_speed:g} m/s")
+        parts[1].axvline(
+            published_tip_speed,
+            color=COLOURS[6],
+            lw=1,
+            ls=":",
+            label=f"paper: {published_tip_speed:g} m/s",
+        )
     parts[1].legend(fontsize=8, frameon=False)
     figure.suptitle(titled("At the landing, and on the way to it", _synthetic(runs)))
     return figure
@@ -185,23 +281,52 @@ def delay_figure(search: xr.Dataset) -> Figure:
     minutes, metric = search["delay_s"].values / 60, str(search.attrs["metric"])
     value, error = (search[part].sel(quantity=metric).values for part in ("value", "error"))
     bar = _error_of(metric, value, error)
-    top.errorbar(minutes, value, yerr=bar, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error")
+    top.errorbar(
+        minutes, value, yerr=bar, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error"
+    )
     good = search["as_good"].values
-    top.plot(minutes[good], value[good], "o", ms=12, mfc="none", mec=COLOURS[1], mew=1.6, label="not behind the best by 2 errors")
+    top.plot(
+        minutes[good],
+        value[good],
+        "o",
+        ms=12,
+        mfc="none",
+        mec=COLOURS[1],
+        mew=1.6,
+        label="not behind the best by 2 errors",
+    )
     low_s, high_s = search.attrs["spread_s"]
-    top.axvspan(low_s / 60, high_s / 60, color=COLOURS[7], alpha=0.25, lw=0, label="best in 68 % of resamplings")
-    top.set_ylabel({"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " ")))
+    top.axvspan(
+        low_s / 60,
+        high_s / 60,
+        color=COLOURS[7],
+        alpha=0.25,
+        lw=0,
+        label="best in 68 % of resamplings",
+    )
+    top.set_ylabel(
+        {"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " "))
+    )
     top.legend(ncols=3, fontsize=8, **ABOVE)
     figure.suptitle(titled("When to switch the wheel off", search.attrs.get("synthetic")))
-    quantities = (("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"), ("rest_leg", "rests on its legs"),
-                  ("leg_tip_speed", "fastest leg tip at contact (m/s)"))  # fmt: skip
+    quantities = (
+        ("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"),
+        ("rest_leg", "rests on its legs"),
+        ("leg_tip_speed", "fastest leg tip at contact (m/s)"),
+    )
     for k, (name, text) in enumerate(quantities):
         if name in search["quantity"].values:
             at = search.sel(quantity=name)
             low.errorbar(
-                minutes, at["value"], yerr=_error_of(name, at["value"], at["error"]), fmt="osD"[k] + "-", ms=4,
-                color=COLOURS[k + 1], capsize=2, label=text,
-            )  # fmt: skip
+                minutes,
+                at["value"],
+                yerr=_error_of(name, at["value"], at["error"]),
+                fmt="osD"[k] + "-",
+                ms=4,
+                color=COLOURS[k + 1],
+                capsize=2,
+                label=text,
+            )
     low.set_ylim(bottom=0)
     low.set_ylabel("probability, or speed (m/s)")
     low.set_xlabel("switch-off after the touchdown (min)")
@@ -219,14 +344,30 @@ def first_contact_figure(runs: Mapping[str, xr.Dataset]) -> Figure:
         labels = list(values)
         place = np.arange(len(labels)) + 0.8 / len(runs) * (k - (len(runs) - 1) / 2)
         axes.bar(
-            place, [v.value for v in values.values()], 0.8 / len(runs),
-            yerr=_within(*(np.array([getattr(v, part) for v in values.values()]) for part in ("value", "error"))),
-            color=COLOURS[k % 8], hatch=HATCHES[k % 4], ec="white", label=_short(name).replace("\n", " "), capsize=2,
-        )  # fmt: skip
+            place,
+            [v.value for v in values.values()],
+            0.8 / len(runs),
+            yerr=_within(
+                *(
+                    np.array([getattr(v, part) for v in values.values()])
+                    for part in ("value", "error")
+                )
+            ),
+            color=COLOURS[k % 8],
+            hatch=HATCHES[k % 4],
+            ec="white",
+            label=_short(name).replace("\n", " "),
+            capsize=2,
+        )
     axes.set_xticks(range(len(labels)), labels, fontsize=9)
     axes.set_ylabel("probability of touching first")
     axes.legend(title="wheel", frameon=False)
-    axes.set_title(titled("What touches the ground first; a shared corner counts for each panel", _synthetic(runs)), fontsize=10)
+    axes.set_title(
+        titled(
+            "What touches the ground first; a shared corner counts for each panel", _synthetic(runs)
+        ),
+        fontsize=10,
+    )
     return figure
 
 
@@ -237,5 +378,9 @@ def _parts(runs: xr.Dataset) -> dict[str, Estimate]:
     for leg in range(int(runs["point_leg"].max()) + 1):
         share = float(np.mean(runs["point_leg"].values[point][point >= 0] == leg))
         parts[f"leg {leg + 1}"] = Estimate(share, float(np.sqrt(share * (1 - share) / n)))
-    parts |= {f"panel {named(p)}": found[f"touch_panel_{p}"] for p in runs["panel"].values if f"touch_panel_{p}" in found}
+    parts |= {
+        f"panel {named(p)}": found[f"touch_panel_{p}"]
+        for p in runs["panel"].values
+        if f"touch_panel_{p}" in found
+    }
     return parts | ({"bare body": found["touch_body"]} if "touch_body" in found else {})

@@ -34,7 +34,14 @@ def corner_figure(tree: Any) -> Figure:
                 axes.set_yticks([])
             else:
                 for k in np.unique(mode):
-                    axes.plot(*value[mode == k][:, [j, i]].T, ".", ms=1.5, alpha=0.4, color=COLOURS[int(k) % 8], rasterized=True)
+                    axes.plot(
+                        *value[mode == k][:, [j, i]].T,
+                        ".",
+                        ms=1.5,
+                        alpha=0.4,
+                        color=COLOURS[int(k) % 8],
+                        rasterized=True,
+                    )
             if i == 3:
                 axes.set_xlabel(f"{names[j]} (deg/s)")
                 axes.tick_params(axis="x", labelrotation=45, labelsize=7)
@@ -50,7 +57,9 @@ def corner_figure(tree: Any) -> Figure:
 def _histogram(axes: Any, value: np.ndarray, mode: np.ndarray) -> None:
     edges = np.histogram_bin_edges(value, 60)
     for k in np.unique(mode):
-        axes.hist(value[mode == k], edges, histtype="stepfilled", color=COLOURS[int(k) % 8], alpha=0.7)
+        axes.hist(
+            value[mode == k], edges, histtype="stepfilled", color=COLOURS[int(k) % 8], alpha=0.7
+        )
 
 
 def search_figure(tree: Any) -> Figure:
@@ -59,7 +68,9 @@ def search_figure(tree: Any) -> Figure:
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     stage = np.arange(search.sizes["stage"])
-    left.semilogy(stage, np.maximum(search["hypotheses"].values, 1), "o-", color=COLOURS[0], label="fitted")
+    left.semilogy(
+        stage, np.maximum(search["hypotheses"].values, 1), "o-", color=COLOURS[0], label="fitted"
+    )
     left.semilogy(stage, np.maximum(search["kept"].values, 1), "s-", color=COLOURS[1], label="kept")
     left.set_xticks(stage, [str(n) for n in search["samples"].values], fontsize=7)
     left.set_xlabel("samples in the window")
@@ -68,8 +79,14 @@ def search_figure(tree: Any) -> Figure:
     right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
     right.set_xlabel("round, effective share, Pareto's k")
     right.set_ylabel("log evidence")
-    rounds = np.arange(sampling.sizes["round"])[:: max(1, -(-sampling.sizes["round"] // MOST_ROUNDS))]
+    rounds = np.arange(sampling.sizes["round"])[
+        :: max(1, -(-sampling.sizes["round"] // MOST_ROUNDS))
+    ]
     shares, tails = sampling["effective_share"].values[rounds], sampling["pareto_k"].values[rounds]
-    right.set_xticks(rounds, [f"{i}\n{s:.0%}\n{k:.2f}" for i, s, k in zip(rounds, shares, tails, strict=True)], fontsize=7)
+    right.set_xticks(
+        rounds,
+        [f"{i}\n{s:.0%}\n{k:.2f}" for i, s, k in zip(rounds, shares, tails, strict=True)],
+        fontsize=7,
+    )
     figure.suptitle(titled("Search and sampling", tree.attrs.get("synthetic")), fontsize=10)
     return figure

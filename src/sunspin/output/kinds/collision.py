@@ -18,13 +18,21 @@ def collision_summary(found: Any) -> Summary:
         for line in table
     ]
     numbers = {"facts": facts_of(found), "explained": explained(found), "table": table}
-    return Summary(numbers, [f"collision: {explained(found)} of the runs come near the kernel's jump and speed", *lines])
+    return Summary(
+        numbers,
+        [
+            f"collision: {explained(found)} of the runs come near the kernel's jump and speed",
+            *lines,
+        ],
+    )
 
 
 def collision_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures.collision import collision_figure
 
     yield Drawing(
-        "collision", lambda: collision_figure(found), "Simulated collisions against the speeds of the trajectory kernel.",
+        "collision",
+        lambda: collision_figure(found),
+        "Simulated collisions against the speeds of the trajectory kernel.",
         "Simulated collisions and what the trajectory shows; angular speeds after it as drawn and weighted by the kernel's speeds.",
-    )  # fmt: skip
+    )

@@ -18,10 +18,18 @@ def coverage_summary(found: Any) -> Summary:
     """The findings in sentences, and the rows that were made of them."""
     figures = json.loads(found.attrs.get("figures", "[]"))
     numbers = {
-        "title": "What the answer is worth", "synthetic_telemetry": True, "seed": int(found.attrs["seed"]),
-        "confidence": float(found.attrs["confidence"]), "sentences": coverage_sentences(found), "figures": figures,
-    }  # fmt: skip
-    return Summary(numbers, numbers["sentences"], [f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in figures])
+        "title": "What the answer is worth",
+        "synthetic_telemetry": True,
+        "seed": int(found.attrs["seed"]),
+        "confidence": float(found.attrs["confidence"]),
+        "sentences": coverage_sentences(found),
+        "figures": figures,
+    }
+    return Summary(
+        numbers,
+        numbers["sentences"],
+        [f"  {row['what']}: {_value(row['ours'])} ({row['note']})" for row in figures],
+    )
 
 
 def _value(ours: Any) -> str:
@@ -37,7 +45,11 @@ def coverage_sentences(found: Any) -> list[str]:
     share = region["count"][1] / about["grid_points"]
     angles = np.degrees(lines.twin["line_angle"])
     known = angles[np.isfinite(angles)]
-    turn = f"the fitted lines turn by {np.median(known):.0f} degrees in the median" if known.size else "no set has four lines"
+    turn = (
+        f"the fitted lines turn by {np.median(known):.0f} degrees in the median"
+        if known.size
+        else "no set has four lines"
+    )
     return [
         f"The method repeated on {lines.n} synthetic rebounds whose truth lies on the published lines: the truth lies in the set "
         f"within {chosen:g} times the smallest EMD in {lines.in_set(chosen)} of them, and {turn}. "
@@ -51,11 +63,12 @@ def coverage_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures.coverage import coverage_figure
 
     yield Drawing(
-        "worth", lambda: coverage_figure(found),
+        "worth",
+        lambda: coverage_figure(found),
         "EMD of the truth, coverage of the level set, scatter of the lines and of the lower bound over many twins",
         "What the answer is worth: the paper's method repeated on synthetic rebounds whose truth is known. Bands: 95 % sampling "
         f"error above, 5 to 95 % of the twins below. Made with `{found.attrs['command']}`.",
-    )  # fmt: skip
+    )
 
 
 def coverage_tables(found: Any, folder: Path, _: Beside) -> None:

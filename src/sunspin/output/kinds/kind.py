@@ -15,7 +15,9 @@ from sunspin.output.folder import write_netcdf
 class Summary(dict[str, Any]):
     """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know beside them."""
 
-    def __init__(self, numbers: Mapping[str, Any], lines: Sequence[str], notes: Sequence[str] = ()) -> None:
+    def __init__(
+        self, numbers: Mapping[str, Any], lines: Sequence[str], notes: Sequence[str] = ()
+    ) -> None:
         super().__init__(numbers)
         self.lines, self.notes = list(lines), list(notes)
 
@@ -56,7 +58,9 @@ class Kind:
     def write(self, data: Any, folder: Path, beside: Beside) -> None:
         """The result as NetCDF, and its tables; a DataArray as the Dataset that knows its kind when it is read again."""
         if isinstance(data, xr.DataArray):
-            data = data.to_dataset().assign_attrs({key: value for key, value in data.attrs.items() if key != "units"})
+            data = data.to_dataset().assign_attrs(
+                {key: value for key, value in data.attrs.items() if key != "units"}
+            )
         if self.main:
             write_netcdf(folder / self.main, data)
         self.tables(data, folder, beside)

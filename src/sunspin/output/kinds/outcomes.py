@@ -15,9 +15,18 @@ from sunspin.output.kinds.collision import collision_drawings, collision_summary
 from sunspin.output.kinds.kind import Beside, Drawing, Summary
 
 SHOWN = (
-    "touch_leg", "touch_panel", "touch_body", "rest_leg", "rest_panel", "leg_tip_speed", "antenna_share", "antenna_at_rest",
-    "rz_time_below_-0.5", "rate_before", "rate_after",
-)  # fmt: skip
+    "touch_leg",
+    "touch_panel",
+    "touch_body",
+    "rest_leg",
+    "rest_panel",
+    "leg_tip_speed",
+    "antenna_share",
+    "antenna_at_rest",
+    "rz_time_below_-0.5",
+    "rate_before",
+    "rate_after",
+)
 """What is printed of a tally, in this order."""
 
 
@@ -32,8 +41,14 @@ def _shown(found: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
 
 def outcomes_summary(runs: Any) -> Summary:
     """Estimates over the runs of one strategy."""
-    found = {q: {"value": float(e.value), "error": float(e.error)} for q, e in tally(runs).items() if np.isfinite(e.value)}
-    return Summary({"runs": runs.sizes["run"], "estimates": found}, _lines(runs, found), _not_told(runs))
+    found = {
+        q: {"value": float(e.value), "error": float(e.error)}
+        for q, e in tally(runs).items()
+        if np.isfinite(e.value)
+    }
+    return Summary(
+        {"runs": runs.sizes["run"], "estimates": found}, _lines(runs, found), _not_told(runs)
+    )
 
 
 def _lines(runs: Any, found: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -54,11 +69,16 @@ def strategies_summary(table: Any) -> Summary:
         at = table.sel(strategy=name)
         parts = (at["quantity"].values, at["value"].values, at["error"].values)
         found[str(name)] = {
-            str(q): {"value": float(v), "error": float(e)} for q, v, e in zip(*parts, strict=True) if np.isfinite(v)
+            str(q): {"value": float(v), "error": float(e)}
+            for q, v, e in zip(*parts, strict=True)
+            if np.isfinite(v)
         }
         lines += [f"wheels {name}: {table.attrs['runs']} runs", *_shown(found[str(name)])]
     keys = ("runs", "seed", "candidates")
-    numbers = {key: int(table.attrs[key]) for key in keys} | {"not_told": table.attrs["not_told"], "strategies": found}
+    numbers = {key: int(table.attrs[key]) for key in keys} | {
+        "not_told": table.attrs["not_told"],
+        "strategies": found,
+    }
     return Summary(numbers, lines, _not_told(table))
 
 
@@ -78,7 +98,10 @@ def landing_summary(tree: Any) -> Summary:
 
 def runs_of(tree: Any) -> dict[str, xr.Dataset]:
     """The runs of each strategy, in the order of the strategies."""
-    return {str(name): tree[f"runs/{name}"].to_dataset() for name in tree["strategies"]["strategy"].values}
+    return {
+        str(name): tree[f"runs/{name}"].to_dataset()
+        for name in tree["strategies"]["strategy"].values
+    }
 
 
 def outcomes_drawings(runs: Any, _: Beside) -> Iterator[Drawing]:
@@ -89,10 +112,11 @@ def strategies_drawings(table: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures import outcomes as figures
 
     yield Drawing(
-        "strategies", lambda: figures.strategies_figure(table),
+        "strategies",
+        lambda: figures.strategies_figure(table),
         "What touches first, on what it rests, antenna, speeds and height of the Sun for each command to the wheel.",
         "Means over the runs; bars: one standard error.",
-    )  # fmt: skip
+    )
 
 
 def runs_drawings(runs: Mapping[str, xr.Dataset]) -> Iterator[Drawing]:
@@ -100,45 +124,64 @@ def runs_drawings(runs: Mapping[str, xr.Dataset]) -> Iterator[Drawing]:
     from sunspin.output.figures import outcomes as figures
 
     yield Drawing(
-        "sun-height", lambda: figures.sun_height_figure(runs),
+        "sun-height",
+        lambda: figures.sun_height_figure(runs),
         "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the "
         "wheel.",
         "How the Sun stood between collision and landing: r_z is 1 with the Sun overhead, -1 underneath; bars: one standard error.",
-    )  # fmt: skip
+    )
     if all(np.isfinite(found["up_z"]).any() for found in runs.values()):
         yield Drawing(
-            "distributions", lambda: figures.distributions_figure(runs),
+            "distributions",
+            lambda: figures.distributions_figure(runs),
             "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time.",
             "At the landing and on the way to it, over the runs of each command to the wheel; bars: one standard error.",
-        )  # fmt: skip
+        )
     if all("point_kind" in found.coords for found in runs.values()):
         yield Drawing(
-            "first-contact", lambda: figures.first_contact_figure(runs),
+            "first-contact",
+            lambda: figures.first_contact_figure(runs),
             "Probability of each leg and panel to touch the ground first, by command to the wheel.",
             "What touches the ground first; a corner that panels share counts for each of them; bars: one standard error of the "
             "simulation.",
-        )  # fmt: skip
+        )
 
 
 def delay_summary(search: Any) -> Summary:
     """The delay of :func:`sunspin.landing.strategies.best_delay`, and those that are as good."""
     good = search["delay_s"].values[search["as_good"].values].tolist()
-    best, largest = float(search.attrs["best_s"]), float(search["value"].sel(quantity=search.attrs["metric"]).max())
-    what = "a leg touches first" if search.attrs["metric"] == "touch_leg" else f"{search.attrs['metric']} is largest"
+    best, largest = (
+        float(search.attrs["best_s"]),
+        float(search["value"].sel(quantity=search.attrs["metric"]).max()),
+    )
+    what = (
+        "a leg touches first"
+        if search.attrs["metric"] == "touch_leg"
+        else f"{search.attrs['metric']} is largest"
+    )
     line = (
         f"{what} most often if the wheel is switched off {best:g} s after the touchdown ({largest:.3f}); "
         f"not worse by two errors: {', '.join(f'{t:g}' for t in good)} s"
     )
-    return Summary({"delay_s": best, "as_good_s": good, "spread_s": [float(t) for t in search.attrs["spread_s"]]}, [line])
+    return Summary(
+        {
+            "delay_s": best,
+            "as_good_s": good,
+            "spread_s": [float(t) for t in search.attrs["spread_s"]],
+        },
+        [line],
+    )
 
 
 def delay_drawings(search: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures import outcomes as figures
 
     yield Drawing(
-        "delay", lambda: figures.delay_figure(search), "Probability that a leg touches first against the delay of the switch-off.",
+        "delay",
+        lambda: figures.delay_figure(search),
+        "Probability that a leg touches first against the delay of the switch-off.",
         "When to switch the wheel off: means over the runs, bars: one standard error.",
-    )  # fmt: skip
+    )
 
 
 def landing_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:

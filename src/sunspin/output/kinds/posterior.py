@@ -30,28 +30,44 @@ def posterior_summary(tree: Any) -> Summary:
     if "passes" in tree.children:
         found = tree["passes"].to_dataset()
         numbers["passes"] = [
-            pass_numbers(found, 0) | {"modes": [motion_numbers(found, 0, k) for k in range(found.sizes["mode"])]}
+            pass_numbers(found, 0)
+            | {"modes": [motion_numbers(found, 0, k) for k in range(found.sizes["mode"])]}
         ]
     rate = numbers["rate_rad_s"]
-    lines = [numbers["verdict"], *(["  synthetic telemetry: not measured"] if numbers["synthetic_telemetry"] else [])]
+    lines = [
+        numbers["verdict"],
+        *(["  synthetic telemetry: not measured"] if numbers["synthetic_telemetry"] else []),
+    ]
     speed, low, high = _degrees(rate)
     lines.append(f"  angular speed at the first sample {speed} deg/s, 90 % in {low} to {high}")
     for mode in numbers["modes"][:MOST_MODES]:
         digits = digits_of(np.degrees(mode["sigma"]))
-        omega, sigma = (", ".join(f"{x:z.{digits}f}" for x in np.degrees(mode[key])) for key in ("omega_B", "sigma"))
-        rough = ", which is rough: few draws have weight" if mode["effective_draws"] < TOO_FEW else ""
+        omega, sigma = (
+            ", ".join(f"{x:z.{digits}f}" for x in np.degrees(mode[key]))
+            for key in ("omega_B", "sigma")
+        )
+        rough = (
+            ", which is rough: few draws have weight" if mode["effective_draws"] < TOO_FEW else ""
+        )
         error = f"+- ({sigma}) deg/s{rough}"
-        lines.append(f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}")
+        lines.append(
+            f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}"
+        )
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
     numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}
     if numbers.get("noise_from", "given") != "given":
         lines.append(f"  noise of panel readings: {numbers['noise']:.3g}, {numbers['noise_from']}")
     priors = json.loads(tree.attrs["priors"])
-    lines.append("  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items()))
+    lines.append(
+        "  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items())
+    )
     if "hypotheses" in tree.attrs:
         numbers["hypotheses"] = json.loads(tree.attrs["hypotheses"])
-        lines.append("  weights: " + ", ".join(f"{what} {weight:.2g}" for what, weight in numbers["hypotheses"].items()))
+        lines.append(
+            "  weights: "
+            + ", ".join(f"{what} {weight:.2g}" for what, weight in numbers["hypotheses"].items())
+        )
     if "prior_widths" in tree.attrs:
         widths = json.loads(tree.attrs["prior_widths"])
         numbers["prior_widths"] = widths["told"]
@@ -59,8 +75,12 @@ def posterior_summary(tree: Any) -> Summary:
     if "period" in tree.children:
         seen = tree["period"].to_dataset()
         lines += [f"  {said}" for said in period_sentences(seen)]
-        numbers["period"] = {"told": bool(seen.attrs["told"]), "effective_draws": float(seen.attrs["effective_draws"])} | {
-            name: seen[name].values.tolist() for name in ("probability", "region_weight", "rate_quantile")
+        numbers["period"] = {
+            "told": bool(seen.attrs["told"]),
+            "effective_draws": float(seen.attrs["effective_draws"]),
+        } | {
+            name: seen[name].values.tolist()
+            for name in ("probability", "region_weight", "rate_quantile")
         }
     if "predictions" in tree.children:
         predicted = predictions_summary(tree["predictions"].to_dataset())
@@ -73,16 +93,27 @@ def predictions_summary(found: Any) -> Summary:
     table, lines = intervals(found), []
     for i, (t, label) in enumerate(zip(found["predicted_s"].values, labels(found), strict=True)):
         row = {r["quantity"]: r for r in table if r["t_s"] == t}
-        behind = ", after the collision" if "after_collision" in found and found["after_collision"].values[i] else ""
+        behind = (
+            ", after the collision"
+            if "after_collision" in found and found["after_collision"].values[i]
+            else ""
+        )
         speed, low, high = _degrees(row["rate"])
         lines.append(f"  at {label}{behind} (90 % of the draws):")
         lines.append(f"    angular speed {speed} deg/s ({low} to {high})")
         for name, key in (("z from H", "z_to_momentum"), ("z from the Sun", "z_to_sun")):
-            median, low, high = (np.degrees(row[key][which]) for which in ("median", "low_90", "high_90"))
+            median, low, high = (
+                np.degrees(row[key][which]) for which in ("median", "low_90", "high_90")
+            )
             lines.append(f"    {name} {median:.1f} deg ({low:.1f} to {high:.1f})")
-        lines.append(f"    the Sun within {np.degrees(row['sun_off']['high_90']):.1f} deg of its mean direction in the body")
+        lines.append(
+            f"    the Sun within {np.degrees(row['sun_off']['high_90']):.1f} deg of its mean direction in the body"
+        )
     collision = str(found.attrs.get("collision", ""))
-    return Summary({"predicted": table}, lines + ([f"    collision: {collision}"] if collision.startswith("a leg") else []))
+    return Summary(
+        {"predicted": table},
+        lines + ([f"    collision: {collision}"] if collision.startswith("a leg") else []),
+    )
 
 
 def _degrees(rate: dict[str, Any]) -> list[str]:
@@ -104,16 +135,20 @@ def posterior_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
 
     note = synthetic_note(tree)
     yield Drawing(
-        "corner", lambda: corner_figure(tree),
+        "corner",
+        lambda: corner_figure(tree),
         "Draws of the components of the body rate and its size against each other, by region.",
-        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a region." + note,
-    )  # fmt: skip
+        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a region."
+        + note,
+    )
     if {"search", "sampling"} <= set(tree.children):
         yield Drawing(
-            "search", lambda: search_figure(tree), "Hypotheses before and after each window, and the log evidence of each round.",
+            "search",
+            lambda: search_figure(tree),
+            "Hypotheses before and after each window, and the log evidence of each round.",
             "How the search went: hypotheses fitted and kept over growing windows; and the sampling: log evidence of each round "
             "with the share of effective draws and Pareto's k." + note,
-        )  # fmt: skip
+        )
     if "predictions" in tree.children:
         yield from predictions_drawings(tree["predictions"].to_dataset(), beside)
 
@@ -122,19 +157,28 @@ def predictions_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures.predicted import predicted_figure
 
     yield Drawing(
-        "predicted", lambda: predicted_figure(found, labels(found)),
+        "predicted",
+        lambda: predicted_figure(found, labels(found)),
         "Draws of the angular speed, the components of the rate, the direction of the Sun and the angles of z at each time.",
-        "What the body did at other times; thick and thin bars: 50 and 90 % of the draws." + synthetic_note(found),
-    )  # fmt: skip
+        "What the body did at other times; thick and thin bars: 50 and 90 % of the draws."
+        + synthetic_note(found),
+    )
 
 
 def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
     modes, sigma = tree["modes"], sigmas(tree["modes"])
-    columns: dict[str, Any] = {"weight": modes["weight"].values, "log_evidence": modes["log_evidence"].values}
+    columns: dict[str, Any] = {
+        "weight": modes["weight"].values,
+        "log_evidence": modes["log_evidence"].values,
+    }
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
-    columns |= {name.replace("_rad_s", "_deg_s"): np.degrees(columns[name]) for name in [*columns] if name.endswith("_rad_s")}
+    columns |= {
+        name.replace("_rad_s", "_deg_s"): np.degrees(columns[name])
+        for name in [*columns]
+        if name.endswith("_rad_s")
+    }
     columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
     _table(folder / "modes.csv", tree, columns)
     if "passes" in tree.children:
@@ -143,7 +187,9 @@ def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
         from sunspin.estimate.posterior.motion import best_motions
         from sunspin.vehicle import Vehicle, load_vehicle
 
-        craft = beside.vehicle if isinstance(beside.vehicle, Vehicle) else load_vehicle(beside.vehicle)
+        craft = (
+            beside.vehicle if isinstance(beside.vehicle, Vehicle) else load_vehicle(beside.vehicle)
+        )
         for run in best_motions(craft, tree):
             write_netcdf(folder / f"motion-region-{run.attrs['region']}.nc", run)
     if "predictions" in tree.children:

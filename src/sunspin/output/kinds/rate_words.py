@@ -34,7 +34,10 @@ class RateAt(NamedTuple):
     def components(self) -> str:
         """(1.1, -1.7, 2.9) +- (0.1, 0.1, 0.1)"""
         digits = digits_of(self.sigma)
-        omega, sigma = (", ".join(f"{value:z.{digits}f}" for value in values) for values in (self.omega, self.sigma))
+        omega, sigma = (
+            ", ".join(f"{value:z.{digits}f}" for value in values)
+            for values in (self.omega, self.sigma)
+        )
         return f"({omega}) +- ({sigma})"
 
 
@@ -45,9 +48,21 @@ def rate_at(result: Any, k: int) -> RateAt:
     speed = np.linalg.norm(omega, axis=1)
     middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
     own = np.degrees(np.sqrt(np.diagonal(result["omega_cov_B"].values[at[middle]])))
-    every, best = (np.degrees(result[name].values[where]) for name, where in (("omega_sigma_all_B", k), ("omega_sigma_B", (k, 0))))
-    sigma = np.sqrt(own**2 + np.nan_to_num(np.maximum(every**2 - best**2, 0.0)))  # what the other modes add to it
-    return RateAt(float(speed.min()), float(speed.mean()), float(speed.max()), float(t[middle]), omega[middle], sigma)
+    every, best = (
+        np.degrees(result[name].values[where])
+        for name, where in (("omega_sigma_all_B", k), ("omega_sigma_B", (k, 0)))
+    )
+    sigma = np.sqrt(
+        own**2 + np.nan_to_num(np.maximum(every**2 - best**2, 0.0))
+    )  # what the other modes add to it
+    return RateAt(
+        float(speed.min()),
+        float(speed.mean()),
+        float(speed.max()),
+        float(t[middle]),
+        omega[middle],
+        sigma,
+    )
 
 
 def clock_of(result: Any, seconds: float) -> str:

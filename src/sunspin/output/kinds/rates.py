@@ -33,23 +33,33 @@ def rates_summary(result: Any) -> Summary:
     found = [_pass(result, k) for k in range(result.sizes["pass_id"])]
     texts, counts = np.unique(result["why"].values, return_counts=True)
     numbers: dict[str, Any] = {
-        "verdict": result.attrs["verdict"], "source": result.attrs["source"], "passes": [numbers for numbers, _ in found],
+        "verdict": result.attrs["verdict"],
+        "source": result.attrs["source"],
+        "passes": [numbers for numbers, _ in found],
         "acceleration_noise": result.attrs["acceleration_noise"],
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
         "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)},
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
-        "panels_left_out": [name for name in result.attrs.get("panels_left_out", "").split(", ") if name],
-    }  # fmt: skip
+        "panels_left_out": [
+            name for name in result.attrs.get("panels_left_out", "").split(", ") if name
+        ],
+    }
     lines = [result.attrs["verdict"], *(line for _, line in found)]
     if "periods" in result.attrs:
         numbers["periods"] = json.loads(result.attrs["periods"])
         lines += [f"  {_period(result, one)}" for one in numbers["periods"]]
     counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
-    silent = [f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"]
+    silent = [
+        f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"
+    ]
     lines += silent if numbers["panels_left_out"] else []
-    numbers |= {name: result.attrs[name] for name in ("noise", "noise_from") if name in result.attrs}
+    numbers |= {
+        name: result.attrs[name] for name in ("noise", "noise_from") if name in result.attrs
+    }
     if numbers.get("noise_from", "given") != "given":
-        lines.append(f"  error of panel readings: {numbers['noise']:.3g} (median), {numbers['noise_from']}")
+        lines.append(
+            f"  error of panel readings: {numbers['noise']:.3g} (median), {numbers['noise_from']}"
+        )
     return Summary(numbers, [*lines, *_columns_unseen(result, numbers["passes"]), *counted])
 
 
@@ -84,8 +94,14 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     unseen = []
     for one in json.loads(result.attrs["columns_unseen"]):
         matrix = np.array(one["matrix"])
-        unseen.append(f"with {one['what']} it would be {shown(np.linalg.det(matrix) * matrix @ rate.omega)} deg/s")
-    more = f"; and with {len(unseen) - MOST_UNSEEN} other changes another" if len(unseen) > MOST_UNSEEN else ""
+        unseen.append(
+            f"with {one['what']} it would be {shown(np.linalg.det(matrix) * matrix @ rate.omega)} deg/s"
+        )
+    more = (
+        f"; and with {len(unseen) - MOST_UNSEEN} other changes another"
+        if len(unseen) > MOST_UNSEEN
+        else ""
+    )
     return [
         f"  wiring unchecked: the file as it is written gives {shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; this "
         f"telemetry looks the same if the file is wrong in one of these ways: {'; '.join(unseen[:MOST_UNSEEN])}{more}"
@@ -101,13 +117,23 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     weight = result["weight"].values[k, :n]
     numbers = pass_numbers(result, k)
     numbers |= {
-        "start_s": float(t[0]), "end_s": float(t[-1]), "sigma_deg_s": sigma.tolist(),
-        "modes": [{"omega_deg_s": m.tolist()} | motion_numbers(result, k, i) for i, m in enumerate(mean)],
+        "start_s": float(t[0]),
+        "end_s": float(t[-1]),
+        "sigma_deg_s": sigma.tolist(),
+        "modes": [
+            {"omega_deg_s": m.tolist()} | motion_numbers(result, k, i) for i, m in enumerate(mean)
+        ],
     }
     others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
     rate = rate_at(result, k)
-    numbers |= {"speed_deg_s": [rate.low, rate.mean, rate.high], "at_s": rate.at_s, "omega_at_deg_s": rate.omega.tolist()}
-    best = f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
+    numbers |= {
+        "speed_deg_s": [rate.low, rate.mean, rate.high],
+        "at_s": rate.at_s,
+        "omega_at_deg_s": rate.omega.tolist(),
+    }
+    best = (
+        f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
+    )
     best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     if numbers.get("model", AS_STATED) != AS_STATED:
         best += f"  likeliest: {numbers['model']} (weight {numbers['model_weight']:.2f})"
@@ -118,31 +144,39 @@ def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures.rates import rates_figure
 
     yield Drawing(
-        "rates", lambda: rates_figure(result, beside.telemetry),
+        "rates",
+        lambda: rates_figure(result, beside.telemetry),
         "The three components of the body rate against time in each pass, with bands of one sigma.",
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
-    )  # fmt: skip
-    if beside.telemetry is not None and beside.vehicle is not None and set(beside.telemetry.data_vars) & READ:
+    )
+    if (
+        beside.telemetry is not None
+        and beside.vehicle is not None
+        and set(beside.telemetry.data_vars) & READ
+    ):
         from sunspin.output.figures.residuals import residuals_figure
         from sunspin.vehicle import Vehicle, load_vehicle
 
         samples, craft = beside.telemetry, beside.vehicle
         vehicle = craft if isinstance(craft, Vehicle) else load_vehicle(craft)
         yield Drawing(
-            "residuals", lambda: residuals_figure(result, samples, vehicle),
+            "residuals",
+            lambda: residuals_figure(result, samples, vehicle),
             "Residuals of each sensor in sigmas against time in each pass, and their distribution beside that of the stated noise.",
             "Readings less what the likeliest motion predicts, in sigmas of their noise (grey: one sigma; farther out than six: at "
             "the edge). Right, a predictive check: bars are the residuals, the line is how they scatter if the motion is right and "
             "the noise as stated. A wave, or more readings beyond three sigma than noise makes, speaks against the motion. "
             "Dark panels that read zero are left out. A sensor marked as not used was kept out of the fit."
             + synthetic_note(result),
-        )  # fmt: skip
+        )
 
 
 def _decided(result: Any) -> str:
     sure = result["decided"].values
-    others = "" if sure.all() else "; of the others look at what is said of each, and at all motions"
+    others = (
+        "" if sure.all() else "; of the others look at what is said of each, and at all motions"
+    )
     return f"{int(sure.sum())} of {sure.size} passes are decided{others}."
 
 
@@ -151,18 +185,34 @@ def rates_tables(result: Any, folder: Path, _: Beside) -> None:
 
     epoch = result.attrs.get("epoch_utc")
     utc = ["" if epoch is None else utc_after(float(t), epoch, 3) for t in result["time"].values]
-    columns: dict[str, Any] = {"time_s": result["time"].values, "utc": utc, "pass": result["pass_of"].values}
+    columns: dict[str, Any] = {
+        "time_s": result["time"].values,
+        "utc": utc,
+        "pass": result["pass_of"].values,
+    }
     columns["pass_id"] = result["pass_id"].values[result["pass_of"].values]
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = result["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = np.sqrt(result["omega_cov_B"].values[:, k, k])
-    columns |= {name.replace("_rad_s", "_deg_s"): np.degrees(columns[name]) for name in [*columns] if name.endswith("_rad_s")}
+    columns |= {
+        name.replace("_rad_s", "_deg_s"): np.degrees(columns[name])
+        for name in [*columns]
+        if name.endswith("_rad_s")
+    }
     for k, axis in enumerate("xyz"):
         columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
     for k, part in enumerate("xyzw"):
         columns[f"q_{part}_B_from_N"] = result["B_from_N"].values[:, k]
-    frame = "z to the Sun, local" if result.attrs.get("frame_N") == SUN_Z_LOCAL else result.attrs.get("frame_N")
+    frame = (
+        "z to the Sun, local"
+        if result.attrs.get("frame_N") == SUN_Z_LOCAL
+        else result.attrs.get("frame_N")
+    )
     head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: {frame}\n"
-    text = synthetic_label(result) + head + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
+    text = (
+        synthetic_label(result)
+        + head
+        + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
+    )
     write_whole(folder / "rates.csv", lambda part: part.write_text(text, "utf-8"))
     write_passes(result, folder, result)

@@ -26,20 +26,30 @@ def chosen(scan: Any) -> tuple[np.ndarray, dict[str, float]]:
     """The motions (n, 3) near the smallest misfit, and the factor or threshold by which they were chosen."""
     if isinstance(scan, xr.Dataset) and "near_minimum" in scan:
         said = scan["near_minimum"].attrs
-        return scan["near_minimum"].values, {key: float(said[key]) for key in ("factor", "threshold") if key in said}
+        return scan["near_minimum"].values, {
+            key: float(said[key]) for key in ("factor", "threshold") if key in said
+        }
     return near_minimum(misfit(scan), DEFAULT_FACTOR), {"factor": DEFAULT_FACTOR}
 
 
 def scan_summary(scan: Any) -> Summary:
     """The smallest misfit, where it is, how many motions come near it, the lines fitted to them."""
     volume, (points, by) = misfit(scan), chosen(scan)
-    values = [volume.sel(dict(zip(DIMS, p.tolist(), strict=True)), method="nearest").item() for p in points]
+    values = [
+        volume.sel(dict(zip(DIMS, p.tolist(), strict=True)), method="nearest").item()
+        for p in points
+    ]
     best = points[np.argmin(values)].tolist()
     numbers: dict[str, Any] = {
-        "metric": str(volume.name), "rows": int(volume.size), "minimum": float(volume.min()), "best_omega_B": best,
+        "metric": str(volume.name),
+        "rows": int(volume.size),
+        "minimum": float(volume.min()),
+        "best_omega_B": best,
         "near_minimum_points": len(points),
-    }  # fmt: skip
-    against = f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
+    }
+    against = (
+        f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
+    )
     near = f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}"
     lines = [
         f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {rate_text(best)}; "
@@ -47,7 +57,9 @@ def scan_summary(scan: Any) -> Summary:
     ]
     if "exact" in volume.coords:
         numbers["rows_run"] = int(volume["exact"].sum())
-        lines.append(f"{numbers['rows_run']} of the motions were run, the others interpolated{_tried(volume)}")
+        lines.append(
+            f"{numbers['rows_run']} of the motions were run, the others interpolated{_tried(volume)}"
+        )
     if isinstance(scan, xr.Dataset) and "point" in scan:
         told = lines_summary(scan)
         return Summary(numbers | {"lines": told["lines"]}, lines + told.lines)
@@ -56,7 +68,9 @@ def scan_summary(scan: Any) -> Summary:
 
 def _tried(volume: xr.DataArray) -> str:
     """How the bounds of interpolated motions fared."""
-    tried, beyond = (int(np.sum(volume.attrs.get(f"class_{name}", 0))) for name in ("tried", "violations"))
+    tried, beyond = (
+        int(np.sum(volume.attrs.get(f"class_{name}", 0))) for name in ("tried", "violations")
+    )
     return f"; of {tried} that were run to try the bounds, {beyond} lay beyond" if tried else ""
 
 
@@ -64,9 +78,13 @@ def lines_summary(lines: Any) -> Summary:
     """Points and directions of fitted lines."""
     found: list[dict[str, Any]] = [
         {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
-        for p, d, c in zip(lines["point"].values, lines["direction"].values, lines["count"].values, strict=True)
+        for p, d, c in zip(
+            lines["point"].values, lines["direction"].values, lines["count"].values, strict=True
+        )
     ]
-    text = [f"  line through {vector(x['point'])} rad/s along {vector(x['direction'])}" for x in found]
+    text = [
+        f"  line through {vector(x['point'])} rad/s along {vector(x['direction'])}" for x in found
+    ]
     return Summary({"lines": found}, text)
 
 
@@ -75,10 +93,15 @@ def scan_drawings(scan: Any, _: Beside) -> Iterator[Drawing]:
 
     volume, (points, by) = misfit(scan), chosen(scan)
     metric = "EMD" if volume.name == "emd" else "E"
-    near = f"within {by['factor']:g} times the smallest {metric}" if "factor" in by else f"below {by.get('threshold', np.nan):g}"
+    near = (
+        f"within {by['factor']:g} times the smallest {metric}"
+        if "factor" in by
+        else f"below {by.get('threshold', np.nan):g}"
+    )
     yield Drawing(
-        "scan", lambda: scan_figure(volume, points),
+        "scan",
+        lambda: scan_figure(volume, points),
         f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
         f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} {near}; any may be the true one."
         + synthetic_note(scan),
-    )  # fmt: skip
+    )

@@ -40,9 +40,11 @@ def telemetry_drawings(samples: Any, _: Beside) -> Iterator[Drawing]:
 
     if "panel" in samples.coords:
         yield Drawing(
-            "telemetry", lambda: signals_figure(samples), "Signals of the panels against time.",
+            "telemetry",
+            lambda: signals_figure(samples),
+            "Signals of the panels against time.",
             "Signals of the panels as read." + synthetic_note(samples),
-        )  # fmt: skip
+        )
 
 
 def sun_summary(sun: Any) -> Summary:
@@ -54,12 +56,20 @@ def sun_summary(sun: Any) -> Summary:
         "reconstructed": int(known.sum()),
         "status": status_counts(sun),
         "median_sigma_deg": float(np.degrees(np.median(sigma))) if sigma.size else None,
-        "noise": float(sun.attrs["noise"]), "noise_from": sun.attrs["noise_from"],
+        "noise": float(sun.attrs["noise"]),
+        "noise_from": sun.attrs["noise_from"],
         "synthetic_telemetry": bool(sun.attrs.get("synthetic", 0)),
     }
-    lines = [f"{known.sum()} of {known.size} samples give a direction to the Sun", *status_lines(sun)]
+    lines = [
+        f"{known.sum()} of {known.size} samples give a direction to the Sun",
+        *status_lines(sun),
+    ]
     if numbers["median_sigma_deg"] is not None:
-        noise = "given" if numbers["noise_from"] == "given" else f"{numbers['noise']:.3g}, {numbers['noise_from']}"
+        noise = (
+            "given"
+            if numbers["noise_from"] == "given"
+            else f"{numbers['noise']:.3g}, {numbers['noise_from']}"
+        )
         lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {noise})")
     return Summary(numbers, lines)
 
@@ -67,7 +77,9 @@ def sun_summary(sun: Any) -> Summary:
 def status_counts(sun: Any) -> dict[str, int]:
     """Number of samples per status sentence."""
     texts, numbers = np.unique(sun["status_text"].values, return_counts=True)
-    return dict(sorted(zip(texts.tolist(), numbers.tolist(), strict=True), key=lambda item: -item[1]))
+    return dict(
+        sorted(zip(texts.tolist(), numbers.tolist(), strict=True), key=lambda item: -item[1])
+    )
 
 
 def status_lines(sun: Any) -> list[str]:
@@ -80,23 +92,29 @@ def sun_drawings(sun: Any, beside: Beside) -> Iterator[Drawing]:
     if "time" not in sun.coords:
         return
     yield Drawing(
-        "sun", lambda: sun_directions_figure(sun, beside.telemetry),
+        "sun",
+        lambda: sun_directions_figure(sun, beside.telemetry),
         "Panel signals, components of the direction to the Sun with error bars, and the misfit Delta of every sample against time.",
         "Panel signals; direction to the Sun in body axes, bars: one sigma; grey marks: samples that give no direction, by reason; "
         "how badly the best direction explains a sample (Delta, no unit)." + synthetic_note(sun),
-    )  # fmt: skip
+    )
 
 
 def sun_tables(sun: Any, folder: Path, _: Beside) -> None:
     table = sun[["sun_B", "delta", "sigma_rad", "status_text"]]
-    flat = table.drop_vars("sun_B").drop_vars([name for name in ("panel", "axis") if name in table.coords], errors="ignore")
+    flat = table.drop_vars("sun_B").drop_vars(
+        [name for name in ("panel", "axis") if name in table.coords], errors="ignore"
+    )
     frame = flat.to_dataframe()
     for k, axis in enumerate("xyz"):
         frame.insert(k, f"sun_{axis}_B", sun["sun_B"].values[:, k])
     frame.index.name = "time_s"
     epoch = sun.attrs.get("epoch_utc")
     head = f"{synthetic_label(sun)}# time_s from {epoch}; body axes; sigma_rad is the rms angle of the error\n"
-    write_whole(folder / "sun.csv", lambda part: part.write_text(head + frame.to_csv(float_format="%.9g"), "utf-8"))
+    write_whole(
+        folder / "sun.csv",
+        lambda part: part.write_text(head + frame.to_csv(float_format="%.9g"), "utf-8"),
+    )
 
 
 def quality_summary(quality: Any) -> Summary:
@@ -106,34 +124,47 @@ def quality_summary(quality: Any) -> Summary:
     gain, sigma = quality["gain"].values, quality["gain_sigma"].values
     dead = [name for name, is_dead in zip(names, quality["dead"].values, strict=True) if is_dead]
     numbers = {
-        "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)}, "dead": dead,
-        "gain": dict(zip(names, gain.tolist(), strict=True)), "gain_sigma": dict(zip(names, sigma.tolist(), strict=True)),
-    }  # fmt: skip
+        "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)},
+        "dead": dead,
+        "gain": dict(zip(names, gain.tolist(), strict=True)),
+        "gain_sigma": dict(zip(names, sigma.tolist(), strict=True)),
+    }
     lines = [f"  {count:6d}  {text}" for text, count in numbers["samples"].items()]
-    lines += [f"  panel {n}: gain {g:.4g} +- {s:.2g}" for n, g, s in zip(names, gain, sigma, strict=True)]
+    lines += [
+        f"  panel {n}: gain {g:.4g} +- {s:.2g}" for n, g, s in zip(names, gain, sigma, strict=True)
+    ]
     lines += [f"  panels that never see light: {', '.join(dead)}"] if dead else []
-    return Summary(numbers, [f"quality of {len(quality['use'])} samples of {len(names)} panels", *lines])
+    return Summary(
+        numbers, [f"quality of {len(quality['use'])} samples of {len(names)} panels", *lines]
+    )
 
 
 def quality_drawings(quality: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures.telemetry import gains_figure
 
     yield Drawing(
-        "panel-quality", lambda: gains_figure(quality), "Gain of each panel with its error bar.",
+        "panel-quality",
+        lambda: gains_figure(quality),
+        "Gain of each panel with its error bar.",
         "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light."
         + synthetic_note(quality),
-    )  # fmt: skip
+    )
 
 
 def health_summary(health: Any) -> Summary:
     """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
-    seen = dict(zip(_joined(health, "impossible_lit"), health["samples"].values.tolist(), strict=True))
+    seen = dict(
+        zip(_joined(health, "impossible_lit"), health["samples"].values.tolist(), strict=True)
+    )
     chance = dict(zip(seen, health["largest"].values.tolist(), strict=True))
     numbers = {
-        "allowed": _joined(health, "allowed_lit"), "impossible": seen,
+        "allowed": _joined(health, "allowed_lit"),
+        "impossible": seen,
         "explanations": [list(lost) for lost in named_panels(health, "lost")],
-        "noise_probability": {pattern: value for pattern, value in chance.items() if np.isfinite(value)},
-    }  # fmt: skip
+        "noise_probability": {
+            pattern: value for pattern, value in chance.items() if np.isfinite(value)
+        },
+    }
     lines = health_lines(numbers)
     return Summary(numbers, lines or ["no set of lit panels is one that the Sun cannot light"])
 
@@ -153,10 +184,18 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
         verb = "makes" if made_by == NOISE else "make"
         return [f"  sets of lit panels that the Sun cannot light, as {made_by} {verb} them: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
-    why = f"the loss or shading of {lost} would explain them" if lost else "no loss of panels explains them"
+    why = (
+        f"the loss or shading of {lost} would explain them"
+        if lost
+        else "no loss of panels explains them"
+    )
     chance = numbers["noise_probability"]
     likely = max(chance.values(), default=0.0)
-    noise = f"; noise alone makes the likeliest of them with a probability of at most {likely:.2g}" if likely > HARDLY else ""
+    noise = (
+        f"; noise alone makes the likeliest of them with a probability of at most {likely:.2g}"
+        if likely > HARDLY
+        else ""
+    )
     noise = noise or ("; noise alone does not make them" if chance else "")
     return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
 
@@ -165,8 +204,9 @@ def health_drawings(health: Any, _: Beside) -> Iterator[Drawing]:
     from sunspin.output.figures.telemetry import health_figure
 
     yield Drawing(
-        "panel-health", lambda: health_figure(health),
+        "panel-health",
+        lambda: health_figure(health),
         "Which panels were lit together although the Sun cannot light them so, and how often.",
         "Sets of panels that were lit together and that the Sun alone cannot light; a panel whose loss explains them is marked."
         + synthetic_note(health),
-    )  # fmt: skip
+    )

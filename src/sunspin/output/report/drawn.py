@@ -39,8 +39,14 @@ def drawings(results: Results, *kinds: str) -> Iterator[Drawing]:
             runs = results.runs()
             yield from runs_drawings(runs) if runs else ()
         elif kind == "scan":
-            found = [(data, metric) for metric in ("emd", "E") for _, data in results.having(metric, *DIMS)]
-            scan = next((data for data, metric in found if set(data[metric].dims) == set(DIMS)), None)
+            found = [
+                (data, metric)
+                for metric in ("emd", "E")
+                for _, data in results.having(metric, *DIMS)
+            ]
+            scan = next(
+                (data for data, metric in found if set(data[metric].dims) == set(DIMS)), None
+            )
             yield from () if scan is None else KINDS[kind].drawings(scan, beside)
         else:
             for name, data in results.having(*HOLDS[kind]):
@@ -50,7 +56,11 @@ def drawings(results: Results, *kinds: str) -> Iterator[Drawing]:
 
 def drawn(results: Results, *kinds: str) -> list[Drawn]:
     """The same as parts of the page; a figure that is on it already is not drawn again."""
-    new = list({one.name: one for one in drawings(results, *kinds) if one.name not in results.drawn}.values())
+    new = list(
+        {
+            one.name: one for one in drawings(results, *kinds) if one.name not in results.drawn
+        }.values()
+    )
     found = []
     works = [partial(_tried, one, number) for number, one in enumerate(new, len(results.drawn))]
     for drawing, (svg, why) in zip(new, at_once(works), strict=True):
@@ -77,8 +87,19 @@ def _svg(drawing: Drawing, number: int) -> str:
 
 def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
     """The figure of the first screen."""
-    found = {d.name: d for d in drawings(results, "posterior", "rates", "strategies", "outcomes", "scan", "trajectory",
-                                          "sun_directions")}  # fmt: skip
+    found = {
+        d.name: d
+        for d in drawings(
+            results,
+            "posterior",
+            "rates",
+            "strategies",
+            "outcomes",
+            "scan",
+            "trajectory",
+            "sun_directions",
+        )
+    }
     name = next((name for name in names if name in found), None)
     return None if name is None else item(results, found[name])
 

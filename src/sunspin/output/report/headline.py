@@ -31,7 +31,9 @@ def title(results: Results) -> str:
         return own
     vehicle = results.vehicle.name if results.vehicle else "the vehicle"
     vehicle = vehicle.capitalize() if vehicle in case_names() else vehicle
-    return TITLES.get(results.command, f"Results of sunspin {results.command}").format(vehicle=vehicle)
+    return TITLES.get(results.command, f"Results of sunspin {results.command}").format(
+        vehicle=vehicle
+    )
 
 
 def sentences(results: Results) -> list[str]:
@@ -39,18 +41,30 @@ def sentences(results: Results) -> list[str]:
     own = results.summary.get("headline")
     if isinstance(own, list):
         return [str(sentence) for sentence in own][:3]
-    make = {"rates": _rates, "sun": _sun, "simulate": _simulate, "scan": _scan, "outcomes": _outcomes, "posterior": _posterior}
+    make = {
+        "rates": _rates,
+        "sun": _sun,
+        "simulate": _simulate,
+        "scan": _scan,
+        "outcomes": _outcomes,
+        "posterior": _posterior,
+    }
     told = make.get(results.command, _verdict)(results)
     for key, what in (("wrong_axes", "Wrong axes"), ("wrong_units", "Wrong unit")):
         if isinstance(wrong := results.summary.get(key), list):
             told = [*(_sentence(f"{what}: {text}") for text in wrong), *told]
-    return told or [f"This folder holds results of `sunspin {results.command}`; below is what is in it."]
+    return told or [
+        f"This folder holds results of `sunspin {results.command}`; below is what is in it."
+    ]
 
 
 def _verdict(results: Results) -> list[str]:
     if isinstance(results.summary.get("sentences"), list):
         return [str(text) for text in results.summary["sentences"]][:3]
-    said = [results.summary.get("verdict"), *(data.attrs.get("verdict") for data in results.data.values())]
+    said = [
+        results.summary.get("verdict"),
+        *(data.attrs.get("verdict") for data in results.data.values()),
+    ]
     return [_sentence(str(text)) for text in dict.fromkeys(said) if text][:3]
 
 
@@ -65,10 +79,16 @@ def _rates(results: Results) -> list[str]:
     if found is None or len(passes) != found.sizes["pass_id"]:
         return told
     if not found["fits"].values.any():
-        return [*told, "So the rates below describe no motion that the samples support, and should not be used."]
+        return [
+            *told,
+            "So the rates below describe no motion that the samples support, and should not be used.",
+        ]
     sound = [p for p, decided in zip(passes, found["decided"].values, strict=True) if decided]
     if not sound:
-        return [*told, "No pass is decided: of each, only the components that are said to be informed may be used."]
+        return [
+            *told,
+            "No pass is decided: of each, only the components that are said to be informed may be used.",
+        ]
     best = max(sound, key=lambda p: (p["modes"][0]["weight"], -max(p["sigma_deg_s"])))
     rate = rate_at(found, passes.index(best))
     speed = rate.mean
@@ -100,13 +120,17 @@ def _posterior(results: Results) -> list[str]:
 
 def _sun(results: Results) -> list[str]:
     s = results.summary
-    told = [f"{s['reconstructed']} of {counted(int(s['samples']), 'sample')} give a direction to the Sun."]
+    told = [
+        f"{s['reconstructed']} of {counted(int(s['samples']), 'sample')} give a direction to the Sun."
+    ]
     if s.get("median_sigma_deg") is not None:
         told.append(
             f"Half of these directions are known to {s['median_sigma_deg']:.2g} degrees or better (noise: {s['noise_from']})."
         )
     why = [f"{count} × {text}" for text, count in list(s.get("status", {}).items())[:3]]
-    return [*told, "The most frequent verdicts on a sample: " + "; ".join(why) + "."] if why else told
+    return (
+        [*told, "The most frequent verdicts on a sample: " + "; ".join(why) + "."] if why else told
+    )
 
 
 def _simulate(results: Results) -> list[str]:
@@ -120,12 +144,19 @@ def _simulate(results: Results) -> list[str]:
         )
     events = s.get("events", [])
     first = "; ".join(f"{e['wheel']} {e['what']} after {e['t_s']:.4g} s" for e in events[:3])
-    return [*told, f"Events: {first}." if events else "No wheel stops or starts by itself in this time."]
+    return [
+        *told,
+        f"Events: {first}." if events else "No wheel stops or starts by itself in this time.",
+    ]
 
 
 def _scan(results: Results) -> list[str]:
     s = results.summary
-    worst = "none of them fits well" if s["metric"] == "emd" and s["minimum"] > 0.1 else "the best of them"
+    worst = (
+        "none of them fits well"
+        if s["metric"] == "emd" and s["minimum"] > 0.1
+        else "the best of them"
+    )
     told = [
         f"Of {counted(int(s['rows']), 'simulated motion')} {worst} begins at {rate_text(s['best_omega_B'])}, with "
         f"{s['metric'].upper() if s['metric'] == 'emd' else 'E'} {s['minimum']:.4f} (0: its Sun stands as the panels saw it).",
@@ -133,7 +164,11 @@ def _scan(results: Results) -> list[str]:
         "threshold that makes it one has to be calibrated on data of known truth.",
     ]
     lines = s.get("lines")
-    return [*told, f"{counted(len(lines), 'line')} through the set say which rates go together."] if lines else told
+    return (
+        [*told, f"{counted(len(lines), 'line')} through the set say which rates go together."]
+        if lines
+        else told
+    )
 
 
 def _outcomes(results: Results) -> list[str]:
@@ -148,10 +183,16 @@ def _outcomes(results: Results) -> list[str]:
             leg = found["touch_leg"]
             parts.append(f"{strategy_name(name)} {leg['value']:.1%} ± {leg['error']:.1%}")
     if parts:
-        told.append("A leg touches the ground first with a probability of: wheel " + ", ".join(parts) + " (one standard error).")
+        told.append(
+            "A leg touches the ground first with a probability of: wheel "
+            + ", ".join(parts)
+            + " (one standard error)."
+        )
     if isinstance(best := results.summary.get("best_delay"), dict):
         good = ", ".join(f"{t / 60:g}" for t in best["as_good_s"])
-        told.append(f"Of the delays that were searched {best['delay_s'] / 60:g} min is best; not worse by two errors: {good} min.")
+        told.append(
+            f"Of the delays that were searched {best['delay_s'] / 60:g} min is best; not worse by two errors: {good} min."
+        )
     missing = results.summary.get("not_told")
     return [*told, str(missing)] if missing else told
 
@@ -181,16 +222,27 @@ def facts(results: Results) -> list[tuple[str, str, str]]:
         row = results.row(name)
         if results.why_nothing and name not in OF_READINGS:
             continue
-        if row is None or isinstance(row.get("ours"), bool) or not isinstance(row.get("ours"), int | float):
+        if (
+            row is None
+            or isinstance(row.get("ours"), bool)
+            or not isinstance(row.get("ours"), int | float)
+        ):
             continue
         unit = "" if row.get("unit") == "1" else f" {row.get('unit', '')}"
-        value, told = f"{row['ours']:.4g}{unit}", [f"published {number_text(row.get('published'), 4)}"]
+        value, told = (
+            f"{row['ours']:.4g}{unit}",
+            [f"published {number_text(row.get('published'), 4)}"],
+        )
         if name == BOUND:
             label += f" {_level(row)}"
         if row.get("informative") is False:
             value = "not known from these data"
             left = between(row.get("low"), row.get("high"))
-            told.insert(0, "uninformative: nearly all that was possible is left" + (f", {left}{unit}" if left else ""))
+            told.insert(
+                0,
+                "uninformative: nearly all that was possible is left"
+                + (f", {left}{unit}" if left else ""),
+            )
         if row.get("kind") == "put_in":
             told.append("put in: the telemetry was made from it")
         if row.get("chain") == "none":
@@ -201,7 +253,11 @@ def facts(results: Results) -> list[tuple[str, str, str]]:
 
 def _level(row: dict[str, Any]) -> str:
     """How sure a lower bound is, by what made it."""
-    sure = {"scan": "(90 %)", "posterior": "(95 %)", "published": "(of the printed lines, whatever this telemetry says)"}
+    sure = {
+        "scan": "(90 %)",
+        "posterior": "(95 %)",
+        "published": "(of the printed lines, whatever this telemetry says)",
+    }
     return sure.get(str(row.get("chain")), f"(of the motions of {row.get('chain')})")
 
 

@@ -32,7 +32,11 @@ def section(results: Results) -> Section | None:
     vehicle = results.vehicle
     if vehicle is None:
         return None
-    motions = [made for name, data in _found(results, vehicle) if (made := motion(vehicle, name, data)) is not None]
+    motions = [
+        made
+        for name, data in _found(results, vehicle)
+        if (made := motion(vehicle, name, data)) is not None
+    ]
     if not motions:
         return None
     drawn = bool(vehicle.hull)
@@ -55,24 +59,33 @@ def section(results: Results) -> Section | None:
     panels = [f"{name}: left out" if name in silent else name for name in vehicle.panel_names]
     content = {
         "motions": [{"name": m["name"], "about": m["about"]} for m in motions],
-        "measured": "pass_of" in next(iter(results.having("B_from_N")))[1], "panels": panels,
-        "wheels": [w.name for w in vehicle.wheels], "events": motions[0]["events"], "simulated": True,
+        "measured": "pass_of" in next(iter(results.having("B_from_N")))[1],
+        "panels": panels,
+        "wheels": [w.name for w in vehicle.wheels],
+        "events": motions[0]["events"],
+        "simulated": True,
         "synthetic": results.synthetic,
-    }  # fmt: skip
+    }
     data = {
         "shape": shape(vehicle),
         "motions": motions,
         "panels": list(vehicle.panel_names),
         "wheels": [w.name for w in vehicle.wheels],
     }
-    return Section("lander", f"{capital(vehicle.name)} in motion", lead, [Special("lander", content, data)])
+    return Section(
+        "lander", f"{capital(vehicle.name)} in motion", lead, [Special("lander", content, data)]
+    )
 
 
 def _found(results: Results, vehicle: Vehicle) -> list[tuple[str, xr.Dataset]]:
     found, telemetry = [], results.data.get("telemetry")
     for name, data in results.having("B_from_N", "sun_B", "omega_B"):
         doing = str(data.attrs.get("wheels", ""))
-        passes = [(title, with_wheels(run, vehicle, telemetry, doing)) for title, run in dense(data)] if "pass_of" in data else []
+        passes = (
+            [(title, with_wheels(run, vehicle, telemetry, doing)) for title, run in dense(data)]
+            if "pass_of" in data
+            else []
+        )
         found += passes if "pass_of" in data else [(str(data.attrs.get("title", name)), data)]
     return sorted(found, key=lambda item: motion_order(item[0]))
 
@@ -85,20 +98,31 @@ def motion(vehicle: Vehicle, name: str, data: xr.Dataset) -> dict[str, Any] | No
     t, attitude, omega, sun, momentum, wheels = chosen
     scene = _scene(attitude, sun, momentum, omega)
     to_scene = scene * attitude.inv()  # B to the scene's axes
-    power = vehicle.panels_in().power(sun / np.linalg.norm(sun, axis=1, keepdims=True)) / vehicle.panel_gains
+    power = (
+        vehicle.panels_in().power(sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        / vehicle.panel_gains
+    )
     zero = epoch_ms(str(data.attrs.get("epoch_utc") or "")) if "epoch_utc" in data.attrs else None
     events = _events(data)
     return {
-        "name": name, "about": str(data.attrs.get("about", "")), "t0": float(t[0]), "dt": float(t[1] - t[0]), "n": len(t),
+        "name": name,
+        "about": str(data.attrs.get("about", "")),
+        "t0": float(t[0]),
+        "dt": float(t[1] - t[0]),
+        "n": len(t),
         "epoch": zero,
-        "q": _b64(to_scene.as_quat()), "omega": _b64(np.linalg.norm(omega, axis=1)),
+        "q": _b64(to_scene.as_quat()),
+        "omega": _b64(np.linalg.norm(omega, axis=1)),
         "momentum": None if momentum is None else _b64(to_scene.apply(momentum)),
         "momentum_max": 0.0 if momentum is None else float(np.linalg.norm(momentum, axis=1).max()),
-        "wheel": [_b64(w) for w in wheels.T], "wheel_max": [float(np.nan_to_num(np.abs(w)).max()) for w in wheels.T],
+        "wheel": [_b64(w) for w in wheels.T],
+        "wheel_max": [float(np.nan_to_num(np.abs(w)).max()) for w in wheels.T],
         "sun": to_scene.apply(sun)[0].tolist(),
-        "power": base64.b64encode(np.round(255 * np.clip(power, 0, 1)).astype("u1").tobytes()).decode("ascii"),
+        "power": base64.b64encode(
+            np.round(255 * np.clip(power, 0, 1)).astype("u1").tobytes()
+        ).decode("ascii"),
         "events": events,
-    }  # fmt: skip
+    }
 
 
 def _b64(values: np.ndarray) -> str:
@@ -132,12 +156,18 @@ def _even(data: xr.Dataset) -> tuple | None:
     keep = np.arange(0, last, stride)[:MOST_INSTANTS]
     q = columns["B_from_N"][keep]
     return (
-        t[keep], Rotation.from_quat(q), columns["omega_B"][keep], columns["sun_B"][keep],
-        columns["momentum_B"][keep] if "momentum_B" in columns else None, wheels[keep],
-    )  # fmt: skip
+        t[keep],
+        Rotation.from_quat(q),
+        columns["omega_B"][keep],
+        columns["sun_B"][keep],
+        columns["momentum_B"][keep] if "momentum_B" in columns else None,
+        wheels[keep],
+    )
 
 
-def _scene(attitude: Rotation, sun: np.ndarray, momentum: np.ndarray | None, omega: np.ndarray) -> Rotation:
+def _scene(
+    attitude: Rotation, sun: np.ndarray, momentum: np.ndarray | None, omega: np.ndarray
+) -> Rotation:
     """N to the scene's axes: momentum (or the first axis of rotation) up, the Sun to the right."""
     first = attitude[0].inv()
     up = first.apply(momentum[0] if momentum is not None else omega[0])
@@ -160,7 +190,9 @@ def _events(data: xr.Dataset) -> list[dict[str, Any]]:
         what = data["event_what"].values.astype(str)
         who = data["event_wheel"].values.astype(str) if "event_wheel" in data else None
         for k, at in enumerate(np.atleast_1d(data["event_time_s"].values)[:20]):
-            found.append({"t": float(at), "what": what[k] if who is None else f"{who[k]} {what[k]}"})
+            found.append(
+                {"t": float(at), "what": what[k] if who is None else f"{who[k]} {what[k]}"}
+            )
     return [*found, {"t": float(times.max()), "what": "end"}]
 
 
@@ -176,7 +208,11 @@ def shape(vehicle: Vehicle) -> dict[str, Any]:
     for leg in vehicle.legs:
         foot = leg.tip_B_m
         hip = np.array(
-            [0.35 * foot[0] / max(np.linalg.norm(foot[:2]), 1e-9), 0.35 * foot[1] / max(np.linalg.norm(foot[:2]), 1e-9), low]
+            [
+                0.35 * foot[0] / max(np.linalg.norm(foot[:2]), 1e-9),
+                0.35 * foot[1] / max(np.linalg.norm(foot[:2]), 1e-9),
+                low,
+            ]
         )
         legs.append([hip.tolist(), foot.tolist()])
         size = max(size, float(np.linalg.norm(foot)))
@@ -219,7 +255,10 @@ def _plates(vehicle: Vehicle) -> tuple[np.ndarray, list[list[int]], list[int]]:
         u /= np.linalg.norm(u)
         v = np.cross(normal, u)
         base = len(vertices)
-        vertices += [PLATE_M * normal + 0.45 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        vertices += [
+            PLATE_M * normal + 0.45 * (a * u + b * v)
+            for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
         faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
         owner += [k, k]
     return np.array(vertices).reshape(-1, 3), faces, owner

@@ -13,10 +13,21 @@ from sunspin.output.text import capital, with_sigma
 from sunspin.telemetry.case import case_names
 
 STRATEGY_NAMES = {
-    "off": "off at touchdown", "held": "held at speed", "brake": "braked at touchdown", "after_rest": "held, off after rest",
-}  # fmt: skip
+    "off": "off at touchdown",
+    "held": "held at speed",
+    "brake": "braked at touchdown",
+    "after_rest": "held, off after rest",
+}
 
-LISTED = ("touch_leg", "touch_panel", "rest_leg", "leg_tip_speed", "antenna_at_rest", "rz_time_below_-0.5", "rate_after")
+LISTED = (
+    "touch_leg",
+    "touch_panel",
+    "rest_leg",
+    "leg_tip_speed",
+    "antenna_at_rest",
+    "rz_time_below_-0.5",
+    "rate_after",
+)
 """Quantities of a comparison."""
 
 
@@ -43,14 +54,25 @@ def outcomes(results: Results) -> Section | None:
     if begun is not None and "about" in begun.attrs:
         lead.append(f"The runs begin with {begun.attrs['about']}.")
     missing = str(found[0][1].attrs.get("not_told", ""))
-    return Section("outcomes", "What the collision led to", [*lead, *([missing] if missing else [])], items)
+    return Section(
+        "outcomes", "What the collision led to", [*lead, *([missing] if missing else [])], items
+    )
 
 
 def _numbers(told: dict[str, dict[str, Estimate]]) -> Table:
     known = {q for found in told.values() for q in found}
     listed = [*QUANTITIES, *sorted(q for q in known if q.startswith(ONE_PANEL))]
-    rows = [[capital(quantity(q).heading), *(_pair(q, found.get(q)) for found in told.values())] for q in listed if q in known]
-    return Table(["quantity", *map(strategy_name, told)], rows, "In numbers (one standard error)", closed=True)
+    rows = [
+        [capital(quantity(q).heading), *(_pair(q, found.get(q)) for found in told.values())]
+        for q in listed
+        if q in known
+    ]
+    return Table(
+        ["quantity", *map(strategy_name, told)],
+        rows,
+        "In numbers (one standard error)",
+        closed=True,
+    )
 
 
 def strategies(results: Results) -> Section | None:
@@ -58,17 +80,32 @@ def strategies(results: Results) -> Section | None:
     table = results.first("value", "error", "gain")
     if table is None or not {"strategy", "quantity"} <= set(table.dims):
         return None
-    known = [q for q in LISTED if q in table["quantity"].values and np.isfinite(table["value"].sel(quantity=q)).any()]
+    known = [
+        q
+        for q in LISTED
+        if q in table["quantity"].values and np.isfinite(table["value"].sel(quantity=q)).any()
+    ]
     names = [str(name) for name in table["strategy"].values]
     if not known or len(names) < 2:
         return None
     runs = int(table.attrs.get("runs", 0))
-    lead = [f"The same {runs} draws for every command, so that differences are known better than the values."]
+    lead = [
+        f"The same {runs} draws for every command, so that differences are known better than the values."
+    ]
     if table.attrs.get("vehicle") in case_names():  # of another lander nobody told
         lead[0] += " Switching the wheel off at the touchdown is what was flown."
-    rows = [[capital(quantity(q).heading), *(_value(table, name, q) for name in names)] for q in known]
-    numbers = Table(["quantity", *map(strategy_name, names)], rows, "In numbers (one standard error)")
-    return Section("strategies", "What the wheel could have been told instead", lead, [*drawn(results, "strategies"), numbers])
+    rows = [
+        [capital(quantity(q).heading), *(_value(table, name, q) for name in names)] for q in known
+    ]
+    numbers = Table(
+        ["quantity", *map(strategy_name, names)], rows, "In numbers (one standard error)"
+    )
+    return Section(
+        "strategies",
+        "What the wheel could have been told instead",
+        lead,
+        [*drawn(results, "strategies"), numbers],
+    )
 
 
 def _pair(name: str, found: Estimate | None) -> str:

@@ -50,10 +50,13 @@ WHOLE = ("Truth", "Descent")
 """Motions that are drawn to their end; for the others the samples soon fall beside the line, which is the point."""
 
 PHASES = {
-    "deployment": "legs folded", "descent": "descent", "first_rebound": "bounce to collision",
+    "deployment": "legs folded",
+    "descent": "descent",
+    "first_rebound": "bounce to collision",
     "second_rebound": "collision to landing",
-    "settling": "settling", "rest": "at rest",
-}  # fmt: skip
+    "settling": "settling",
+    "rest": "at rest",
+}
 
 
 def signals(data: xr.Dataset) -> xr.DataArray | None:
@@ -71,7 +74,10 @@ def powers(results: Results) -> Section | None:
     if samples is None or values is None or not values.sizes["time"]:
         return None
     results.used.add("telemetry")
-    epoch, unit = results.epoch_utc, str(values.attrs.get("units") or ("W" if values.name == "power_W" else "A"))
+    epoch, unit = (
+        results.epoch_utc,
+        str(values.attrs.get("units") or ("W" if values.name == "power_W" else "A")),
+    )
     names = [str(name) for name in values["panel"].values]
     keep = thin(values.sizes["time"], MOST_SAMPLES)
     t, measured = samples["time"].values[keep], values.values[keep]
@@ -82,23 +88,43 @@ def powers(results: Results) -> Section | None:
         views += _modelled(data, title, model, samples, values, epoch, ~lost, counts)
     dots = list(range(len(data), len(data) + len(names)))
     data += [
-        {"type": "scatter", "mode": "markers", "x": clock(t, epoch), "y": packed(measured[:, k]), "yaxis": _axis(k), "xaxis": "x",
-         "marker": {"size": 8, "color": "@muted" if lost[k] else "@ink", "symbol": "x-thin-open" if lost[k] else "circle",
-                    "line": {"color": "@paper", "width": 1}},
-         "name": "telemetry (synthetic)" if results.synthetic else "measured", "legendgroup": "measured",
-         "showlegend": k == int(np.argmax(~lost))}
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": clock(t, epoch),
+            "y": packed(measured[:, k]),
+            "yaxis": _axis(k),
+            "xaxis": "x",
+            "marker": {
+                "size": 8,
+                "color": "@muted" if lost[k] else "@ink",
+                "symbol": "x-thin-open" if lost[k] else "circle",
+                "line": {"color": "@paper", "width": 1},
+            },
+            "name": "telemetry (synthetic)" if results.synthetic else "measured",
+            "legendgroup": "measured",
+            "showlegend": k == int(np.argmax(~lost)),
+        }
         for k in range(len(names))
-    ]  # fmt: skip
+    ]
     for view in views:
         view["show"] = [*view["show"], *dots]
     modelled = bool(views)
     if not modelled:
         views = _stretches(t, dots, epoch)
     if views:
-        views.append({"label": "Samples only, the whole file", "show": dots, "range": instants([t[0], t[-1]], epoch), "text": ""})
+        views.append(
+            {
+                "label": "Samples only, the whole file",
+                "show": dots,
+                "range": instants([t[0], t[-1]], epoch),
+                "text": "",
+            }
+        )
     top = 1.1 * float(np.nanmax(measured)) if np.isfinite(measured).any() else 1.0
     titles = [
-        f"{'panel ' if name.isdigit() else ''}{name} ({unit})" + ("<br>left out" if lost[k] else "") for k, name in enumerate(names)
+        f"{'panel ' if name.isdigit() else ''}{name} ({unit})" + ("<br>left out" if lost[k] else "")
+        for k, name in enumerate(names)
     ]
     layout = _rows_layout(titles, time_axis(epoch, t), top)
     if views:
@@ -127,13 +153,18 @@ def powers(results: Results) -> Section | None:
             "one motion can meet the dots one by one."
         )
     plot = Plot(
-        "powers", data, layout,
+        "powers",
+        data,
+        layout,
         f"Signals of {len(names)} panels against time, dots of the telemetry and modelled lines; each panel rises and falls as it "
         "turns to the Sun and away.",
-        caption, 90 * len(names) + 110, views, "Modelled motion" if modelled else "Part of the file",
+        caption,
+        90 * len(names) + 110,
+        views,
+        "Modelled motion" if modelled else "Part of the file",
         numbers=_power_numbers(names, values, unit),
         narrow={"margin": {"l": 48, "r": 12, "t": 30, "b": 50}, "font.size": 11},
-    )  # fmt: skip
+    )
     seen = "synthetic" if results.synthetic else "measured"
     what = f"Panel {'powers' if unit == 'W' else 'signals'}, {seen}"
     return Section("powers", what + (" and modelled" if modelled else ""), [], [plot])
@@ -143,17 +174,26 @@ def _stretches(t: np.ndarray, dots: list[int], epoch: str | None) -> list[dict[s
     """A view of each stretch between long pauses, the longest few: on one axis they would be specks beside emptiness."""
     steps = np.diff(t)
     parts = np.split(t, np.flatnonzero(steps > PAUSE * np.median(steps)) + 1) if steps.size else []
-    longest = sorted((part for part in parts if part.size > 1), key=lambda part: -part.size)[:MOST_STRETCHES]
+    longest = sorted((part for part in parts if part.size > 1), key=lambda part: -part.size)[
+        :MOST_STRETCHES
+    ]
     shown = sorted(longest, key=lambda part: float(part[0]))
     margins = [0.01 * float(np.ptp(part)) for part in shown]
     return [
-        {"label": f"Pass at {utc_text(float(part[0]), epoch, date=True)}", "show": dots, "text": "",
-         "range": instants([part[0] - margin, part[-1] + margin], epoch)}
-        for part, margin in zip(shown, margins, strict=True) if len(parts) > 1
-    ]  # fmt: skip
+        {
+            "label": f"Pass at {utc_text(float(part[0]), epoch, date=True)}",
+            "show": dots,
+            "text": "",
+            "range": instants([part[0] - margin, part[-1] + margin], epoch),
+        }
+        for part, margin in zip(shown, margins, strict=True)
+        if len(parts) > 1
+    ]
 
 
-def _left_out(results: Results, samples: xr.Dataset, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _left_out(
+    results: Results, samples: xr.Dataset, names: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
     """Which panels (n_panel) never read anything, and which samples (n) count in full: not those that the battery limits."""
     none, every = np.zeros(len(names), dtype=bool), np.ones(samples.sizes["time"], dtype=bool)
     if results.vehicle is None or list(results.vehicle.input_names) != names:
@@ -167,26 +207,52 @@ def _left_out(results: Results, samples: xr.Dataset, names: list[str]) -> tuple[
 
 
 def _modelled(
-    data: list[dict[str, Any]], title: str, model: xr.Dataset, samples: xr.Dataset, values: xr.DataArray, epoch: str | None,
-    works: np.ndarray, counts: np.ndarray,
+    data: list[dict[str, Any]],
+    title: str,
+    model: xr.Dataset,
+    samples: xr.Dataset,
+    values: xr.DataArray,
+    epoch: str | None,
+    works: np.ndarray,
+    counts: np.ndarray,
 ) -> list[dict[str, Any]]:
     """Append a model's lines to the traces; the views that show them: a few minutes, and all of it where that can be read."""
     t, signal = model["time"].values, model["panel_signal"].values
-    factor = scale_of(samples["time"].values[counts], values.values[counts][:, works], t, signal[:, works])
+    factor = scale_of(
+        samples["time"].values[counts], values.values[counts][:, works], t, signal[:, works]
+    )
     long = title in WHOLE or "region" in model.attrs  # a region of a posterior fits all samples
     early = t <= t[0] + WINDOW_S
-    keep = np.flatnonzero(early | (np.arange(t.size) % LATER_STEP == 0)) if long else np.flatnonzero(early)
+    keep = (
+        np.flatnonzero(early | (np.arange(t.size) % LATER_STEP == 0))
+        if long
+        else np.flatnonzero(early)
+    )
     first = len(data)
     for k in range(values.sizes["panel"]):
-        data.append({
-            "type": "scatter", "mode": "lines", "x": clock(t[keep], epoch), "y": packed(factor * signal[keep, k]),
-            "yaxis": _axis(k), "xaxis": "x", "legendgroup": "modelled",
-            "line": {"width": 1.4, "color": "@orange"} if works[k] else {"width": 1, "color": "@grey", "dash": "dot"},
-            "name": "modelled",
-            "showlegend": k == int(np.argmax(works)), "visible": first == 0,
-        })  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": clock(t[keep], epoch),
+                "y": packed(factor * signal[keep, k]),
+                "yaxis": _axis(k),
+                "xaxis": "x",
+                "legendgroup": "modelled",
+                "line": {"width": 1.4, "color": "@orange"}
+                if works[k]
+                else {"width": 1, "color": "@grey", "dash": "dot"},
+                "name": "modelled",
+                "showlegend": k == int(np.argmax(works)),
+                "visible": first == 0,
+            }
+        )
     show, about = list(range(first, len(data))), capital(str(model.attrs.get("about", "")))
-    spans = [(f"{title}, the first {WINDOW_S / 60:g} min", min(t[0] + WINDOW_S, t[-1]))] if t[-1] > t[0] + 3 * WINDOW_S else []
+    spans = (
+        [(f"{title}, the first {WINDOW_S / 60:g} min", min(t[0] + WINDOW_S, t[-1]))]
+        if t[-1] > t[0] + 3 * WINDOW_S
+        else []
+    )
     spans += [(f"{title}, all of it", t[-1])] if long or not spans else []
     if title == "Descent":
         spans = spans[-1:]
@@ -211,9 +277,12 @@ def _rows_layout(titles: list[str], axis: dict[str, Any], top: float) -> dict[st
     for k, title in enumerate(titles):
         height = 1.0 / n
         layout["yaxis" if k == 0 else f"yaxis{k + 1}"] = {
-            "domain": [1 - (k + 1) * height + 0.012, 1 - k * height], "range": [-0.04 * top, top], "nticks": 3,
-            "title": {"text": title, "font": {"size": 12}, "standoff": 4}, "zeroline": False,
-        }  # fmt: skip
+            "domain": [1 - (k + 1) * height + 0.012, 1 - k * height],
+            "range": [-0.04 * top, top],
+            "nticks": 3,
+            "title": {"text": title, "font": {"size": 12}, "standoff": 4},
+            "zeroline": False,
+        }
     layout["legend"] = {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0}
     layout["margin"] = {"l": 64, "r": 20, "t": 46, "b": 54}
     return layout
@@ -222,8 +291,9 @@ def _rows_layout(titles: list[str], axis: dict[str, Any], top: float) -> dict[st
 def _models(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
     found = [
         (str(data.attrs.get("title", name)), data)
-        for name, data in results.having("panel_signal", "B_from_N") if data["panel_signal"].shape[1] == len(names)
-    ]  # fmt: skip
+        for name, data in results.having("panel_signal", "B_from_N")
+        if data["panel_signal"].shape[1] == len(names)
+    ]
     found = [(title, _finer(data, results.vehicle, names)) for title, data in found]
     return sorted(found, key=lambda item: motion_order(item[0])) + _of_passes(results, names)
 
@@ -231,20 +301,34 @@ def _models(results: Results, names: list[str]) -> list[tuple[str, xr.Dataset]]:
 def _finer(model: xr.Dataset, vehicle: Vehicle | None, names: list[str]) -> xr.Dataset:
     """A motion with instants between its own in its first minutes, where it turns far from one to the next."""
     t = model["time"].values
-    if vehicle is None or list(vehicle.input_names) != names or t.size < 2 or not np.all(np.diff(t) > 0) or "sun_B" not in model:
+    if (
+        vehicle is None
+        or list(vehicle.input_names) != names
+        or t.size < 2
+        or not np.all(np.diff(t) > 0)
+        or "sun_B" not in model
+    ):
         return model
-    fastest = float(np.nanmax(np.linalg.norm(model["omega_B"].values, axis=1))) if "omega_B" in model else 0.0
+    fastest = (
+        float(np.nanmax(np.linalg.norm(model["omega_B"].values, axis=1)))
+        if "omega_B" in model
+        else 0.0
+    )
     parts = int(min(np.ceil(fastest * float(np.median(np.diff(t))) / TURN), FINEST))
     early = t[t <= t[0] + WINDOW_S]
     if parts < 2 or early.size < 2:
         return model
-    fine = np.unique(np.concatenate([early[:-1, None] + np.arange(parts) / parts * np.diff(early)[:, None]]))
+    fine = np.unique(
+        np.concatenate([early[:-1, None] + np.arange(parts) / parts * np.diff(early)[:, None]])
+    )
     attitude = Rotation.from_quat(model["B_from_N"].values)
     sun = Slerp(t, attitude)(fine).apply(attitude[0].inv().apply(model["sun_B"].values[0]))
     late = t >= early[-1]
     signal = np.concatenate([panel_power(vehicle, sun), model["panel_signal"].values[late]])
     return xr.Dataset(
-        {"panel_signal": (("time", "panel"), signal)}, coords={"time": np.concatenate([fine, t[late]])}, attrs=model.attrs
+        {"panel_signal": (("time", "panel"), signal)},
+        coords={"time": np.concatenate([fine, t[late]])},
+        attrs=model.attrs,
     )
 
 
@@ -277,7 +361,12 @@ def _power_numbers(names: list[str], values: xr.DataArray, unit: str) -> Table:
         column = values.values[:, k]
         known = column[np.isfinite(column)]
         if known.size:
-            rows.append([name, f"{known.mean():.4g}", f"{known.max():.4g}", f"{np.mean(known <= 0):.0%}"])
+            rows.append(
+                [name, f"{known.mean():.4g}", f"{known.max():.4g}", f"{np.mean(known <= 0):.0%}"]
+            )
     return Table(
-        ["panel", f"mean ({unit})", f"largest ({unit})", "share of samples at or below zero"], rows, "In numbers", closed=True
+        ["panel", f"mean ({unit})", f"largest ({unit})", "share of samples at or below zero"],
+        rows,
+        "In numbers",
+        closed=True,
     )

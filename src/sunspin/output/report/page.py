@@ -25,8 +25,14 @@ MAX_PICTURES = 5_000_000
 
 
 REDRAWN = {
-    "fig03_measured", "fig04_phases", "fig08_maps", "fig09_lines", "fig09_telemetry", "fig13_after_collision", "strategies",
-}  # fmt: skip
+    "fig03_measured",
+    "fig04_phases",
+    "fig08_maps",
+    "fig09_lines",
+    "fig09_telemetry",
+    "fig13_after_collision",
+    "strategies",
+}
 """Figures of the study that the page has in another form, most of them to be turned; the files stay in the folder."""
 
 
@@ -40,21 +46,36 @@ def write_report(folder: str | Path, ours: bool = False, figures: bool = False) 
     With `figures` the page's flat plots are also written as PNG and SVG.
     """
     results = read_results(folder, ours)
-    with np.errstate(all="ignore"):  # a damaged file may hold any numbers: they are shown as they are
+    with np.errstate(
+        all="ignore"
+    ):  # a damaged file may hold any numbers: they are shown as they are
         page = sections.page(results)
         data = _data(page)
         if figures:
             _save_figures(results, page)
     turned = bool(data["plots"]) or len(data) > 1  # else nothing on the page needs the library
     redrawn = REDRAWN if results.command == "reproduce" else results.drawn
-    pictures, left_out = _pictures([picture for picture in results.pictures if picture.path.stem not in redrawn])
+    pictures, left_out = _pictures(
+        [picture for picture in results.pictures if picture.path.stem not in redrawn]
+    )
     text = _template().render(
-        page=page, pictures=pictures, left_out=left_out, problems=results.problems,
-        style=Markup(_asset("page.css")), data=Markup(_json(data)), licence=_licence() if turned else "",
-        scripts=[Markup(_script(text)) for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))],
-    )  # fmt: skip
+        page=page,
+        pictures=pictures,
+        left_out=left_out,
+        problems=results.problems,
+        style=Markup(_asset("page.css")),
+        data=Markup(_json(data)),
+        licence=_licence() if turned else "",
+        scripts=[
+            Markup(_script(text))
+            for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))
+        ],
+    )
     text = TURNS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
-    return write_whole(results.folder / "report.html", lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")))
+    return write_whole(
+        results.folder / "report.html",
+        lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")),
+    )
 
 
 def _save_figures(results: Results, page: sections.Page) -> None:
@@ -62,12 +83,18 @@ def _save_figures(results: Results, page: sections.Page) -> None:
     from sunspin.output.report.described import figure_of, flat_plots
 
     for plot in flat_plots(page.sections, page.hero):
-        sections.guarded(results, f"the figure {plot.id}", lambda _, plot=plot: save(figure_of(plot), results.folder, plot.id))
+        sections.guarded(
+            results,
+            f"the figure {plot.id}",
+            lambda _, plot=plot: save(figure_of(plot), results.folder, plot.id),
+        )
 
 
 @cache
 def _template() -> Any:
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
     return environment.from_string(_asset("page.html.j2"))
 
 
@@ -82,11 +109,23 @@ def _data(page: sections.Page) -> dict[str, Any]:
     items += [item for part in parts for item in part.items]
     plots = {
         item.id: {
-            "data": item.data, "layout": item.layout, "views": item.views, "narrow": item.narrow, "height": item.height,
+            "data": item.data,
+            "layout": item.layout,
+            "views": item.views,
+            "narrow": item.narrow,
+            "height": item.height,
         }
-        for item in items if isinstance(item, Plot)
-    }  # fmt: skip
-    return {"plots": plots, **{item.kind: item.data for item in items if isinstance(item, Special) and item.data is not None}}
+        for item in items
+        if isinstance(item, Plot)
+    }
+    return {
+        "plots": plots,
+        **{
+            item.kind: item.data
+            for item in items
+            if isinstance(item, Special) and item.data is not None
+        },
+    }
 
 
 def _json(data: Any) -> str:
@@ -105,7 +144,9 @@ def _plotly() -> str:
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
-        raise OutputError(sentence("plotly, which draws the report, is not installed", do="pip install plotly")) from None
+        raise OutputError(
+            sentence("plotly, which draws the report, is not installed", do="pip install plotly")
+        ) from None
     return get_plotlyjs()
 
 
@@ -129,5 +170,12 @@ def _pictures(pictures: list[Any]) -> tuple[list[dict[str, str]], list[str]]:
             continue
         total += size
         data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
-        shown.append({"data": data, "alt": picture.alt, "caption": picture.caption, "file": picture.path.name})
+        shown.append(
+            {
+                "data": data,
+                "alt": picture.alt,
+                "caption": picture.caption,
+                "file": picture.path.name,
+            }
+        )
     return shown, left_out

@@ -23,18 +23,24 @@ def dense(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     if any(name not in rates for name in CURVE):
         return []
     pass_of = rates["curve_pass_of"].values
-    lengths = {int(k): float(np.ptp(rates["curve_time"].values[pass_of == k])) for k in np.unique(pass_of)}
+    lengths = {
+        int(k): float(np.ptp(rates["curve_time"].values[pass_of == k])) for k in np.unique(pass_of)
+    }
     chosen = sorted(sorted(lengths, key=lambda k: -lengths[k])[:MOST_PASSES])
     return [(f"Pass {int(rates['pass_id'].values[k])}", _dense(rates, k)) for k in chosen]
 
 
-def with_wheels(run: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset | None, doing: str) -> xr.Dataset:
+def with_wheels(
+    run: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset | None, doing: str
+) -> xr.Dataset:
     """The motion `run` of :func:`dense` with the speeds of the wheels as `rates` took them, NaN where nothing says how fast one
     turns; `doing`: the attribute `wheels` of its result. Without telemetry only a speed that is held is known."""
     t = run["time"].values
     read = xr.Dataset(coords={"time": t}) if telemetry is None else telemetry
     known = wheel_speeds(vehicle, read, t) if telemetry is not None or HELD in doing else {}
-    what = max((name for name in known if doing.startswith(name) or len(known) == 1), key=len, default="")
+    what = max(
+        (name for name in known if doing.startswith(name) or len(known) == 1), key=len, default=""
+    )
     speed = np.array(known[what]) if what else np.full((len(t), len(vehicle.wheels)), np.nan)
     silent = untold(vehicle, read)
     speed[:, [wheel.name in silent for wheel in vehicle.wheels]] = np.nan
@@ -42,9 +48,13 @@ def with_wheels(run: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset | None,
 
 
 def _dense(rates: xr.Dataset, k: int) -> xr.Dataset:
-    samples, curve = (rates.isel({dim: np.flatnonzero(rates[name].values == k)})
-                      for dim, name in (("time", "pass_of"), ("curve_time", "curve_pass_of")))  # fmt: skip
-    to_sun = Rotation.from_quat(samples["B_from_N"].values[0]).inv().apply(samples["sun_B"].values[0])
+    samples, curve = (
+        rates.isel({dim: np.flatnonzero(rates[name].values == k)})
+        for dim, name in (("time", "pass_of"), ("curve_time", "curve_pass_of"))
+    )
+    to_sun = (
+        Rotation.from_quat(samples["B_from_N"].values[0]).inv().apply(samples["sun_B"].values[0])
+    )
     about = f"the likeliest motion of {samples.sizes['time']} samples; between samples as the equations of motion carry it"
     if rates.attrs.get("frame_N") != J2000:
         about += ", and the turn about the line to the Sun at its start is arbitrary"
@@ -52,7 +62,10 @@ def _dense(rates: xr.Dataset, k: int) -> xr.Dataset:
         {
             "omega_B": (("time", "axis"), curve["curve_omega_B"].values),
             "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
-            "sun_B": (("time", "axis"), Rotation.from_quat(curve["curve_B_from_N"].values).apply(to_sun)),
+            "sun_B": (
+                ("time", "axis"),
+                Rotation.from_quat(curve["curve_B_from_N"].values).apply(to_sun),
+            ),
         },
         coords={"time": curve["curve_time"].values},
         attrs={"epoch_utc": str(rates.attrs.get("epoch_utc", "")), "about": about},

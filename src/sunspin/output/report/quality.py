@@ -29,8 +29,10 @@ def section(results: Results) -> Section | None:
         ["verdict", "samples", "share"],
         [[capital(str(texts[k])), str(counts[k]), f"{counts[k] / status.size:.0%}"] for k in order],
         "Verdicts on the samples",
-    )  # fmt: skip
-    lead = [f"{told} of {status.size} samples give a direction to the Sun; for each of the others the reason is named."]
+    )
+    lead = [
+        f"{told} of {status.size} samples give a direction to the Sun; for each of the others the reason is named."
+    ]
     items = [verdicts, *drawn(results, "sun_directions"), _list(results, sun)]
     return Section("quality", "Data quality, sample by sample", lead, items)
 
@@ -41,18 +43,39 @@ def _list(results: Results, sun: xr.Dataset) -> Table:
     lit = sun["lit"].values if "lit" in sun else None
     names = sun["panel"].values.astype(str) if "panel" in sun.coords else []
     for i in range(min(n, MOST_LINES)):
-        on = "" if lit is None else "-".join(name for name, is_lit in zip(names, lit[i], strict=True) if is_lit)
+        on = (
+            ""
+            if lit is None
+            else "-".join(name for name, is_lit in zip(names, lit[i], strict=True) if is_lit)
+        )
         sigma = np.degrees(sun["sigma_rad"].values[i])
         phase = str(sun["phase"].values[i]) if "phase" in sun.coords else ""
-        rows.append([
-            str(i + 1), utc_text(float(sun["time"].values[i]), results.epoch_utc), PHASES.get(phase, phase), on or "none",
-            _number(sun["delta"].values[i], 4), _number(sigma, 2), str(sun["status_text"].values[i]),
-        ])  # fmt: skip
+        rows.append(
+            [
+                str(i + 1),
+                utc_text(float(sun["time"].values[i]), results.epoch_utc),
+                PHASES.get(phase, phase),
+                on or "none",
+                _number(sun["delta"].values[i], 4),
+                _number(sigma, 2),
+                str(sun["status_text"].values[i]),
+            ]
+        )
     left = "" if n <= MOST_LINES else f", the first {MOST_LINES} of {n}"
     return Table(
-        ["sample", "UTC" if results.epoch_utc else "time", "phase", "lit panels", "Delta", "error (deg)", "verdict"], rows,
-        f"All samples{left}", closed=True,
-    )  # fmt: skip
+        [
+            "sample",
+            "UTC" if results.epoch_utc else "time",
+            "phase",
+            "lit panels",
+            "Delta",
+            "error (deg)",
+            "verdict",
+        ],
+        rows,
+        f"All samples{left}",
+        closed=True,
+    )
 
 
 def _number(value: float, digits: int) -> str:

@@ -14,7 +14,18 @@ from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.output.kinds.scan import DIMS, chosen
 from sunspin.output.report.drawn import item
 from sunspin.output.report.read import Results
-from sunspin.output.report.section import COLOURS, SYMBOLS, Drawn, Plot, Section, Special, Table, camera, packed, thin
+from sunspin.output.report.section import (
+    COLOURS,
+    SYMBOLS,
+    Drawn,
+    Plot,
+    Section,
+    Special,
+    Table,
+    camera,
+    packed,
+    thin,
+)
 from sunspin.output.text import counted, number_text
 
 PRINTED = "scan_published_lines"
@@ -53,14 +64,27 @@ def lines(results: Results) -> Section | None:
         fits, told = _candidates(results) if name == MEASURED else ([], "")
         if name == MEASURED and not _all_found(results, scan):
             scan = scan.drop_vars(FITTED, errors="ignore")
-        data += [*fits, *_cloud(scan, points), *_line_traces(scan), *_marks(results, scan), _box(scan)]
+        data += [
+            *fits,
+            *_cloud(scan, points),
+            *_line_traces(scan),
+            *_marks(results, scan),
+            _box(scan),
+        ]
         least = f"the smallest, {float(np.nanmin(volume)):.4f}"
-        near = f"{by['threshold']:g} ({least})" if "threshold" in by else f"{by.get('factor', np.nan):g} times {least}"
+        near = (
+            f"{by['threshold']:g} ({least})"
+            if "threshold" in by
+            else f"{by.get('factor', np.nan):g} times {least}"
+        )
         text = f"{counted(len(points), 'motion')} with {str(volume.name).replace('emd', 'EMD')} below {near}."
-        views.append({
-            "label": _label(name, scan), "show": list(range(first, len(data))),
-            "text": " ".join(part for part in (text, told, _said(results, name)) if part),
-        })  # fmt: skip
+        views.append(
+            {
+                "label": _label(name, scan),
+                "show": list(range(first, len(data))),
+                "text": " ".join(part for part in (text, told, _said(results, name)) if part),
+            }
+        )
         tables += _line_table(scan, _label(name, scan))
     if not data:
         return None
@@ -69,11 +93,13 @@ def lines(results: Results) -> Section | None:
     axis = {"showspikes": False, "nticks": 6}
     layout = {
         "scene": {
-            **{f"{d[-1]}axis": {**axis, "title": {"text": f"ω{d[-1]} (rad/s)"}} for d in DIMS}, "aspectmode": "data",
+            **{f"{d[-1]}axis": {**axis, "title": {"text": f"ω{d[-1]} (rad/s)"}} for d in DIMS},
+            "aspectmode": "data",
             "camera": camera(1.4, 1.85, 0.85),
         },
-        "legend": {"orientation": "h", "y": 0, "yanchor": "top"}, "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-    }  # fmt: skip
+        "legend": {"orientation": "h", "y": 0, "yanchor": "top"},
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+    }
     lead = ["Each dot is a motion: the three components of its body rate at the first sample."]
     metrics = {str(volume.name) for _, _, volume in _volumes(results)}
     if "emd" in metrics:
@@ -82,21 +108,32 @@ def lines(results: Results) -> Section | None:
             "says nothing about timing: a body that turns through the same angles, only faster, fits as well."
         )
     if "E" in metrics:
-        lead[0] += " Those chosen by E have the Sun nearly where the panels saw it, sample by sample."
+        lead[0] += (
+            " Those chosen by E have the Sun nearly where the panels saw it, sample by sample."
+        )
     if results.why_nothing:
         lead.append(
             "No motion is concluded from this telemetry. What is shown is only what the scans gave; the first lines of this page "
             "say why."
         )
     plot = Plot(
-        "lines", data, layout,
+        "lines",
+        data,
+        layout,
         "A cloud of points in the space of the three components of the initial body rate: the motions of the chosen scan whose "
         "misfit is near its smallest. The text below says how many they are.",
-        "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes." + (" Synthetic "
-        "telemetry." if results.synthetic else ""),
-        600, views, "Target", narrow={"scene.camera.eye": {"x": 2.3, "y": 3.0, "z": 1.4}, "font.size": 11},
-    )  # fmt: skip
-    title = "The scan of this telemetry, in rate space" if results.why_nothing else "Motions that fit, in rate space"
+        "Drag, or use the arrow keys, to turn; + and − to zoom. Rates in rad/s, body axes."
+        + (" Synthetic telemetry." if results.synthetic else ""),
+        600,
+        views,
+        "Target",
+        narrow={"scene.camera.eye": {"x": 2.3, "y": 3.0, "z": 1.4}, "font.size": 11},
+    )
+    title = (
+        "The scan of this telemetry, in rate space"
+        if results.why_nothing
+        else "Motions that fit, in rate space"
+    )
     return Section("rate-space", title, lead, [plot, *tables])
 
 
@@ -104,7 +141,11 @@ def _label(name: str, scan: xr.Dataset) -> str:
     """A scan in the words of its file; the one of the printed lines as what it is."""
     if "about" not in scan.attrs:
         return name
-    return f"No telemetry: scan {scan.attrs['about']}" if name == PRINTED else f"Scan {scan.attrs['about']}"
+    return (
+        f"No telemetry: scan {scan.attrs['about']}"
+        if name == PRINTED
+        else f"Scan {scan.attrs['about']}"
+    )
 
 
 def _said(results: Results, name: str) -> str:
@@ -112,7 +153,11 @@ def _said(results: Results, name: str) -> str:
     if name == PRINTED:
         return "No telemetry enters: this is what the paper's own lines and the equations give."
     row = results.row("lines_found") if name == MEASURED else None
-    if row is None or not isinstance(row.get("ours"), int | float) or not isinstance(row.get("published"), int | float):
+    if (
+        row is None
+        or not isinstance(row.get("ours"), int | float)
+        or not isinstance(row.get("published"), int | float)
+    ):
         return ""
     return f"Of the {row['published']:g} lines that the paper prints (dashed) {row['ours']:g} come out of them."
 
@@ -124,37 +169,64 @@ FITTED = ("point", "direction", "mean_distance", "count", "member")
 def _all_found(results: Results, scan: xr.Dataset) -> bool:
     """Whether the lines fitted to the telemetry's set are all printed ones: a fit of four finds four in any set of points."""
     row = results.row("lines_found")
-    return row is not None and "published_point" in scan and row.get("ours") == row.get("published") == len(scan["published_point"])
+    return (
+        row is not None
+        and "published_point" in scan
+        and row.get("ours") == row.get("published") == len(scan["published_point"])
+    )
 
 
 def _candidates(results: Results) -> tuple[list[dict[str, Any]], str]:
     """All that fits, as a pale cloud, and what it is; nothing where the telemetry carries no conclusion."""
     found = results.data.get("candidates")
-    if results.why_nothing or found is None or "omega_B" not in found or found["omega_B"].dims != ("candidate", "axis"):
+    if (
+        results.why_nothing
+        or found is None
+        or "omega_B" not in found
+        or found["omega_B"].dims != ("candidate", "axis")
+    ):
         return [], ""
     results.used.add("candidates")
     about = str(found.attrs.get("about", "the candidates"))
     at = found["omega_B"].values[thin(found.sizes["candidate"], MOST_POINTS)]
     cloud = {
-        "type": "scatter3d", "mode": "markers", "x": packed(at[:, 0]), "y": packed(at[:, 1]), "z": packed(at[:, 2]),
-        "marker": {"size": 2, "color": "@grey", "opacity": 0.25}, "name": "candidates", "hoverinfo": "skip",
-    }  # fmt: skip
-    return [cloud], f"Pale: {len(at)} of the motions from which all else on this page follows, {about}."
+        "type": "scatter3d",
+        "mode": "markers",
+        "x": packed(at[:, 0]),
+        "y": packed(at[:, 1]),
+        "z": packed(at[:, 2]),
+        "marker": {"size": 2, "color": "@grey", "opacity": 0.25},
+        "name": "candidates",
+        "hoverinfo": "skip",
+    }
+    return [
+        cloud
+    ], f"Pale: {len(at)} of the motions from which all else on this page follows, {about}."
 
 
 def _cloud(scan: xr.Dataset, points: np.ndarray) -> list[dict[str, Any]]:
-    member = scan["member"].values if "member" in scan and scan["member"].size == len(points) else np.zeros(len(points), int)
+    member = (
+        scan["member"].values
+        if "member" in scan and scan["member"].size == len(points)
+        else np.zeros(len(points), int)
+    )
     found = []
     for k in np.unique(member):
         part = points[member == k]
         part = part[thin(len(part), MOST_POINTS)]
         many = np.unique(member).size > 1
-        found.append({
-            "type": "scatter3d", "mode": "markers", "x": packed(part[:, 0]), "y": packed(part[:, 1]), "z": packed(part[:, 2]),
-            "marker": {"size": 3, "color": COLOURS[k % 7], "symbol": SYMBOLS[k % 4]},
-            "name": f"family {k + 1}" if many else "near the smallest misfit",
-            "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f}<br>ωz %{z:.3f} rad/s",
-        })  # fmt: skip
+        found.append(
+            {
+                "type": "scatter3d",
+                "mode": "markers",
+                "x": packed(part[:, 0]),
+                "y": packed(part[:, 1]),
+                "z": packed(part[:, 2]),
+                "marker": {"size": 3, "color": COLOURS[k % 7], "symbol": SYMBOLS[k % 4]},
+                "name": f"family {k + 1}" if many else "near the smallest misfit",
+                "hovertemplate": "ωx %{x:.3f}<br>ωy %{y:.3f}<br>ωz %{z:.3f} rad/s",
+            }
+        )
     return found
 
 
@@ -162,19 +234,35 @@ def _line_traces(scan: xr.Dataset) -> list[dict[str, Any]]:
     found = []
     for points, directions, name, style in (
         ("point", "direction", "fitted line", {"width": 5, "color": "@ink"}),
-        ("published_point", "published_direction", "published line", {"width": 6, "color": "@grey", "dash": "dash"}),
+        (
+            "published_point",
+            "published_direction",
+            "published line",
+            {"width": 6, "color": "@grey", "dash": "dash"},
+        ),
     ):
         if points not in scan or scan[points].ndim != 2:
             continue
         box = [scan[d].values for d in DIMS]
-        ends = [_clipped(p, d, box) for p, d in zip(scan[points].values, scan[directions].values, strict=True)]
+        ends = [
+            _clipped(p, d, box)
+            for p, d in zip(scan[points].values, scan[directions].values, strict=True)
+        ]
         gap = np.full((1, 3), np.nan)
         path = np.concatenate([part for pair in ends if len(pair) for part in (pair, gap)] or [gap])
-        found.append({
-            "type": "scatter3d", "mode": "lines", "x": packed(path[:, 0]), "y": packed(path[:, 1]), "z": packed(path[:, 2]),
-            "line": style,
-            "name": name, "connectgaps": False, "hoverinfo": "name",
-        })  # fmt: skip
+        found.append(
+            {
+                "type": "scatter3d",
+                "mode": "lines",
+                "x": packed(path[:, 0]),
+                "y": packed(path[:, 1]),
+                "z": packed(path[:, 2]),
+                "line": style,
+                "name": name,
+                "connectgaps": False,
+                "hoverinfo": "name",
+            }
+        )
     return found
 
 
@@ -186,23 +274,50 @@ def _clipped(point: np.ndarray, along: np.ndarray, box: list[np.ndarray]) -> np.
             a, b = sorted(((axis.min() - p) / d, (axis.max() - p) / d))
             low, high = max(low, a), min(high, b)
     return (
-        np.array([point + low * along, point + high * along]) if np.isfinite([low, high]).all() and low < high else np.zeros((0, 3))
+        np.array([point + low * along, point + high * along])
+        if np.isfinite([low, high]).all() and low < high
+        else np.zeros((0, 3))
     )
 
 
 def _marks(results: Results, scan: xr.Dataset) -> list[dict[str, Any]]:
     marks = []
     vehicle = results.vehicle
-    if vehicle is not None and vehicle.inertia_kg_m2 is not None and vehicle.wheels and "published_point" in scan:
-        still = total_momentum(vehicle, np.zeros(3), np.array([w.speed_rad_s for w in vehicle.wheels]))
-        marks.append((-np.linalg.solve(vehicle.require_inertia(), still), "body cancels the wheel: no momentum", "cross"))
+    if (
+        vehicle is not None
+        and vehicle.inertia_kg_m2 is not None
+        and vehicle.wheels
+        and "published_point" in scan
+    ):
+        still = total_momentum(
+            vehicle, np.zeros(3), np.array([w.speed_rad_s for w in vehicle.wheels])
+        )
+        marks.append(
+            (
+                -np.linalg.solve(vehicle.require_inertia(), still),
+                "body cancels the wheel: no momentum",
+                "cross",
+            )
+        )
     if "truth" in scan:
         marks.append((scan["truth"].values, "truth of the synthetic telemetry", "diamond"))
     return [
-        {"type": "scatter3d", "mode": "markers", "x": [p[0]], "y": [p[1]], "z": [p[2]], "name": name,
-         "marker": {"size": 7, "color": "@gold", "symbol": symbol, "line": {"color": "@ink", "width": 1}}}
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            "x": [p[0]],
+            "y": [p[1]],
+            "z": [p[2]],
+            "name": name,
+            "marker": {
+                "size": 7,
+                "color": "@gold",
+                "symbol": symbol,
+                "line": {"color": "@ink", "width": 1},
+            },
+        }
         for p, name, symbol in marks
-    ]  # fmt: skip
+    ]
 
 
 def _box(scan: xr.Dataset) -> dict[str, Any]:
@@ -216,10 +331,24 @@ def _line_table(scan: xr.Dataset, about: str) -> list[Table]:
     if "point" not in scan or scan["point"].ndim != 2:
         return []
     rows = [
-        [str(k + 1), number_text(np.round(p, 4).tolist()), number_text(np.round(d, 4).tolist()), str(int(c))]
-        for k, (p, d, c) in enumerate(zip(scan["point"].values, scan["direction"].values, scan["count"].values, strict=True))
+        [
+            str(k + 1),
+            number_text(np.round(p, 4).tolist()),
+            number_text(np.round(d, 4).tolist()),
+            str(int(c)),
+        ]
+        for k, (p, d, c) in enumerate(
+            zip(scan["point"].values, scan["direction"].values, scan["count"].values, strict=True)
+        )
     ]
-    return [Table(["family", "point (rad/s)", "direction", "motions"], rows, f"Fitted lines. {about}", closed=True)]
+    return [
+        Table(
+            ["family", "point (rad/s)", "direction", "motions"],
+            rows,
+            f"Fitted lines. {about}",
+            closed=True,
+        )
+    ]
 
 
 def maps(results: Results) -> Section | None:
@@ -228,7 +357,11 @@ def maps(results: Results) -> Section | None:
     volumes = [_volume(name, scan, volume) for name, scan, volume in _volumes(results)]
     if volumes:
         items.append(
-            Special("slices", {"volumes": volumes, "synthetic": results.synthetic}, {"volumes": [v.pop("packed") for v in volumes]})
+            Special(
+                "slices",
+                {"volumes": volumes, "synthetic": results.synthetic},
+                {"volumes": [v.pop("packed") for v in volumes]},
+            )
         )
     items += _flat(results)
     if not items:
@@ -253,20 +386,31 @@ def _volume(name: str, scan: xr.Dataset, volume: xr.DataArray) -> dict[str, Any]
     low = float(np.nanmin(values))
     log = np.log10(np.maximum(values, LEAST))
     ends = float(np.nanmin(log)), float(np.nanmax(log))
-    scaled = np.nan_to_num(np.round((log - ends[0]) / max(ends[1] - ends[0], 1e-9) * (STEPS - 1)) + 1, nan=0.0)
+    scaled = np.nan_to_num(
+        np.round((log - ends[0]) / max(ends[1] - ends[0], 1e-9) * (STEPS - 1)) + 1, nan=0.0
+    )
     axes = [volume[d].values for d in DIMS]
     best = np.unravel_index(np.nanargmin(values), values.shape)
     metric = "EMD" if volume.name == "emd" else "E"
     return {
         "label": f"{_label(name, scan)}, {metric}",
-        "best": number_text([float(a[i]) for a, i in zip(axes, best, strict=True)], 4), "low": f"{low:.4f}", "metric": metric,
-        "slices": len(axes[2]), "start": int(best[2]),
+        "best": number_text([float(a[i]) for a, i in zip(axes, best, strict=True)], 4),
+        "low": f"{low:.4f}",
+        "metric": metric,
+        "slices": len(axes[2]),
+        "start": int(best[2]),
         "packed": {
-            "values": packed(np.moveaxis(scaled, 2, 0).reshape(len(axes[2]), -1), "u1")["bdata"], "shape": list(values.shape),
-            "low": ends[0], "high": ends[1], "x": axes[0].tolist(), "y": axes[1].tolist(), "z": axes[2].tolist(), "metric": metric,
+            "values": packed(np.moveaxis(scaled, 2, 0).reshape(len(axes[2]), -1), "u1")["bdata"],
+            "shape": list(values.shape),
+            "low": ends[0],
+            "high": ends[1],
+            "x": axes[0].tolist(),
+            "y": axes[1].tolist(),
+            "z": axes[2].tolist(),
+            "metric": metric,
             "best": [int(i) for i in best],
         },
-    }  # fmt: skip
+    }
 
 
 def _flat(results: Results) -> list[Drawn]:
@@ -277,11 +421,17 @@ def _flat(results: Results) -> list[Drawn]:
             continue
         x, y = (str(d) for d in field.dims)
         low, high = float(np.nanmin(field)), float(np.nanmax(field))
-        found.append(item(results, Drawing(
-            f"map-{name}", partial(map_figure, field),
-            f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: "
-            "in valleys a motion fits better than its neighbours.",
-            f"E over {x} and {y}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
-            + synthetic_words(results.synthetic),
-        )))  # fmt: skip
+        found.append(
+            item(
+                results,
+                Drawing(
+                    f"map-{name}",
+                    partial(map_figure, field),
+                    f"Map of E over {x} and {y}, between {low:.2f} and {high:.2f}: "
+                    "in valleys a motion fits better than its neighbours.",
+                    f"E over {x} and {y}; darker is worse; a perfect fit is 0, and the smallest value here is {low:.2f}."
+                    + synthetic_words(results.synthetic),
+                ),
+            )
+        )
     return found

@@ -90,13 +90,20 @@ class Results:
 
     def runs(self) -> dict[str, xr.Dataset]:
         """Runs of `sunspin outcomes` by their strategy, what was flown first."""
-        found = [(str(data.attrs.get("strategy", name)), data) for name, data in self.having("rz_share", "omega_after_B")]
+        found = [
+            (str(data.attrs.get("strategy", name)), data)
+            for name, data in self.having("rz_share", "omega_after_B")
+        ]
         return dict(sorted(found, key=lambda item: item[0] != "off"))
 
     def row(self, name: str) -> dict[str, Any] | None:
         """The summary's row on this figure of the paper."""
         rows = self.summary.get("figures")
-        found = (row for row in rows if isinstance(row, dict) and row.get("id") == name) if isinstance(rows, list) else iter(())
+        found = (
+            (row for row in rows if isinstance(row, dict) and row.get("id") == name)
+            if isinstance(rows, list)
+            else iter(())
+        )
         return next(found, None)
 
     @property
@@ -106,19 +113,27 @@ class Results:
         if not isinstance(missing, dict) or "candidates" not in missing:
             return ""
         told = [str(missing[name]) for name in ("candidates", "level_set") if name in missing]
-        reasons = [text.split(": not reproduced, as ", 1)[-1] for text in told if ": not reproduced, as " in text]
+        reasons = [
+            text.split(": not reproduced, as ", 1)[-1]
+            for text in told
+            if ": not reproduced, as " in text
+        ]
         return (reasons or told)[0].rstrip(".")
 
     @property
     def synthetic(self) -> bool:
         marks = [np.asarray(data.attrs.get("synthetic", False)) for data in self.data.values()]
-        return bool(self.summary.get("synthetic_telemetry")) or any(bool(mark) for mark in marks if mark.ndim == 0)
+        return bool(self.summary.get("synthetic_telemetry")) or any(
+            bool(mark) for mark in marks if mark.ndim == 0
+        )
 
     @property
     def epoch_utc(self) -> str | None:
         """The epoch of the measured times, else of the timeline."""
         known = [data.attrs.get("epoch_utc") for data in self.data.values()]
-        found = [str(epoch) for epoch in known if epoch] + ([self.timeline.epoch_utc] if self.timeline else [])
+        found = [str(epoch) for epoch in known if epoch] + (
+            [self.timeline.epoch_utc] if self.timeline else []
+        )
         return found[0] if found else None
 
 
@@ -133,19 +148,28 @@ def read_results(folder: str | Path, ours: bool = False) -> Results:
     path = Path(folder)
     try:
         if not path.is_dir():
-            raise InputError(sentence("there is no such folder", do="give the --out of an earlier command", where=str(path)))
+            raise InputError(
+                sentence(
+                    "there is no such folder",
+                    do="give the --out of an earlier command",
+                    where=str(path),
+                )
+            )
         marker = path / MARKER
         if not is_own(marker):
             raise InputError(
                 sentence(
-                    f"this is not a results folder of sunspin: it has no file {MARKER}", do="give the --out of an earlier command",
+                    f"this is not a results folder of sunspin: it has no file {MARKER}",
+                    do="give the --out of an earlier command",
                     where=str(path),
                 )
-            )  # fmt: skip
+            )
         command = maker(marker)
         files = sorted(path.iterdir())
     except OSError as error:
-        raise InputError(sentence(f"the folder cannot be read ({error.strerror or error})", where=str(path))) from None
+        raise InputError(
+            sentence(f"the folder cannot be read ({error.strerror or error})", where=str(path))
+        ) from None
     found = Results(path, command)
     files = _own_files(found, files)
     found.summary = _json(found, "summary.json", dict)
@@ -162,10 +186,20 @@ def _own_files(found: Results, files: list[Path]) -> list[Path]:
     drawn = [file for file in results if file.suffix in (".nc", ".png")]
     if len(drawn) > MAX_FILES:
         what = f"the folder has more than {MAX_FILES} NetCDF files and pictures, which no command writes"
-        raise InputError(sentence(what, got=len(drawn), do="move away what sunspin did not write", where=str(found.folder)))
+        raise InputError(
+            sentence(
+                what,
+                got=len(drawn),
+                do="move away what sunspin did not write",
+                where=str(found.folder),
+            )
+        )
     own = [file for file in results if is_own(file)]
     strange = [printable(file.name) for file in results if file not in own]
-    found.problems += [f"{name} is a link or no regular file and was not read." for name in strange[:MAX_UNREADABLE]]
+    found.problems += [
+        f"{name} is a link or no regular file and was not read."
+        for name in strange[:MAX_UNREADABLE]
+    ]
     if len(strange) > MAX_UNREADABLE:
         found.problems.append(f"Nor were {len(strange) - MAX_UNREADABLE} more of such.")
     return own
@@ -207,8 +241,14 @@ def _all_netcdf(found: Results, files: list[Path], ours: bool) -> None:
         unreadable += not _netcdf(found, file, sound)
         full = sum(data.nbytes for data in found.data.values()) > MAX_TOTAL_BYTES
         if (full or unreadable == MAX_UNREADABLE) and number < len(files):
-            why = f"those before fill {MAX_TOTAL_BYTES / 1e9:g} GB" if full else f"{unreadable} before could not be read"
-            found.problems.append(f"{len(files) - number} more NetCDF files were not read, as {why}.")
+            why = (
+                f"those before fill {MAX_TOTAL_BYTES / 1e9:g} GB"
+                if full
+                else f"{unreadable} before could not be read"
+            )
+            found.problems.append(
+                f"{len(files) - number} more NetCDF files were not read, as {why}."
+            )
             return
 
 
@@ -217,7 +257,9 @@ def _netcdf(found: Results, file: Path, sound: bool) -> bool:
     name = printable(file.name)
     try:
         if file.stat().st_size > MAX_BYTES:
-            found.problems.append(f"{name} is larger than {MAX_BYTES // 1_000_000} MB and was not read.")
+            found.problems.append(
+                f"{name} is larger than {MAX_BYTES // 1_000_000} MB and was not read."
+            )
             return True
         groups = read_groups(file, file.name, InputError, probe=not sound)
     except (OSError, InputError) as error:
@@ -226,7 +268,9 @@ def _netcdf(found: Results, file: Path, sound: bool) -> bool:
     for path, data in groups.items():
         if data.variables or (path == "/" and len(groups) == 1):
             found.data[file.stem if path == "/" else f"{file.stem}{path}"] = data
-    if "/" in groups and len(groups) > 1 and groups["/"].attrs:  # attributes of the whole stand with its first group
+    if (
+        "/" in groups and len(groups) > 1 and groups["/"].attrs
+    ):  # attributes of the whole stand with its first group
         first = next((name for name in found.data if name.startswith(f"{file.stem}/")), None)
         if first is not None:
             found.data[first].attrs = dict(groups["/"].attrs) | found.data[first].attrs
@@ -240,5 +284,11 @@ def _pictures(found: Results, files: list[Path]) -> list[Picture]:
         if isinstance(entry, dict) and isinstance(entry.get("file"), str):
             told[entry["file"]] = str(entry.get("alt", "")), str(entry.get("caption", ""))
     order = {name: k for k, name in enumerate(told)}
-    images = sorted((f for f in files if f.suffix == ".png"), key=lambda f: (order.get(f.name, len(order)), f.name))
-    return [Picture(f, *told.get(f.name, (f"Figure {f.stem.replace('_', ' ')}", f.name))) for f in images]
+    images = sorted(
+        (f for f in files if f.suffix == ".png"),
+        key=lambda f: (order.get(f.name, len(order)), f.name),
+    )
+    return [
+        Picture(f, *told.get(f.name, (f"Figure {f.stem.replace('_', ' ')}", f.name)))
+        for f in images
+    ]

@@ -43,9 +43,12 @@ OF_KIND = {
 """Kind -> whether it holds -> verdict."""
 
 CHAINS = {
-    "telemetry": "from this telemetry", "scan": "from the scan's 90 % set", "posterior": "from the posterior of the readings",
-    "published": "from the printed lines", "none": "no telemetry",
-}  # fmt: skip
+    "telemetry": "from this telemetry",
+    "scan": "from the scan's 90 % set",
+    "posterior": "from the posterior of the readings",
+    "published": "from the printed lines",
+    "none": "no telemetry",
+}
 """What made a row; anything else is the name of a file with candidates."""
 
 FIGURE = re.compile(r"figure_\d+")
@@ -70,18 +73,32 @@ def section(results: Results) -> Section | None:
     found = Counter(row["verdict"] for row in rows)
     content = {
         "sections": [
-            {"title": title, "parts": [{"title": part, "rows": members} for part, members in parts.items()]}
+            {
+                "title": title,
+                "parts": [{"title": part, "rows": members} for part, members in parts.items()],
+            }
             for title, parts in groups.items()
         ],
-        "filters": [{"key": key, "label": text[2:], "count": found[key]} for key, text in VERDICTS.items() if found[key]],
+        "filters": [
+            {"key": key, "label": text[2:], "count": found[key]}
+            for key, text in VERDICTS.items()
+            if found[key]
+        ],
     }
-    title = "The paper against this run, row by row" if any(found[key] for key in TESTS) else "Figures of this run"
+    title = (
+        "The paper against this run, row by row"
+        if any(found[key] for key in TESTS)
+        else "Figures of this run"
+    )
     return Section("comparison", title, lead(rows), [Special("comparison", content)])
 
 
 def lead(rows: list[dict[str, str]]) -> list[str]:
     """The counts in words: tests on the telemetry, tests without any, what is no test, statements of the paper."""
-    here, lines = (Counter(r["verdict"] for r in rows if (WITHOUT in r["section"]) is apart) for apart in (False, True))
+    here, lines = (
+        Counter(r["verdict"] for r in rows if (WITHOUT in r["section"]) is apart)
+        for apart in (False, True)
+    )
     found, told = here + lines, []
     if any(here[key] for key in TESTS):
         told.append(
@@ -110,7 +127,9 @@ def lead(rows: list[dict[str, str]]) -> list[str]:
             "enters."
         )
     if found["not-comparable"]:
-        told.append(f"Not comparable: {found['not-comparable']} rows show two different things side by side; the note says which.")
+        told.append(
+            f"Not comparable: {found['not-comparable']} rows show two different things side by side; the note says which."
+        )
     if found["contradicted"] + found["weak"]:
         told.append(
             f"Statements of the paper: {found['contradicted']} contradict its own figures or public facts, {found['weak']} more "
@@ -139,7 +158,11 @@ def verdict_of(row: dict[str, Any]) -> str:
 
 def _shown(row: dict[str, Any]) -> dict[str, str]:
     verdict, tolerance = verdict_of(row), row.get("tolerance")
-    more = "" if tolerance is None or verdict not in ("agrees", "differs") else f"within {number_text(tolerance, 3)}"
+    more = (
+        ""
+        if tolerance is None or verdict not in ("agrees", "differs")
+        else f"within {number_text(tolerance, 3)}"
+    )
     if row.get("informative") is False and verdict == "not-comparable":
         more = "the data leave it open"
     chain = str(row.get("chain") or "")
@@ -148,7 +171,9 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
         "part": str(row.get("part", "")),
         "section": str(row.get("section", "")),
         "what": str(row.get("what", "")),
-        "published": "–" if row.get("published") is None else _cut(number_text(row["published"], 4)),
+        "published": "–"
+        if row.get("published") is None
+        else _cut(number_text(row["published"], 4)),
         "ours": _cut(number_text(row.get("ours"), 4)),
         "interval": between(row.get("low"), row.get("high")),
         "before": between(row.get("prior_low"), row.get("prior_high")),
@@ -167,7 +192,9 @@ def between(low: Any, high: Any) -> str:
     if low is None or high is None:
         return ""
     if isinstance(low, list) and isinstance(high, list) and len(low) == len(high):
-        return _cut("; ".join(text for pair in zip(low, high, strict=True) if (text := between(*pair))))
+        return _cut(
+            "; ".join(text for pair in zip(low, high, strict=True) if (text := between(*pair)))
+        )
     return _cut(f"{_short(low)} to {_short(high)}")
 
 

@@ -24,7 +24,9 @@ MOTIONS = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastes
 def motion_order(title: str) -> tuple[int, str]:
     """A key that sorts titles of motions."""
     last = len(MOTIONS)
-    return (last + 1 if title == "Descent" else MOTIONS.index(title) if title in MOTIONS else last), title
+    return (
+        last + 1 if title == "Descent" else MOTIONS.index(title) if title in MOTIONS else last
+    ), title
 
 
 @dataclass
@@ -143,14 +145,21 @@ def time_axis(epoch_utc: str | None, seconds: Any) -> dict[str, Any]:
     known = known[np.isfinite(known)] if np.isfinite(known).any() else np.zeros(1)
     days = dict.fromkeys(utc_text(t, epoch_utc, date=True)[:10] for t in (known.min(), known.max()))
     return {
-        "type": "date", "title": {"text": f"UTC, {' to '.join(days)}"}, "hoverformat": "%H:%M:%S",
+        "type": "date",
+        "title": {"text": f"UTC, {' to '.join(days)}"},
+        "hoverformat": "%H:%M:%S",
         "tickformatstops": [
-            {"dtickrange": [None, 59_999], "value": "%H:%M:%S"}, {"dtickrange": [60_000, 43_199_999], "value": "%H:%M"},
+            {"dtickrange": [None, 59_999], "value": "%H:%M:%S"},
+            {"dtickrange": [60_000, 43_199_999], "value": "%H:%M"},
             {"dtickrange": [43_200_000, None], "value": "%d %b %H:%M"},
         ],
-    }  # fmt: skip
+    }
 
 
 def thin(count: int, most: int) -> np.ndarray:
     """Indices of at most so many of `count` things, evenly."""
-    return np.arange(count) if count <= most else np.unique(np.linspace(0, count - 1, most).astype(int))
+    return (
+        np.arange(count)
+        if count <= most
+        else np.unique(np.linspace(0, count - 1, most).astype(int))
+    )

@@ -72,7 +72,9 @@ LABELS = ["What happened", "How sure", "What it rests on"]
 def page(results: Results) -> Page:
     """The page of a results folder."""
     hero = guarded(results, "the first picture", overview.hero)
-    sections = [part for name, build in BUILDERS if (part := guarded(results, name, build)) is not None]
+    sections = [
+        part for name, build in BUILDERS if (part := guarded(results, name, build)) is not None
+    ]
     told = guarded(results, "the summary", headline.sentences) or []
     return Page(
         title=headline.title(results),
@@ -95,5 +97,7 @@ def guarded(results: Results, name: str, build: Callable[[Results], Any]) -> Any
         return build(results)
     # data of any origin and age: a page without one part is worth more than no page
     except Exception as error:
-        results.problems.append(f"A part of this page could not be made: {name} ({type(error).__name__}: {error}).")
+        results.problems.append(
+            f"A part of this page could not be made: {name} ({type(error).__name__}: {error})."
+        )
         return None

@@ -26,7 +26,10 @@ def draw(chain: Chain, synthetic: bool) -> Figure:
     speed, angles = figure.subplots(1, 2)
     _speeds(speed, chain)
     _angles(angles, chain)
-    figure.suptitle(titled("What this telemetry leaves of the motion after the first touchdown", synthetic), fontsize=11)
+    figure.suptitle(
+        titled("What this telemetry leaves of the motion after the first touchdown", synthetic),
+        fontsize=11,
+    )
     return figure
 
 
@@ -34,9 +37,10 @@ def _short(chain: Chain) -> str:
     if chain.calibration is not None:
         return f"the {chain.calibration.confidence:.0%} set, EMD < {chain.calibration.factor()[0]:.2f} EMD_min"
     names = {
-        "scan": "the set of the scan", "posterior": "draws of the posterior",
+        "scan": "the set of the scan",
+        "posterior": "draws of the posterior",
         "published": "the printed lines, whatever the data say",
-    }  # fmt: skip
+    }
     return names.get(chain.name, f"motions of {chain.name}")
 
 
@@ -46,10 +50,13 @@ def _speeds(axes: Any, chain: Chain) -> None:
     bins = int(np.clip(min(len(box), len(chosen)) / LEAST_IN_A_BIN, 5, MOST_BINS))
     edges = np.linspace(0.0, float(max(box.max(), chosen.max())), bins + 1)
     for values, colour, fill, name in (
-        (box, BEFORE, True, "possible before the data"), (chosen, CHOSEN, False, f"left: {_short(chain)}"),
-    ):  # fmt: skip
+        (box, BEFORE, True, "possible before the data"),
+        (chosen, CHOSEN, False, f"left: {_short(chain)}"),
+    ):
         density, _ = np.histogram(values, edges, density=True)
-        axes.stairs(density, edges, color=colour, lw=1.8, fill=fill, alpha=0.45 if fill else 1.0, label=name)
+        axes.stairs(
+            density, edges, color=colour, lw=1.8, fill=fill, alpha=0.45 if fill else 1.0, label=name
+        )
     low = touchdown.lower_bound(chain)
     if low > chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
         axes.axvspan(0, low, color=CHOSEN, alpha=0.12, lw=0)
@@ -57,25 +64,49 @@ def _speeds(axes: Any, chain: Chain) -> None:
     else:
         axes.plot([], [], " ", label="no lower bound follows")
     published = float(chain.case.published["rate_at_touchdown_min"].value)
-    axes.axvline(published, color=RECIPE, ls="--", lw=1.4, label=f"published lower bound: {published:g} rad/s")
-    axes.set(xlim=(0, edges[-1]), xlabel="angular speed just after the first touchdown (rad/s)", ylabel="density (s/rad)")
+    axes.axvline(
+        published,
+        color=RECIPE,
+        ls="--",
+        lw=1.4,
+        label=f"published lower bound: {published:g} rad/s",
+    )
+    axes.set(
+        xlim=(0, edges[-1]),
+        xlabel="angular speed just after the first touchdown (rad/s)",
+        ylabel="density (s/rad)",
+    )
     axes.legend(fontsize=8, ncols=2, **ABOVE)
 
 
 def _angles(axes: Any, chain: Chain) -> None:
     """The two angles of every motion: chosen ones over all that were possible."""
     for name, candidates, marker, colour, size in (
-        ("possible before the data", chain.box, "s", "#cccccc", 3.0), (f"left: {_short(chain)}", chain.chosen, "o", CHOSEN, 1.8),
-        (f"the paper's recipe, EMD < {chain.case.assumptions.study.near_minimum_factor:g} EMD_min", chain.recipe, "D", RECIPE, 4.0),
-    ):  # fmt: skip
+        ("possible before the data", chain.box, "s", "#cccccc", 3.0),
+        (f"left: {_short(chain)}", chain.chosen, "o", CHOSEN, 1.8),
+        (
+            f"the paper's recipe, EMD < {chain.case.assumptions.study.near_minimum_factor:g} EMD_min",
+            chain.recipe,
+            "D",
+            RECIPE,
+            4.0,
+        ),
+    ):
         label = f"{name} ({counted(len(candidates), 'motion')})"
-        axes.plot(*_pair(candidates), marker, ms=size, mew=0, color=colour, label=label, rasterized=True)
-    ends = np.degrees([np.max(angle) for angle in (chain.box.smaller_angle, chain.box.larger_angle)])
+        axes.plot(
+            *_pair(candidates), marker, ms=size, mew=0, color=colour, label=label, rasterized=True
+        )
+    ends = np.degrees(
+        [np.max(angle) for angle in (chain.box.smaller_angle, chain.box.larger_angle)]
+    )
     axes.set(
-        xlim=(0, ends[0] + 2), ylim=(0, 1.3 * ends[1]),
-        xticks=range(0, int(ends[0]) + 2, 15), yticks=range(0, int(ends[1]) + 16, 30),
-        xlabel="smaller of the angles from the momentum to z and to the Sun (deg)", ylabel="larger of the two (deg)",
-    )  # fmt: skip
+        xlim=(0, ends[0] + 2),
+        ylim=(0, 1.3 * ends[1]),
+        xticks=range(0, int(ends[0]) + 2, 15),
+        yticks=range(0, int(ends[1]) + 16, 30),
+        xlabel="smaller of the angles from the momentum to z and to the Sun (deg)",
+        ylabel="larger of the two (deg)",
+    )
     legend = axes.legend(fontsize=8, loc="upper left")
     for handle in legend.legend_handles:
         handle.set_markersize(6)
@@ -89,4 +120,6 @@ def _pair(candidates: Candidates) -> np.ndarray:
     """Smaller and larger angle (2, n), deg, of at most `MOST_POINTS` of them, evenly, and of those at the ends of either angle."""
     angles = np.stack([candidates.smaller_angle, candidates.larger_angle])
     shown = np.arange(0, len(candidates), -(-len(candidates) // MOST_POINTS))
-    return np.degrees(angles[:, np.union1d(shown, [*angles.argmin(axis=1), *angles.argmax(axis=1)])])
+    return np.degrees(
+        angles[:, np.union1d(shown, [*angles.argmin(axis=1), *angles.argmax(axis=1)])]
+    )

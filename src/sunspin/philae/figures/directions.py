@@ -22,10 +22,14 @@ def descent_and_rebound_figure(parts: dict[str, xr.Dataset], synthetic: bool) ->
         n = n[np.isfinite(n[:, 0])]
         axes.plot(*n.T, ":", lw=0.6, color=COLOURS[7])
         axes.scatter(*n.T, s=9, color=COLOURS[0], depthshade=False)
-        doubtful = part["best_B"].values[(part["status"].values == SunStatus.IMPOSSIBLE) & (part["n_lit"].values >= 3)]
+        doubtful = part["best_B"].values[
+            (part["status"].values == SunStatus.IMPOSSIBLE) & (part["n_lit"].values >= 3)
+        ]
         axes.scatter(*doubtful.T, s=9, color=COLOURS[1], depthshade=False)
         more = f", {len(doubtful)} doubtful" if len(doubtful) else ""
-        axes.set_title(f"{chr(65 + k)}: {name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9)
+        axes.set_title(
+            f"{chr(65 + k)}: {name}\n{len(n)} of {part.sizes['time']} samples{more}", fontsize=9
+        )
     figure.suptitle(titled("Directions to the Sun in body axes", synthetic), fontsize=10)
     return figure
 
@@ -63,9 +67,13 @@ def histograms_figure(runs: list[xr.Dataset]) -> Figure:
 
 def _sphere(axes: Any) -> None:
     u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
-    axes.plot_wireframe(np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc")
+    axes.plot_wireframe(
+        np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), lw=0.25, color="#cccccc"
+    )
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
-    axes.text(1.15, 1.15, 1.35, "z", ha="center", fontsize=8)  # matplotlib's own label of z is lost beside the next sphere
+    axes.text(
+        1.15, 1.15, 1.35, "z", ha="center", fontsize=8
+    )  # matplotlib's own label of z is lost beside the next sphere
     for name in "xyz":
         if name != "z":
             getattr(axes, f"set_{name}label")(name, labelpad=-6, fontsize=8)

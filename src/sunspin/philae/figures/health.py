@@ -30,13 +30,27 @@ def _lit(axes: Any, r: Phases) -> None:
     forbidden = r.sun["status"].values == SunStatus.IMPOSSIBLE
     number = np.arange(1, len(lit) + 1)
     for k in range(lit.shape[1]):
-        for chosen, colour, label in ((~forbidden, COLOURS[0], "pattern allowed"), (forbidden, COLOURS[1], "pattern forbidden")):
+        for chosen, colour, label in (
+            (~forbidden, COLOURS[0], "pattern allowed"),
+            (forbidden, COLOURS[1], "pattern forbidden"),
+        ):
             at = lit[:, k] & chosen
-            axes.plot(number[at], np.full(at.sum(), k), "|", ms=9, mew=1.6, color=colour, label=label if k == 0 else None)
+            axes.plot(
+                number[at],
+                np.full(at.sum(), k),
+                "|",
+                ms=9,
+                mew=1.6,
+                color=colour,
+                label=label if k == 0 else None,
+            )
     axes.set_yticks(range(lit.shape[1]), [str(name) for name in r.sun["panel"].values])
     axes.set_ylabel("panel lit")
     axes.set_ylim(-0.6, lit.shape[1] + 0.6)
-    handles = [axes.plot([], [], "s", color=c, label=x)[0] for c, x in ((COLOURS[0], "allowed"), (COLOURS[1], "forbidden"))]
+    handles = [
+        axes.plot([], [], "s", color=c, label=x)[0]
+        for c, x in ((COLOURS[0], "allowed"), (COLOURS[1], "forbidden"))
+    ]
     axes.legend(handles=handles, ncols=2, fontsize=9, **ABOVE)
     explained = " or ".join("-".join(panels) for panels in r.health["explanations"]) or "none"
     what = "smallest set of panels in shadow or dead that explains every forbidden pattern"
@@ -58,11 +72,27 @@ def _probability(axes: Any, r: Phases) -> None:
         at = np.isfinite(r.log10_probability) & np.all(lit == np.isin(names, pattern), axis=1)
         if at.any():
             shown = np.maximum(r.log10_probability[at], FLOOR)
-            axes.plot(number[at], shown, "os^Dv"[k % 5], ms=5, mfc="none", color=COLOURS[k % 8], label=f"({'-'.join(pattern)})")
+            axes.plot(
+                number[at],
+                shown,
+                "os^Dv"[k % 5],
+                ms=5,
+                mfc="none",
+                color=COLOURS[k % 8],
+                label=f"({'-'.join(pattern)})",
+            )
     finite = r.log10_probability[np.isfinite(r.log10_probability)]
     bottom = max(FLOOR, float(finite.min(initial=-1.0)))
-    axes.set(xlabel="number of the sample", ylabel="log10 of the probability, at most", ylim=(bottom - 1, 2.5))
-    axes.set_title("probability that noise alone made the readings of a forbidden sample, by lit panels", fontsize=10, pad=20)
+    axes.set(
+        xlabel="number of the sample",
+        ylabel="log10 of the probability, at most",
+        ylim=(bottom - 1, 2.5),
+    )
+    axes.set_title(
+        "probability that noise alone made the readings of a forbidden sample, by lit panels",
+        fontsize=10,
+        pad=20,
+    )
     if r.health["noise"]:
         axes.legend(fontsize=9, ncols=5, columnspacing=0.8, handletextpad=0.2, **ABOVE)
     _phases(axes, r)
@@ -70,7 +100,12 @@ def _probability(axes: Any, r: Phases) -> None:
     for k, phase in enumerate(r.phases):
         if phase.samples > 8:
             axes.text(
-                edge + phase.samples / 2, 0.6 + k % 2, phase.name.replace("_", " "), ha="center", fontsize=8, color="#555555",
+                edge + phase.samples / 2,
+                0.6 + k % 2,
+                phase.name.replace("_", " "),
+                ha="center",
+                fontsize=8,
+                color="#555555",
                 bbox=ON_PAPER,
-            )  # fmt: skip
+            )
         edge += phase.samples

@@ -42,31 +42,64 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 KINDS = {
-    "CDHS": Kind(struct.Struct("<BBBHIIBBBBBB12H12BI3B5HB12HBB"), _names(
-        "antFired antAttempts antFiredInv numReboots time bootLog verProt swVersion swRelease drvVersion drvRelease activeCpu "
-        "comRecv comSend comFwd comRecvErr comSendErr comFwdErr rxFwdCam rxFwdPwr rxFwdExp rxFwdCamErr rxFwdPwrErr rxFwdExpErr "
-        "unused5 unused6 unused7 unused8 unused9 unused10 unused11 unused12 stackUsageMax cpuUsageAvg cpuUsageMax cpuTemp "
-        "taskNumActiv calibMode calibStop calibDlay calibRemainSmpls osBootLog osBootLog2 taskCheckLog delayWrtB7 radOn "
-        "radRamPattern1 radRamPattern2 radRamPattern3 radRamPattern4 radRamPattern5 radRamErr radFrmPattern1 radFrmPattern2 "
-        "radFrmPattern3 radFrmPattern4 radFrmPattern5 radFrmErr flashBootromCrcWrong flashOperCrcWrong")),
-    "ADCS": Kind(struct.Struct("<BBhhh" + "hhB" * 6 + "h" * 16 + "H" * 4), (
-        "adcsMode", "bdK", "pwmX", "pwmY", "pwmZ",
-        *(f"sun{face}_{part}" for face in FACES for part in ("x", "y", "irr")),
-        *(f"{sensor}{axis}" for sensor in ("gyro", "mag1", "mag2", "acc") for axis in "XYZT"),
-        "earthXp", "earthXm", "earthYp", "earthYm")),
-    "COM": Kind(struct.Struct("<IHBBH6Hbb6H4B"), _names(
-        "timestamp fwVersion activeCOM digipeaterMode numberOfReboots outputReflectedPower outputForwardPower "
-        "outputReflectedPowerCW outputForwardPowerCW rssi rssiNoise mcuTemperature paTemperature cwBeaconSent packetsSent "
-        "correctPacketsReceived brokenPacketReceived comProtocolError gsProtocolError txDisableStatus orbitTime timeslotStart "
-        "timeslotEnd")),
-    "PWR": Kind(struct.Struct("<III5H15h3H28h5HhI5H"), (
-        *_names("timestamp fullUptime uptime activeUP fwVer reboots countCOMErrors countPSUErrors"),
-        *(f"{letter}{face}" for letter in "it" for face in SOLAR),
-        *_names("uBatA uBatB tBat cBatA cBatB capacity iBatA iBatB iBatAmin iBatBmin iBatAmax iBatBmax iBatAavg iBatBavg"),
-        *(f"i{part}{what}" for part in ("CDHS", "COM", "CAM", "EXP", "ADCS") for what in ("min", "max", "avg", "actual")),
-        *_names("uSYSmin uSYSmax uSYSactual iOverBit connectBit tsTemp countCOMpacket PSUError PSULastError COMError COMLastError "
-                "endofdata"))),
-}  # fmt: skip
+    "CDHS": Kind(
+        struct.Struct("<BBBHIIBBBBBB12H12BI3B5HB12HBB"),
+        _names(
+            "antFired antAttempts antFiredInv numReboots time bootLog verProt swVersion swRelease drvVersion drvRelease activeCpu "
+            "comRecv comSend comFwd comRecvErr comSendErr comFwdErr rxFwdCam rxFwdPwr rxFwdExp rxFwdCamErr rxFwdPwrErr rxFwdExpErr "
+            "unused5 unused6 unused7 unused8 unused9 unused10 unused11 unused12 stackUsageMax cpuUsageAvg cpuUsageMax cpuTemp "
+            "taskNumActiv calibMode calibStop calibDlay calibRemainSmpls osBootLog osBootLog2 taskCheckLog delayWrtB7 radOn "
+            "radRamPattern1 radRamPattern2 radRamPattern3 radRamPattern4 radRamPattern5 radRamErr radFrmPattern1 radFrmPattern2 "
+            "radFrmPattern3 radFrmPattern4 radFrmPattern5 radFrmErr flashBootromCrcWrong flashOperCrcWrong"
+        ),
+    ),
+    "ADCS": Kind(
+        struct.Struct("<BBhhh" + "hhB" * 6 + "h" * 16 + "H" * 4),
+        (
+            "adcsMode",
+            "bdK",
+            "pwmX",
+            "pwmY",
+            "pwmZ",
+            *(f"sun{face}_{part}" for face in FACES for part in ("x", "y", "irr")),
+            *(f"{sensor}{axis}" for sensor in ("gyro", "mag1", "mag2", "acc") for axis in "XYZT"),
+            "earthXp",
+            "earthXm",
+            "earthYp",
+            "earthYm",
+        ),
+    ),
+    "COM": Kind(
+        struct.Struct("<IHBBH6Hbb6H4B"),
+        _names(
+            "timestamp fwVersion activeCOM digipeaterMode numberOfReboots outputReflectedPower outputForwardPower "
+            "outputReflectedPowerCW outputForwardPowerCW rssi rssiNoise mcuTemperature paTemperature cwBeaconSent packetsSent "
+            "correctPacketsReceived brokenPacketReceived comProtocolError gsProtocolError txDisableStatus orbitTime timeslotStart "
+            "timeslotEnd"
+        ),
+    ),
+    "PWR": Kind(
+        struct.Struct("<III5H15h3H28h5HhI5H"),
+        (
+            *_names(
+                "timestamp fullUptime uptime activeUP fwVer reboots countCOMErrors countPSUErrors"
+            ),
+            *(f"{letter}{face}" for letter in "it" for face in SOLAR),
+            *_names(
+                "uBatA uBatB tBat cBatA cBatB capacity iBatA iBatB iBatAmin iBatBmin iBatAmax iBatBmax iBatAavg iBatBavg"
+            ),
+            *(
+                f"i{part}{what}"
+                for part in ("CDHS", "COM", "CAM", "EXP", "ADCS")
+                for what in ("min", "max", "avg", "actual")
+            ),
+            *_names(
+                "uSYSmin uSYSmax uSYSactual iOverBit connectBit tsTemp countCOMpacket PSUError PSULastError COMError COMLastError "
+                "endofdata"
+            ),
+        ),
+    ),
+}
 """Types of beacons whose fields are published."""
 
 TYPES = {0x01: "CDHS", 0x02: "ADCS", 0x03: "COM", 0x05: "PWR"}
@@ -117,9 +150,15 @@ def decode_beacons(path: Any) -> Beacons:
         elif len(frame.content) <= KINDS[kind].form.size:
             unread[f"a {kind} beacon is cut off"] += 1
         else:
-            rows.setdefault(kind, []).append((frame.time, frame.station, KINDS[kind].form.unpack_from(frame.content[1:])))
+            rows.setdefault(kind, []).append(
+                (frame.time, frame.station, KINDS[kind].form.unpack_from(frame.content[1:]))
+            )
     if not rows and not unread:
-        raise TelemetryError(sentence("no raw beacon here", do="give the folder or zip of raw frames", where=str(path)))
+        raise TelemetryError(
+            sentence(
+                "no raw beacon here", do="give the folder or zip of raw frames", where=str(path)
+            )
+        )
     return Beacons({kind: sorted(rows[kind]) for kind in sorted(rows)}, dict(unread))
 
 
@@ -127,8 +166,12 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
     """The beacons of a kind as CSV; that of the attitude and power beacons is what the built-in vehicle reads."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["unix_s_rx", "station", *(KINDS[kind].columns if kind in KINDS else ("frame",))])
-    writer.writerows([f"{time:.12g}", station, *fields] for time, station, fields in beacons.rows[kind])
+    writer.writerow(
+        ["unix_s_rx", "station", *(KINDS[kind].columns if kind in KINDS else ("frame",))]
+    )
+    writer.writerows(
+        [f"{time:.12g}", station, *fields] for time, station, fields in beacons.rows[kind]
+    )
     return text.getvalue()
 
 
@@ -157,9 +200,13 @@ def _zipped(path: Path) -> Iterator[Frame]:
                 if not info.is_dir():
                     with archive.open(info) as stream:
                         yield _of_collector(Path(info.filename).name, stream.read(MAX_FRAME_BYTES))
-    except Exception as error:  # what zipfile raises on a damaged archive is not documented, and is much
+    except (
+        Exception
+    ) as error:  # what zipfile raises on a damaged archive is not documented, and is much
         do = "give a folder or a zip of raw frames, or SatNOGS's export of them"
-        raise TelemetryError(sentence(f"the raw beacons cannot be read ({error})", do=do, where=str(path))) from None
+        raise TelemetryError(
+            sentence(f"the raw beacons cannot be read ({error})", do=do, where=str(path))
+        ) from None
 
 
 def _of_collector(name: str, frame: bytes) -> Frame:
@@ -173,7 +220,9 @@ def _of_satnogs(path: Path) -> Iterator[Frame]:
     table = read_table(path)
     if not {"timestamp", "frame"} <= set(table.header):
         what = "raw frames of SatNOGS have a time and a frame each"
-        raise TelemetryError(sentence(what, got="columns " + ", ".join(table.header)[:200], where=str(path)))
+        raise TelemetryError(
+            sentence(what, got="columns " + ", ".join(table.header)[:200], where=str(path))
+        )
     time_at, frame_at = table.header.index("timestamp"), table.header.index("frame")
     observer_at = table.header.index("observer") if "observer" in table.header else None
     for row, line in zip(table.rows[:MAX_FRAMES], table.lines, strict=False):
@@ -182,6 +231,8 @@ def _of_satnogs(path: Path) -> Iterator[Frame]:
             content = bytes.fromhex(row[frame_at][: 2 * MAX_FRAME_BYTES])
         except ValueError:
             what, where = "a frame is written in hexadecimal digits", f"{path}, line {line}"
-            raise TelemetryError(sentence(what, got=row[frame_at][:60] or "an empty cell", where=where)) from None
+            raise TelemetryError(
+                sentence(what, got=row[frame_at][:60] or "an empty cell", where=where)
+            ) from None
         station = "" if observer_at is None else row[observer_at]
         yield Frame(None if moment is None else moment.timestamp(), station, content[AX25_BYTES:])

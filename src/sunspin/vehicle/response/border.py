@@ -29,7 +29,10 @@ def angle_to_border(counts: Callable[[np.ndarray], np.ndarray], size: int) -> np
         if not len(other) or not len(mine):
             continue
         count = min(NEAREST, len(other))
-        far, nearest = (np.asarray(each).reshape(-1, count) for each in KDTree(other).query(where[mine], k=count))
+        far, nearest = (
+            np.asarray(each).reshape(-1, count)
+            for each in KDTree(other).query(where[mine], k=count)
+        )
         angle = 2 * np.arcsin(np.clip(far[:, 0] / 2, 0, 1))
         near = angle < 6 * np.pi / (2 * size)
         begin, end = where[mine[near], None], other[nearest[near]]
@@ -42,6 +45,8 @@ def angle_to_border(counts: Callable[[np.ndarray], np.ndarray], size: int) -> np
             low, high = np.where(still, middle, low), np.where(still, high, middle)
         crossing = begin + high[..., None] * (end - begin)
         crossing /= np.linalg.norm(crossing, axis=-1, keepdims=True)
-        angle[near] = 2 * np.arcsin(np.clip(np.linalg.norm(crossing - begin, axis=-1) / 2, 0, 1)).min(axis=1)
+        angle[near] = 2 * np.arcsin(
+            np.clip(np.linalg.norm(crossing - begin, axis=-1) / 2, 0, 1)
+        ).min(axis=1)
         found[mine] = angle if side else -angle
     return found.astype(np.float32)

@@ -31,10 +31,16 @@ class ResponseForm(Part):
     unsaid: ClassVar[tuple[str, ...]] = ("turned_B_rad",)
 
     def __post_init__(self) -> None:
-        laws = {name: law for name, law in vars(self).items() if name != "turned_B_rad" and law is not None}
+        laws = {
+            name: law
+            for name, law in vars(self).items()
+            if name != "turned_B_rad" and law is not None
+        }
         if len(laws) > 1:
             given = ", ".join(laws)
-            raise VehicleError(sentence("panel_response must be one law", got=given, do="keep one of them"))
+            raise VehicleError(
+                sentence("panel_response must be one law", got=given, do="keep one of them")
+            )
 
     @property
     def law(self) -> Grazing | Wall | Tilted | None:
@@ -52,7 +58,11 @@ Triples = tuple[tuple[float, ...], ...]
 
 @lru_cache(maxsize=64)
 def response_of(
-    law: Law | None, names: tuple[str, ...], normals_B: Triples, gains: tuple[float, ...], inputs: tuple[Input, ...] = ()
+    law: Law | None,
+    names: tuple[str, ...],
+    normals_B: Triples,
+    gains: tuple[float, ...],
+    inputs: tuple[Input, ...] = (),
 ) -> PanelResponse:
     """The response of panels with these names, normals and gains; of `inputs`, where panels share some."""
     normals, strength = np.array(normals_B).reshape(-1, 3), np.array(gains)

@@ -17,7 +17,15 @@ import numpy as np
 
 from sunspin.solve.rotations import moved, seen_turned
 from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula, plane_basis
-from sunspin.vehicle.response.protocol import BLUR_NODES, BLUR_WEIGHTS, Counted, Regions, Slopes, misfit, unit_readings
+from sunspin.vehicle.response.protocol import (
+    BLUR_NODES,
+    BLUR_WEIGHTS,
+    Counted,
+    Regions,
+    Slopes,
+    misfit,
+    unit_readings,
+)
 
 if TYPE_CHECKING:
     from sunspin.vehicle.response.inside import Inside
@@ -42,7 +50,11 @@ class Flat:
 
     def turned(self, tilt: np.ndarray | None) -> np.ndarray:
         """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
-        return self.normals_B if tilt is None else seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+        return (
+            self.normals_B
+            if tilt is None
+            else seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+        )
 
     def strengths(self, gain: np.ndarray | None) -> np.ndarray:
         """Gains (..., n_panel) with their factors."""
@@ -52,7 +64,10 @@ class Flat:
 def blurred(power, sun_B: np.ndarray, blur_rad: float) -> np.ndarray:
     """The mean of a function `power` over directions that err by `blur_rad`, one sigma to each side."""
     flat = sun_B.reshape(-1, 3)
-    each = [moved(flat, np.broadcast_to(blur_rad * node, (len(flat), 2))).reshape(sun_B.shape) for node in BLUR_NODES]
+    each = [
+        moved(flat, np.broadcast_to(blur_rad * node, (len(flat), 2))).reshape(sun_B.shape)
+        for node in BLUR_NODES
+    ]
     return np.einsum("m,m...->...", BLUR_WEIGHTS, np.stack([power(sun) for sun in each]))
 
 
@@ -83,7 +98,9 @@ class Places(NamedTuple):
         fixed = np.broadcast_to(self.fixed, (len(readings), *self.fixed.shape))
         return np.concatenate([self.mapped(unit_readings(readings)), fixed], axis=1)
 
-    def best(self, power: Callable[[np.ndarray], np.ndarray], readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def best(
+        self, power: Callable[[np.ndarray], np.ndarray], readings: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The direction (n, 3) with the least Delta (n) between `power` and readings (n, n_panel)."""
         fixed, fixed_shape = self.fixed, power(self.fixed)
         direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
@@ -93,16 +110,24 @@ class Places(NamedTuple):
             target = unit_readings(readings[part])
             candidates = self.mapped(target)
             away = misfit(power(candidates), target[:, None, :])
-            away_fixed = misfit(np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :])
+            away_fixed = misfit(
+                np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :]
+            )
             best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
             each = np.arange(len(target))
             use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
-            direction[part] = np.where(use_fixed[:, None], fixed[best_fixed], candidates[each, best])
+            direction[part] = np.where(
+                use_fixed[:, None], fixed[best_fixed], candidates[each, best]
+            )
             delta[part] = np.minimum(away_fixed[each, best_fixed], away[each, best])
         return direction, delta
 
 
-def places_of(within: Iterable[np.ndarray], between: Iterable[tuple[np.ndarray, np.ndarray]], fixed: np.ndarray) -> Places:
+def places_of(
+    within: Iterable[np.ndarray],
+    between: Iterable[tuple[np.ndarray, np.ndarray]],
+    fixed: np.ndarray,
+) -> Places:
     """The candidates of cells in which power is a matrix (n_panel, 3) times the direction, and of arcs, each a matrix and the
     normal (3) of its plane."""
     maps = [np.linalg.pinv(rows) for rows in within]
@@ -129,13 +154,20 @@ class Cosine(Flat):
         return np.abs(self._rows).max()
 
     def power(
-        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None, blur_rad: float = 0.0
+        self,
+        sun_B: np.ndarray,
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
+        blur_rad: float = 0.0,
     ) -> np.ndarray:
         if blur_rad:
             return blurred(lambda sun: self.power(sun, gain=gain, tilt=tilt), sun_B, blur_rad)
         return self.strengths(gain) * np.maximum(0.0, self.cosines(sun_B, tilt))
 
-    def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
+    def slopes(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> Slopes:
         normals, strength = self.turned(tilt), self.strengths(gain)
         cosine = along_normals(sun_B, normals)
         sun = sun_B[..., None, :]
@@ -145,7 +177,12 @@ class Cosine(Flat):
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
     def along(
-        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+        self,
+        sun_B: np.ndarray,
+        steps: Sequence[np.ndarray],
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
     ) -> list[np.ndarray]:
         normals, strength = self.turned(tilt), self.strengths(gain)
         lit = along_normals(sun_B, normals) > 0
@@ -181,14 +218,18 @@ class Cosine(Flat):
         return Regions(self._cells.cell_B, self._cells.cell_lit)
 
     def edges(self) -> np.ndarray:
-        return np.concatenate([self._cells.arc_lit, self._cells.vertex_B @ self.normals_B.T > ON_PLANE])
+        return np.concatenate(
+            [self._cells.arc_lit, self._cells.vertex_B @ self.normals_B.T > ON_PLANE]
+        )
 
     @cached_property
     def _places(self) -> Places:
         cells, rows = self._cells, self._rows
         within = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
         between = [
-            (rows * lit[:, None], self.normals_B[k]) for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True) if lit.any()
+            (rows * lit[:, None], self.normals_B[k])
+            for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
+            if lit.any()
         ]
         return places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
 

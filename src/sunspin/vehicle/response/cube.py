@@ -68,7 +68,10 @@ def place(size, x, y, z):
         face += 1
     half = size / 2
     row, column = (u / top + 1) * half, (v / top + 1) * half
-    row, column = row if row > 0 else 0.0, column if column > 0 else 0.0  # a number that is none is in the table, too
+    row, column = (
+        row if row > 0 else 0.0,
+        column if column > 0 else 0.0,
+    )  # a number that is none is in the table, too
     i, j = int(min(row, size - 1)), int(min(column, size - 1))
     return face * (size + 1) * (size + 1) + i * (size + 1) + j, row - i, column - j
 
@@ -107,4 +110,8 @@ def read_all(size, numbers, sun, out):
     for i in range(len(sun)):
         finite = np.isfinite(sun[i, 0] + sun[i, 1] + sun[i, 2])
         for k in range(columns):
-            out[i, k] = read(size, numbers, columns, k, sun[i, 0], sun[i, 1], sun[i, 2]) if finite else np.nan
+            out[i, k] = (
+                read(size, numbers, columns, k, sun[i, 0], sun[i, 1], sun[i, 2])
+                if finite
+                else np.nan
+            )

@@ -16,12 +16,16 @@ SCHLICK = 5
 class Grazing(Part):
     """Gain times cosine times 1 - `loss` (1 - cosine)^5."""
 
-    loss: Annotated[Number, must(lambda loss: 0 <= loss <= 1, "{path} must be a share between 0 and 1")]
+    loss: Annotated[
+        Number, must(lambda loss: 0 <= loss <= 1, "{path} must be a share between 0 and 1")
+    ]
 
     @property
     def panels(self) -> tuple[str, ...]:
         return ()
 
-    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def share(
+        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
+    ) -> np.ndarray:
         lit = np.maximum(cosine, 0.0)
         return lit * (1 - self.loss * (1 - lit) ** SCHLICK)

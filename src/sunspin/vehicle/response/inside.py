@@ -33,12 +33,18 @@ class Inside(NamedTuple):
 
     @classmethod
     def of(
-        cls, normals_B: np.ndarray, gains: np.ndarray, angles: tuple[float, ...], table: SphereTable | None = None,
+        cls,
+        normals_B: np.ndarray,
+        gains: np.ndarray,
+        angles: tuple[float, ...],
+        table: SphereTable | None = None,
         caps: list[np.ndarray] | None = None,
-    ) -> Inside:  # fmt: skip
+    ) -> Inside:
         """The same for bounds within `angles` (rad): of the cosine's law, or by the tables of another."""
         turns = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        size, numbers = (0, np.zeros(0, np.float32)) if table is None else (table.size, table.numbers.ravel())
+        size, numbers = (
+            (0, np.zeros(0, np.float32)) if table is None else (table.size, table.numbers.ravel())
+        )
         over = np.zeros((0, 0, 0, 2), np.float32) if caps is None else np.stack(caps)
         cap_size = 0 if caps is None else size_of(over.shape[1])
         return cls(np.array(normals_B), np.array(gains), turns, size, numbers, cap_size, over)
@@ -102,7 +108,10 @@ def over_caps(where, cosine, looks, least, most):
     found[:, :, 0], found[:, :, 1] = np.inf, -np.inf
     for i in range(len(where)):
         for m in range(len(looks)):
-            if where[i, 0] * looks[m, 0] + where[i, 1] * looks[m, 1] + where[i, 2] * looks[m, 2] >= cosine:
+            if (
+                where[i, 0] * looks[m, 0] + where[i, 1] * looks[m, 1] + where[i, 2] * looks[m, 2]
+                >= cosine
+            ):
                 for k in range(least.shape[1]):
                     found[i, k, 0] = min(found[i, k, 0], least[m, k])
                     found[i, k, 1] = max(found[i, k, 1], most[m, k])

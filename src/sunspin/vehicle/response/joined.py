@@ -75,16 +75,24 @@ class Inputs:
     gains: tuple[float, ...]
     full: tuple[float, ...]
 
-    def each(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def each(
+        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
+    ) -> np.ndarray:
         """Signals (..., n_panel) of the panels."""
         share = cosine if self.law is None else self.law.share(names, sun_B, normals_B, cosine)
         return np.array(self.gains) * np.maximum(share, 0.0)
 
-    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def share(
+        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
+    ) -> np.ndarray:
         """Readings (..., n_input) as shares of full signals."""
         signal = self.each(names, sun_B, normals_B, cosine)
-        read = [signal[..., list(i.panels)].max(axis=-1) if i.largest else signal[..., list(i.panels)].sum(axis=-1)
-                for i in self.inputs]  # fmt: skip
+        read = [
+            signal[..., list(i.panels)].max(axis=-1)
+            if i.largest
+            else signal[..., list(i.panels)].sum(axis=-1)
+            for i in self.inputs
+        ]
         return np.stack(read, axis=-1) / np.array(self.full)
 
 
@@ -129,8 +137,12 @@ class Joined(Tabled):
         sun = np.asarray(sun_B, dtype=np.float64)[..., None, :]
         across = self.normals_B - (sun @ self.normals_B.T)[..., 0, :, None] * sun
         each = (np.array(self.law.gains) * self.sides(sun[..., 0, :]))[..., None] * across
-        to_sun = np.stack([each[..., list(one.panels), :].sum(axis=-2) for one in self.law.inputs], axis=-2)
-        return self.power(sun_B, gain=gain), (self.strengths(gain) / np.array(self.law.full))[..., None] * to_sun
+        to_sun = np.stack(
+            [each[..., list(one.panels), :].sum(axis=-2) for one in self.law.inputs], axis=-2
+        )
+        return self.power(sun_B, gain=gain), (self.strengths(gain) / np.array(self.law.full))[
+            ..., None
+        ] * to_sun
 
     @cached_property
     def _flat(self) -> FlatInputs | None:
@@ -148,16 +160,26 @@ class Joined(Tabled):
         on_arcs = np.unique(np.column_stack([self.sides(cells.arc_B), cells.arc_plane]), axis=0)
         between = [((sums * one[:-1]) @ rows, planes[one[-1]]) for one in on_arcs]
         between = [(matrix, normal) for matrix, normal in between if matrix.any()]
-        ranks = np.array([np.linalg.matrix_rank(matrix, RANK_TOLERANCE * self.largest) for matrix in within])
-        free = [np.linalg.svd(matrix)[2][2] if rank == 2 else np.zeros(3) for matrix, rank in zip(within, ranks, strict=True)]
-        return FlatInputs(places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B])), np.array(free))
+        ranks = np.array(
+            [np.linalg.matrix_rank(matrix, RANK_TOLERANCE * self.largest) for matrix in within]
+        )
+        free = [
+            np.linalg.svd(matrix)[2][2] if rank == 2 else np.zeros(3)
+            for matrix, rank in zip(within, ranks, strict=True)
+        ]
+        return FlatInputs(
+            places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B])),
+            np.array(free),
+        )
 
     @cached_property
     def _planes(self) -> np.ndarray:
         """Unit normals (n, 3) of the planes that part the cells: where a panel grazes, and where two of one largest give alike."""
         rows, found = np.array(self.law.gains)[:, None] * self.normals_B, [*self.normals_B]
         for one in self.law.inputs:
-            for i, j in np.argwhere(np.triu(np.ones((len(one.panels),) * 2), 1)) if one.largest else ():
+            for i, j in (
+                np.argwhere(np.triu(np.ones((len(one.panels),) * 2), 1)) if one.largest else ()
+            ):
                 across = rows[one.panels[i]] - rows[one.panels[j]]
                 if (size := np.linalg.norm(across)) > ON_PLANE * self.largest:
                     found.append(across / size)
@@ -168,10 +190,16 @@ class Joined(Tabled):
         return np.array(kept)
 
     def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return super().best(readings) if self._flat is None else self._flat.places.best(self.power, readings)
+        return (
+            super().best(readings)
+            if self._flat is None
+            else self._flat.places.best(self.power, readings)
+        )
 
     def candidates(self, share: np.ndarray) -> np.ndarray:
-        return super().candidates(share) if self._flat is None else self._flat.places.candidates(share)
+        return (
+            super().candidates(share) if self._flat is None else self._flat.places.candidates(share)
+        )
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
@@ -179,13 +207,20 @@ class Joined(Tabled):
         if self._flat is None:
             return super().alike(readings, slack)
         target, limit = unit_readings(readings), self.best(readings)[1] + slack
-        found = np.concatenate([self.best(readings)[0][:, None], self._flat.candidates(target)], axis=1)
+        found = np.concatenate(
+            [self.best(readings)[0][:, None], self._flat.candidates(target)], axis=1
+        )
         fits = misfit(self.power(found), target[:, None]) <= limit[:, None]
-        sample, which = np.nonzero(fits & found.any(axis=-1))  # where all is dark there is no candidate
+        sample, which = np.nonzero(
+            fits & found.any(axis=-1)
+        )  # where all is dark there is no candidate
         sun, wanted = found[sample, which], target[sample]
         here, lowest = misfit(self.power(sun), wanted), np.full(len(sun), np.inf)
         for step in AROUND[::2]:
-            lowest = np.minimum(lowest, misfit(self.power(moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1)))), wanted))
+            lowest = np.minimum(
+                lowest,
+                misfit(self.power(moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1)))), wanted),
+            )
         kept = np.zeros(found.shape[:2], dtype=bool)
         kept[sample, which] = here <= lowest + DOWN
         kept[:, 0] = True
@@ -212,10 +247,14 @@ class Joined(Tabled):
         planes, sun, along, left = self._planes, begin, sign * self._unseen(begin, lit), np.pi
         while True:
             here, onward = planes @ sun, planes @ along
-            crossing = np.arctan2(-here, onward)[np.hypot(here, onward) > ON_PLANE] % np.pi  # not those in which the arc lies
+            crossing = (
+                np.arctan2(-here, onward)[np.hypot(here, onward) > ON_PLANE] % np.pi
+            )  # not those in which the arc lies
             step = min(float(crossing.min(initial=np.pi)), left)
             left -= step
-            end, ahead = (np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + BEYOND))
+            end, ahead = (
+                np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + BEYOND)
+            )
             if left <= BEYOND or not np.array_equal(self.power(ahead) > 0, lit):
                 return end
             new = self._unseen(ahead, lit)
@@ -234,13 +273,19 @@ class Joined(Tabled):
         found, new = [np.eye(3)], [np.eye(3)]
         while new and len(found) < MOST_IMAGES:
             new = [mirror @ one for one in new for mirror in mirrors]
-            new = [one for k, one in enumerate(new) if _is_new(one, found + new[:k]) and self._changes_little(one)]
+            new = [
+                one
+                for k, one in enumerate(new)
+                if _is_new(one, found + new[:k]) and self._changes_little(one)
+            ]
             found += new
         return np.array(found[:MOST_IMAGES])
 
     def _changes_little(self, image: np.ndarray) -> bool:
         sun = sphere(LOOKS)
-        return bool(np.abs(self.power(sun @ image.T) - self.power(sun)).max() < LIKE * self.gains.min())
+        return bool(
+            np.abs(self.power(sun @ image.T) - self.power(sun)).max() < LIKE * self.gains.min()
+        )
 
 
 def _is_new(one: np.ndarray, found: list[np.ndarray]) -> bool:

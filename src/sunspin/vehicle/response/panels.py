@@ -55,7 +55,10 @@ def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
 def patterns_of_turned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
     """The lit patterns of the same panels, turned by any of `turns_B` (k, n_panel, 3), rotation vectors in rad in B."""
     response, suns = vehicle.response_in(), sphere(SUNS)
-    lit = [np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUNS, *turn.shape))) > 0, axis=0) for turn in turns_B]
+    lit = [
+        np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUNS, *turn.shape))) > 0, axis=0)
+        for turn in turns_B
+    ]
     return named(vehicle, np.unique(np.concatenate(lit), axis=0))
 
 
@@ -74,7 +77,11 @@ def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
     own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
     tilted = vehicle.panel_response.tilted
     if tilted is not None:
-        own = np.hypot(own, _sigma(vehicle, "panel_response.tilted.turn_B_rad") * (np.array(vehicle.panel_names) == tilted.panel))
+        own = np.hypot(
+            own,
+            _sigma(vehicle, "panel_response.tilted.turn_B_rad")
+            * (np.array(vehicle.panel_names) == tilted.panel),
+        )
     return own, _sigma(vehicle, "panel_response.turned_B_rad")
 
 
@@ -87,4 +94,8 @@ def turned_sigma(vehicle: Vehicle) -> np.ndarray:
 
 def _sigma(vehicle: Vehicle, key: str) -> float:
     fact = vehicle.facts.get(key)
-    return 0.0 if fact is None or fact.sigma is None else float(np.sqrt(np.mean(np.square(fact.sigma))))
+    return (
+        0.0
+        if fact is None or fact.sigma is None
+        else float(np.sqrt(np.mean(np.square(fact.sigma))))
+    )

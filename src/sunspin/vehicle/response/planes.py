@@ -41,7 +41,14 @@ def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
             planes.append(k)
     arc_B = np.array(arcs).reshape(-1, 3)
     cell_B = _cells(p, arc_B, np.array(planes, dtype=int))
-    return Arrangement(cell_B, cell_B @ p.T > ON_PLANE, arc_B, arc_B @ p.T > ON_PLANE, np.array(planes, dtype=int), vertices)
+    return Arrangement(
+        cell_B,
+        cell_B @ p.T > ON_PLANE,
+        arc_B,
+        arc_B @ p.T > ON_PLANE,
+        np.array(planes, dtype=int),
+        vertices,
+    )
 
 
 def _distinct(directions: np.ndarray) -> np.ndarray:
@@ -98,7 +105,10 @@ def formula(good: np.ndarray, bad: np.ndarray) -> tuple[Literals, ...]:
     """A short disjunction of conjunctions that holds for the sets of lit panels `good` (m, n_panel) and for none of `bad`."""
     wanted = [_cube(lit) for lit in good]
     cubes = {_shorten(cube, bad) for cube in wanted}
-    return tuple(tuple(sorted(cube)) for cube in _cover(sorted(cubes, key=lambda cube: (len(cube), sorted(cube))), wanted))
+    return tuple(
+        tuple(sorted(cube))
+        for cube in _cover(sorted(cubes, key=lambda cube: (len(cube), sorted(cube))), wanted)
+    )
 
 
 def _cube(lit: np.ndarray) -> Cube:

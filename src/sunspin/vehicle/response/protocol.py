@@ -55,13 +55,18 @@ class Counted:
 
             return read_one(self.table, sun_B) > 0
         lit = sun_B @ self.normals_B.T > 0
-        clauses = [np.all([lit[..., k] == wanted for k, wanted in clause], axis=0) for clause in self.clauses]
+        clauses = [
+            np.all([lit[..., k] == wanted for k, wanted in clause], axis=0)
+            for clause in self.clauses
+        ]
         return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
 
     @property
     def numbers(self) -> np.ndarray:
         """What compiled code reads, in float32."""
-        return np.asarray(self.normals_B if self.table is None else self.table, dtype=np.float32).ravel()
+        return np.asarray(
+            self.normals_B if self.table is None else self.table, dtype=np.float32
+        ).ravel()
 
 
 class Law(Protocol):
@@ -69,7 +74,9 @@ class Law(Protocol):
 
     def __hash__(self) -> int: ...
 
-    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def share(
+        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
+    ) -> np.ndarray:
         """The power (..., n_panel) of panels `names` over their gains for the Sun at sun_B (..., 3), which meets their normals
         (..., n_panel, 3) or (n_panel, 3) under angles with that `cosine` (..., n_panel)."""
         ...
@@ -91,18 +98,30 @@ class PanelResponse(Protocol):
         ...
 
     def power(
-        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None, blur_rad: float = 0.0
+        self,
+        sun_B: np.ndarray,
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
+        blur_rad: float = 0.0,
     ) -> np.ndarray:
         """Signal of each panel; with factors `gain` (..., n_panel) on its gain, turned by `tilt` (..., n_panel, 3) rad in B, or
         averaged over directions that err by `blur_rad`, one sigma to each side."""
         ...
 
-    def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
+    def slopes(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> Slopes:
         """The same with its derivatives."""
         ...
 
     def along(
-        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+        self,
+        sun_B: np.ndarray,
+        steps: Sequence[np.ndarray],
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
     ) -> list[np.ndarray]:
         """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
         ...
@@ -185,9 +204,13 @@ def sphere(n: int) -> np.ndarray:
     """About evenly spread directions (n, 3), by Fibonacci's spiral."""
     z = 1 - (2 * np.arange(n) + 1) / n
     longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
-    return np.stack([np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1)
+    return np.stack(
+        [np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1
+    )
 
 
-BLUR_NODES = np.array([[0.0, 0.0]] + [[2 * np.cos(a), 2 * np.sin(a)] for a in np.arange(6) * np.pi / 3])
+BLUR_NODES = np.array(
+    [[0.0, 0.0]] + [[2 * np.cos(a), 2 * np.sin(a)] for a in np.arange(6) * np.pi / 3]
+)
 BLUR_WEIGHTS = np.array([1 / 2] + 6 * [1 / 12])
 """A rule for averages under a Gaussian law of the plane, of one sigma to each side: exact up to fifth powers."""

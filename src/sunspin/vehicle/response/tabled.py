@@ -18,7 +18,15 @@ from sunspin.solve.least_squares import Stop, least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import moved, seen_turned, tangents
 from sunspin.vehicle.response.cosine import RANK_TOLERANCE, Flat, blurred
-from sunspin.vehicle.response.protocol import Counted, Law, Regions, Slopes, misfit, sphere, unit_readings
+from sunspin.vehicle.response.protocol import (
+    Counted,
+    Law,
+    Regions,
+    Slopes,
+    misfit,
+    sphere,
+    unit_readings,
+)
 
 if TYPE_CHECKING:
     from sunspin.vehicle.response.cube import SphereTable
@@ -52,7 +60,10 @@ THINNED = 4
 STEPS, ROUNDING = 25, 1e-18
 """Trials of least squares from a local minimum, and the gain in Delta squared at which they end."""
 
-AROUND, CLOSELY = (np.stack([np.cos(a), np.sin(a)], axis=-1) for a in (np.arange(n) * 2 * np.pi / n for n in (16, 64)))
+AROUND, CLOSELY = (
+    np.stack([np.cos(a), np.sin(a)], axis=-1)
+    for a in (np.arange(n) * 2 * np.pi / n for n in (16, 64))
+)
 FIRST_RAD, LAST_RAD = 0.01, 1e-9
 """Directions in which the polish looks for something better, at first so far away, at last so near. Along an edge only directions
 nearly along it lead on: what is left there of Delta is a few 1e-5 at most."""
@@ -103,19 +114,31 @@ class Tabled(Flat):
     names: tuple[str, ...]
 
     def power(
-        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None, blur_rad: float = 0.0
+        self,
+        sun_B: np.ndarray,
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
+        blur_rad: float = 0.0,
     ) -> np.ndarray:
         if blur_rad:
             return blurred(lambda sun: self.power(sun, gain=gain, tilt=tilt), sun_B, blur_rad)
         normals = self.normals_B if tilt is None else self.turned(tilt)
-        return self.strengths(gain) * np.maximum(0.0, self.law.share(self.names, sun_B, normals, self.cosines(sun_B, tilt)))
+        return self.strengths(gain) * np.maximum(
+            0.0, self.law.share(self.names, sun_B, normals, self.cosines(sun_B, tilt))
+        )
 
     @cached_property
     def _facing(self) -> np.ndarray:
         sun, far = _even(LOOKS)[np.argmax(self._base._seen, axis=0)], _gap(LOOKS)
         own = np.arange(len(sun))
         while far > LAST_RAD:
-            around = np.concatenate([sun[None], *[moved(sun, np.tile(far * step, (len(sun), 1)))[None] for step in AROUND]])
+            around = np.concatenate(
+                [
+                    sun[None],
+                    *[moved(sun, np.tile(far * step, (len(sun), 1)))[None] for step in AROUND],
+                ]
+            )
             best = np.argmax(self.power(around)[:, own, own], axis=0)
             sun, far = around[best, own], far / (1 if best.any() else 2)
         return sun
@@ -130,12 +153,19 @@ class Tabled(Flat):
 
     # -------------------------------------------------------------------------------------------------------------- derivatives
 
-    def slopes(self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None) -> Slopes:
+    def slopes(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> Slopes:
         power, to_sun = self._along_sphere(sun_B, gain, tilt)
         if tilt is None:
             return Slopes(power, to_sun, None)
-        turned = [[self.power(sun_B, gain=gain, tilt=tilt + sign * STEP * one) for sign in (1, -1)] for one in np.eye(3)]
-        return Slopes(power, to_sun, np.stack([self._lit_side(power, *both) for both in turned], axis=-1))
+        turned = [
+            [self.power(sun_B, gain=gain, tilt=tilt + sign * STEP * one) for sign in (1, -1)]
+            for one in np.eye(3)
+        ]
+        return Slopes(
+            power, to_sun, np.stack([self._lit_side(power, *both) for both in turned], axis=-1)
+        )
 
     def _along_sphere(
         self, sun_B: np.ndarray, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
@@ -144,8 +174,13 @@ class Tabled(Flat):
         flat = np.asarray(sun_B, dtype=np.float64).reshape(-1, 3)
 
         def to_both_sides(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            ends = [moved(flat, np.tile(sign * step, (len(flat), 1))).reshape(sun_B.shape) for sign in (1, -1)]
-            return self.power(ends[0], gain=gain, tilt=tilt), self.power(ends[1], gain=gain, tilt=tilt)
+            ends = [
+                moved(flat, np.tile(sign * step, (len(flat), 1))).reshape(sun_B.shape)
+                for sign in (1, -1)
+            ]
+            return self.power(ends[0], gain=gain, tilt=tilt), self.power(
+                ends[1], gain=gain, tilt=tilt
+            )
 
         power = self.power(sun_B, gain=gain, tilt=tilt)
         frame = [axis.reshape(*sun_B.shape[:-1], 1, 3) for axis in tangents(flat)]
@@ -160,7 +195,12 @@ class Tabled(Flat):
         return np.where(np.abs(forward - back) > JUMP * self.gains, smaller, (forward + back) / 2)
 
     def along(
-        self, sun_B: np.ndarray, steps: Sequence[np.ndarray], *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+        self,
+        sun_B: np.ndarray,
+        steps: Sequence[np.ndarray],
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
     ) -> list[np.ndarray]:
         power, to_sun = self._along_sphere(sun_B, gain, tilt)
         to_sun = np.where(power[..., None] > 0, to_sun, 0.0)
@@ -185,28 +225,49 @@ class Tabled(Flat):
         def seen(axis: np.ndarray) -> np.ndarray:
             first, second = tangents(axis)
             frame = np.stack([first, second, axis], axis=1)
-            return np.mean([self.power(one @ frame) for one in _CAP], axis=0).reshape(*axis_B.shape[:-1], -1) / _CAP[:, 2].mean()
+            return (
+                np.mean([self.power(one @ frame) for one in _CAP], axis=0).reshape(
+                    *axis_B.shape[:-1], -1
+                )
+                / _CAP[:, 2].mean()
+            )
 
         light = seen(flat)
         to_axis = [
-            (seen(moved(flat, np.tile(step, (len(flat), 1)))) - seen(moved(flat, np.tile(-step, (len(flat), 1))))) / (2 * 1e-3)
+            (
+                seen(moved(flat, np.tile(step, (len(flat), 1))))
+                - seen(moved(flat, np.tile(-step, (len(flat), 1))))
+            )
+            / (2 * 1e-3)
             for step in 1e-3 * np.eye(2)
         ]
         frame = [axis.reshape(*axis_B.shape[:-1], 1, 3) for axis in tangents(flat)]
-        slope = light[..., None] * axis_B[..., None, :] + sum(d[..., None] * e for d, e in zip(to_axis, frame, strict=True))
+        slope = light[..., None] * axis_B[..., None, :] + sum(
+            d[..., None] * e for d, e in zip(to_axis, frame, strict=True)
+        )
         return light * strength, slope
 
     def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         from sunspin.vehicle.response.inside import nearest
 
-        near = nearest(CAP_SIZE, np.ascontiguousarray(sun_B, dtype=np.float64).reshape(-1, 3)).reshape(sun_B.shape[:-1])
-        found = np.where(np.isfinite(sun_B)[..., None, :1], _caps(self._base, float(angle))[near], np.nan)
+        near = nearest(
+            CAP_SIZE, np.ascontiguousarray(sun_B, dtype=np.float64).reshape(-1, 3)
+        ).reshape(sun_B.shape[:-1])
+        found = np.where(
+            np.isfinite(sun_B)[..., None, :1], _caps(self._base, float(angle))[near], np.nan
+        )
         return self.gains * found[..., 0], self.gains * found[..., 1]
 
     def inside(self, angles: tuple[float, ...]) -> Inside:
         from sunspin.vehicle.response.inside import Inside
 
-        return Inside.of(self.normals_B, self.gains, angles, self._base._coarse, [_caps(self._base, angle) for angle in angles])
+        return Inside.of(
+            self.normals_B,
+            self.gains,
+            angles,
+            self._base._coarse,
+            [_caps(self._base, angle) for angle in angles],
+        )
 
     @cached_property
     def _coarse(self) -> SphereTable:
@@ -217,7 +278,13 @@ class Tabled(Flat):
     @cached_property
     def _base(self) -> Tabled:
         """The same law with gains of one, whose looks are shared by all gains."""
-        return _of_unit_gains(type(self), self.law, self.names, tuple(map(tuple, self.normals_B.tolist())), len(self.gains))
+        return _of_unit_gains(
+            type(self),
+            self.law,
+            self.names,
+            tuple(map(tuple, self.normals_B.tolist())),
+            len(self.gains),
+        )
 
     @cached_property
     def _seen(self) -> np.ndarray:
@@ -277,7 +344,12 @@ class Tabled(Flat):
         if not lit.any():
             return 0
         if sun_B is None:
-            every = Regions(*(np.concatenate(both) for both in zip(self._base._regions, self._base._edges, strict=True)))
+            every = Regions(
+                *(
+                    np.concatenate(both)
+                    for both in zip(self._base._regions, self._base._edges, strict=True)
+                )
+            )
             there = every.sun_B[(every.lit == lit).all(axis=1)]
             return max((self.rank(lit, sun) for sun in there), default=min(int(lit.sum()), 3))
         design = (self.design(sun_B) / self.gains[:, None])[lit]
@@ -308,7 +380,9 @@ class Tabled(Flat):
     def _basins(self, target: np.ndarray) -> np.ndarray:
         """Nodes (n, BASINS, 3) at which Delta is less than at their neighbours."""
         shares, neighbours = self._base._nodes
-        along = target @ unit_readings(self.gains * shares).T + TIE * np.arange(NODES)  # a plateau has one highest node
+        along = target @ unit_readings(self.gains * shares).T + TIE * np.arange(
+            NODES
+        )  # a plateau has one highest node
         highest = np.full(along.shape, -np.inf)
         for column in neighbours.T:
             np.maximum(highest, along[:, column], out=highest)
@@ -337,13 +411,20 @@ class Tabled(Flat):
             power, to_sun = self._along_sphere(sun)
             size = np.linalg.norm(power, axis=1)[:, None]
             shape = power / np.where(size > 0, size, 1.0)
-            change = to_sun @ np.stack(tangents(sun), axis=-1) / np.where(size > 0, size, 1.0)[..., None]
+            change = (
+                to_sun @ np.stack(tangents(sun), axis=-1) / np.where(size > 0, size, 1.0)[..., None]
+            )
             change = change - shape[..., None] * np.einsum("np,npi->ni", shape, change)[:, None]
             system = Dense.of(shape - wanted, change, np.ones((len(sun), 2)))
             return system._replace(cost=np.where(size[:, 0] > 0, system.cost, 2.0))
 
         found = least_squares(
-            linearise, lambda s, step: (moved(s[0], step), s[1]), dense, (start, target), steps=STEPS, tolerance=ROUNDING
+            linearise,
+            lambda s, step: (moved(s[0], step), s[1]),
+            dense,
+            (start, target),
+            steps=STEPS,
+            tolerance=ROUNDING,
         )
         return found.state[0], found.stop == Stop.ARRIVED
 
@@ -381,7 +462,9 @@ class Tabled(Flat):
         delta, far = misfit(self.power(sun), target), np.full(len(sun), FIRST_RAD)
         while len(on := np.flatnonzero(far > LAST_RAD)):
             steps = far[on, None, None] * around
-            tried = moved(np.repeat(sun[on], len(around), axis=0), steps.reshape(-1, 2)).reshape(len(on), len(around), 3)
+            tried = moved(np.repeat(sun[on], len(around), axis=0), steps.reshape(-1, 2)).reshape(
+                len(on), len(around), 3
+            )
             new = misfit(self.power(tried), target[on, None])
             best = np.argmin(new, axis=1)
             least = new[np.arange(len(on)), best]
@@ -398,7 +481,11 @@ class Tabled(Flat):
         found = np.full((len(sun), 3, 3), np.nan)
         normal = np.swapaxes(design, -1, -2) @ design
         fine = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
-        found[fine] = tangent[fine] @ (noise**2 * np.linalg.inv(normal[fine]) / bright[fine, None, None] ** 2) @ tangent[fine]
+        found[fine] = (
+            tangent[fine]
+            @ (noise**2 * np.linalg.inv(normal[fine]) / bright[fine, None, None] ** 2)
+            @ tangent[fine]
+        )
         return found
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
@@ -423,7 +510,11 @@ class Tabled(Flat):
                 middle = self._unseen(halfway, lit)
                 middle = (middle - (middle @ sun) * sun) * np.copysign(1.0, middle @ along)
                 ahead = np.cos(step) * sun + np.sin(step) * middle / np.linalg.norm(middle)
-            if ahead is None or not np.array_equal(self.power(ahead) > 0, lit) or ahead @ begin < -1 + 1e-3:
+            if (
+                ahead is None
+                or not np.array_equal(self.power(ahead) > 0, lit)
+                or ahead @ begin < -1 + 1e-3
+            ):
                 step /= 2
                 continue
             new = self._unseen(ahead, lit)
@@ -441,7 +532,9 @@ class Tabled(Flat):
     # ------------------------------------------------------------------------------------------------------------------- tables
 
     def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
-        return Counted(self.normals_B, (), _border(self._base, tuple(np.unique(_code(good)).tolist())))
+        return Counted(
+            self.normals_B, (), _border(self._base, tuple(np.unique(_code(good)).tolist()))
+        )
 
     def table(self, error: float) -> SphereTable:
         """The smallest table that gives powers to `error`, a share of the gain, beside edges."""
@@ -458,18 +551,32 @@ class Tabled(Flat):
             reached = float(away[~edge].max(initial=0.0))
             if reached <= error:
                 return found._replace(error=reached, edges=float(edge.any(axis=1).mean()))
-        what = f"no table of {SIZES[-1]} cells along an edge of the cube tells the panels' law so well"
+        what = (
+            f"no table of {SIZES[-1]} cells along an edge of the cube tells the panels' law so well"
+        )
         raise InputError(sentence(what, got=f"error {error:g}", do=f"allow {reached:.1g}"))
 
     def _around(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest share (n, n_panel) on a ring around directions (n, 3)."""
-        ring = np.stack([self.power(moved(sun_B, np.tile(angle * step, (len(sun_B), 1)))) for step in AROUND[::2]]) / self.gains
+        ring = (
+            np.stack(
+                [
+                    self.power(moved(sun_B, np.tile(angle * step, (len(sun_B), 1))))
+                    for step in AROUND[::2]
+                ]
+            )
+            / self.gains
+        )
         return ring.min(axis=0), ring.max(axis=0)
 
 
 @lru_cache(maxsize=16)
 def _of_unit_gains(
-    kind: type[Tabled], law: Law, names: tuple[str, ...], normals_B: tuple[tuple[float, ...], ...], readings: int
+    kind: type[Tabled],
+    law: Law,
+    names: tuple[str, ...],
+    normals_B: tuple[tuple[float, ...], ...],
+    readings: int,
 ) -> Tabled:
     return kind(np.array(normals_B).reshape(-1, 3), np.ones(readings), law, names)
 
@@ -495,7 +602,9 @@ def _caps(response: Tabled, angle: float) -> np.ndarray:
     power, to_sun = response._along_sphere(looks)
     more = np.linalg.norm(to_sun, axis=-1) * gap
     reach = min(angle + np.sqrt(2) / CAP_SIZE + gap, np.pi)
-    found = over_caps(nodes(CAP_SIZE), np.cos(reach), looks, np.maximum(power - more, 0.0), power + more)
+    found = over_caps(
+        nodes(CAP_SIZE), np.cos(reach), looks, np.maximum(power - more, 0.0), power + more
+    )
     found.setflags(write=False)
     return found
 
@@ -520,7 +629,9 @@ def _cap(radius: float, n: int = 300) -> np.ndarray:
     """Even directions (n, 3) within `radius` (rad) of +z."""
     z = 1 - (1 - np.cos(radius)) * (np.arange(n) + 0.5) / n
     longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
-    return np.stack([np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1)
+    return np.stack(
+        [np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1
+    )
 
 
 _CAP = _cap(EARTH_RAD)

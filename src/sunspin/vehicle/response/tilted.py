@@ -19,6 +19,8 @@ class Tilted(Part):
     def panels(self) -> tuple[str, ...]:
         return (self.panel,)
 
-    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def share(
+        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
+    ) -> np.ndarray:
         turned = seen_turned(normals_B, -self.turn_B_rad * (np.array(names) == self.panel)[:, None])
         return np.maximum(np.einsum("...i,...pi->...p", sun_B, turned), 0.0)

@@ -15,12 +15,16 @@ class Wall(Part):
 
     panel: Name
     toward_B: Annotated[FloatArray, unit("panel_response.wall.toward_B")]
-    above: Annotated[Number, must(lambda cosine: -1 <= cosine <= 1, "{path} must be a cosine, between -1 and 1")]
+    above: Annotated[
+        Number, must(lambda cosine: -1 <= cosine <= 1, "{path} must be a cosine, between -1 and 1")
+    ]
 
     @property
     def panels(self) -> tuple[str, ...]:
         return (self.panel,)
 
-    def share(self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    def share(
+        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
+    ) -> np.ndarray:
         hidden = (sun_B @ self.toward_B > self.above)[..., None] & (np.array(names) == self.panel)
         return np.where(hidden, 0.0, np.maximum(cosine, 0.0))
