@@ -50,7 +50,8 @@ contracts: $(READY)
 	$(BIN)/lint-imports --no-cache
 
 style: $(READY)
-	$(BIN)/ruff check --no-cache src tests bench docs examples validation
+	$(BIN)/ruff check --no-cache .
+	$(BIN)/ruff format --no-cache --check --quiet .
 
 types: $(READY)
 	$(BIN)/ty check
