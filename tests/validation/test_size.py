@@ -1,0 +1,45 @@
+"""The ceilings of pyproject.toml, and that the counter counts."""
+
+from validation import size
+
+
+def test_nothing_is_above_its_ceiling():
+    assert not size.exceeded()
+
+
+def test_what_is_above_its_ceiling_is_named(monkeypatch):
+    limits = size.ceilings()
+    limits["lines"]["src"]["ceiling"] = 10
+    del limits["package"]["classes"]
+    monkeypatch.setattr(size, "ceilings", lambda: limits)
+    above, missing = size.exceeded()
+    assert above.startswith("lines: src is ") and "above its ceiling of 10" in above
+    assert "classes has no ceiling" in missing
+
+
+def test_the_counts_of_a_small_package(tmp_path):
+    (tmp_path / "room").mkdir()
+    (tmp_path / "__init__.py").write_text("from pkg.room import shown\n", "utf-8")
+    (tmp_path / "room" / "first.py").write_text(
+        "LIMIT, OTHER = 1, 2\n\n\nclass Same:\n    pass\n\n\ndef shown(one):\n    found = helper(one)\n    return found\n",
+        "utf-8",
+    )
+    (tmp_path / "room" / "second.py").write_text(
+        "SMALL: int = 3\nlower = 4\n\n\nclass Same:\n    pass\n\n\ndef helper(x):\n    return twice(x) + twice(x)\n\n\n"
+        "def twice(x):\n    return shown(x)\n",
+        "utf-8",
+    )
+    room = size.sizes(tmp_path)["room"]
+    assert (room.files, room.lines, room.functions, room.classes) == (2, 24, 3, 2)
+    assert room.single_caller == 1  # helper: twice is used twice, and shown is exported
+    assert (room.repeated_classes, room.constants) == (1, 3)
+    assert (
+        room.vague_names == 4
+    )  # one as a parameter and where it is used, found as it is set and returned
+    whole = size.sizes(tmp_path)["src"]
+    assert (whole.files, whole.lines) == (3, 25)
+
+
+def test_the_table_names_every_folder_and_count():
+    text = size.table()
+    assert all(name in text for name in ("estimate", "single_caller", "JavaScript", "ceiling"))

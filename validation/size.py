@@ -1,0 +1,197 @@
+"""How large the package is: lines by folder, and what makes code hard to follow, counted from its text."""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "sunspin"
+OTHER_LANGUAGES = {".js": "JavaScript", ".j2": "Jinja", ".css": "CSS", ".toml": "TOML"}
+VAGUE = frozenset({"found", "one", "told", "made"})
+"""Names of variables that do not say what they hold."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """Counts of a folder's Python files.
+
+    `single_caller`: functions whose name is used exactly once in the package, without those that users call (names that the
+    package exports, decorated functions such as commands and properties, names with two underscores). `repeated_classes`: names
+    that more than one class of the package has. `constants`: upper-case names that a module assigns. `vague_names`: uses of
+    `VAGUE` as variables, parameters among them.
+    """
+
+    files: int = 0
+    lines: int = 0
+    functions: int = 0
+    single_caller: int = 0
+    classes: int = 0
+    repeated_classes: int = 0
+    constants: int = 0
+    vague_names: int = 0
+    skipped_formatting: int = 0
+
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def sizes(source: Path = SOURCE) -> dict[str, Size]:
+    """The size of each folder of the package, its own files as ".", and of the whole as "src"."""
+    texts = {path: path.read_text("utf-8") for path in sorted(source.rglob("*.py"))}
+    trees = {path: ast.parse(text) for path, text in texts.items()}
+    nodes = {path: list(ast.walk(tree)) for path, tree in trees.items()}
+    uses = Counter(name for each in nodes.values() for name in _used(each))
+    class_names = Counter(
+        n.name for each in nodes.values() for n in each if isinstance(n, ast.ClassDef)
+    )
+    public = _public(trees.get(source / "__init__.py"))
+
+    def size(paths: list[Path]) -> Size:
+        inside = [node for path in paths for node in nodes[path]]
+        functions = [node for node in inside if isinstance(node, Function)]
+        classes = [node.name for node in inside if isinstance(node, ast.ClassDef)]
+        return Size(
+            files=len(paths),
+            lines=sum(texts[path].count("\n") for path in paths),
+            functions=len(functions),
+            single_caller=sum(
+                uses[f.name] == 1 and not _called_by_users(f, public) for f in functions
+            ),
+            classes=len(classes),
+            repeated_classes=len({name for name in classes if class_names[name] > 1}),
+            constants=sum(len(set(_constants(trees[path]))) for path in paths),
+            vague_names=sum(_is_vague(node) for node in inside),
+            skipped_formatting=sum(texts[path].count("# fmt: ") for path in paths),
+        )
+
+    by_folder: dict[str, list[Path]] = {}
+    for path in texts:
+        place = path.relative_to(source).parts
+        by_folder.setdefault(place[0] if len(place) > 1 else ".", []).append(path)
+    return {name: size(paths) for name, paths in sorted(by_folder.items())} | {
+        "src": size(list(texts))
+    }
+
+
+def lines_of(folder: Path) -> int:
+    """Lines of Python in a folder beside the package, such as that of the tests."""
+    return sum(path.read_text("utf-8").count("\n") for path in folder.rglob("*.py"))
+
+
+def lines_by_language(source: Path = SOURCE) -> dict[str, int]:
+    """Lines of what is not Python."""
+    lines = dict.fromkeys(OTHER_LANGUAGES.values(), 0)
+    for path in source.rglob("*"):
+        if path.suffix in OTHER_LANGUAGES:
+            lines[OTHER_LANGUAGES[path.suffix]] += path.read_text("utf-8").count("\n")
+    return lines
+
+
+def ceilings(project: Path = ROOT / "pyproject.toml") -> dict[str, dict[str, dict[str, int]]]:
+    """`[tool.sunspin.size]`: table ("lines", "package", "languages") -> what is counted -> its "ceiling" and its "goal"."""
+    return tomllib.loads(project.read_text("utf-8"))["tool"]["sunspin"]["size"]
+
+
+def counted() -> dict[str, dict[str, int]]:
+    """What `ceilings` limits, as it is now, in the same tables."""
+    by_folder = sizes()
+    whole = by_folder["src"]
+    lines = {name: size.lines for name, size in by_folder.items() if name != "."}
+    lines["tests"] = lines_of(ROOT / "tests")
+    lines["validation, studies, bench"] = sum(
+        lines_of(ROOT / name) for name in ("validation", "studies", "bench")
+    )
+    package = {
+        field.name: getattr(whole, field.name) for field in fields(Size) if field.name != "lines"
+    }
+    return {"lines": lines, "package": package, "languages": lines_by_language()}
+
+
+def table() -> str:
+    """All counts: a line for each folder, then what is counted of the whole package with its ceiling and its goal."""
+    names = [field.name for field in fields(Size)]
+    rows = [["folder", *names]]
+    rows += [
+        [folder, *(str(getattr(size, name)) for name in names)] for folder, size in sizes().items()
+    ]
+    limits = ceilings()
+    rows += [[], ["counted", "now", "ceiling", "goal"]]
+    for kind, values in counted().items():
+        for name, value in values.items():
+            limit = limits[kind].get(name, {})
+            rows.append(
+                [name, str(value), str(limit.get("ceiling", "-")), str(limit.get("goal", "-"))]
+            )
+    first = max(len(cell) for row in rows for cell in row[:1])
+    width = max(len(cell) for row in rows for cell in row[1:])
+    return "\n".join(
+        f"{row[0]:<{first}}" + "".join(f"{cell:>{width + 2}}" for cell in row[1:]) if row else ""
+        for row in rows
+    )
+
+
+def exceeded() -> list[str]:
+    """A sentence for each count that is above its ceiling, or has none."""
+    limits, sentences = ceilings(), []
+    for kind, values in counted().items():
+        for name, value in values.items():
+            ceiling = limits[kind].get(name, {}).get("ceiling")
+            if ceiling is None:
+                sentences.append(
+                    f"{kind}: {name} has no ceiling in pyproject.toml, [tool.sunspin.size.{kind}]"
+                )
+            elif value > ceiling:
+                sentences.append(
+                    f"{kind}: {name} is {value}, above its ceiling of {ceiling}, which only falls"
+                )
+    return sentences
+
+
+def _used(nodes: list[ast.AST]) -> Iterator[str]:
+    for node in nodes:
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            yield node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+            yield node.attr
+
+
+def _called_by_users(function: Function, public: set[str]) -> bool:
+    return (
+        function.name in public or bool(function.decorator_list) or function.name.startswith("__")
+    )
+
+
+def _public(init: ast.Module | None) -> set[str]:
+    """Names that the package exports: `sunspin/__init__.py` imports each of them for type checkers."""
+    return {
+        alias.asname or alias.name
+        for node in (ast.walk(init) if init is not None else ())
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+def _constants(tree: ast.Module) -> Iterator[str]:
+    for node in tree.body:
+        targets = (
+            node.targets
+            if isinstance(node, ast.Assign)
+            else [node.target]
+            if isinstance(node, ast.AnnAssign)
+            else []
+        )
+        for target in targets:
+            for name in ast.walk(target):
+                if isinstance(name, ast.Name) and name.id.isupper():
+                    yield name.id
+
+
+def _is_vague(node: ast.AST) -> bool:
+    return (
+        node.id if isinstance(node, ast.Name) else node.arg if isinstance(node, ast.arg) else ""
+    ) in VAGUE
