@@ -21,6 +21,7 @@ CAMPAIGNS = {
     "right": "right files of every form through `check` and `rates`: each accusation is a false alarm",
     "spinners": "spinners with coarse Sun sensors and a magnetometer through `check` and `rates`, elements right, wrong or none",
     "exchanges": "two panel columns exchanged: named rightly, among several, undecided, or a false change alone",
+    "scoreboard": "what must not get worse: outcomes of cases of every kind, beside an earlier state's",
     "size": "lines by folder, functions, names: how large the package is, and the ceilings",
     "effort": "two files that once took an hour: what `rates` takes for them now",
     "unmoved": "results of another commit and of this state compared bit by bit",

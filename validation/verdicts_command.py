@@ -83,6 +83,8 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
         "wrong": wrong and not mirrored,
         "mirrored": mirrored,
         "empty": bool((sigma > NARROWER * result.attrs["max_rate_rad_s"] / 2).any()),
+        "off_deg_s": np.degrees(omega - truth).tolist(),
+        "sigma_deg_s": np.degrees(sigma).tolist(),
         "pull": float((miss / sigma).max()),
         "miss_deg_s": float(np.degrees(miss.max())),
         "why": str(result["why_not_decided"].values[0]),

@@ -1,0 +1,102 @@
+"""The engine of the scoreboard on cases of its own, and that every area draws cases that it can run."""
+
+import json
+import pickle
+from functools import partial
+
+import numpy as np
+import pytest
+
+from validation import scoreboard
+from validation.areas import AREAS
+from validation.scoreboard import OUTCOMES, Task, board, figures, flips, rows_of, table
+
+
+def measured(outcome, off, sigma):
+    return {"outcome": outcome, "off": off, "sigma": sigma}
+
+
+def raising():
+    raise ValueError("a defect")
+
+
+def counting(path, outcome):
+    path.write_text(str(int(path.read_text()) + 1 if path.exists() else 1))
+    return {"outcome": outcome}
+
+
+def test_rows_are_kept_and_a_traceback_is_a_defect(tmp_path):
+    count = tmp_path / "count"
+    tasks = [
+        Task("rates", "kind", "0/1", partial(counting, count, "right")),
+        Task("rates", "kind", "0/2", raising),
+    ]
+    said = []
+    for _ in range(2):
+        rows = rows_of(tasks, tmp_path / "rows", 1, said.append)
+    assert count.read_text() == "1" and len(said) == 2
+    assert [row["outcome"] for row in rows["rates: kind"].values()] == ["right", "defect"]
+    assert "a defect" in rows["rates: kind"]["0/2"]["says"]
+
+
+def test_figures_count_decided_cases_only():
+    rows = [
+        measured("right", [0.5, -1.5], [1.0, 1.0]),
+        measured("wrong", [6.0], [1.0]),
+        measured("undecided", [9.0], [1.0]),
+    ]
+    numbers = figures([{"processor_s": 1.0} | row for row in rows])
+    assert (numbers["right"], numbers["wrong"], numbers["undecided"]) == (1, 1, 1)
+    assert numbers["in_68"] == pytest.approx(1 / 3) and numbers["in_95"] == pytest.approx(2 / 3)
+    assert numbers["rms_pull"] == pytest.approx(np.sqrt((0.25 + 2.25 + 36) / 3))
+
+
+def test_a_case_that_got_worse_stands_first():
+    def of(*outcomes):
+        rows = {
+            str(i): {"outcome": outcome, "processor_s": 1.0, "measured": {"a": 0.5}}
+            for i, outcome in enumerate(outcomes)
+        }
+        return json.loads(json.dumps(board({"rates: kind": rows}, "quick", [0])))
+
+    before, now = of("right", "right", "wrong", "open"), of("undecided", "wrong", "right", "open")
+    turned = flips(before, now)
+    assert [worse for worse, _ in turned] == sorted((worse for worse, _ in turned), reverse=True)
+    assert [sentence for _, sentence in turned] == [
+        "rates: kind, case 1: right -> wrong",
+        "rates: kind, case 0: right -> undecided",
+        "rates: kind, case 2: wrong -> right",
+    ]
+    text = table(now, before)
+    assert "| rates: kind | 4 | 2 / 1 |" in text and "0: a | 0.5 / 0.5 |" in text
+
+
+def test_the_state_of_a_changed_tree_is_not_that_of_its_commit(monkeypatch):
+    clean = {"rev-parse": "abc", "status": ""}
+    monkeypatch.setattr(scoreboard, "_git", lambda command, *_: clean[command])
+    assert scoreboard.state_of_package() == "abc"
+    monkeypatch.setitem(clean, "status", " M src/sunspin/base/errors.py")
+    assert scoreboard.state_of_package().startswith("abc-")
+
+
+@pytest.mark.parametrize("name", AREAS)
+def test_every_area_draws_cases_that_another_process_can_run(name):
+    for level in ("quick", "full"):
+        tasks = list(AREAS[name](level, 0))
+        assert tasks and len({(task.name, task.case) for task in tasks}) == len(tasks)
+        pickle.loads(pickle.dumps(tasks))
+    assert len(tasks) >= len(list(AREAS[name]("quick", 0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("files", "right file"), ("files", "fault: thousandths"), ("passes", "few samples")],
+)
+def test_a_case_gives_a_row(name, kind):
+    task = next(task for task in AREAS[name]("quick", 0) if task.kind == kind)
+    row = scoreboard.timed(task.run)
+    assert (
+        row["outcome"] in OUTCOMES
+        and row["outcome"] not in ("defect", "wrong")
+        and row["processor_s"] > 0
+    )

@@ -1,0 +1,571 @@
+"""The cases of the scoreboard: each area draws its tasks for a level ("quick", "full") and a seed.
+
+What judges a case stands in the campaigns' own modules; here an outcome of :data:`validation.scoreboard.OUTCOMES` is made of it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.base.errors import SunspinError
+from validation.scoreboard import ROOT, Task
+
+sys.path.append(str(ROOT / "tests"))  # where some of the simulated satellites are
+
+Row = dict[str, Any]
+
+CONFIDENT = ("unique", "aliases", "line")
+"""Words of a posterior's verdict that name a motion, or few."""
+
+FAR_SIGMAS = 5.0
+
+
+def passes(level: str, seed: int) -> Iterator[Task]:
+    """`rates`: simulated passes of every kind; without the package's own dynamics and light."""
+    from validation.passes import KINDS
+
+    for kind, count in KINDS.items():
+        for i in range(2 if level == "quick" else count // 2):
+            yield Task("rates", kind, f"{seed}/{i}", partial(_pass, kind, seed, i))
+
+
+def _pass(kind: str, seed: int, i: int) -> Row:
+    from validation.verdicts_command import judge
+
+    row = judge(kind, seed, i)
+    if "pull" not in row:
+        return {"outcome": "open", "says": row["why"]}
+    false, unshown = (
+        row["wrong"] or (row["decided"] and row["empty"]),
+        row["mirrored"] or row["empty"],
+    )
+    if row["decided"]:
+        outcome = "wrong" if false else "open" if row["mirrored"] else "right"
+    else:
+        outcome = "undecided" if row["before"] and not (row["wrong"] or unshown) else "open"
+    return {
+        "outcome": outcome,
+        "says": row["why"],
+        "off": row["off_deg_s"],
+        "sigma": row["sigma_deg_s"],
+    }
+
+
+def orbiting(level: str, seed: int) -> Iterator[Task]:
+    """`rates`: CubeSats with a dipole, clouds and real elements, with and without a magnetometer and the orbit."""
+    for i in range(1 if level == "quick" else 8):
+        yield Task("rates", "in orbit", f"{seed}/{i}", partial(_orbiting, seed, i))
+
+
+def _orbiting(seed: int, i: int) -> Row:
+    from orbit_rates_twins import judge
+
+    row = judge(seed, i)
+    ways = (
+        "without",
+        "right",
+        "field alone",
+    )  # elements whose node is off by 2 degrees are for the eye
+    judged = [each for way in ways if way in row for each in row[way]["passes"] if "pulls" in each]
+    decided = [each for each in judged if each["decided"]]
+    wrong = any(each["wrong"] for each in decided)
+    outcome = (
+        "wrong"
+        if wrong
+        else "right"
+        if decided
+        else "open"
+        if all(each["wrong"] for each in judged)
+        else "undecided"
+    )
+    off, sigma = (
+        [value for each in decided for value in each[name]]
+        for name in ("miss_deg_s", "sigma_deg_s")
+    )
+    return {
+        "outcome": outcome,
+        "off": off,
+        "sigma": sigma,
+        "measured": {"decided": len(decided), "passes": len(judged)},
+    }
+
+
+def posteriors(level: str, seed: int) -> Iterator[Task]:
+    """`posterior`: right models, torques and moments that nobody told of, panels that are turned, models that are wrong."""
+    from validation.torque_command import LEVELS
+
+    for kind in LEVELS:
+        for i in range(2 if level == "quick" else 12):
+            yield Task(
+                "posterior",
+                _KINDS_OF_TORQUE.get(kind, f"torque {kind}"),
+                f"{seed}/{i}",
+                partial(_torque, kind, seed, i),
+            )
+    counts = {"known": (0, 6), "unknown": (1, 10), "swapped": (1, 6), "wheel_off": (1, 6)}
+    for kind, (few, many) in counts.items():
+        for i in range(few if level == "quick" else many):
+            yield Task("posterior", kind, f"{seed}/{i}", partial(_twin, kind, seed, i))
+    if level == "full":
+        for i in range(6):
+            yield Task(
+                "posterior",
+                "turned, two minutes apart",
+                f"{seed}/{i}",
+                partial(_twin, "turned", seed, i, 0.3, 23, 120.0),
+            )
+    for i in (2,) if level == "quick" else (0, 2, 3, 5, 6, 10, 11, 12, 13, 14, 15, 16):
+        yield Task("posterior", "Philae, simulated", f"{seed}/{i}", partial(_simulated, seed, i))
+
+
+_KINDS_OF_TORQUE = {"0": "right model", "inertia": "moments off by 5 %"}
+
+
+def _torque(kind: str, seed: int, i: int) -> Row:
+    from validation.torque_command import BOX, judge
+
+    row = judge(BOX, kind, seed, i, True)
+    if row["word"] == "refused":
+        return {"outcome": "defect", "says": row["verdict"]}
+    near = row["far"][0] < FAR_SIGMAS
+    outcome = "wrong" if row["wrong"] else _of_word(row["word"], near)
+    return {
+        "outcome": outcome,
+        "says": row["verdict"],
+        "off": row["error"],
+        "sigma": row["sigma"] * np.sqrt(3),
+        "level": row["level"],
+    }
+
+
+def _of_word(word: str, near: bool) -> str:
+    """Of a file whose model is right: the truth is `near` what is told, or is not."""
+    if word in CONFIDENT:
+        return "right" if near else "wrong"
+    return "wrong" if word == "not explained" else "undecided" if near else "open"
+
+
+def _twin(
+    kind: str, seed: int, i: int, max_rate: float = 0.25, samples: int = 16, apart_s: float = 20.0
+) -> Row:
+    from sunspin.telemetry.case import load_case
+    from validation.calibrate import judge, make
+
+    vehicle = load_case("philae").vehicle
+    telemetry, truth, unknown, priors = make(vehicle, kind, max_rate, samples, apart_s, seed, i)
+    try:
+        row = judge(vehicle, telemetry, truth, unknown, priors, seed, workers=1)
+    except SunspinError as error:
+        return {
+            "outcome": "right" if kind in ("swapped", "wheel_off") else "defect",
+            "says": str(error),
+        }
+    if kind in ("swapped", "wheel_off"):
+        refused = row["word"] == "not explained"
+        outcome = (
+            "right"
+            if refused
+            else "wrong"
+            if row["word"] in CONFIDENT and not row["recalled"]
+            else "open"
+        )
+        return {"outcome": outcome, "says": row["verdict"]}
+    outcome = _of_word(row["word"], row["recalled"])
+    return {
+        "outcome": outcome,
+        "says": row["verdict"],
+        "off": row["error"],
+        "sigma": row["sigma"],
+        "level": row["level"],
+    }
+
+
+def _simulated(seed: int, i: int) -> Row:
+    from validation.posterior_cases import LIMIT_S, cases, limited
+
+    case = next(case for case in cases(seed) if case.number == i)
+    row = limited(case, LIMIT_S)
+    outcome = "open" if row["word"] == "did not end" else _of_word(row["word"], row["listed"])
+    return {
+        "outcome": outcome,
+        "says": row["verdict"] or row["word"],
+        "processor_s": row["processor_s"],
+    }
+
+
+def spinners(level: str, seed: int) -> Iterator[Task]:
+    """A spinner with a magnetometer: verdicts on right and wrong elements of whole orbits, and rates with and without."""
+    from validation.spinners import cases
+
+    for case in cases(seed, 4 if level == "quick" else 20, whole=True):
+        for elements in ("right", "wrong"):
+            yield Task(
+                "orbit",
+                f"spinner, node {elements}",
+                f"{seed}/{case.number}",
+                partial(_spinner, seed, case.number, True, elements),
+            )
+    for number in (4,) if level == "quick" else (1, 3, 4, 5, 6, 9, 10, 12, 13, 14):
+        for elements in ("none", "right"):
+            kind = f"spinner, elements {elements}"
+            yield Task(
+                "rates", kind, f"{seed}/{number}", partial(_spinning, seed, number, elements)
+            )
+
+
+def _spinner(seed: int, number: int, whole: bool, elements: str) -> Row:
+    from validation.spinners import cases, run
+
+    with tempfile.TemporaryDirectory() as folder:
+        row = run(cases(seed, number + 1, whole=whole)[number], Path(folder), f"check {elements}")
+    if row["defect"] or "orbit" not in row:
+        return {"outcome": "defect", "says": row.get("error", "")}
+    return {
+        "outcome": _of_orbit(row["orbit"]["verdict"], elements == "right"),
+        "says": row["orbit"]["verdict"],
+    }
+
+
+def _of_orbit(verdict: str, right: bool) -> str:
+    if verdict == "undecided":
+        return "undecided" if right else "open"
+    return "right" if (verdict == "fits") is right else "wrong"
+
+
+def _spinning(seed: int, number: int, elements: str) -> Row:
+    from validation.spinners import cases, run
+
+    with tempfile.TemporaryDirectory() as folder:
+        row = run(cases(seed, number + 1)[number], Path(folder), f"rates {elements}")
+    if row["defect"] or "passes" not in row:
+        return {"outcome": "defect", "says": row.get("error", "")}
+    decided = [each for each in row["passes"] if each["decided"]]
+    wrong = any(each["wrong"] for each in decided)
+    outcome = (
+        "wrong"
+        if wrong
+        else "right"
+        if decided
+        else "open"
+        if all(p["wrong"] for p in row["passes"])
+        else "undecided"
+    )
+    off, sigma = (
+        [value for each in decided for value in each[name]] for name in ("off_all", "sigma_all")
+    )
+    return {
+        "outcome": outcome,
+        "off": off,
+        "sigma": sigma,
+        "measured": {"decided": len(decided), "passes": len(row["passes"])},
+    }
+
+
+def elements(level: str, seed: int) -> Iterator[Task]:
+    """`check --tle`: right elements, a node that is off, a clock that is an hour behind."""
+    for i in range(1 if level == "quick" else 10):
+        yield Task(
+            "orbit",
+            "CubeSat: right, node off by 20 deg, clock off",
+            f"{seed}/{i}",
+            partial(_elements, seed, i),
+        )
+
+
+def _elements(seed: int, i: int) -> Row:
+    from tle_twins import judge
+
+    row = judge(seed, i)
+    verdicts = {name: row[name][0].lower() for name in ("0 deg", "20 deg", "clock")}
+    outcomes = [
+        _of_orbit(verdicts["0 deg"], True),
+        _of_orbit(verdicts["20 deg"], False),
+        _of_orbit(verdicts["clock"], False),
+    ]
+    worst = next(word for word in ("wrong", "undecided", "open", "right") if word in outcomes)
+    off = (row["0 deg"][3] - row["ahead_s"]) if row["0 deg"][3] is not None else None
+    shift = {} if off is None else {"off": off, "sigma": row["0 deg"][4]}
+    return {"outcome": worst, "says": str(verdicts)} | shift
+
+
+def exchanges(level: str, seed: int) -> Iterator[Task]:
+    """`rates`: two panel columns exchanged, on satellites with wings and wheels, and their right files."""
+    from validation.exchanges import QUICK
+
+    for satellite in QUICK[:2] if level == "quick" else QUICK:
+        for which in (-1, 0):
+            kind = (
+                "right file of a satellite with wings" if which < 0 else "columns exchanged on it"
+            )
+            yield Task(
+                "wiring", kind, f"{seed}/{satellite}", partial(_exchange, seed, satellite, which)
+            )
+
+
+_EXCHANGES = {
+    "decided": "right",
+    "named rightly": "right",
+    "among several": "right",
+    "undecided": "undecided",
+    "accused": "wrong",
+    "a false change named": "wrong",
+    "decided wrongly": "wrong",
+    "refused": "defect",
+}
+
+
+def _exchange(seed: int, satellite: int, which: int) -> Row:
+    from validation.exchanges import run
+
+    row = run((seed, satellite, which))
+    return {
+        "outcome": _EXCHANGES.get(row["outcome"], "open"),
+        "says": f"{row['outcome']}: {row['verdict']}",
+    }
+
+
+def files(level: str, seed: int) -> Iterator[Task]:
+    """`check`: right files of every form, and files in which a panel is dead or reads in another unit."""
+    for i in range(10 if level == "quick" else 100):
+        yield Task("check", "right file", f"{seed}/{i}", partial(_right_file, seed, i))
+    for fault in FAULTS:
+        for i in range(4 if level == "quick" else 30):
+            yield Task("check", f"fault: {fault}", f"{seed}/{i}", partial(_fault, fault, seed, i))
+
+
+def _right_file(seed: int, i: int) -> Row:
+    from validation.right_command import judge
+
+    with tempfile.TemporaryDirectory() as folder:
+        accused = judge(Path(folder), seed, i, "check")["accused"]
+    return {"outcome": "wrong" if accused else "right", "says": "; ".join(accused)}
+
+
+def _dead(power: np.ndarray) -> None:
+    """The panel that gave most gives nothing."""
+    power[:, int(np.argmax(power.sum(axis=0)))] = 0.0
+
+
+def _milli(power: np.ndarray) -> None:
+    """All panels in a thousandth of the unit."""
+    power *= 1e3
+
+
+FAULTS: dict[str, tuple[str, Callable[[np.ndarray], None]]] = {
+    "dead panel": ("dead_panels", _dead),
+    "thousandths": ("wrong_units", _milli),
+}
+"""Fault -> what `check --json` has to name, and what it does to readings (n, n_panel)."""
+
+
+def _fault(fault: str, seed: int, i: int) -> Row:
+    import json
+
+    from click.testing import CliRunner
+
+    from sunspin.cli.check import check
+    from validation.right_command import make
+
+    named, spoil = FAULTS[fault]
+    with tempfile.TemporaryDirectory() as folder:
+        vehicle, telemetry, _ = make(Path(folder), seed, i)
+        rows = [json.loads(line) for line in telemetry.read_text("utf-8").splitlines()]
+        panels = [name for name in rows[0] if name.startswith("i.")]
+        power = np.array([[row[name] for name in panels] for row in rows])
+        spoil(power)
+        for row, values in zip(rows, power.tolist(), strict=True):
+            row |= dict(zip(panels, values, strict=True))
+        telemetry.write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
+        done = CliRunner().invoke(check, [str(vehicle), str(telemetry), "--json"])
+    says = json.loads(done.stdout)["telemetry"].get(named) if done.exit_code == 0 else None
+    refused = done.exit_code == 2
+    return {
+        "outcome": "right" if says or refused else "undecided",
+        "says": str(says or done.stderr)[:300],
+    }
+
+
+def exact(level: str, seed: int) -> Iterator[Task]:
+    """What others say of the same physics, and distances of the scan against the reference integrator."""
+    from validation.witnesses import WITNESSES
+
+    if seed == 0:
+        for witness in WITNESSES:
+            yield Task("exact", "witnesses", witness.__name__, partial(_witness, witness.__name__))
+    for block in range(1 if level == "quick" else 10):
+        yield Task(
+            "exact", "EMD of 50 motions", f"{seed}/{block}", partial(_distances, seed, block)
+        )
+
+
+def _witness(name: str) -> Row:
+    from validation import witnesses
+
+    rows = list(getattr(witnesses, name)())
+    fails = [row.what for row in rows if not row.holds]
+    return {
+        "outcome": "wrong" if fails else "right",
+        "says": "; ".join(fails),
+        "measured": {f"digits, {r.what}": r.digits for r in rows},
+    }
+
+
+EMD_BOUND = 1e-3
+"""What the scan asks of its own distances."""
+
+
+def _distances(seed: int, block: int) -> Row:
+    from bench.problem import AXES, philae
+    from bench.scan import reference_emd
+
+    rng, problem = np.random.default_rng([seed, block]), philae()
+    largest = 0.0
+    for omega in rng.uniform(-0.4, 0.4, (50, 3)):
+        scanned = problem.scan(dict(zip(AXES, omega[:, None], strict=True)), workers=1).item()
+        largest = max(largest, abs(scanned - reference_emd(problem, omega)))
+    return {
+        "outcome": "right" if largest < EMD_BOUND else "wrong",
+        "measured": {"largest difference": largest},
+    }
+
+
+def study(level: str, seed: int) -> Iterator[Task]:
+    """`reproduce`: every row of the paper with its verdict, and telemetry from which something else has to follow."""
+    from validation.controls import CONTROLS
+
+    if seed:
+        return
+    yield Task(
+        "reproduce",
+        "rows of the paper",
+        "built-in telemetry",
+        partial(_reproduced, 3 if level == "quick" else 1),
+    )
+    names = ("as it is", "each panel shuffled") if level == "quick" else tuple(CONTROLS)
+    for name in names:
+        yield Task("reproduce", "controls", name, partial(_control, name))
+
+
+def _reproduced(coarser: int) -> Row:
+    import json
+
+    import sunspin as ss
+
+    with tempfile.TemporaryDirectory() as folder:
+        ss.reproduce(Path(folder) / "results", coarser=coarser, workers=1)
+        summary = json.loads((Path(folder) / "results" / "summary.json").read_text("utf-8"))
+    rows = {row["id"]: row for row in summary["rows"]}
+    measured = {}
+    for name, row in rows.items():
+        value = row.get("ours", row.get("value"))
+        for k, number in enumerate(np.ravel(value) if value is not None else ()):
+            if isinstance(number, int | float):
+                measured[f"{name} ({row.get('verdict', row.get('kind'))}) {k}"] = float(number)
+    return {"outcome": "right", "measured": measured}
+
+
+def _control(name: str) -> Row:
+    from sunspin.philae import touchdown
+    from sunspin.telemetry.case import load_case
+    from validation.controls import CONTROLS, chain_of
+    from validation.controls_command import NOT_CONCLUDED
+
+    looked = chain_of(CONTROLS[name](load_case("philae")))
+    concluded = looked.scan is not None and looked.chain is not None
+    outcome = "wrong" if concluded is (name in NOT_CONCLUDED) else "right"
+    if not concluded:
+        return {"outcome": outcome, "says": looked.why}
+    bound = touchdown.lower_bound(looked.chain)
+    measured = {
+        "smallest EMD": looked.chain.emd_min,
+        "share of the box": looked.chain.share,
+        "speed at least": bound,
+    }
+    return {"outcome": outcome, "measured": measured | {"lines": float(looked.scan.lines_found)}}
+
+
+def real(_: str, seed: int) -> Iterator[Task]:
+    """`rates` of skCUBE against its gyro, where the data are."""
+    from validation.real_command import SIDES
+
+    if seed == 0:
+        for side in SIDES:
+            yield Task("real", "skCUBE against its gyro", side, partial(_skcube, side))
+
+
+def _skcube(side: str) -> Row:
+    import sunspin as ss
+    from validation.real_command import SIDES, compared, of_other_days
+
+    path = Path(os.environ.get("SUNSPIN_DATA", "")) / "skcube" / "skcube_adcs.csv"
+    if not os.environ.get("SUNSPIN_DATA") or not path.is_file():
+        return {"outcome": "not run", "says": "no skcube/skcube_adcs.csv below SUNSPIN_DATA"}
+    craft = ss.load_vehicle("skcube")
+    data = ss.read_telemetry(path, craft)
+    result = ss.rates(craft, data.drop_vars(SIDES[side]), workers=1)
+    rows = [
+        row
+        for row in compared(craft, data, result, of_other_days(craft, data))
+        if np.isfinite(row.miss).all()
+    ]
+    free = [row for row in rows if row.free and row.status == "decided"]
+    off = [value for row in free for value in row.miss]
+    sigma = [value for row in free for value in np.hypot(row.sigma, row.gyro_sigma)]
+    wrong = bool((np.abs(off) > FAR_SIGMAS * np.array(sigma)).any())
+    measured = {
+        "decided": float(sum(row.status == "decided" for row in rows)),
+        "with a gyro": float(len(rows)),
+    }
+    return {
+        "outcome": "wrong" if wrong else "right",
+        "off": off,
+        "sigma": sigma,
+        "measured": measured,
+    }
+
+
+HOSTILE = 20
+"""Hostile inputs of one task."""
+
+
+def hostile(level: str, seed: int) -> Iterator[Task]:
+    """Hostile files and options: a result or a sentence."""
+    for block in range(3 if level == "quick" else 13):
+        yield Task(
+            "hostile", f"{HOSTILE} inputs", f"{seed}/{block}", partial(_hostile, seed, block)
+        )
+
+
+def _hostile(seed: int, block: int) -> Row:
+    from validation import pool
+    from validation.fuzz import Fuzz
+
+    report = pool.run(Fuzz, HOSTILE, first=HOSTILE * block, workers=1, seed=seed)
+    says = "; ".join(
+        f"{index}: {verdict.what}: {verdict.shown}" for index, verdict in report.findings
+    )
+    return {"outcome": "defect" if report.findings else "right", "says": says[:800]}
+
+
+AREAS: dict[str, Callable[[str, int], Iterator[Task]]] = {
+    "study": study,
+    "posteriors": posteriors,
+    "real": real,
+    "passes": passes,
+    "orbiting": orbiting,
+    "spinners": spinners,
+    "elements": elements,
+    "exchanges": exchanges,
+    "exact": exact,
+    "files": files,
+    "hostile": hostile,
+}
+"""Those whose cases take longest first, so that no core waits for a last long one."""

@@ -1,0 +1,203 @@
+"""What must not get worse, in one table: cases of every kind, what is said of each, and whether it is true.
+
+A case has an area ("rates"), a kind within it ("steady torque") and a number, and gives a row: its outcome, one of `OUTCOMES`,
+and what is measured beside it. Rows are kept by the state of the package that gave them, so that a run goes on where it stopped,
+and two states are compared case by case.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import platform
+import subprocess
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sunspin.compute.campaign import kept, rows_folder
+
+ROOT = Path(__file__).parents[1]
+
+OUTCOMES = ("right", "not run", "open", "undecided", "wrong", "defect")
+"""From best to worst. "open": not decided, and the best motion is not the true one or not informed, so that it ought not to be;
+"undecided": not decided although the best motion is right; "wrong": said with confidence, and not true, or a right file accused;
+"defect": a traceback."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One case. `run` gives a row with "outcome", and may give "off" and "sigma" (numbers of one unit, whose ratios are pulls) and
+    other figures; "processor_s" is added."""
+
+    area: str
+    kind: str
+    case: str
+    run: Callable[[], dict[str, Any]]
+
+    @property
+    def name(self) -> str:
+        return f"{self.area}: {self.kind}"
+
+
+def state_of_package() -> str:
+    """The commit, and where the tree is not clean a digest of the package's and the campaigns' files behind it."""
+    commit = _git("rev-parse", "--short=12", "HEAD")
+    if commit and not _git("status", "--porcelain", "--", "src", "validation"):
+        return commit
+    digest = hashlib.sha256()
+    for folder in ("src", "validation"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
+    return f"{commit or 'no-commit'}-{digest.hexdigest()[:12]}"
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True)
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def rows_of(
+    tasks: list[Task], folder: Path, workers: int, say: Callable[[str], None]
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Set -> case -> row; rows that are in `folder` are read. Ctrl-C or a kill loses the cases in progress only."""
+    paths = {}
+    for task in tasks:
+        place = rows_folder(folder / _as_file(task.name))
+        paths[place / f"{_as_file(task.case)}.json"] = task
+    missing = [path for path in paths if not path.is_file()]
+    begin = time.monotonic()
+    # each case in a process that starts afresh: none inherits what another has computed
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_one_thread) as pool:
+        waiting = {pool.submit(_kept_row, path, paths[path].run): path for path in missing}
+        for count, future in enumerate(as_completed(waiting), 1):
+            task, row = paths[waiting[future]], future.result()
+            took = time.monotonic() - begin
+            say(
+                f"{count} of {len(missing)}, {took:.0f} s: {task.name}, case {task.case}: {row['outcome']}"
+            )
+    rows: dict[str, dict[str, dict[str, Any]]] = {}
+    for path, task in paths.items():
+        rows.setdefault(task.name, {})[task.case] = json.loads(path.read_text("utf-8"))
+    return rows
+
+
+def _one_thread() -> None:
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+
+def _as_file(name: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)
+
+
+def _kept_row(path: Path, run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    return kept(path, partial(timed, run))
+
+
+def timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """A row with the processor time that it took; of a case that raises, the error."""
+    begin = time.process_time()
+    try:
+        row = run()
+    except (
+        Exception
+    ) as error:  # any error at all is a defect of what is judged, and the campaign goes on
+        row = {"outcome": "defect", "says": "".join(traceback.format_exception(error))[-800:]}
+    return {"processor_s": time.process_time() - begin} | row
+
+
+def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
+    """Counts of outcomes; of those decided rightly or wrongly the share of `off` within one and two sigmas, rms pull and median
+    sigma; median processor time."""
+    rows = list(rows)
+    counts = Counter(row["outcome"] for row in rows)
+    numbers: dict[str, float] = {
+        outcome: counts[outcome] for outcome in OUTCOMES if counts[outcome]
+    }
+    decided = [row for row in rows if row["outcome"] in ("right", "wrong") and row.get("sigma")]
+    if decided:
+        off, sigma = (
+            np.abs(np.concatenate([np.ravel(row[name]) for row in decided]))
+            for name in ("off", "sigma")
+        )
+        pull = off / sigma
+        numbers |= {"in_68": float((pull < 1).mean()), "in_95": float((pull < 2).mean())}
+        numbers |= {"rms_pull": float(np.sqrt((pull**2).mean())), "sigma": float(np.median(sigma))}
+    numbers["processor_s"] = float(np.median([row["processor_s"] for row in rows]))
+    return numbers
+
+
+def board(
+    rows: dict[str, dict[str, dict[str, Any]]], level: str, seeds: Iterable[int]
+) -> dict[str, Any]:
+    """What is written: figures of each set, and the outcome of each case."""
+    return {
+        "state": state_of_package(),
+        "level": level,
+        "seeds": list(seeds),
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "sets": {
+            name: {
+                "figures": {
+                    key: float(f"{value:.4g}") for key, value in figures(each.values()).items()
+                },
+                "cases": {case: row["outcome"] for case, row in each.items()},
+                "measured": {
+                    case: {key: value for key, value in row["measured"].items()}
+                    for case, row in each.items()
+                    if "measured" in row
+                },
+            }
+            for name, each in rows.items()
+        },
+    }
+
+
+def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
+    """Cases of both boards whose outcome differs: by how many ranks of `OUTCOMES` it got worse, and a sentence; worst first."""
+    found = []
+    for name, each in now["sets"].items():
+        old = before["sets"].get(name, {}).get("cases", {})
+        for case, outcome in each["cases"].items():
+            if case in old and old[case] != outcome:
+                worse = OUTCOMES.index(outcome) - OUTCOMES.index(old[case])
+                found.append((worse, f"{name}, case {case}: {old[case]} -> {outcome}"))
+    return sorted(found, key=lambda flip: (-flip[0], flip[1]))
+
+
+def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
+    """A line for each set: counts and figures, of both states over the cases that both have."""
+    heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "s"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    for name, each in now["sets"].items():
+        old = (before or {"sets": {}})["sets"].get(name)
+        cells = [name, str(len(each["cases"]))]
+        for key in (*OUTCOMES, "in_68", "in_95", "rms_pull", "sigma", "processor_s"):
+            value = _shown(each["figures"], key)
+            cells.append(value if old is None else f"{_shown(old['figures'], key)} / {value}")
+        lines.append("| " + " | ".join(cells) + " |")
+        for case, measured in each["measured"].items():
+            for key, value in measured.items():
+                past = (old or {}).get("measured", {}).get(case, {}).get(key)
+                lines.append(
+                    f"| {name}, {case}: {key} | {'' if past is None else f'{past:.4g} / '}{value:.4g} |"
+                )
+    return "\n".join(lines)
+
+
+def _shown(numbers: dict[str, float], key: str) -> str:
+    value = numbers.get(key)
+    if value is None:
+        return "0" if key in OUTCOMES else "-"
+    return f"{value:.0%}" if key.startswith("in_") else f"{value:.3g}"
