@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 from sunspin.base import atomic_write
+from sunspin.compute.campaign import kept, rows_folder
+from validation import speed
 from validation.areas import AREAS
-from validation.scoreboard import ROOT, board, flips, rows_of, state_of_package, table
+from validation.scoreboard import ROOT, board, flips, rows_of, state_of_package, table, timed
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +54,11 @@ def options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="an earlier board: both side by side, and every case whose outcome differs",
     )
+    parser.add_argument(
+        "--before",
+        metavar="COMMIT",
+        help="measure processor times too, beside this commit in an environment of its own",
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.set_defaults(level="quick")
 
@@ -70,6 +78,13 @@ def run(options: argparse.Namespace) -> int:
         options.workers,
         lambda text: print(text, flush=True),
     )
+    if options.before is not None:  # alone on the machine, after all else
+        path = (
+            rows_folder(options.rows / state_of_package())
+            / f"speed-{options.level}-{options.before}.json"
+        )
+        run = partial(speed.row, options.before, options.level, options.rows / "environments")
+        rows["speed: processor time"] = {"commands": kept(path, partial(timed, run))}
     now = board(rows, options.level, seeds)
     text = json.dumps(now, indent=1)
     atomic_write.write_whole(options.out, lambda part: part.write_text(text + "\n", "utf-8"))

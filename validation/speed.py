@@ -1,0 +1,130 @@
+"""Processor time of the commands beside that of an earlier state, each in an environment of its own, in one run."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+from io import BytesIO
+from pathlib import Path
+
+from validation.scoreboard import ROOT
+
+COMMANDS = {
+    "rates": "rates cube/vehicle.toml cube/telemetry.csv --workers 1 --quiet --out OUT",
+    "scan": "scan philae philae --from 25140 --to 27900 --omega-x=-0.5:0.5:0.01 --omega-y=-0.5:0.5:0.05 --omega-z=-0.2:0.2:0.05 "
+    "--workers 1 --quiet --out OUT",
+    "posterior": "posterior philae --prior max_rate_rad_s=0.33 --workers 1 --quiet --out OUT",
+    "reproduce": "reproduce --workers 1 --quiet --out OUT",
+}
+"""Name -> arguments; OUT is a new folder each time."""
+
+QUICK = ("rates", "scan")
+FIRST_RUN = "first run after installation"
+
+
+def environment(commit: str, folder: Path) -> Path:
+    """The interpreter of an environment with a commit installed, as its own Makefile makes it; it is made once in `folder`."""
+    place = folder / commit
+    if not (place / ".venv" / ".ready").is_file():
+        shutil.rmtree(place, ignore_errors=True)
+        archive = subprocess.run(
+            ["git", "archive", commit], cwd=ROOT, capture_output=True, check=True
+        ).stdout
+        with tarfile.open(fileobj=BytesIO(archive)) as files:
+            files.extractall(place, filter="data")
+        subprocess.run(
+            ["make", "--silent", f"PYTHON={sys.executable}", ".venv/.ready"], cwd=place, check=True
+        )
+    return place / ".venv" / "bin" / "python"
+
+
+def ratios(before: Path, level: str, repeats: int = 3) -> dict[str, float]:
+    """Processor time of each command now over that before, median of rounds in which the two follow each other; the first run with
+    an empty cache of kernels; and the size of the installed package."""
+    here = Path(sys.executable)
+    names = QUICK if level == "quick" else tuple(COMMANDS)
+    numbers = {}
+    with tempfile.TemporaryDirectory(prefix="speed-") as home:
+        sunspin(here, Path(home), "init cube")
+        for name in names:
+            rounds = [
+                [sunspin(python, Path(home), COMMANDS[name]) for python in (before, here)]
+                for _ in range(repeats)
+            ]
+            numbers[f"{name}, now / before"] = statistics.median(now / then for then, now in rounds)
+        then, now = (
+            sunspin(python, Path(home), COMMANDS["rates"], cache=f"{home}/{k}")
+            for k, python in enumerate((before, here))
+        )
+        numbers[f"{FIRST_RUN}, now / before"] = now / then
+    sizes = [size_MB(python) for python in (before, here)]
+    return numbers | {
+        "installed package before, MB": sizes[0],
+        "installed package now, MB": sizes[1],
+    }
+
+
+def sunspin(python: Path, home: Path, arguments: str, cache: str | None = None) -> float:
+    """Processor time (s) of one command in a process of its own, with all that it starts."""
+    out = tempfile.mkdtemp(dir=home)
+    given = arguments.replace("OUT", out + "/results").split()
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {
+        "OPENBLAS_NUM_THREADS": "1"
+    }
+    variables |= {} if cache is None else {"SUNSPIN_CACHE": cache}
+    begin = os.times()
+    done = subprocess.run(
+        [str(python), "-m", "sunspin.cli", *given],
+        cwd=home,
+        env=variables,
+        capture_output=True,
+        text=True,
+    )
+    end = os.times()
+    if done.returncode:
+        raise RuntimeError(f"sunspin {arguments}: {done.stderr.strip()[-500:]}")
+    return end.children_user + end.children_system - begin.children_user - begin.children_system
+
+
+def size_MB(python: Path) -> float:
+    """Size of the package's files that an interpreter imports."""
+    code = "import pathlib, sunspin; print(pathlib.Path(sunspin.__file__).parent)"
+    place = Path(
+        subprocess.run(
+            [str(python), "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+    )
+    return (
+        sum(
+            path.stat().st_size
+            for path in place.rglob("*")
+            if path.is_file() and path.suffix != ".pyc"
+        )
+        / 1e6
+    )
+
+
+def row(before: str, level: str, folder: Path) -> dict[str, object]:
+    """A row of the scoreboard."""
+    begin = time.monotonic()
+    measured = ratios(environment(before, folder), level)
+    slower = [
+        name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO
+    ]
+    outcome = "wrong" if slower else "right"
+    return {
+        "outcome": outcome,
+        "says": "; ".join(slower),
+        "measured": measured,
+        "wall_s": time.monotonic() - begin,
+    }
+
+
+MOST_RATIO = 1.1
+"""Processor time of a command at most, over that of the state before the first deletion."""
