@@ -13,18 +13,10 @@ CAMPAIGNS = {
     "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
     "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
-    "controls": "telemetry of landers that did something else, and of spoilt files, through the Philae study",
-    "verdicts": "simulated passes of every kind: wrong among decided, undecided among decidable, before and now",
-    "torque": "posteriors of telemetry under a torque that nobody told of, and of a body that is not as stated",
-    "posterior_cases": "Philae, 30 to 120 s apart, simulated without the package: is the truth in the list, and how soon",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
-    "right": "right files of every form through `check` and `rates`: each accusation is a false alarm",
-    "spinners": "spinners with coarse Sun sensors and a magnetometer through `check` and `rates`, elements right, wrong or none",
-    "exchanges": "two panel columns exchanged: named rightly, among several, undecided, or a false change alone",
     "scoreboard": "what must not get worse: outcomes of cases of every kind, beside an earlier state's",
     "size": "lines by folder, functions, names: how large the package is, and the ceilings",
     "effort": "two files that once took an hour: what `rates` takes for them now",
-    "unmoved": "results of another commit and of this state compared bit by bit",
     "lowest": "the tests with the lowest versions of the dependencies",
 }
 

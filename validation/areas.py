@@ -38,7 +38,7 @@ def passes(level: str, seed: int) -> Iterator[Task]:
 
 
 def _pass(kind: str, seed: int, i: int) -> Row:
-    from validation.verdicts_command import judge
+    from validation.passes import judge
 
     row = judge(kind, seed, i)
     if "pull" not in row:
@@ -50,7 +50,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     if row["decided"]:
         outcome = "wrong" if false else "open" if row["mirrored"] else "right"
     else:
-        outcome = "undecided" if row["before"] and not (row["wrong"] or unshown) else "open"
+        outcome = "undecided" if row["leads"] and not (row["wrong"] or unshown) else "open"
     return {
         "outcome": outcome,
         "says": row["why"],
@@ -100,7 +100,7 @@ def _orbiting(seed: int, i: int) -> Row:
 
 def posteriors(level: str, seed: int) -> Iterator[Task]:
     """`posterior`: right models, torques and moments that nobody told of, panels that are turned, models that are wrong."""
-    from validation.torque_command import LEVELS
+    from validation.torques import LEVELS
 
     for kind in LEVELS:
         for i in range(2 if level == "quick" else 12):
@@ -130,7 +130,7 @@ _KINDS_OF_TORQUE = {"0": "right model", "inertia": "moments off by 5 %"}
 
 
 def _torque(kind: str, seed: int, i: int) -> Row:
-    from validation.torque_command import BOX, judge
+    from validation.torques import BOX, judge
 
     row = judge(BOX, kind, seed, i, True)
     if row["word"] == "refused":
@@ -342,7 +342,7 @@ def files(level: str, seed: int) -> Iterator[Task]:
 
 
 def _right_file(seed: int, i: int) -> Row:
-    from validation.right_command import judge
+    from validation.right_files import judge
 
     with tempfile.TemporaryDirectory() as folder:
         accused = judge(Path(folder), seed, i, "check")["accused"]
@@ -372,7 +372,7 @@ def _fault(fault: str, seed: int, i: int) -> Row:
     from click.testing import CliRunner
 
     from sunspin.cli.check import check
-    from validation.right_command import make
+    from validation.right_files import make
 
     named, spoil = FAULTS[fault]
     with tempfile.TemporaryDirectory() as folder:
@@ -475,8 +475,7 @@ def _reproduced(coarser: int) -> Row:
 def _control(name: str) -> Row:
     from sunspin.philae import touchdown
     from sunspin.telemetry.case import load_case
-    from validation.controls import CONTROLS, chain_of
-    from validation.controls_command import NOT_CONCLUDED
+    from validation.controls import CONTROLS, NOT_CONCLUDED, chain_of
 
     looked = chain_of(CONTROLS[name](load_case("philae")))
     concluded = looked.scan is not None and looked.chain is not None

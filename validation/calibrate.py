@@ -92,7 +92,7 @@ def make(
 ) -> tuple[xr.Dataset, State, Model, dict[str, Any]]:
     """Telemetry of twin i, the truth, the model it was drawn from and the priors that the posterior is told.
 
-    No torque acts, and the posterior is told so: `python -m validation torque` is about those.
+    No torque acts, and the posterior is told so: `validation/torques.py` is about those.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i, KINDS.index(kind))))
     priors: dict[str, Any] = {"max_rate_rad_s": max_rate, "steady_torque": 0.0} | (

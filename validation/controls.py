@@ -94,6 +94,9 @@ CONTROLS: dict[str, Callable[[Case], xr.Dataset]] = {
 }
 """Name -> telemetry."""
 
+NOT_CONCLUDED = ("each panel shuffled", "panels 1 and 2 exchanged")
+"""Controls from whose readings nothing may be concluded."""
+
 COARSER = 3
 """34 x 34 x 14 motions."""
 

@@ -18,18 +18,14 @@ import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.vehicle import TelemetryForm
 
-SATELLITES, EXCHANGES, SAMPLES = 60, 2, 32
-"""Satellites, exchanges drawn for each, samples of each file."""
+EXCHANGES, SAMPLES = 2, 32
+"""Exchanges drawn for each satellite, samples of each file."""
 
 QUICK = tuple(range(0, 60, 5))
 """A dozen satellites, of which the first exchange stands for the rest."""
 
 NOISE = 0.01
 """One sigma of a reading, of the full signal of a panel of gain one; gains are as far off."""
-
-MOST_WRONG, MOST_ACCUSED = 1, 0
-"""Of 120 files with exchanged columns, those of which only a false change is named or a wrong motion decided, at most; and of 60
-right ones those that are accused: one in a hundred."""
 
 WRONG_SIGMAS, WRONG_RAD_S = 5.0, np.radians(0.1)
 """A decided motion is off where a component is off by more than both."""
@@ -179,12 +175,6 @@ def exchanges(seed: int, i: int, normals: np.ndarray) -> list[tuple[int, int]]:
     return [drawn[0], second]
 
 
-def cases(seed: int, quick: bool = False) -> list[tuple[int, int, int]]:
-    """(seed, satellite, exchange): exchange -1 has the columns as they are."""
-    which = [-1, 0] if quick else [-1, *range(EXCHANGES)]
-    return [(seed, i, k) for i in (QUICK if quick else range(SATELLITES)) for k in which]
-
-
 def run(case: tuple[int, int, int]) -> dict[str, Any]:
     """What `rates` says of a case, and whether it is true."""
     seed, i, which = case
@@ -316,22 +306,3 @@ def equivalents(made: Satellite, order: np.ndarray) -> list[np.ndarray]:
             continue
         found.append(m)
     return found
-
-
-def table(rows: list[dict[str, Any]]) -> str:
-    """Counts of right files and of exchanged ones."""
-    lines = ["| outcome | right files | columns exchanged |", "|---|---|---|"]
-    right, wrong = (
-        [row["outcome"] for row in rows if (row["exchange"] < 0) == own] for own in (True, False)
-    )
-    for what in dict.fromkeys(sorted([*right, *wrong])):
-        lines.append(f"| {what} | {right.count(what)} | {wrong.count(what)} |")
-    cpu = [row["cpu_s"] for row in rows]
-    lines.append(f"| all | {len(right)} | {len(wrong)} |")
-    return (
-        "\n".join(
-            [*lines, "", f"processor time: median {np.median(cpu):.0f} s, most {max(cpu):.0f} s"]
-        )
-        if cpu
-        else "no rows"
-    )

@@ -9,12 +9,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import accumulate
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.base.errors import SunspinError
+from sunspin.estimate.rates.estimate import rates
+from sunspin.estimate.rates.result import DECIDED
+from sunspin.estimate.verdict import NARROWER
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Gyro, Magnetometer, Sensors
 
@@ -330,3 +334,58 @@ def make(kind: str, seed: int, i: int) -> Made:
         "few samples, bad readings": misread,
     }
     return spoilt.get(kind, lambda made, _: made)(made, rng)
+
+
+WRONG_SIGMAS, WRONG_RAD_S = 5.0, np.radians(0.1)
+"""A rate is wrong where a component is off by more than both."""
+
+
+def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
+    """What is said of a simulated pass, and whether it is true; of one that is not decided, whether its best motion `leads`:
+    holds the weight that is asked for, and fits."""
+    made = make(kind, seed, i)
+    try:
+        result = rates(made.vehicle, made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
+    except SunspinError as error:
+        return {
+            "decided": False,
+            "leads": False,
+            "wrong": False,
+            "mirrored": False,
+            "empty": False,
+            "why": str(error),
+        }
+    return judged(result, made)
+
+
+def judged(result: Any, made: Made) -> dict[str, Any]:
+    """The first pass against the truth."""
+    t = result["time"].values[result["pass_of"].values == 0]
+    at = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
+    truth = made.omega[np.argmin(np.abs(made.telemetry["time"].values - at))]
+    omega, sigma = (
+        np.array([result[f"{name}_{axis}"].values[0, 0] for axis in "xyz"])
+        for name in ("omega", "sigma")
+    )
+    miss = np.abs(omega - truth)
+    wrong = _beyond(miss, sigma)
+    mirrored = wrong and any(
+        not _beyond(np.abs(omega - (2 * keep - 1) * truth), sigma) for keep in np.eye(3)
+    )
+    fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
+    return {
+        "decided": bool(result["decided"].values[0]),
+        "leads": bool(result["weight"].values[0, 0] >= DECIDED and fitted),
+        "wrong": wrong and not mirrored,
+        "mirrored": mirrored,
+        "empty": bool((sigma > NARROWER * result.attrs["max_rate_rad_s"] / 2).any()),
+        "off_deg_s": np.degrees(omega - truth).tolist(),
+        "sigma_deg_s": np.degrees(sigma).tolist(),
+        "pull": float((miss / sigma).max()),
+        "miss_deg_s": float(np.degrees(miss.max())),
+        "why": str(result["why_not_decided"].values[0]),
+    }
+
+
+def _beyond(miss: np.ndarray, sigma: np.ndarray) -> bool:
+    return bool(((miss > WRONG_SIGMAS * sigma) & (miss > WRONG_RAD_S)).any())

@@ -1,4 +1,4 @@
-"""``python -m validation posterior_cases``: Philae as its file draws it, simulated without the package: what the posterior says.
+"""Philae as its file draws it, simulated without the package: what the posterior says.
 
 Nothing of the simulator is the package's: the vehicle file is read as text, the gyrostat is integrated here, panels are cosines.
 The panels are not turned, the wheel coasts, moments, friction and the wheel's speed are off by the posterior's own sigmas, every
@@ -8,7 +8,6 @@ and i alone. The first three are fixed in all but the draws: such cases were los
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import resource
@@ -16,7 +15,6 @@ import time
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,6 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 
 from sunspin.base.errors import SunspinError
-from sunspin.compute.campaign import kept, rows_folder
 from sunspin.estimate.posterior.estimate import posterior
 from sunspin.telemetry.case import load_case
 
@@ -47,8 +44,8 @@ FULL_W = 2.5
 NEAR_SIGMAS = 4.5
 """A region is the truth's within this many sigmas of its rates, as in the calibration."""
 
-LIMIT_S, MEDIAN_S, LOST = 400.0, 100.0, 1
-"""Processor time of a case at most, of half of them, and how many of the 24 truths may be missing."""
+LIMIT_S = 400.0
+"""Processor time of a case at most."""
 
 
 @dataclass(frozen=True)
@@ -204,38 +201,6 @@ def run(case: Case, store: Path | None = None) -> dict[str, Any]:
     }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """A line a case, and the counts beneath."""
-    head = "  i samples interval_s max_rad_s  rad/s noise stated word           listed  sigmas weight   s"
-    lines = [head]
-    for row in rows:
-        speed = np.linalg.norm(row["omega_B"])
-        lines.append(
-            f"{row['number']:3d} {row['samples']:7d} {row['interval_s']:10.1f} {row['max_rate']:9.3f} {speed:6.3f} "
-            f"{row['noise']:5.3f} {row['stated']:6.2f} {row['word']:<15s}{'yes' if row['listed'] else 'NO':>6s} "
-            f"{row.get('far_sigmas', np.nan):7.1f} {row.get('weight', np.nan):6.2f} {row['processor_s']:4.0f}"
-        )
-    took, words = [row["processor_s"] for row in rows], [row["word"] for row in rows]
-    counts = ", ".join(f"{words.count(word)} {word}" for word in sorted(set(words)))
-    lines.append(
-        f"{sum(row['listed'] for row in rows)} of {len(rows)} truths in the list; {counts}; processor time: median "
-        f"{np.median(took):.0f} s, longest {max(took):.0f} s"
-    )
-    return "\n".join(lines)
-
-
-def passed(rows: list[dict[str, Any]]) -> bool:
-    """Whether the rows of a whole seed are what the posterior has to give."""
-    took = [row["processor_s"] for row in rows]
-    lost, refused = (
-        sum(not row["listed"] for row in rows),
-        sum(row["word"] == "not explained" for row in rows),
-    )
-    return bool(
-        lost <= LOST and not refused and np.median(took) <= MEDIAN_S and max(took) <= LIMIT_S
-    )
-
-
 def limited(case: Case, limit_s: float) -> dict[str, Any]:
     """The row of a case, in a process of its own that ends after so much processor time."""
 
@@ -261,31 +226,3 @@ def limited(case: Case, limit_s: float) -> dict[str, Any]:
         }
     process.join()
     return row
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "out", type=Path, help="where rows are kept: the same command goes on where it stopped"
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--case", type=int, action="append", help="repeatable; all unless given")
-    parser.add_argument(
-        "--limit",
-        type=float,
-        default=LIMIT_S,
-        help="processor time of a case in s, after which it is ended",
-    )
-
-
-def command(options: argparse.Namespace) -> int:
-    """Print the table; one unless the rows are what the posterior has to give."""
-    folder = rows_folder(options.out / f"posterior-cases-{options.seed}")
-    rows = []
-    for case in cases(options.seed):
-        if options.case is None or case.number in options.case:
-            rows.append(
-                kept(folder / f"{case.number:02d}.json", partial(limited, case, options.limit))
-            )
-            print(case.number, rows[-1]["word"], f"{rows[-1]['processor_s']:.0f} s", flush=True)
-    print(table(rows))
-    return int(not passed(rows))

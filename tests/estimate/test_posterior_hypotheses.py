@@ -21,7 +21,7 @@ from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model, pushed
 from sunspin.estimate.posterior.predict import drawn_rows, run_to
 from sunspin.estimate.terms.steady_torque import TURNED, sizes
-from validation.torque_command import BOX
+from validation.torques import BOX
 
 SUN, WINDOW_S = np.array([0.6, 0.0, 0.8]), 400.0
 PUSHED = pushed(model(BOX, {}, 1.0)[0], "B", WINDOW_S, 300.0)

@@ -6,12 +6,10 @@ import pytest
 from validation.exchanges import (
     FACES,
     Satellite,
-    cases,
     equivalents,
     exchanges,
     run,
     satellite,
-    table,
 )
 
 
@@ -37,7 +35,6 @@ def test_what_looks_the_same_in_the_simulator_is_a_mirror_that_no_wheel_shows():
 
 
 def test_satellites_have_four_to_nine_panels_and_two_exchanges_each():
-    assert len(cases(0)) == 180 and len(cases(0, quick=True)) == 24
     for i in (7, 42):
         made = satellite(0, i)
         first, second = exchanges(0, i, made.normals)
@@ -61,4 +58,3 @@ def test_exchanged_columns_are_named_and_the_right_file_is_not_accused(i, fits):
         rows[1]["outcome"] == "named rightly" and rows[1]["fits"] == fits and not rows[1]["decided"]
     )
     assert rows[1]["named"] == [f"the columns of panels {pair} exchanged"]
-    assert "| named rightly | 0 | 1 |" in table(rows)

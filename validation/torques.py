@@ -1,16 +1,13 @@
-"""``python -m validation torque``: posteriors of twins under a steady torque of which nobody told, and of inertias not as stated.
+"""Posteriors of twins under a steady torque of which nobody told, and of inertias not as stated.
 
 A box with six panels and no wheel: a posterior takes seconds. Twin i of a level depends on seed, level and i alone; those with
-even numbers have their torque in body axes, the others in space. Rows are kept, so the same command goes on where it stopped.
+even numbers have their torque in body axes, the others in space.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +15,12 @@ import xarray as xr
 from scipy.stats import chi2
 
 from sunspin.base.errors import SunspinError
-from sunspin.compute.campaign import kept, rows_folder
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.estimate import posterior
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle, load_vehicle
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import prior_truth
 
 LEVELS = {
@@ -37,7 +33,6 @@ LEVELS = {
 }
 """Name -> rad/s by which the torque changes the rate over the window, and part by which moments are off beside what is stated."""
 
-TWINS = 40
 
 WRONG_SIGMAS = 5.0
 
@@ -59,46 +54,6 @@ BOX = Vehicle(
     panels=[Panel(name, n, 1.0) for name, n in FACES.items()],
     telemetry=TelemetryForm(quantity="current_A", noise=0.02),
 )
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "out", type=Path, help="where rows are kept: the same command goes on where it stopped"
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--twins", type=int, default=TWINS, help="of each level")
-    parser.add_argument(
-        "--level", choices=LEVELS, action="append", help="repeatable; all unless given"
-    )
-    parser.add_argument(
-        "--vehicle",
-        help="a vehicle file or the name of one, instead of the box; 16 samples 20 s apart then",
-    )
-    parser.add_argument(
-        "--without", action="store_true", help="leave the unknown torque out of the posterior"
-    )
-
-
-def run(options: Any) -> int:
-    """Print the table; one if more than one twin of forty, or of a hundred in all, is confident and wrong."""
-    craft = load_vehicle(options.vehicle) if options.vehicle else BOX
-    folder = rows_folder(
-        options.out / f"torque-{craft.name}-{options.seed}{'-without' if options.without else ''}"
-    )
-    rows: dict[str, list[dict[str, Any]]] = {}
-    for level in options.level or LEVELS:
-        for i in range(options.first, options.first + options.twins):
-            one = partial(judge, craft, level, options.seed, i, not options.without)
-            rows.setdefault(level, []).append(kept(folder / f"{level}-{i:03d}.json", one))
-            print(level, i, rows[level][-1]["word"], flush=True)
-    print(table(rows))
-    wrong, made = (
-        [sum(row["wrong"] for row in each) for each in rows.values()],
-        [len(each) for each in rows.values()],
-    )
-    too_many = any(n > max(1, of // 40) for n, of in zip(wrong, made, strict=True))
-    return int(too_many or sum(wrong) > max(1, sum(made) // 100))
 
 
 class Made(NamedTuple):
@@ -174,38 +129,3 @@ def judge(craft: Vehicle, level: str, seed: int, i: int, torque: bool) -> dict[s
         "hypotheses": tree.attrs.get("hypotheses", ""),
         "processor_s": time.process_time() - began,
     }
-
-
-def table(rows: dict[str, list[dict[str, Any]]]) -> str:
-    """Both error rates by level, coverage and width."""
-    heads = (
-        "level",
-        "twins",
-        "unique",
-        "confident, beyond 5 sigma",
-        "of unique in 50 % / 90 %",
-        "not explained",
-        "not sure",
-        "sigma of unique, median, rad/s",
-        "processor time, median, s",
-    )
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for level, each in rows.items():
-        sure = [row for row in each if row["unique"]]
-        words = [row["word"] for row in each]
-        inside = [sum(row["level"] < share for row in sure) for share in (0.5, 0.9)]
-        width = f"{np.median([row['sigma'] for row in sure]):.2g}" if sure else "-"
-        spent = [row["processor_s"] for row in each if "processor_s" in row]
-        cells = (
-            level,
-            len(each),
-            len(sure),
-            sum(row["wrong"] for row in each),
-            f"{inside[0]} / {inside[1]} of {len(sure)}",
-            words.count("not explained"),
-            words.count("not sure"),
-            width,
-            f"{np.median(spent):.0f}" if spent else "-",
-        )
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)

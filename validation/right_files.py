@@ -1,10 +1,8 @@
-"""``python -m validation right``: right files of every form through `check` and `rates`; each accusation is a false alarm."""
+"""Right files of every form through `check` and `rates`; each accusation is a false alarm."""
 
 from __future__ import annotations
 
-import argparse
 import json
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,6 @@ from scipy.spatial.transform import Rotation
 import sunspin as ss
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
-from sunspin.compute.campaign import kept, rows_folder
 from sunspin.solve.rotations import seen_turned
 from sunspin.vehicle.file import parse_vehicle
 from validation.passes import unit
@@ -37,39 +34,6 @@ ACCUSED = (
     "NO motion fits",
 )
 """What the verdict of `rates` says only where something is wrong."""
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "out",
-        type=Path,
-        help="where files and rows are kept: the same command goes on where it stopped",
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--files", type=int, default=100, help="through `check`")
-    parser.add_argument("--rates", type=int, default=30, help="of these through `rates` too")
-
-
-def run(options: Any) -> int:
-    """Print the accusations; one if more than one file in a hundred is accused."""
-    folder = rows_folder(options.out / f"right-{options.seed}")
-    accused = {"check": 0, "rates": 0}
-    for i in range(options.files):
-        for what in ("check", "rates") if i < options.rates else ("check",):
-            found = kept(
-                folder / f"{what}-{i:03d}.json",
-                partial(judge, folder / f"{i:03d}", options.seed, i, what),
-            )
-            if found["accused"]:
-                accused[what] += 1
-                print(
-                    f"{what} of file {i} ({found['form']}): {'; '.join(found['accused'])}",
-                    flush=True,
-                )
-    print(
-        f"check accuses {accused['check']} of {options.files} right files, rates {accused['rates']} of {options.rates}"
-    )
-    return int(accused["check"] * 100 > options.files or accused["rates"] * 100 > options.rates)
 
 
 def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
