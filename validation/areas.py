@@ -462,14 +462,15 @@ def _reproduced(coarser: int) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         ss.reproduce(Path(folder) / "results", coarser=coarser, workers=1)
         summary = json.loads((Path(folder) / "results" / "summary.json").read_text("utf-8"))
-    rows = {row["id"]: row for row in summary["rows"]}
-    measured = {}
-    for name, row in rows.items():
-        value = row.get("ours", row.get("value"))
-        for k, number in enumerate(np.ravel(value) if value is not None else ()):
-            if isinstance(number, int | float):
-                measured[f"{name} ({row.get('verdict', row.get('kind'))}) {k}"] = float(number)
-    return {"outcome": "right", "measured": measured}
+    cases = {}
+    for row in summary["figures"]:
+        outcome = {True: "right", False: "wrong", None: "open"}[row["agrees"]]
+        ours = [
+            number for number in np.ravel(row["ours"]).tolist() if isinstance(number, int | float)
+        ]
+        measured = {f"ours, {row['kind']}, {k}": number for k, number in enumerate(ours)}
+        cases[row["id"]] = {"outcome": outcome, "measured": measured}
+    return {"outcome": "right", "cases": cases}
 
 
 def _control(name: str) -> Row:

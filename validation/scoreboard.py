@@ -38,7 +38,7 @@ OUTCOMES = ("right", "not run", "open", "undecided", "wrong", "defect")
 @dataclass(frozen=True)
 class Task:
     """One case. `run` gives a row with "outcome", and may give "off" and "sigma" (numbers of one unit, whose ratios are pulls) and
-    other figures; "processor_s" is added."""
+    other figures ("measured"); "processor_s" is added. A run that judges many things at once gives "cases", a row for each."""
 
     area: str
     kind: str
@@ -89,7 +89,12 @@ def rows_of(
             )
     rows: dict[str, dict[str, dict[str, Any]]] = {}
     for path, task in paths.items():
-        rows.setdefault(task.name, {})[task.case] = json.loads(path.read_text("utf-8"))
+        row = json.loads(path.read_text("utf-8"))
+        inside = {
+            case: {"processor_s": row["processor_s"]} | each
+            for case, each in row.get("cases", {}).items()
+        }
+        rows.setdefault(task.name, {}).update(inside or {task.case: row})
     return rows
 
 

@@ -20,6 +20,10 @@ def raising():
     raise ValueError("a defect")
 
 
+def several():
+    return {"outcome": "right", "cases": {"a": {"outcome": "right"}, "b": {"outcome": "wrong"}}}
+
+
 def counting(path, outcome):
     path.write_text(str(int(path.read_text()) + 1 if path.exists() else 1))
     return {"outcome": outcome}
@@ -30,12 +34,17 @@ def test_rows_are_kept_and_a_traceback_is_a_defect(tmp_path):
     tasks = [
         Task("rates", "kind", "0/1", partial(counting, count, "right")),
         Task("rates", "kind", "0/2", raising),
+        Task("study", "rows", "all", several),
     ]
     said = []
     for _ in range(2):
         rows = rows_of(tasks, tmp_path / "rows", 1, said.append)
-    assert count.read_text() == "1" and len(said) == 2
+    assert count.read_text() == "1" and len(said) == 3
     assert [row["outcome"] for row in rows["rates: kind"].values()] == ["right", "defect"]
+    assert {case: row["outcome"] for case, row in rows["study: rows"].items()} == {
+        "a": "right",
+        "b": "wrong",
+    }
     assert "a defect" in rows["rates: kind"]["0/2"]["says"]
 
 
