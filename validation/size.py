@@ -7,6 +7,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -40,6 +41,7 @@ class Size:
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
+@cache
 def sizes(source: Path = SOURCE) -> dict[str, Size]:
     """The size of each folder of the package, its own files as ".", and of the whole as "src"."""
     texts = {path: path.read_text("utf-8") for path in sorted(source.rglob("*.py"))}
