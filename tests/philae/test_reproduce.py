@@ -280,7 +280,7 @@ def test_every_published_figure_has_a_row_somewhere(reached):
     text = "".join(
         path.read_text("utf-8") for path in folder.glob("*.py") if path.name != "inputs.py"
     )
-    made = {key for key in CASE.published if re.search(rf'\brow\(\s*(?:r\.)?case, "{key}"', text)}
+    made = {key for key in CASE.published if re.search(rf'\brow\(\s*(?:r\.)?case,\s*"{key}"', text)}
     made |= {f"line_L{k}" for k in range(1, 5)}
     sun = rp.sun_directions(CASE.vehicle, CASE.telemetry)
     checked = {row.id for row in inputs.rows(inputs.Taken(CASE, sun))}
