@@ -17,6 +17,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.vehicle import TelemetryForm
+from validation.passes import beyond
 
 EXCHANGES, SAMPLES = 2, 32
 """Exchanges drawn for each satellite, samples of each file."""
@@ -26,9 +27,6 @@ QUICK = tuple(range(0, 60, 5))
 
 NOISE = 0.01
 """One sigma of a reading, of the full signal of a panel of gain one; gains are as far off."""
-
-WRONG_SIGMAS, WRONG_RAD_S = 5.0, np.radians(0.1)
-"""A decided motion is off where a component is off by more than both."""
 
 ALIKE = 0.02
 """Normals (unit vectors), moments and wheels (as shares) that differ by less are taken as equal in the judgement."""
@@ -243,14 +241,7 @@ def _judged(
     at = int(np.argmin(np.abs(made.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
     alike = equivalents(made, order)
     motions = [made.omega[at], *(np.linalg.det(m) * m @ made.omega[at] for m in alike)]
-    off = [
-        bool(
-            (
-                (np.abs(omega - one) > WRONG_SIGMAS * sigma) & (np.abs(omega - one) > WRONG_RAD_S)
-            ).any()
-        )
-        for one in motions
-    ]
+    off = [beyond(np.abs(omega - motion), sigma) for motion in motions]
     pulls = [float((np.abs(omega - one) / sigma).max()) for one in motions]
     truth = (
         None

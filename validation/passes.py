@@ -368,9 +368,9 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
         for name in ("omega", "sigma")
     )
     miss = np.abs(omega - truth)
-    wrong = _beyond(miss, sigma)
+    wrong = beyond(miss, sigma)
     mirrored = wrong and any(
-        not _beyond(np.abs(omega - (2 * keep - 1) * truth), sigma) for keep in np.eye(3)
+        not beyond(np.abs(omega - (2 * keep - 1) * truth), sigma) for keep in np.eye(3)
     )
     fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
     return {
@@ -387,5 +387,6 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
     }
 
 
-def _beyond(miss: np.ndarray, sigma: np.ndarray) -> bool:
+def beyond(miss: np.ndarray, sigma: np.ndarray) -> bool:
+    """Whether a rate that misses the truth by so much (3), rad/s, is wrong at this sigma (3)."""
     return bool(((miss > WRONG_SIGMAS * sigma) & (miss > WRONG_RAD_S)).any())

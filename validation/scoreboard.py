@@ -115,9 +115,8 @@ def timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     begin = time.process_time()
     try:
         row = run()
-    except (
-        Exception
-    ) as error:  # any error at all is a defect of what is judged, and the campaign goes on
+    # any error at all is a defect of what is judged, and the campaign goes on
+    except Exception as error:
         row = {"outcome": "defect", "says": "".join(traceback.format_exception(error))[-800:]}
     return {"processor_s": time.process_time() - begin} | row
 
@@ -144,11 +143,11 @@ def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
 
 
 def board(
-    rows: dict[str, dict[str, dict[str, Any]]], level: str, seeds: Iterable[int]
+    rows: dict[str, dict[str, dict[str, Any]]], state: str, level: str, seeds: Iterable[int]
 ) -> dict[str, Any]:
-    """What is written: figures of each set, and the outcome of each case."""
+    """What is written: figures of each set, and the outcome of each case, in a `state` of the package."""
     return {
-        "state": state_of_package(),
+        "state": state,
         "level": level,
         "seeds": list(seeds),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
@@ -159,9 +158,7 @@ def board(
                 },
                 "cases": {case: row["outcome"] for case, row in each.items()},
                 "measured": {
-                    case: {key: value for key, value in row["measured"].items()}
-                    for case, row in each.items()
-                    if "measured" in row
+                    case: row["measured"] for case, row in each.items() if "measured" in row
                 },
             }
             for name, each in rows.items()
@@ -182,7 +179,7 @@ def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
 
 
 def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
-    """A line for each set: counts and figures, of both states over the cases that both have."""
+    """A line for each set: counts and figures; of both states, each over its own cases."""
     heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "s"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, each in now["sets"].items():

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from sunspin.base import atomic_write
-from sunspin.compute.campaign import kept, rows_folder
+from sunspin.compute.campaign import kept
 from validation import speed
 from validation.areas import AREAS
 from validation.scoreboard import ROOT, board, flips, rows_of, state_of_package, table, timed
@@ -38,7 +38,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--seed",
         type=int,
         action="append",
-        help="repeatable; 0 and 7 unless given, 11 is kept for the end of a work",
+        help="repeatable; unless given 0, and with --full 7 too; 11 is kept for the end of a work",
     )
     parser.add_argument(
         "--rows",
@@ -72,20 +72,14 @@ def run(options: argparse.Namespace) -> int:
         for seed in seeds
         for task in AREAS[name](options.level, seed)
     ]
-    rows = rows_of(
-        tasks,
-        options.rows / state_of_package(),
-        options.workers,
-        lambda text: print(text, flush=True),
-    )
+    state = state_of_package()
+    folder = options.rows / state
+    rows = rows_of(tasks, folder, options.workers, lambda text: print(text, flush=True))
     if options.before is not None:  # alone on the machine, after all else
-        path = (
-            rows_folder(options.rows / state_of_package())
-            / f"speed-{options.level}-{options.before}.json"
-        )
+        path = folder / f"speed-{options.level}-{options.before}.json"
         run = partial(speed.row, options.before, options.level, options.rows / "environments")
         rows["speed: processor time"] = {"commands": kept(path, partial(timed, run))}
-    now = board(rows, options.level, seeds)
+    now = board(rows, state, options.level, seeds)
     text = json.dumps(now, indent=1)
     atomic_write.write_whole(options.out, lambda part: part.write_text(text + "\n", "utf-8"))
     before = None if options.against is None else json.loads(options.against.read_text("utf-8"))

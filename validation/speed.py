@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import time
 from io import BytesIO
 from pathlib import Path
 
@@ -26,6 +25,9 @@ COMMANDS = {
 
 QUICK = ("rates", "scan")
 FIRST_RUN = "first run after installation"
+
+MOST_RATIO = 1.1
+"""Processor time of a command at most, over that of the state before the first deletion."""
 
 
 def environment(commit: str, folder: Path) -> Path:
@@ -112,7 +114,6 @@ def size_MB(python: Path) -> float:
 
 def row(before: str, level: str, folder: Path) -> dict[str, object]:
     """A row of the scoreboard."""
-    begin = time.monotonic()
     measured = ratios(environment(before, folder), level)
     slower = [
         name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO
@@ -122,9 +123,4 @@ def row(before: str, level: str, folder: Path) -> dict[str, object]:
         "outcome": outcome,
         "says": "; ".join(slower),
         "measured": measured,
-        "wall_s": time.monotonic() - begin,
     }
-
-
-MOST_RATIO = 1.1
-"""Processor time of a command at most, over that of the state before the first deletion."""

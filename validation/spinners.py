@@ -46,6 +46,10 @@ USUAL_NT = 35_000.0
 WRONG_NODE_DEG = 20.0
 
 
+AS_MOUNTED = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+"""The axes of a magnetometer that is not turned, as `Case` has them."""
+
+
 class Case(NamedTuple):
     """One simulated file: what was drawn for it. `faces`: names of panels; `turned`: rows of a signed permutation (3, 3), the axis
     along which each column of the magnetometer reads; `zero` (3), over the usual field; `zero_known`: the vehicle file states it;
@@ -73,10 +77,6 @@ class Case(NamedTuple):
     @property
     def turns(self) -> float:
         return abs(self.spin_deg_s) * self.samples * self.step_s / 360
-
-    @property
-    def is_turned(self) -> bool:
-        return self.turned != ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 def cases(seed: int, count: int, whole: bool | None = None) -> list[Case]:

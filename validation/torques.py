@@ -22,6 +22,7 @@ from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import prior_truth
+from validation.passes import WRONG_SIGMAS
 
 LEVELS = {
     "0": (0.0, 0.0),
@@ -32,9 +33,6 @@ LEVELS = {
     "inertia": (0.0, 0.05),
 }
 """Name -> rad/s by which the torque changes the rate over the window, and part by which moments are off beside what is stated."""
-
-
-WRONG_SIGMAS = 5.0
 
 SAMPLES, INTERVALS_S, TURN = 20, (10.0, 60.0), 2.5
 """Samples, the range of their intervals (log-uniform), and the most that a body turns in one (rad)."""
@@ -62,20 +60,20 @@ class Made(NamedTuple):
     priors: dict[str, Any]
 
 
-def make(craft: Vehicle, level: str, seed: int, i: int) -> Made:
+def make(level: str, seed: int, i: int) -> Made:
     """Telemetry of a twin, its rate at the first sample (3) rad/s, and the priors that the posterior is told."""
     change, off = LEVELS[level]
     rng = np.random.default_rng(
         np.random.SeedSequence(seed, spawn_key=(i, list(LEVELS).index(level)))
     )
-    own = craft is BOX
-    interval, n = (float(np.exp(rng.uniform(*np.log(INTERVALS_S)))), SAMPLES) if own else (20.0, 16)
-    t = interval * np.arange(n) + np.concatenate([[0.0], rng.uniform(-1, 1, n - 1)]) * interval / 4
+    interval = float(np.exp(rng.uniform(*np.log(INTERVALS_S))))
+    jitter = np.concatenate([[0.0], rng.uniform(-1, 1, SAMPLES - 1)])
+    t = interval * np.arange(SAMPLES) + jitter * interval / 4
     priors = {"max_rate_rad_s": min(0.25, TURN / interval)} | AS_DRAWN
-    scale = craft.require_noise() / (0.02 * float(craft.panel_gains.max()))
-    unknown, _ = model(craft, priors, scale)
+    scale = BOX.require_noise() / (0.02 * float(BOX.panel_gains.max()))
+    unknown, _ = model(BOX, priors, scale)
     truth = prior_truth(unknown, rng)
-    body = unknown.bodies(truth.u).vehicle(craft, 0)
+    body = unknown.bodies(truth.u).vehicle(BOX, 0)
     moments = np.array(body.require_inertia())
     moments[np.diag_indices(3)] *= 1 + off * rng.standard_normal(3)
     body = replace(body, inertia_kg_m2=moments)
@@ -88,7 +86,7 @@ def make(craft: Vehicle, level: str, seed: int, i: int) -> Made:
         t,
         unknown.wheel_speeds(truth.u)[0],
         scale=scale,
-        noise=craft.require_noise(),
+        noise=BOX.require_noise(),
         torques=[steady] if change else [],
     )
     return Made(
@@ -96,12 +94,11 @@ def make(craft: Vehicle, level: str, seed: int, i: int) -> Made:
     )
 
 
-def judge(craft: Vehicle, level: str, seed: int, i: int, torque: bool) -> dict[str, Any]:
+def judge(level: str, seed: int, i: int) -> dict[str, Any]:
     """What the posterior says of a twin, and how far the truth is from it."""
-    made, began = make(craft, level, seed, i), time.process_time()
-    priors = made.priors | ({} if torque else {"steady_torque": 0.0})
+    made, began = make(level, seed, i), time.process_time()
     try:
-        tree = posterior(craft, made.telemetry, priors, seed, workers=1)
+        tree = posterior(BOX, made.telemetry, made.priors, seed, workers=1)
     except SunspinError as error:
         return {"word": "refused", "verdict": str(error), "unique": False, "wrong": False}
     modes = tree["modes"]

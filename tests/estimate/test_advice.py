@@ -125,9 +125,10 @@ def test_give_a_smaller_largest_rate():
 @pytest.mark.long
 def test_state_the_zero_of_a_magnetometer_with_a_sigma(tmp_path):
     """docs/howto/orbit.md: a zero of a third of the field, taken for none, fits no motion; with its sigma the motion comes."""
-    mounted = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     zero, faces = (0.2, -0.3, 0.25), ("-X", "+Y", "-Z", "+X")
-    case = spinners.Case(5, 2, -6.0, 1, 1.0, faces, mounted, zero, True, 1.3, True, 0.1, 2.0, 150)
+    case = spinners.Case(
+        5, 2, -6.0, 1, 1.0, faces, spinners.AS_MOUNTED, zero, True, 1.3, True, 0.1, 2.0, 150
+    )
     true = np.array(spinners.make(case, tmp_path)["rates_deg_s"])
     written = (tmp_path / "vehicle.toml").read_text("utf-8")
     results = {}

@@ -16,9 +16,8 @@ from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
 from sunspin.estimate.rates.observe import thinned
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.sensors import read_terms
-from validation.spinners import Case, make
+from validation.spinners import AS_MOUNTED, Case, make
 
-AS_MOUNTED = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 ROTATED = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 THREE, LARGE_ZERO = ("-X", "-Y", "-Z"), (3.0, -3.0, 2.0)
 

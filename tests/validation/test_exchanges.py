@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from validation.exchanges import (
-    FACES,
-    Satellite,
-    equivalents,
-    exchanges,
-    run,
-    satellite,
-)
+from validation.exchanges import FACES, Satellite, equivalents, exchanges, run, satellite
 
 
 def test_what_looks_the_same_in_the_simulator_is_a_mirror_that_no_wheel_shows():

@@ -33,9 +33,8 @@ def test_the_counts_of_a_small_package(tmp_path):
     assert (room.files, room.lines, room.functions, room.classes) == (2, 24, 3, 2)
     assert room.single_caller == 1  # helper: twice is used twice, and shown is exported
     assert (room.repeated_classes, room.constants) == (1, 3)
-    assert (
-        room.vague_names == 4
-    )  # one as a parameter and where it is used, found as it is set and returned
+    # one as a parameter and where it is used, found as it is set and returned
+    assert room.vague_names == 4
     whole = size.sizes(tmp_path)["src"]
     assert (whole.files, whole.lines) == (3, 25)
 

@@ -138,10 +138,10 @@ def sample(
     the modes promised. `run(function, label, chunk)` computes rows; `part`: of the draws that are made otherwise.
 
     Where sheets with one soft direction do not become good, others with two are learnt too, and both propose, unless the search
-    for the modes was not complete. Bends of what is
-    `known` are taken instead of found; where these do not become good enough, sheets are learnt as otherwise, unless the draws that
-    are `known` are not to be trusted themselves: twelve rounds more for each hypothesis would not make the verdict sure. `least`:
-    the log evidence below which nobody asks how good the draws are.
+    for the modes was not complete: the verdict is not sure then, whatever the draws. Bends of what is `known` are taken instead of
+    found; where these do not become good enough, sheets are learnt as otherwise, unless the draws that are `known` are not to be
+    trusted themselves: twelve rounds more for each hypothesis would not make the verdict sure. `least`: the log evidence below
+    which nobody asks how good the draws are.
     """
     bent = None
     if known is not None and known.drawn.bent is not None:
@@ -151,11 +151,10 @@ def sample(
     rough = known is not None and (
         known.drawn.effective < EFFECTIVE_LIMIT or known.drawn.tail > TAIL_LIMIT
     )
-    # whatever the draws, an incomplete search is not sure: sheets of a second kind would not change that
-    softs_of_sheets = SOFTS if modes.complete else SOFTS[:1]
-    for softs in (
-        softs_of_sheets if bent is None else (LENT,) if rough else (LENT, *softs_of_sheets)
-    ):
+    kinds = SOFTS if modes.complete else SOFTS[:1]
+    if bent is not None:
+        kinds = (LENT,) if rough else (LENT, *kinds)
+    for softs in kinds:
         lent = bent if softs == LENT else None
         tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part, lent, least))
         if tracks[-1].good is not None:

@@ -443,13 +443,10 @@ def _begin(
     take: an effort of one is about a minute and a half of one core."""
     if callable(progress):
         most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
-        long = (
-            "as long as it needs"
-            if np.isinf(most)
-            else f"up to {most:.2g} minutes of one core"
-            if most > 0.02
-            else "a second"
-        )
+        if np.isinf(most):
+            long = "as long as it needs"
+        else:
+            long = f"up to {most:.2g} minutes of one core" if most > 0.02 else "a second"
         passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
         progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
     load(body)
