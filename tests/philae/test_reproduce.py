@@ -201,20 +201,25 @@ def part(name, compute, **about):
     return rp.Part(name, name, "telemetry", compute, lambda _: [], **about)
 
 
+def failing(_):
+    raise MotionError("no motion")
+
+
 def test_parts_end_in_any_order_and_see_what_they_name(monkeypatch):
     """The slow one is in the results where it stands in the list; what needs a part that failed is left out and nothing else."""
-    begun = threading.Event()
+    fast_is_told, told = threading.Event(), []
 
     def slow(_):
-        assert begun.wait(20), "nothing ran beside it"
+        assert fast_is_told.wait(20), "nothing ran beside it"
         return "slow"
 
     def fast(i):
-        begun.set()
         return sorted(i.done)
 
-    def failing(_):
-        raise MotionError("no motion")
+    def seen(so_far):
+        told.append(list(so_far.parts))
+        if "fast" in so_far.parts:
+            fast_is_told.set()
 
     parts = (
         part("slow", slow),
@@ -225,20 +230,15 @@ def test_parts_end_in_any_order_and_see_what_they_name(monkeypatch):
         part("both", fast, needs=("slow",), uses=("failing", "nowhere")),
     )
     monkeypatch.setattr(rp, "PARTS", parts)
-    told = []
-    found = rp.compute(CASE, workers=2, seen=lambda so_far: told.append(list(so_far.parts)))
+    found = rp.compute(CASE, workers=2, seen=seen)
     assert list(found.parts.items()) == [("slow", "slow"), ("fast", []), ("both", ["slow"])]
     assert told[-1] == ["fast", "slow", "both"]
     assert list(found.missing) == ["failing", "lost"] and found.off == {"off": "not asked for"}
 
 
 def test_a_part_that_is_needed_ends_the_study(monkeypatch):
-    def failing(_):
-        raise MotionError("no motion")
-
-    monkeypatch.setattr(
-        rp, "PARTS", (part("other", lambda _: 1), part("failing", failing, needed=True))
-    )
+    parts = part("other", lambda _: 1), part("failing", failing, needed=True)
+    monkeypatch.setattr(rp, "PARTS", parts)
     with pytest.raises(MotionError, match="no motion"):
         rp.compute(CASE, workers=1)
 
