@@ -15,7 +15,7 @@ TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
 # as many workers as cores, four at most: threads of the linear algebra would only stand in their way
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: help reproduce test test-all test-slow docs bench scoreboard calibrate validate-real long other-pythons lint contracts style types lock clean
+.PHONY: help reproduce test test-all test-slow docs bench scoreboard validate-real long other-pythons lint contracts style types lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
@@ -25,7 +25,6 @@ help:
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
 	@echo "make scoreboard  what must not get worse, case by case (make scoreboard SCOREBOARD='--full --against FILE'); resumable"
-	@echo "make calibrate   is the posterior right? 170 twins of Philae into $(OUT)/calibration, about 20 min; resumable"
 	@echo "make validate-real  rates of real satellites against what was withheld, where SUNSPIN_DATA has them (docs/real-data.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
@@ -96,13 +95,6 @@ bench: $(READY)
 # goes on where it was stopped
 scoreboard: $(READY)
 	$(BIN)/python -m validation scoreboard $(SCOREBOARD)
-
-# goes on where it was stopped
-calibrate: $(READY)
-	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 100
-	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 20 --kind known
-	$(BIN)/python -m validation.calibrate $(OUT)/calibration --twins 10 --kind shadow --kind dead --kind jitter --kind swapped --kind wheel_off
-	$(BIN)/python docs/calibration_figure.py $(OUT)/calibration $(OUT)/calibration/calibration.png
 
 # writes the page anew; needs other people's data
 validate-real: $(READY)

@@ -1,13 +1,10 @@
 """Twins for `calibrate-sensors`: telemetry of a CubeSat in an orbit drawn at random, its sensors off by known errors, or by none.
 
-    PYTHONPATH=. python tests/calibration_twins.py OUT --first 0 --twins 20
-
 The orbit is that of tests/tle_twins.py, which nothing of the package's environment makes. All of it is synthetic.
 """
 
 from __future__ import annotations
 
-import sys
 from datetime import timedelta
 from typing import Any, NamedTuple
 
@@ -16,9 +13,7 @@ import xarray as xr
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from strange_rates import campaign
 from strange_twins import FACES, unit
-from sunspin.compute.campaign import command
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import drift_sigma_s_day, in_orbit
 from sunspin.estimate.calibrate.sensors import calibrate_sensors
@@ -188,39 +183,3 @@ def judge(seed: int, i: int) -> dict[str, Any]:
         for name, true in zip(("shift_s", "drift_s_day"), twin.along_track, strict=True)
     }
     return {what: deviations(twin, found) | along_track}
-
-
-def kind_of(name: str) -> str:
-    """Keys that are counted together."""
-    table, key = name.split(".")[0], name.rsplit(".", 1)[-1]
-    return f"{table} {key.replace('x_', '').replace('y_', '')}"
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print by kind of key: how many numbers, their rms deviation in sigmas, and the share beyond two."""
-    rows = []
-    for i, row in campaign("tests/calibration_twins.py", "calibrate-sensors", judge, arguments):
-        rows.append(row)
-        print(
-            i,
-            {
-                what: round(float(np.sqrt(np.mean(np.square(sum(row[what].values(), []))))), 2)
-                for what in row
-            },
-            flush=True,
-        )
-    for what in ("off", "clean"):
-        found: dict[str, list[float]] = {}
-        for row in rows:
-            for name, values in row.get(what, {}).items():
-                found.setdefault(kind_of(name), []).extend(values)
-        for kind, values in [*sorted(found.items()), ("all", sum(found.values(), []))]:
-            z = np.abs(values)
-            print(
-                f"{what:6s} {kind:28s} {len(z):5d}  rms {np.sqrt((z**2).mean()):.2f}  beyond 2 sigma {(z > 2).mean():6.1%}"
-            )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,5 @@
 """Twins for `rates` with an orbit: CubeSats with a dipole in the Earth's field, gravity gradient, clouds, and real elements.
 
-    PYTHONPATH=. python tests/orbit_rates_twins.py OUT --first 0 --twins 10
-
 Orbits, field and Sun are those of `tests/tle_twins.py` (SGP4, IGRF, the Almanac), bodies, torques and the patchy light of the
 Earth those of `tests/orbit_twins.py`: nothing of the package's environment or dynamics makes them. A file has several passes,
 also in the shadow; those judged are drawn. All of it is synthetic.
@@ -9,7 +7,6 @@ also in the shadow; those judged are drawn. All of it is synthetic.
 
 from __future__ import annotations
 
-import sys
 import time
 from datetime import timedelta
 from typing import Any, NamedTuple
@@ -22,10 +19,8 @@ from sgp4.api import Satrec, jday
 
 import sunspin as ss
 from orbit_twins import Ground, drawn_body, motion
-from strange_rates import campaign
 from strange_twins import FACES, unit
 from sunspin.base.errors import SunspinError
-from sunspin.compute.campaign import command
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import Orbit, in_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
@@ -36,6 +31,9 @@ from sunspin.vehicle.sensors import Magnetometer, Sensors
 from tle_twins import EARTH_KM, EPOCH, field_nT, lines, sun_of_date, turned
 
 STEP_S, LONGEST_S = 10.0, 700.0
+SPARSE = {"patches": 2000, "every_s": (20.0, 60.0), "power": (0.4, 1.2)}
+"""Passes of fast bodies whose samples are so far apart that whole turns hide between them."""
+
 JUDGED = 2
 """Passes of a file that are judged, at most: those that see the Sun in eight samples or more."""
 
@@ -272,37 +270,3 @@ def judge(seed: int, i: int) -> dict[str, Any]:
                 about[name]["passes"].append({"refused": str(error)})
         about[name]["processor_s"] = time.process_time() - began
     return about
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print what becomes of them, and a table."""
-    rows = []
-    for i, row in campaign("tests/orbit_rates_twins.py", "rates in orbits", judge, arguments):
-        print(i, row, flush=True)
-        rows.append(row)
-    for name in ("without", "right", "2 deg", "field alone"):
-        print(name, table([part for row in rows if name in row for part in row[name]["passes"]]))
-
-
-def table(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Errors and shares of one kind of run."""
-    ran = [row for row in rows if "pulls" in row]
-    pulls = np.abs(np.array([row["pulls"] for row in ran if not row["wrong"]])).ravel()
-    decided = [row for row in ran if row["decided"]]
-    return {
-        "passes": len(rows),
-        "ran": len(ran),
-        "decided": len(decided),
-        "wrong among decided": sum(row["wrong"] for row in decided),
-        "in 68": float((pulls < 1).mean()),
-        "in 95": float((pulls < 1.96).mean()),
-        "rms pull": float(np.sqrt((pulls**2).mean())),
-        "median miss deg/s": float(np.median(np.abs([row["miss_deg_s"] for row in ran]))),
-        "median sigma deg/s": float(np.median([row["sigma_deg_s"] for row in ran])),
-        "median Sun deg": float(np.median([row["sun_deg"] for row in ran])),
-    }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,5 @@
 """Twins for `rates` in orbit about the Earth, moved by equations of their own. All of it is synthetic.
 
-    PYTHONPATH=. python tests/orbit_twins.py OUT --first 0 --twins 30
-
 A CubeSat with a residual magnetic dipole tumbles in the Earth's field and in its gravity's gradient, of which the vehicle file says
 nothing; the Sun goes down; the Earth reflects light on every face, unevenly, from below, and below turns with the orbit, as does
 the field that a magnetometer reads. Nothing of the package's own dynamics or panel model is used to make them.
@@ -9,8 +7,6 @@ the field that a magnetometer reads. Nothing of the package's own dynamics or pa
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,9 +15,8 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from strange_rates import campaign, judged, tally, told
+from strange_rates import judged, told
 from strange_twins import FACES, unit
-from sunspin.compute.campaign import command
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
@@ -295,31 +290,3 @@ def judge(seed: int, i: int, orbits: int | None = None) -> dict[str, Any]:
             "passes": [judged(result, run, k) for k in range(result.sizes["pass_id"])],
         },
     )
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print what becomes of them."""
-    rows = []
-    for i, row in campaign("tests/orbit_twins.py", "orbit", judge, arguments):
-        print(
-            i,
-            {
-                k: (round(v, 5) if isinstance(v, float) else v)
-                for k, v in row.items()
-                if k != "passes"
-            },
-            flush=True,
-        )
-        for part in row.get("passes", ()):
-            print(
-                "   ",
-                {k: np.round(v, 2).tolist() if isinstance(v, list) else v for k, v in part.items()},
-                flush=True,
-            )
-            rows.append(row | part)
-    print(json.dumps(tally(rows), indent=1))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,19 +1,10 @@
-"""Twins for `rates` whose vehicles, sensors, sampling and faults are all drawn anew. All of it is synthetic.
-
-PYTHONPATH=. python tests/strange_rates.py OUT --first 0 --twins 30
-"""
+"""Twins for `rates` whose vehicles, sensors, sampling and faults are all drawn anew. All of it is synthetic."""
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +15,6 @@ import sunspin as ss
 from coverage_twins import place
 from strange_twins import FACES, body, unit
 from sunspin.base.errors import SunspinError
-from sunspin.compute.campaign import command, kept, rows_folder
 from sunspin.estimate.inertia import ASSUMED
 from sunspin.estimate.rates.result import DECIDED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -211,70 +201,9 @@ def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
     return {
         "word": word,
         "found": bool(near.any()),
+        "best": bool(near[0]),
         "weight": float(weight[near].sum()),
         "pulls": (miss / sigma)[best].tolist(),
         "miss_deg_s": np.degrees(miss[best]).tolist(),
         "places": place(result, run)[k].tolist(),
     }
-
-
-def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Words, truths found, confident misses, and the true mean rates inside the 50 and 90 % intervals, by component."""
-    judged = [row for row in rows if "found" in row]
-    fits = [row for row in judged if row["word"] != "fits badly"]
-    places = np.array([row["places"] for row in fits]).reshape(-1)
-    pulls = np.array([row["pulls"] for row in fits if row["found"]]).reshape(-1)
-    return {
-        "twins": len(rows),
-        "words": dict(Counter(row["word"] for row in rows)),
-        "found": sum(row["found"] for row in judged),
-        "confident_misses": sum(
-            row["word"] == "decided" and row["weight"] < 1 - DECIDED for row in judged
-        ),
-        "in_50": float(np.mean(np.abs(places - 0.5) < 0.25)),
-        "in_90": float(np.mean(np.abs(places - 0.5) < 0.45)),
-        "rms_pull": float(np.sqrt(np.mean(pulls**2))),
-        "median_miss_deg_s": float(
-            np.median([np.max(row["miss_deg_s"]) for row in fits if row["found"]])
-        ),
-        "processor_s": float(np.median([row["processor_s"] for row in judged])),
-    }
-
-
-def campaign(
-    prog: str, name: str, judge: Callable[[int, int], dict[str, Any]], arguments: list[str] | None
-) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The twins that the command line asks for: number and row, kept as they are made."""
-    parser = argparse.ArgumentParser(
-        prog=f"python {prog}", description="Run twins and print what becomes of them."
-    )
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--twins", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args(arguments)
-    folder = rows_folder(given.out / f"{name}-{given.seed}")
-    for i in range(given.first, given.first + given.twins):
-        yield i, kept(folder / f"{i:04d}.json", partial(judge, given.seed, i))
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print what becomes of them."""
-    rows = []
-    for i, row in campaign("tests/strange_rates.py", "rates", judge, arguments):
-        rows.append(row)
-        print(
-            i,
-            {
-                k: (round(v, 3) if isinstance(v, float) else v)
-                for k, v in row.items()
-                if k != "verdict"
-            },
-            flush=True,
-        )
-    print(json.dumps(tally(rows), indent=1))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

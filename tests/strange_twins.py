@@ -1,20 +1,12 @@
 """Twins for the posterior whose vehicles, sampling and noise are all drawn anew. All of it is synthetic.
 
-    PYTHONPATH=. python tests/strange_twins.py OUT --first 0 --twins 30
-
 Nothing is drawn as the posterior presumes it, but that the inertia, wheels and friction are off by as much as it assumes.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import time
-from collections import Counter
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,10 +15,8 @@ from scipy.stats import chi2
 
 import sunspin as ss
 from sunspin.base.errors import SunspinError
-from sunspin.compute.campaign import command, kept, rows_folder
 from sunspin.estimate.posterior.model import ASSUMED
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
-from validation.calibrate import NEAR_SIGMAS
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -186,57 +176,3 @@ def judge(twin: Twin, workers: int | None) -> dict[str, Any]:
         "effective": tree.attrs["effective_draws"],
         "processor_s": time.process_time() - began,
     }
-
-
-def tally(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Verdicts, truths found, truths in the 50 and 90 % ellipsoids of the nearest mode, and confident misses."""
-    judged = [row for row in rows if "sigmas" in row]
-    found = [row for row in judged if row["sigmas"] < NEAR_SIGMAS]
-    confident = [row for row in judged if row["word"] in ("unique", "aliases", "line")]
-    return {
-        "twins": len(rows),
-        "words": dict(Counter(row["word"] for row in rows)),
-        "found": len(found),
-        "in_50": sum(row["level"] < 0.5 for row in judged),
-        "in_90": sum(row["level"] < 0.9 for row in judged),
-        "confident": len(confident),
-        "confident_misses": sum(row["sigmas"] >= NEAR_SIGMAS for row in confident),
-        "processor_s": float(np.median([row["processor_s"] for row in judged])) if judged else None,
-    }
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print what becomes of them."""
-    parser = argparse.ArgumentParser(prog="python tests/strange_twins.py", description=main.__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--twins", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--turns", type=float, default=0.24, help="at most so many between two samples"
-    )
-    parser.add_argument("--workers", type=int)
-    given = parser.parse_args(arguments)
-    folder = rows_folder(given.out / f"strange-{given.seed}-{given.turns:g}")
-
-    def row(i: int) -> dict[str, Any]:
-        return judge(make(given.seed, i, given.turns), given.workers)
-
-    rows = []
-    for i in range(given.first, given.first + given.twins):
-        rows.append(kept(folder / f"{i:04d}.json", partial(row, i)))
-        print(
-            i,
-            {
-                k: (round(v, 3) if isinstance(v, float) else v)
-                for k, v in rows[-1].items()
-                if k != "verdict"
-            },
-            flush=True,
-        )
-    print(json.dumps(tally(rows), indent=1))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,5 @@
 """Twins for the orbit check: telemetry of a CubeSat in an orbit drawn at random, and its elements, right or with the node turned.
 
-    PYTHONPATH=. python tests/tle_twins.py OUT --first 0 --twins 20
-
 Nothing of the package's environment makes them: SGP4 and IGRF are called as their authors offer them, the Earth is turned by
 Greenwich sidereal time, the Sun is the low-precision formula of the Astronomical Almanac, the shadow a cylinder. All of it is
 synthetic.
@@ -9,7 +7,6 @@ synthetic.
 
 from __future__ import annotations
 
-import sys
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -19,9 +16,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 from sgp4.api import Satrec, jday
 
-from strange_rates import campaign
 from strange_twins import FACES, unit
-from sunspin.compute.campaign import command
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit.check import check_orbit
@@ -187,33 +182,3 @@ def judge(seed: int, i: int) -> dict[str, Any]:
             found.sign_turned,
         ]
     return about
-
-
-@command
-def main(arguments: list[str] | None = None) -> None:
-    """Run twins and print what becomes of them, and a table."""
-    rows = []
-    for i, row in campaign("tests/tle_twins.py", "orbit check", judge, arguments):
-        print(
-            i,
-            {k: np.round(v, 3) if isinstance(v, float) else v for k, v in row.items()},
-            flush=True,
-        )
-        rows.append(row)
-    for case in (f"{wrong:g} deg" for wrong in WRONG_DEG):
-        verdicts = [row[case][0] for row in rows]
-        print(case, {name: verdicts.count(name) for name in sorted(set(verdicts))})
-    print(
-        "clock named",
-        sum(row["clock"][-2] == 3600 for row in rows),
-        "sign named",
-        sum(row["sign"][-1] for row in rows),
-    )
-    pulls = np.array([(row["0 deg"][3] - row["ahead_s"]) / row["0 deg"][4] for row in rows])
-    print(
-        f"shift: rms {np.sqrt((pulls**2).mean()):.2f} sigma, {(np.abs(pulls) < 1.645).sum()} within 1.645, of {len(rows)}"
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

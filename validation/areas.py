@@ -35,8 +35,10 @@ def passes(level: str, seed: int) -> Iterator[Task]:
     from validation.passes import KINDS
 
     for kind, count in KINDS.items():
-        for i in range(2 if level == "quick" else count // 2):
+        for i in range(4 if level == "quick" else count // 2):
             yield Task("rates", kind, f"{seed}/{i}", partial(_pass, kind, seed, i))
+    for i in range(4 if level == "quick" else 24):
+        yield Task("rates", "any vehicle", f"{seed}/{i}", partial(_any_vehicle, seed, i))
 
 
 def _pass(kind: str, seed: int, i: int) -> Row:
@@ -62,10 +64,37 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     }
 
 
+def _any_vehicle(seed: int, i: int) -> Row:
+    from strange_rates import judge
+    from sunspin.estimate.rates.result import DECIDED
+
+    row = judge(seed, i)
+    if row["word"] == "refused":
+        return {"outcome": "open", "says": row["verdict"]}
+    if row["word"] == "decided":
+        outcome = "wrong" if row["weight"] < 1 - DECIDED else "right"
+    else:
+        outcome = "undecided" if row["best"] else "open"
+    off = np.array(row["miss_deg_s"])
+    return {
+        "outcome": outcome,
+        "says": row["verdict"],
+        "off": off.tolist(),
+        "sigma": (off / row["pulls"]).tolist(),
+    }
+
+
 def orbiting(level: str, seed: int) -> Iterator[Task]:
     """`rates`: CubeSats with a dipole, clouds and real elements, with and without a magnetometer and the orbit."""
     for i in range(1 if level == "quick" else 8):
         yield Task("rates", "in orbit", f"{seed}/{i}", partial(_orbiting, seed, i))
+    for i in range(1 if level == "quick" else 6):
+        yield Task(
+            "rates",
+            "in orbit, whole turns between samples",
+            f"{seed}/{i}",
+            partial(_sparse, seed, i),
+        )
 
 
 def _orbiting(seed: int, i: int) -> Row:
@@ -76,6 +105,17 @@ def _orbiting(seed: int, i: int) -> Row:
     ways = ("without", "right", "field alone")
     judged = [each for way in ways if way in row for each in row[way]["passes"] if "pulls" in each]
     return _of_passes(judged, "miss_deg_s", "sigma_deg_s")
+
+
+def _sparse(seed: int, i: int) -> Row:
+    import sunspin as ss
+    from orbit_rates_twins import SPARSE, judged, make, one_pass
+
+    vehicle, data, _, truth, about = make(seed, i, **SPARSE)
+    results = [
+        ss.rates(vehicle, one_pass(data, begin).drop_vars("field_B")) for begin in about["begin_s"]
+    ]
+    return _of_passes([judged(result, truth, 0) for result in results], "miss_deg_s", "sigma_deg_s")
 
 
 def _of_passes(passes: list[Row], off: str, sigma: str) -> Row:
@@ -100,17 +140,19 @@ def posteriors(level: str, seed: int) -> Iterator[Task]:
     from validation.torques import LEVELS
 
     for kind in LEVELS:
-        for i in range(2 if level == "quick" else 12):
+        for i in range(4 if level == "quick" else 12):
             yield Task(
                 "posterior",
                 _KINDS_OF_TORQUE.get(kind, f"torque {kind}"),
                 f"{seed}/{i}",
                 partial(_torque, kind, seed, i),
             )
-    counts = {"known": (0, 6), "unknown": (1, 10), "swapped": (1, 6), "wheel_off": (1, 6)}
+    counts = {"known": (1, 6), "unknown": (3, 10), "swapped": (1, 6), "wheel_off": (1, 6)}
     for kind, (few, many) in counts.items():
         for i in range(few if level == "quick" else many):
             yield Task("posterior", kind, f"{seed}/{i}", partial(_twin, kind, seed, i))
+    for i in range(2 if level == "quick" else 12):
+        yield Task("posterior", "any vehicle", f"{seed}/{i}", partial(_any_posterior, seed, i))
     if level == "full":
         for i in range(6):
             yield Task(
@@ -139,6 +181,7 @@ def _torque(kind: str, seed: int, i: int) -> Row:
         "says": row["verdict"],
         "off": row["error"],
         "sigma": row["sigma"] * np.sqrt(3),
+        "level": row["level"],
     }
 
 
@@ -158,7 +201,7 @@ def _twin(
     vehicle = load_case("philae").vehicle
     telemetry, truth, unknown, priors = make(vehicle, kind, max_rate, samples, apart_s, seed, i)
     try:
-        row = judge(vehicle, telemetry, truth, unknown, priors, seed, workers=1)
+        row = judge(vehicle, telemetry, truth, unknown, priors, seed)
     except SunspinError as error:
         return {
             "outcome": "right" if kind in ("swapped", "wheel_off") else "defect",
@@ -176,6 +219,23 @@ def _twin(
         "says": row["verdict"],
         "off": row["error"],
         "sigma": row["sigma"],
+        "level": row["level"],
+    }
+
+
+def _any_posterior(seed: int, i: int) -> Row:
+    from strange_twins import judge, make
+    from validation.calibrate import NEAR_SIGMAS
+
+    row = judge(make(seed, i), workers=1)
+    if row["word"] == "refused":
+        return {"outcome": "open", "says": row["verdict"]}
+    return {
+        "outcome": _of_word(row["word"], row["sigmas"] < NEAR_SIGMAS),
+        "says": row["verdict"],
+        "off": row["error"],
+        "sigma": row["sigma"],
+        "level": row["level"],
     }
 
 
@@ -243,7 +303,7 @@ def _spinning(seed: int, number: int, elements: str) -> Row:
 
 def elements(level: str, seed: int) -> Iterator[Task]:
     """`check --tle`: right elements, a node that is off, a clock that is an hour behind."""
-    for i in range(1 if level == "quick" else 10):
+    for i in range(3 if level == "quick" else 10):
         yield Task(
             "orbit",
             "CubeSat: right, node off by 20 deg, clock off",
@@ -266,6 +326,27 @@ def _elements(seed: int, i: int) -> Row:
     off = (row["0 deg"][3] - row["ahead_s"]) if row["0 deg"][3] is not None else None
     shift = {} if off is None else {"off": off, "sigma": row["0 deg"][4]}
     return {"outcome": worst, "says": str(verdicts)} | shift
+
+
+def calibration(level: str, seed: int) -> Iterator[Task]:
+    """`calibrate-sensors`: sensors that are off by known errors, or by none."""
+    for i in range(2 if level == "quick" else 16):
+        kind = "sensors as stated" if i % 2 else "sensors off"
+        yield Task("calibrate-sensors", kind, f"{seed}/{i}", partial(_calibration, seed, i))
+
+
+def _calibration(seed: int, i: int) -> Row:
+    from calibration_twins import judge
+
+    (row,) = judge(seed, i).values()
+    pulls = [pull for each in row.values() for pull in each]
+    wrong = [
+        f"{key}: {max(each, key=abs):.1f} sigma off"
+        for key, each in row.items()
+        if max(map(abs, each)) > WRONG_SIGMAS
+    ]
+    outcome = "wrong" if wrong else "right" if pulls else "undecided"
+    return {"outcome": outcome, "says": "; ".join(wrong), "off": pulls, "sigma": [1.0] * len(pulls)}
 
 
 def exchanges(level: str, seed: int) -> Iterator[Task]:
@@ -324,36 +405,53 @@ def _right_file(command: str, seed: int, i: int) -> Row:
     return {"outcome": "wrong" if accused else "right", "says": "; ".join(accused)}
 
 
-def _dead(power: np.ndarray) -> None:
+def _dead(rows: list[Row]) -> None:
     """The panel that gave most gives nothing."""
-    power[:, int(np.argmax(power.sum(axis=0)))] = 0.0
+    panels = [key for key in rows[0] if key.startswith("i.")]
+    brightest = max(panels, key=lambda name: sum(row[name] for row in rows))
+    for row in rows:
+        row[brightest] = 0.0
 
 
-def _milli(power: np.ndarray) -> None:
+def _milli(rows: list[Row]) -> None:
     """All panels in a thousandth of the unit."""
-    power *= 1e3
+    for row in rows:
+        row |= {key: 1e3 * value for key, value in row.items() if key.startswith("i.")}
 
 
-FAULTS: dict[str, tuple[str, Callable[[np.ndarray], None]]] = {
-    "dead panel": ("dead_panels", _dead),
-    "thousandths": ("wrong_units", _milli),
+def _turned(rows: list[Row]) -> None:
+    """A Sun vector along other axes."""
+    for row in rows:
+        x, y, z = row["vector"]
+        row["vector"] = [y, -x, z]
+
+
+def _no_gyro(rows: list[Row]) -> None:
+    """The gyro's columns are missing."""
+    for row in rows:
+        del row["gyro"]
+
+
+FAULTS: dict[str, tuple[str, str, Callable[[list[Row]], None]]] = {
+    "dead panel": ("", "dead_panels", _dead),
+    "thousandths": ("", "wrong_units", _milli),
+    "Sun vector along other axes": ("vector", "wrong_axes", _turned),
+    "columns of the gyro missing": ("gyro", "missing_sensors", _no_gyro),
 }
-"""Fault -> what `check --json` has to name, and what it does to readings (n, n_panel)."""
+"""Fault -> the sensor that the file needs for it, what `check --json` has to name, and what the fault does to rows."""
 
 
 def _fault(fault: str, seed: int, i: int) -> Row:
     from sunspin.cli.check import check
     from validation.right_files import make
 
-    named, spoil = FAULTS[fault]
+    sensor, named, spoil = FAULTS[fault]
     with tempfile.TemporaryDirectory() as folder:
-        vehicle, telemetry, _ = make(Path(folder), seed, i)
+        vehicle, telemetry, form = make(Path(folder), seed, i)
+        if sensor not in form:
+            return {"outcome": "not run", "says": f"this file has no {sensor}"}
         rows = [json.loads(line) for line in telemetry.read_text("utf-8").splitlines()]
-        panels = [name for name in rows[0] if name.startswith("i.")]
-        power = np.array([[row[name] for name in panels] for row in rows])
-        spoil(power)
-        for row, values in zip(rows, power.tolist(), strict=True):
-            row |= dict(zip(panels, values, strict=True))
+        spoil(rows)
         telemetry.write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
         done = CliRunner().invoke(check, [str(vehicle), str(telemetry), "--json"])
     says = json.loads(done.stdout)["telemetry"].get(named) if done.exit_code == 0 else None
@@ -437,12 +535,18 @@ def _reproduced(coarser: int) -> Row:
     cases = {}
     for row in summary["figures"]:
         outcome = {True: "right", False: "wrong", None: "open"}[row["agrees"]]
-        ours = [
-            number for number in np.ravel(row["ours"]).tolist() if isinstance(number, int | float)
-        ]
+        ours = _numbers(row["ours"])
         measured = {f"ours, {row['kind']}, {k}": number for k, number in enumerate(ours)}
         cases[row["id"]] = {"outcome": outcome, "measured": measured}
     return {"outcome": "right", "cases": cases}
+
+
+def _numbers(value: Any) -> list[float]:
+    """Numbers in nested lists, in their order."""
+    if isinstance(value, list | dict):
+        inside = value.values() if isinstance(value, dict) else value
+        return [number for each in inside for number in _numbers(each)]
+    return [float(value)] if isinstance(value, int | float) else []
 
 
 def _control(name: str) -> Row:
@@ -536,6 +640,7 @@ AREAS: dict[str, Callable[[str, int], Iterator[Task]]] = {
     "spinners": spinners,
     "elements": elements,
     "exchanges": exchanges,
+    "calibration": calibration,
     "exact": exact,
     "files": files,
     "hostile": hostile,

@@ -72,27 +72,6 @@ TARGETS = (
         (*WINDOW, "--prior=max_rate_rad_s=0.05"),
     ),
     Target(
-        "calibrate",
-        0.1,
-        (
-            "--kind=known",
-            "--twins=3",
-            "--max-rate=0.1",
-            "--samples=12",
-            "--interval=30",
-            "--workers=2",
-        ),
-        (
-            "--kind=known",
-            "--twins=2",
-            "--max-rate=0.05",
-            "--samples=12",
-            "--interval=30",
-            "--workers=2",
-        ),
-        module="validation.calibrate",
-    ),
-    Target(
         "outcomes",
         0.15,
         ("philae", "--runs=16000", "--workers=2"),

@@ -37,8 +37,9 @@ OUTCOMES = ("right", "not run", "open", "undecided", "wrong", "defect")
 
 @dataclass(frozen=True)
 class Task:
-    """One case. `run` gives a row with "outcome", and may give "off" and "sigma" (numbers of one unit, whose ratios are pulls) and
-    other figures ("measured"); "processor_s" is added. A run that judges many things at once gives "cases", a row for each."""
+    """One case. `run` gives a row with "outcome", and may give "off" and "sigma" (numbers of one unit, whose ratios are pulls), the
+    part of a posterior that is likelier than the truth ("level") and other figures ("measured"); "processor_s" is
+    added. A run that judges many things at once gives "cases", a row for each."""
 
     area: str
     kind: str
@@ -123,7 +124,7 @@ def timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
     """Counts of outcomes; of those decided rightly or wrongly the share of `off` within one and two sigmas, rms pull and median
-    sigma; median processor time."""
+    sigma; share of truths in the 50 and 90 % regions; median processor time."""
     rows = list(rows)
     counts = Counter(row["outcome"] for row in rows)
     numbers: dict[str, float] = {
@@ -138,6 +139,9 @@ def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
         pull = off / sigma
         numbers |= {"in_68": float((pull < 1).mean()), "in_95": float((pull < 2).mean())}
         numbers |= {"rms_pull": float(np.sqrt((pull**2).mean())), "sigma": float(np.median(sigma))}
+    levels = np.array([row["level"] for row in rows if "level" in row])
+    if levels.size:
+        numbers |= {"in_50": float((levels <= 0.5).mean()), "in_90": float((levels <= 0.9).mean())}
     numbers["processor_s"] = float(np.median([row["processor_s"] for row in rows]))
     return numbers
 
@@ -180,12 +184,21 @@ def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
 
 def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
     """A line for each set: counts and figures; of both states, each over its own cases."""
-    heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "s"]
+    heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "in 50", "in 90", "s"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, each in now["sets"].items():
         old = (before or {"sets": {}})["sets"].get(name)
         cells = [name, str(len(each["cases"]))]
-        for key in (*OUTCOMES, "in_68", "in_95", "rms_pull", "sigma", "processor_s"):
+        for key in (
+            *OUTCOMES,
+            "in_68",
+            "in_95",
+            "rms_pull",
+            "sigma",
+            "in_50",
+            "in_90",
+            "processor_s",
+        ):
             value = _shown(each["figures"], key)
             cells.append(value if old is None else f"{_shown(old['figures'], key)} / {value}")
         lines.append("| " + " | ".join(cells) + " |")

@@ -13,7 +13,6 @@ from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.landing import sampling
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import contributions, twin
-from validation import calibrate
 
 
 def test_a_row_is_made_once_and_a_failed_one_leaves_nothing(tmp_path):
@@ -73,8 +72,6 @@ def files(tmp_path_factory):
         (contributions.main, ["{folder}/bad.nc"]),
         (contributions.main, ["{folder}/other.nc"]),
         (contributions.main, ["{folder}/short.nc", "--vehicle", "{folder}/none.toml"]),
-        (calibrate.main, ["{folder}/bad.nc/x", "--twins", "1"]),
-        (calibrate.main, ["{folder}/x", "--vehicle", "none.toml"]),
         (sampling.main, ["{folder}/bad.nc/x", "--twins", "0", "--periods", "30"]),
         (twin.main, ["{folder}/bad.nc/x.csv", "--seed", "1"]),
     ],

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 import sunspin as ss
-from orbit_rates_twins import judged, make, one_pass
-from sparse_twins import EVERY_S, FAST
+from orbit_rates_twins import SPARSE, judged, make, one_pass
 
 
 @pytest.mark.long
@@ -17,7 +16,7 @@ from sparse_twins import EVERY_S, FAST
 )
 def test_the_alias_that_a_search_by_the_file_s_inertia_finds_is_not_the_only_one():
     """That one costs 41; the truth, a whole turn more, is found once the inertia is free, and costs 9."""
-    vehicle, data, _, truth, about = make(11, 7, 2000, EVERY_S, FAST)
+    vehicle, data, _, truth, about = make(11, 7, **SPARSE)
     found = judged(
         ss.rates(vehicle, one_pass(data, about["begin_s"][0]).drop_vars("field_B")), truth, 0
     )

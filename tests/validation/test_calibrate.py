@@ -1,4 +1,4 @@
-"""Calibration on a few small twins: the machinery works, and goes on where it was stopped."""
+"""Twins of the posterior: drawn as they say."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from sunspin import VehicleError
 from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from validation.calibrate import QUANTITIES, TURNED, calibrate, make, tally
+from validation.calibrate import TURNED, make
 
 FACES = ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1])
 
@@ -21,43 +21,6 @@ def cube() -> Vehicle:
     return Vehicle(
         "cube", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form
     )
-
-
-@pytest.mark.long
-def test_small_twins_are_recalled_and_resumed(tmp_path):
-    options = {"max_rate": 0.1, "samples": 12, "interval_s": 20.0, "workers": 2, "vehicle": cube()}
-    first = calibrate(tmp_path, "unknown", 1, **options)
-    files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.json")}
-    rows = calibrate(tmp_path, "unknown", 2, **options)
-    assert rows[0] == first[0] and all(
-        path.stat().st_mtime_ns == when for path, when in files.items()
-    )
-    figures = tally(rows)
-    assert (
-        figures["twins"] == 2
-        and figures["confident_misses"] == 0
-        and set(figures["ranks_p"]) == set(QUANTITIES)
-    )
-
-
-def test_a_run_killed_while_it_removes_a_twins_stages_goes_on(tmp_path, monkeypatch):
-    """Once they were removed before the row was kept, and the next run found half a store and called the twin refused."""
-    options = {"max_rate": 0.2, "samples": 12, "interval_s": 20.0, "vehicle": cube()}
-
-    def judged(*_, store, **__):
-        store.mkdir()
-        return {"word": "unique"}
-
-    def killed(*_, **__):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as first:
-        first.setattr("validation.calibrate.judge", judged)
-        first.setattr("validation.calibrate.rmtree", killed)
-        with pytest.raises(KeyboardInterrupt):
-            calibrate(tmp_path, "unknown", 1, **options)
-    assert calibrate(tmp_path, "unknown", 1, **options) == [{"word": "unique"}]
-    assert not list(tmp_path.rglob("*-stages"))
 
 
 def test_a_swapped_twin_is_the_same_but_for_the_swap():
