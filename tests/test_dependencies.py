@@ -17,11 +17,10 @@ from sources import text
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
-MODULES = {"numba-cuda": "numba", "pot": "ot", "pyerfa": "erfa"}
+MODULES = {"pot": "ot", "pyerfa": "erfa"}
 """Distribution -> module, where the names differ."""
 
 NOT_IMPORTED = {
-    "numba-cuda": "numba finds it by itself",
     "h5py": "h5netcdf reads and writes by it, and from 1.7 on does not bring it",
     "soupsieve": "holds back a version of what furo needs",
     "furo": "named in docs/conf.py, found by Sphinx",
@@ -132,7 +131,7 @@ def test_the_lock_fits_what_is_declared():
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.+-]+", line) for line in lines)
     locked = [line.split("==")[0].lower().replace("_", "-") for line in lines]
     assert len(locked) == len(set(locked))
-    wanted = CORE | set().union(*(EXTRAS[extra] for extra in EXTRAS if extra != "gpu"))
+    wanted = CORE | set().union(*EXTRAS.values())
     assert not wanted - set(locked)
 
 

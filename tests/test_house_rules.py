@@ -198,7 +198,6 @@ def test_the_lock_is_within_the_ranges_and_names_no_host():
     }
     table = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     extras = table["project"]["optional-dependencies"]
-    del extras["gpu"]  # half a GB for one kind of machine: no make target installs it
     wanted = [*table["project"]["dependencies"], *sum(extras.values(), [])]
     for requirement in map(Requirement, [*wanted, *table["build-system"]["requires"]]):
         assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), (

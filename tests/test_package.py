@@ -84,8 +84,6 @@ def test_one_version_everywhere():
 
 def test_extras_keep_the_core_lean():
     core = " ".join(PROJECT["dependencies"])
-    assert {"gpu", "cluster", "spice", "parquet", "docs", "test"} <= set(
-        PROJECT["optional-dependencies"]
-    )
-    for heavy in ("pyarrow", "distributed", "spiceypy", "cuda", "sphinx"):
+    assert {"cluster", "spice", "parquet", "docs", "test"} <= set(PROJECT["optional-dependencies"])
+    for heavy in ("pyarrow", "distributed", "spiceypy", "sphinx"):
         assert heavy not in core

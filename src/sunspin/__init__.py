@@ -113,9 +113,15 @@ __all__ = ["__version__", *_HOME]
 import_after("xarray", "sunspin.output.result")  # the accessor's class only, nothing that draws
 
 
+_GONE: dict[str, str] = {}
+"""Public name of an earlier version -> what is to be said of it."""
+
+
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return metadata.version("sunspin")
+    if name in _GONE:
+        raise AttributeError(_GONE[name])
     if name not in _HOME:
         raise AttributeError(f"module 'sunspin' has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

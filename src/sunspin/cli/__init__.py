@@ -14,6 +14,7 @@ import click
 
 from sunspin.base.errors import SunspinError, printable
 from sunspin.cli.common import Group, ReaderGone
+from sunspin.cli.gone import OPTIONS
 
 LONGEST = 1200
 """Characters of one sentence: names from outside may have any number."""
@@ -59,6 +60,9 @@ def main() -> None:
         code = _say(str(stop) or INTERRUPTED, 130)
     except SunspinError as error:
         code = _say(f"error: {error}", 2)
+    except click.NoSuchOption as error:
+        said = OPTIONS.get(error.option_name, " ".join(error.format_message().split()).rstrip("."))
+        code = _say(f"error: {said}{_hint(error)}", 2)
     except click.ClickException as error:
         code = _say(
             f"error: {_in_words(' '.join(error.format_message().split()).rstrip('.'))}{_hint(error)}",

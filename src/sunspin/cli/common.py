@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from sunspin.base.errors import InputError, printable, sentence
+from sunspin.cli import gone
 from sunspin.cli.values import sensible, strict
 
 if TYPE_CHECKING:
@@ -116,6 +117,8 @@ class Group(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
+            if args[0] in gone.COMMANDS:
+                raise click.UsageError(gone.COMMANDS[args[0]], ctx) from None
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             if near and "Did you mean" not in error.message:
                 said = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
@@ -150,17 +153,6 @@ def data_option(command: Callable) -> Callable:
         envvar="SUNSPIN_DATA",
         type=click.Path(path_type=Path),
         help="Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
-    )(command)
-
-
-def device_option(command: Callable) -> Callable:
-    return click.option(
-        "--device",
-        type=click.Choice(["cpu", "cuda"]),
-        default="cpu",
-        show_default=True,
-        help="Run motions on the "
-        'processor, or on an NVIDIA GPU. The latter needs pip install "sunspin[gpu]".',
     )(command)
 
 

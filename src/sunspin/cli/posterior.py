@@ -11,7 +11,6 @@ from sunspin.cli.common import (
     claim,
     data_option,
     deliver,
-    device_option,
     find_telemetry,
     on_terminal,
     output_options,
@@ -86,7 +85,6 @@ BLOW = ("body.mass_kg", "leg", "collision")
     help="Draws in the result.",
 )
 @store_option()
-@device_option
 @set_options("collision", short=("friction", "restitution", "damper"), idle=("hull", "antenna"))
 @output_options()
 @run_options
@@ -106,7 +104,6 @@ def posterior(
     periods,
     draws,
     store,
-    device,
     sets,
     out,
     as_json,
@@ -161,7 +158,6 @@ def posterior(
         workers=workers,
         store=store,
         progress=on_terminal(quiet),
-        device=device,
         periods=evidence,
     )
     if asked is not None:

@@ -10,7 +10,6 @@ from sunspin.cli.common import (
     claim,
     data_option,
     deliver,
-    device_option,
     factor_option,
     find_telemetry,
     on_terminal,
@@ -70,7 +69,6 @@ from sunspin.cli.values import grid, instants_of, numbers
     help="Run every second motion along each axis, then those whose place in the set "
     "chosen is open; interpolate the others. For EMD and 20,000 motions or more; 2 to 4 times as fast.",
 )
-@device_option
 @click.option(
     "--lines",
     "n_lines",
@@ -108,7 +106,6 @@ def scan(
     n_lines,
     store,
     scheduler,
-    device,
     sets,
     friction,
     out,
@@ -183,7 +180,6 @@ def scan(
         workers=workers,
         store=store,
         scheduler=scheduler,
-        device=device,
         progress=on_terminal(quiet),
         mask=None if study.mask == "everywhere" else study.mask,
         weights=None

@@ -4,7 +4,7 @@ run.py takes initial states (rows.py) through a compiled kernel; steps.py says h
 (tolerance.py). The source of a kernel is generated from the equations of :mod:`sunspin.dynamics.gyrostat` (codegen.py, series.py)
 for lanes that advance together (lanes.py), by one of two methods: series_lanes.py for directions, split_lanes.py with the
 numbers of principal.py for distributions (deposit.py). compiled.py puts it into the hand-written text of the *_template.py
-files and has it compiled, once for each structure. cuda.py puts the same text, for one lane, on a GPU.
+files and has it compiled, once for each structure.
 """
 
 from sunspin.compute.compiler import vector_bits
@@ -12,7 +12,6 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble.ahead import compile_all
 from sunspin.dynamics.ensemble.codegen import RowLayout
 from sunspin.dynamics.ensemble.compiled import OUTCOME_TEXT, Outcome, kernel
-from sunspin.dynamics.ensemble.cuda import check_device, device_identity, require_device
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
 from sunspin.dynamics.ensemble.run import (
     BlockResult,
@@ -36,13 +35,10 @@ __all__ = [
     "Rows",
     "accuracy",
     "check_commands",
-    "check_device",
     "compile_all",
-    "device_identity",
     "kernel",
     "mode_table",
     "prepare",
-    "require_device",
     "run_rows",
     "structure_of",
     "structures",

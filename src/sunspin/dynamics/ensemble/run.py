@@ -19,8 +19,6 @@ from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
 from sunspin.dynamics.ensemble.ahead import compile_ahead, ready_kernel
 from sunspin.dynamics.ensemble.compiled import Outcome
-from sunspin.dynamics.ensemble.cuda import Group, require_device
-from sunspin.dynamics.ensemble.cuda import launch as launch_cuda
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
 from sunspin.dynamics.ensemble.steps import SEGMENTS, UNEVEN, Scales, plan, segments
 from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
@@ -28,6 +26,9 @@ from sunspin.dynamics.torques import NOTHING, Acting, Torque
 from sunspin.dynamics.torques.acting import spun
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.protocol import Counted
+
+Group = tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Numbers of rows with the same plan, and its segments: steps, their lengths (s), outputs due."""
 
 Mask = Counted
 """Directions that count."""
@@ -176,10 +177,9 @@ def run_rows(
     mask: Mask | None = None,
     bins: int = 0,
     min_steps: int = 1,
-    device: str = "cpu",
     acting: Acting = NOTHING,
 ) -> BlockResult:
-    """Run rows through the kernels on the calling thread (the GIL is released inside), or on a GPU.
+    """Run rows through the kernels on the calling thread (the GIL is released inside).
 
     Parameters
     ----------
@@ -194,18 +194,15 @@ def run_rows(
         Bins of the histogram of r_z over [-1, 1] (0: none, and `track` is filled).
     min_steps : int
         At least this many steps over the whole run.
-    device : "cpu" or "cuda"
-        Where the rows run: with the same steps, and within the same errors, but not to the same bits.
     acting : Acting
         Torques from outside, in an environment in which the rows have their attitudes. They run by series.
 
     Raises
     ------
     InputError
-        Output times that go to and fro, an error that cannot be met, a device that is not there, rows without the attitude that
+        Output times that go to and fro, an error that cannot be met, rows without the attitude that
         torques need.
     """
-    require_device(device)
     ends = np.atleast_1d(np.asarray(duration_s, dtype=np.float64))
     gaps = np.diff(ends, prepend=0.0)
     if not (np.all(gaps >= 0) or np.all(gaps <= 0)):
@@ -243,11 +240,10 @@ def run_rows(
             parts = segments(ends, steps, ratio, SEGMENTS, growing=bool(ends[-1] < 0))
             by_method.setdefault(method, []).append((which[group], parts))
         for method, groups in by_method.items():
-            launch = launch_cuda if device == "cuda" else _launch
             structure = structure_of(
                 vehicle, mask, bins, method, rows.bodies is not None, acting.torques
             )
-            launch(structure, work, groups, modes, normals, result)
+            _launch(structure, work, groups, modes, normals, result)
 
     go(np.arange(n), wanted)
     sensitive = np.flatnonzero(

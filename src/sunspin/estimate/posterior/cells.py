@@ -169,7 +169,7 @@ class Attitudes:
         return len(self.places)
 
     def identity(self) -> dict[str, Any]:
-        return asked(self, self.model)
+        return asked(self)
 
     def rates(self, places: np.ndarray) -> np.ndarray:
         """Rates (n, 3) at places of the cube; halves and quarters between points are made by the caller."""

@@ -14,7 +14,6 @@ from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
-from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.torques import Torque, acting
 from sunspin.environment import Environment
 from sunspin.estimate.equivalence import columns_seen
@@ -120,7 +119,6 @@ def posterior(
     workers: int | None = None,
     store: str | Path | None = None,
     progress: bool = False,
-    device: str = "cpu",
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
     periods: Sequence[Period] = (),
@@ -152,8 +150,6 @@ def posterior(
         Draws in the result.
     workers, store, progress
         As in :func:`sunspin.compute.rows.ensemble`; the folder `store` resumes every stage.
-    device : "cpu" or "cuda"
-        Where motions run; least squares and weights are the processor's on either. Between them bits differ.
     environment : Environment, optional
         What surrounds the body, on the telemetry's clock (:func:`sunspin.environment.circular`).
     torques : list, optional
@@ -176,12 +172,11 @@ def posterior(
     Raises
     ------
     InputError
-        Priors, observations or a window that make no sense; too few samples; a device that is not there.
+        Priors, observations or a window that make no sense; too few samples.
     MotionError
         A torque without the environment that it needs.
     """
     _whole(seed, draws)
-    k.require_device(device)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
     unsure = ", ".join(untold(vehicle, telemetry))
     if not {"wheel_off_s", "wheel_off"} & set(
@@ -190,7 +185,7 @@ def posterior(
         vehicle = as_measured(vehicle, telemetry, start_s)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
-    unknown = under(replace(unknown, device=device), acting(torques, environment, start_s))
+    unknown = under(unknown, acting(torques, environment, start_s))
     chosen = (require_few if (priors or {}).get("max_rate_rad_s") else plan)(unknown, data, scale)
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
@@ -539,7 +534,6 @@ def _about(
         "wheel_mode": json.dumps(unknown.wheel_mode),
         "max_rate_rad_s": unknown.max_rate,
         "searched_rate_rad_s": float(chosen.limit),
-        "device": unknown.device,
         "torques": json.dumps([torque.name for torque in unknown.acting.torques]),
     }
 

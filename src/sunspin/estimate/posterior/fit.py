@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.compute.identity import code, plain
-from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.family import apart
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
-from sunspin.estimate.posterior.model import Model, State
+from sunspin.estimate.posterior.model import State
 from sunspin.solve.least_squares import least_squares, shortened, take
 from sunspin.solve.linear import Dense, dense, each_row
 from sunspin.solve.rotations import moved, tangents
@@ -54,9 +53,6 @@ LARGEST_TURN = 0.5
 READINGS_AT_ONCE = 2_500_000
 """Derivatives held in memory at once by one worker."""
 
-GPU_TIMES = 8
-"""Times as many on a GPU."""
-
 _Point = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Secant]
 """Rates, directions and unknowns, the derivatives of what is seen there, and how they came there."""
 
@@ -65,19 +61,15 @@ Levels = tuple[tuple[float, int], ...]
 
 
 def chunk_rows(likelihood: Likelihood) -> int:
-    """Rows that one worker fits at once: more on a GPU, which few do not fill."""
-    size, more = (
-        likelihood.data.value.size * likelihood.model.dimension,
-        1 if likelihood.model.device == "cpu" else GPU_TIMES,
-    )
-    return int(np.clip(more * READINGS_AT_ONCE // max(size, 1), 8, more * 1024))
+    """Rows that one worker fits at once."""
+    size = likelihood.data.value.size * likelihood.model.dimension
+    return int(np.clip(READINGS_AT_ONCE // max(size, 1), 8, 1024))
 
 
-def asked(function: Any, model: Model) -> dict[str, Any]:
-    """The identity of a function of rows: code, device, and all that it is made of."""
+def asked(function: Any) -> dict[str, Any]:
+    """The identity of a function of rows: code, and all that it is made of."""
     return {
         **code(*FILES),
-        **k.device_identity(model.device),
         type(function).__name__.lower(): plain(function),
     }
 
@@ -102,7 +94,7 @@ class OfStates:
         return len(self.state)
 
     def identity(self) -> dict[str, Any]:
-        return asked(self, self.likelihood.model)
+        return asked(self)
 
 
 @dataclass(frozen=True)
@@ -167,7 +159,7 @@ class Fit:
         )
 
     def identity(self) -> dict[str, Any]:
-        return asked(self, self.likelihood.model)
+        return asked(self)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         search = _Search(

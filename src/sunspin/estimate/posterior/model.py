@@ -100,7 +100,7 @@ class Model:
     Rates and direction are those at the reference, `after_s` after the first sample, wheel speeds those at the first sample.
     `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
     vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
-    `device`: where motions run. `acting`: the torques, their motion beginning at the first sample.
+    `acting`: the torques, their motion beginning at the first sample.
 
     A steady torque in the axes of `frame` ("": none) is in body axes at the reference, over the mean moment of inertia. Its sigma
     is the widest of those that it may have, all alike beforehand: its `shares` of that. Fits are under one of them, `share`.
@@ -113,7 +113,6 @@ class Model:
     time_sigma_s: float = 0.0
     after_s: float = 0.0
     wheel_off_s: float = 0.0
-    device: str = "cpu"
     acting: Acting = NOTHING
     frame: Literal["", "B", "N"] = ""
     shares: tuple[float, ...] = ()
@@ -225,7 +224,6 @@ class Model:
             times_s,
             wheel_mode=self.wheel_mode,
             direction_error=direction_error,
-            device=self.device,
             acting=replace(self.acting, start_s=self.acting.start_s + self.after_s),
         )
 

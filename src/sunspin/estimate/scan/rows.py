@@ -113,7 +113,6 @@ class EmdRows:
     wheel_mode: str | tuple[str, ...] = "coast"
     emd_error: float | None = None
     direction_error: float | None = None
-    device: str = "cpu"
     condition: k.Mask | None = field(init=False)
     segments: tuple[np.ndarray, ...] = field(init=False, repr=False)
 
@@ -127,7 +126,6 @@ class EmdRows:
         if self.mask not in ("reconstructible", None):
             raise InputError(sentence('mask must be "reconstructible" or None', got=self.mask))
         k.check_commands(self.vehicle, self.wheel_mode)
-        k.check_device(self.device)
         if self.emd_error is None and self.direction_error is None:
             object.__setattr__(self, "emd_error", k.EMD_ERROR)
         k.accuracy(self.direction_error, self.emd_error)
@@ -167,7 +165,6 @@ class EmdRows:
             self.wheel_mode,
             emd_error=self.emd_error,
             direction_error=self.direction_error,
-            device=self.device,
             acting=self.start.acting,
         )
         return *distances_to(hist, self.segments), outcome
@@ -182,7 +179,6 @@ def histograms(
     *,
     emd_error: float | None = k.EMD_ERROR,
     direction_error: float | None = None,
-    device: str = "cpu",
     bins: int = BINS,
     acting: Acting = NOTHING,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +192,6 @@ def histograms(
         emd_error=emd_error,
         mask=condition,
         bins=bins,
-        device=device,
         acting=acting,
     )
     return result.hist, result.outcome
@@ -237,13 +232,11 @@ class TrackRows:
     times: np.ndarray
     wheel_mode: str | tuple[str, ...] = "coast"
     direction_error: float = TRACK_DIRECTION_ERROR
-    device: str = "cpu"
 
     outputs = {"E": ("float64", ()), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
         k.check_commands(self.vehicle, self.wheel_mode)
-        k.check_device(self.device)
         k.accuracy(self.direction_error, None)
 
     @property
@@ -264,7 +257,6 @@ class TrackRows:
             self.times,
             wheel_mode=self.wheel_mode,
             direction_error=self.direction_error,
-            device=self.device,
             acting=self.start.acting,
         )
         simulated = result.sun_B
@@ -281,7 +273,6 @@ def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
     )  # those are for landings, and sources
     return {
         **code(),
-        **k.device_identity(rows.device),
         "vehicle": plain(used),
         **plain(rows.start),
         "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),

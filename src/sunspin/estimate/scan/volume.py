@@ -43,9 +43,6 @@ MANY_ROWS = 5_000
 """Grids from here on nearly always hold motions near an unstable spin, which are run again by the other method: its kernel is
 compiled beside the first."""
 
-GPU_CHUNK = 65_536
-"""Rows that a GPU is given at once: 255 registers let one with 132 processors run 33,792. Each takes 1.5 kB of its memory."""
-
 
 def scan(
     vehicle: Vehicle,
@@ -67,7 +64,6 @@ def scan(
     workers: int | None = None,
     store: str | Path | None = None,
     scheduler: Any = None,
-    device: str = "cpu",
     progress: bool = False,
     environment: Environment | None = None,
     torques: Sequence[str | Torque] = (),
@@ -108,9 +104,6 @@ def scan(
         Folder in which rows are kept as they are computed; the same call resumes there after any interruption.
     scheduler : "local", address or dask.distributed.Client, optional
         Run on a Dask cluster. Both as in :func:`sunspin.compute.rows.ensemble`.
-    device : "cpu" or "cuda"
-        Run the rows on the processor, or on an NVIDIA GPU of this machine or, with a scheduler, of each worker: to the same
-        accuracy, not to the same bits.
     progress : bool
         Show a progress bar on a terminal.
     environment, torques, B_from_N
@@ -140,7 +133,7 @@ def scan(
     if isinstance(target_z, xr.Dataset):
         name, rows = (
             "E",
-            _track_rows(vehicle, start, target_z, mode, emd_error, direction_error, device),
+            _track_rows(vehicle, start, target_z, mode, emd_error, direction_error),
         )
     else:
         length = np.nan if duration_s is None else duration_s  # refused there
@@ -156,17 +149,13 @@ def scan(
                 mode,
                 emd_error,
                 direction_error,
-                device,
             ),
         )
-    if scheduler is None:
-        k.require_device(device)  # before a store is made
-        if isinstance(rows, EmdRows) and device == "cpu" and n_rows >= MANY_ROWS:
-            k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
-    chunk = CHUNK if device == "cpu" else GPU_CHUNK
+    if scheduler is None and isinstance(rows, EmdRows) and n_rows >= MANY_ROWS:
+        k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
     settings: dict[str, Any] = {
         "workers": workers,
-        "chunk": chunk,
+        "chunk": CHUNK,
         "store": store,
         "scheduler": scheduler,
         "progress": progress,
@@ -189,13 +178,12 @@ def scan(
                 found.outcome,
                 mask,
                 wheel_mode,
-                device,
                 directions=count,
             )
             return _graded(result, found.exact, found.bound, limits | found.attributes())
     out = ensemble(rows, label="scan", **settings)
     result = volume(
-        vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, device, directions=count
+        vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, directions=count
     )
     return (
         _graded(result, np.ones(start.shape, dtype=bool), np.zeros(start.shape), limits)
@@ -266,7 +254,6 @@ def volume(
     outcome: np.ndarray,
     mask: Any,
     wheel_mode: Any,
-    device: str = "cpu",
     *,
     directions: int,
 ) -> xr.DataArray:
@@ -286,7 +273,6 @@ def volume(
             "mask": str(mask),
             "wheel_mode": str(wheel_mode),
             "vector_bits": k.vector_bits(),
-            "device": device,
             "directions": directions,
         },
     )
@@ -336,7 +322,6 @@ def _track_rows(
     wheel_mode: str | tuple[str, ...],
     emd_error: float | None,
     direction_error: float | None,
-    device: str,
 ) -> TrackRows:
     if emd_error is not None:
         raise InputError(
@@ -352,7 +337,7 @@ def _track_rows(
         raise InputError(sentence("the track holds no direction to compare with"))
     times = np.asarray(track["time"], dtype=np.float64)[known]
     error = TRACK_DIRECTION_ERROR if direction_error is None else direction_error
-    return TrackRows(vehicle, start, measured[known], times, wheel_mode, error, device)
+    return TrackRows(vehicle, start, measured[known], times, wheel_mode, error)
 
 
 def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:

@@ -1,0 +1,6 @@
+"""What earlier versions accepted and this one does not, and the sentence for each."""
+
+COMMANDS: dict[str, str] = {}
+OPTIONS: dict[str, str] = {
+    "--device": "--device is gone, kernels run on processors only; leave it out",
+}
