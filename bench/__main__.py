@@ -17,7 +17,6 @@ NAMES = (
     "start",
     "growth",
     "scan",
-    "grades",
     "peak",
     "emd",
     "sun",

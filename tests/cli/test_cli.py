@@ -163,7 +163,6 @@ def test_scan_of_the_start_files(start):
         ["simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,2", "--duration", "1"],
         ["simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1e30"],
         ["scan", "philae", "missing.csv", "--omega-x", "0:1:1e-12"],
-        ["scan", "philae", "philae", "--metric", "E", "--interpolate"],
         ["reproduce", "--workers", "0"],
         ["reproduce", "--telemetry", "missing.csv", "--out", "never"],
     ],

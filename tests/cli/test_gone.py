@@ -9,6 +9,7 @@ import sunspin as ss
 from sunspin.cli import gone
 
 NEEDED = {
+    "--interpolate": ("scan",),
     "--device": ("scan", "posterior"),
 }
 """Option -> commands that had it."""

@@ -2,5 +2,6 @@
 
 COMMANDS: dict[str, str] = {}
 OPTIONS: dict[str, str] = {
+    "--interpolate": "--interpolate is gone, every motion of a scan is run; leave it out",
     "--device": "--device is gone, kernels run on processors only; leave it out",
 }

@@ -64,12 +64,6 @@ from sunspin.cli.values import grid, instants_of, numbers
     "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.",
 )
 @click.option(
-    "--interpolate",
-    is_flag=True,
-    help="Run every second motion along each axis, then those whose place in the set "
-    "chosen is open; interpolate the others. For EMD and 20,000 motions or more; 2 to 4 times as fast.",
-)
-@click.option(
     "--lines",
     "n_lines",
     type=click.IntRange(0, 20),
@@ -101,7 +95,6 @@ def scan(
     metric,
     factor,
     threshold,
-    interpolate,
     direction_error,
     n_lines,
     store,
@@ -154,14 +147,6 @@ def scan(
             )
         )
     target = track if metric == "E" else track["sun_B"].values[:, 2]
-    if metric == "E" and interpolate:
-        raise InputError(
-            sentence(
-                "E of interpolated motions has no bound",
-                got="--metric E",
-                do="leave out --interpolate",
-            )
-        )
     x, y, z = grid(omega_x, "--omega-x"), grid(omega_y, "--omega-y"), grid(omega_z, "--omega-z")
     if not factor > 1:  # nan passes the range of the option
         raise InputError(sentence("--factor must exceed 1", got=factor))
@@ -185,8 +170,6 @@ def scan(
         weights=None
         if metric == "E"
         else target_weights(study.target_weights, track["time"].values),
-        factors=[factor] if interpolate and threshold is None else [],
-        thresholds=[threshold] if interpolate and threshold is not None else [],
     )
     found = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     deliver(found, out, as_json, quiet, made.file, samples, {"seed": seed}, main="scan.nc")

@@ -59,8 +59,6 @@ def scan(
     wheel_mode: str | Sequence[str] = "coast",
     emd_error: float | None = None,
     direction_error: float | None = None,
-    factors: Sequence[float] = (),
-    thresholds: Sequence[float] = (),
     workers: int | None = None,
     store: str | Path | None = None,
     scheduler: Any = None,
@@ -94,10 +92,6 @@ def scan(
         Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
     direction_error : float, optional
         Instead, error wanted (rad) of the simulated Sun's direction at the end; for a track 1e-3 unless given.
-    factors, thresholds : lists of numbers, optional
-        For EMD, in two grades: which motion is the smallest, and which lie below each factor (above 1) times the smallest and below
-        each threshold, is settled by motions that are run; the others are interpolated. Without any, each motion is run; so are
-        grids of fewer than 20,000 motions, and motions of anything but one wheel that slows down much in each half of the run.
     workers : int, optional
         Threads, or worker processes of the scheduler "local"; default one per core.
     store : path, optional
@@ -115,9 +109,7 @@ def scan(
     -------
     xarray.DataArray
         `emd` or `E` over (omega_x, omega_y, omega_z), with a coordinate `outcome` (0: computed as asked). A motion whose
-        Sun could never have been reconstructed has EMD 1, the largest there is. In two grades also with coordinates `exact`, false
-        for an interpolated motion, and `emd_bound`, of the difference to running it (0 where `exact`); attributes say how many
-        interpolated motions were run to try the bounds, by class, and how many lay beyond (`class_tried`, `class_violations`).
+        Sun could never have been reconstructed has EMD 1, the largest there is.
     """
     axes = [
         _axis(values, name)
@@ -128,7 +120,6 @@ def scan(
     forces = acting(torques, environment, start_s)
     start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s, forces, B_from_N)
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
-    limits = _limits(factors, thresholds, target_z)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
         name, rows = (
@@ -161,79 +152,10 @@ def scan(
         "progress": progress,
     }
     count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
-    if limits and isinstance(rows, EmdRows):
-        from sunspin.estimate.scan import (
-            grades,
-        )  # imports scipy.ndimage, which other scans do not need
-
-        if grades.applies(rows):
-            found = grades.in_two_grades(
-                rows, limits.get("factors", []), limits.get("thresholds", []), **settings
-            )
-            result = volume(
-                vehicle,
-                start,
-                name,
-                found.emd,
-                found.outcome,
-                mask,
-                wheel_mode,
-                directions=count,
-            )
-            return _graded(result, found.exact, found.bound, limits | found.attributes())
     out = ensemble(rows, label="scan", **settings)
-    result = volume(
+    return volume(
         vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, directions=count
     )
-    return (
-        _graded(result, np.ones(start.shape, dtype=bool), np.zeros(start.shape), limits)
-        if limits
-        else result
-    )
-
-
-def _limits(
-    factors: Sequence[float], thresholds: Sequence[float], target_z: Any
-) -> dict[str, list[float]]:
-    """The sets asked for, as attributes of the result; checked."""
-    limits = {
-        "factors": _above(factors, 1.0, "each factor of the smallest EMD must be a number above 1"),
-        "thresholds": _above(thresholds, 0.0, "each threshold on EMD must be a positive number"),
-    }
-    limits = {name: some for name, some in limits.items() if some}
-    if limits and isinstance(target_z, xr.Dataset):
-        raise InputError(
-            sentence(
-                "a scan by E runs each motion",
-                got=str(limits),
-                do="leave out factors and thresholds",
-            )
-        )
-    return limits
-
-
-def _above(given: Any, low: float, what: str) -> list[float]:
-    """A list of finite numbers above a limit."""
-    try:
-        found = np.asarray(given)
-    except ValueError:  # rows of unlike length
-        found = np.array(None)
-    if (
-        found.ndim != 1
-        or found.dtype.kind not in "iuf"
-        or not np.all((found > low) & (found < np.inf))
-    ):
-        raise InputError(sentence(what, got=str(given)[:80], do="give a list of them"))
-    return found.astype(np.float64).tolist()
-
-
-def _graded(
-    result: xr.DataArray, exact: np.ndarray, bound: np.ndarray, said: dict[str, Any]
-) -> xr.DataArray:
-    """With the coordinates of a scan in two grades, and what is said of it."""
-    return result.assign_coords(
-        exact=(result.dims, exact), emd_bound=(result.dims, bound, {"units": "1"})
-    ).assign_attrs(said)
 
 
 def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
@@ -353,7 +275,7 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
     Raises
     ------
     InputError
-        A factor that is not above 1; nothing could be computed; a scan in two grades leaves open who is in the set.
+        A factor that is not above 1; nothing could be computed; a scan of an earlier version that interpolated motions.
     """
     if not factor > 1:
         raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
@@ -371,19 +293,14 @@ def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
     Raises
     ------
     InputError
-        A scan in two grades leaves open who lies below.
+        A scan of an earlier version that interpolated motions.
     """
-    if "emd_bound" in emd.coords:
-        unsettled = int(
-            ((emd["emd_bound"] > 0) & (np.abs(emd - threshold) <= emd["emd_bound"])).sum()
-        )
-        if unsettled:
-            what = f"the scan leaves open on which side of {threshold:.4g} the EMD of {unsettled} interpolated motions lies"
-            raise InputError(
-                sentence(
-                    what, do="scan with this limit among `factors` or `thresholds`, or without any"
-                )
+    if "emd_bound" in emd.coords and (emd["emd_bound"] > 0).any():
+        raise InputError(
+            sentence(
+                "motions of this scan are interpolated, as earlier versions could", do="scan again"
             )
+        )
     return _points(emd, _computed(emd) < threshold)
 
 

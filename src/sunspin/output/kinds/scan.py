@@ -55,23 +55,10 @@ def scan_summary(scan: Any) -> Summary:
         f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {rate_text(best)}; "
         f"{counted(len(points), 'point')} {near}"
     ]
-    if "exact" in volume.coords:
-        numbers["rows_run"] = int(volume["exact"].sum())
-        lines.append(
-            f"{numbers['rows_run']} of the motions were run, the others interpolated{_tried(volume)}"
-        )
     if isinstance(scan, xr.Dataset) and "point" in scan:
         told = lines_summary(scan)
         return Summary(numbers | {"lines": told["lines"]}, lines + told.lines)
     return Summary(numbers, lines)
-
-
-def _tried(volume: xr.DataArray) -> str:
-    """How the bounds of interpolated motions fared."""
-    tried, beyond = (
-        int(np.sum(volume.attrs.get(f"class_{name}", 0))) for name in ("tried", "violations")
-    )
-    return f"; of {tried} that were run to try the bounds, {beyond} lay beyond" if tried else ""
 
 
 def lines_summary(lines: Any) -> Summary:
