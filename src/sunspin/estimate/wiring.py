@@ -144,7 +144,7 @@ def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
 
 def to_write(table: str, keys: Mapping[str, Any]) -> str:
     """What to do, in words: the keys of a table of the vehicle file that say how a sensor is read."""
-    return f"set {' and '.join(toml_text({table: dict(keys)}).splitlines()[2:])} under [{table}] of the vehicle file"
+    return f"set {' and '.join(toml_text({table: dict(keys)}).splitlines()[1:])} under [{table}] of the vehicle file"
 
 
 def axes_matrix(order: list[int], sign: tuple[float, ...]) -> np.ndarray:

@@ -6,9 +6,11 @@ be a vehicle's or the assumptions of a study (:mod:`sunspin.vehicle.assumptions`
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
 from difflib import get_close_matches
 from typing import Annotated, Any, NamedTuple, TypeGuard, get_args, get_origin
 
@@ -21,6 +23,7 @@ from sunspin.vehicle.parts import GAIN_UNITS, Friction, Wheel
 CHANGE = re.compile(r"\s*([^=]+?)\s*([*+]?=)\s*(.*?)\s*", re.DOTALL)
 PLACE = re.compile(r"([^.\[\]\s]+)|\[([^\]]*)\]")
 KEY = re.compile(r"[^.\[\]\s]+(\[[^\]]*\])*(\.[^.\[\]\s]+(\[[^\]]*\])*)*")
+MIRRORED = re.compile(r"(.*inertia_kg_m2)\[(\d+)\]\[(\d+)\]", re.ASCII)
 
 UNITS = (
     ("kg_m2", "kg m2"),
@@ -53,6 +56,8 @@ OF_READINGS = ("telemetry.noise", "telemetry.lit_threshold")
 
 NO_NUMBERS = ("name", "description", "source")
 
+COEFFICIENTS = ("coulomb_N_m", "viscous_N_m_s")
+
 
 class Change(NamedTuple):
     """One change as it is asked for: key, "=", "*=" or "+=", and a number, nested lists of numbers, a text or a list of texts."""
@@ -62,11 +67,12 @@ class Change(NamedTuple):
     value: Any
 
     def __str__(self) -> str:
-        return f"{self.key}{self.operator}{self.value if isinstance(self.value, str) else _toml(self.value)}"
+        value = self.value if isinstance(self.value, str) else json.dumps(self.value)
+        return f"{self.key}{self.operator}{value}"
 
 
 class Changed(NamedTuple):
-    """One change as it was made: `key`, new `value`, what it `was` (None: not set), `unit`, the `source` of what it was."""
+    """One change as it was done: `key`, new `value`, what it `was` (None: not set), `unit`, the `source` of what it was."""
 
     key: str
     value: Any
@@ -111,11 +117,11 @@ def _entry(key: str, value: Any) -> Change:
 
 
 def _read(text: str) -> Change:
-    found = CHANGE.fullmatch(text)
-    if found is None or not found[3]:
+    parts = CHANGE.fullmatch(text)
+    if parts is None or not parts[3]:
         do = "write KEY=VALUE, KEY*=FACTOR or KEY+=STEP, for example wheel.speed_rad_s=833"
         raise InputError(sentence("this is no change of a value", got=text, do=do))
-    return Change(_checked(found[1]), found[2], _value(found[3]))
+    return Change(_checked(parts[1]), parts[2], _value(parts[3]))
 
 
 def _checked(key: str) -> str:
@@ -128,33 +134,23 @@ def _checked(key: str) -> str:
 def _value(text: str) -> Any:
     """A value as TOML writes it; what is none is taken for a text without its quotes."""
     try:
-        read = read_toml(f"x = {text}", "the value", InputError)
+        parsed = read_toml(f"x = {text}", "the value", InputError)
     except InputError:
         return text
-    if set(read) != {"x"}:  # a second line would be another key, of which nobody asked
+    if set(parsed) != {"x"}:  # a second line would be another key, of which nobody asked
         return text
-    numbers = filter(None, re.split(r"[\[\],\s]+", text)) if _is_numbers(read["x"]) else ()
-    if (
-        odd := next((number for number in numbers if math.isnan(plain_number(number))), None)
-    ) is not None:
-        raise InputError(
-            sentence(
-                "this is not a finite number such as -1.5e-3",
-                got=odd,
-                do="write it in decimal digits",
-            )
-        )
-    return read["x"]
-
-
-def _is_numbers(value: Any) -> bool:
-    return all(map(_is_numbers, value)) if isinstance(value, list) else _is_number(value)
+    if _is_numbers(parsed["x"]):
+        for number in filter(None, re.split(r"[\[\],\s]+", text)):
+            if math.isnan(plain_number(number)):
+                what = "this is not a finite number such as -1.5e-3"
+                raise InputError(sentence(what, got=number, do="write it in decimal digits"))
+    return parsed["x"]
 
 
 def changed(
     table: dict[str, Any], changes: Iterable[Change], kind: type, known: Iterable[str] = ()
 ) -> tuple[dict[str, Any], tuple[Changed, ...]]:
-    """The table with the changes made, and what each did; one that leaves a value as it was is left out.
+    """The table with the changes done, and what each did; one that leaves a value as it was is left out.
 
     Parameters
     ----------
@@ -162,118 +158,107 @@ def changed(
     kind : the part that the file describes
     known : further keys, among which the nearest is looked for where a change names none
     """
-    made: dict[str, Changed] = {}
-    original = table
-    for change in changes:
-        for each in _mirrored(change):
+    new, done = deepcopy(table), {}
+    for asked in changes:
+        mirror = MIRRORED.fullmatch(asked.key)
+        keys = [asked.key]
+        if mirror is not None and mirror[2] != mirror[3]:  # a tensor stays symmetric
+            keys.append(f"{mirror[1]}[{mirror[3]}][{mirror[2]}]")
+        for change in (asked._replace(key=key) for key in keys):
             try:
-                table = _walk(table, _places(each.key), each, kind)
+                place = _located(new, change.key, kind)
             except KeyError:
-                raise InputError(
-                    _unknown(each.key, [*(one.key for one in settings(table, kind)), *known])
-                ) from None
-            was, source = _certificate(original, each)
-            value = _certificate(table, each)[0]
-            value = (
-                each.value if isinstance(value, dict) else value
-            )  # a law of friction goes by its name
-            made[each.key] = Changed(each.key, value, was, unit_of(each.key), source)
-    return table, tuple(one for one in made.values() if one.value != one.was)
+                held = [each.key for each in settings(table, kind)]
+                raise InputError(_unknown(change.key, [*held, *known])) from None
+            value = _put(place, change)
+            was, source = _before(table, change.key, kind)
+            done[change.key] = Changed(change.key, value, was, unit_of(change.key), source)
+    return new, tuple(each for each in done.values() if each.value != each.was)
 
 
-def _unknown(key: str, known: list[str]) -> str:
-    known += [f"{k.rpartition('.')[0]}.gain" for k in known if k.rpartition(".")[2] in GAIN_UNITS]
-    near = get_close_matches(key, known, n=1, cutoff=0.4) or get_close_matches(
-        key, [k.rpartition(".")[2] for k in known], n=1
-    )
-    near = [k for k in known if k == near[0] or k.endswith(f".{near[0]}")][:1] if near else []
-    meant = f"did you mean {near[0]}? " if near else ""
-    return sentence("nothing can be set by this name", got=key, do=f"{meant}`--set list` shows all")
+class _Place(NamedTuple):
+    """Where a key leads: the tables and lists on its way, the step from each to the next, and how far along the way a table with
+    value, sigma and source stands (None: nowhere); `kind` of the part in which the last step lies."""
+
+    nodes: list[Any]
+    steps: list[str | int]
+    certificate: int | None
+    kind: Any
+
+    @property
+    def value(self) -> Any:
+        last, step = self.nodes[-1], self.steps[-1]
+        return last.get(step) if isinstance(last, dict) else last[step]
 
 
-def _mirrored(change: Change) -> list[Change]:
-    """The change, and for an element beside the diagonal of a tensor of inertia that of its mirror."""
-    found = re.fullmatch(r"(.*inertia_kg_m2)\[(\d+)\]\[(\d+)\]", change.key, re.ASCII)
-    if found is None or found[2] == found[3]:
-        return [change]
-    return [change, change._replace(key=f"{found[1]}[{found[3]}][{found[2]}]")]
+def _located(table: dict[str, Any], key: str, kind: Any) -> _Place:
+    """The place of a key; tables that the file leaves out are added to `table`. `KeyError` where there can be no such place."""
+    node: Any = table
+    nodes, steps, certificate, inside = [], [], None, kind
+
+    def enter(step: str | int) -> None:
+        nonlocal node
+        nodes.append(node)
+        steps.append(step)
+        node = node.get(step) if isinstance(node, dict) else node[step]
+
+    places = PLACE.findall(key)
+    for number, (name, at) in enumerate(places):
+        if node is None:  # a table that the file leaves out
+            node = nodes[-1][steps[-1]] = {}
+        if name and isinstance(node, list):
+            enter(_only(node, key))
+        inside = kind
+        if not name:
+            if _is_certificate(node):
+                certificate = len(nodes)
+                enter("value")
+            if not isinstance(node, list):
+                raise KeyError(key)
+            enter(_index(node, at.strip(), key))
+            continue
+        if _is_number(node) and name in ("sigma", "source"):
+            node = nodes[-1][steps[-1]] = {"value": node}
+        if not isinstance(node, dict):
+            raise KeyError(key)
+        if _is_certificate(node):
+            if name not in ("value", "sigma", "source") or number < len(places) - 1:
+                raise KeyError(key)
+            enter(name)
+            break
+        name = next((unit for unit in GAIN_UNITS if name == "gain" and unit in node), name)
+        known = _kind_at(kind, name)
+        is_part = hasattr(kind, "__pydantic_fields__")
+        if name in NO_NUMBERS and is_part:  # by its name a part is known to telemetry and results
+            raise KeyError(key)
+        more = number < len(places) - 1
+        if name not in node and (known is None or (more and _is_list_of_parts(kind, name))):
+            raise KeyError(key)
+        if name in COEFFICIENTS and "spin_down" in node:
+            law = _coefficients(node["spin_down"], nodes[-1])
+            node.clear()
+            node.update(law)
+        enter(name)
+        kind = known
+    if _is_certificate(node):
+        certificate = len(nodes)
+        enter("value")
+    return _Place(nodes, steps, certificate, inside)
 
 
-def _places(key: str) -> list[str]:
-    """Names, and places in lists, which begin with a bracket."""
-    return [name or f"[{at.strip()}" for name, at in PLACE.findall(key)]
-
-
-def _is_certificate(node: Any) -> TypeGuard[dict[str, Any]]:
-    return isinstance(node, dict) and isinstance(node.get("value"), int | float | list | str)
-
-
-def _walk(node: Any, places: list[str], change: Change, kind: Any) -> Any:
-    """The node with the change made at these places; `KeyError` where there is no such place."""
-    if _is_certificate(node) and (not places or places[0].startswith("[")):
-        value = _walk(node["value"], places, change, kind)
-        if value == node["value"]:
-            return node
-        was = f"{SET}; was {shown(node['value'])}" + (
-            f", {node['source']}" if node.get("source") else ""
-        )
-        return node | {
-            "value": value,
-            "source": node["source"] if str(node.get("source")).startswith(SET) else was,
-        }
-    if not places:
-        return _leaf(node, change)
-    if isinstance(node, list):
-        return _in_list(node, places, change, kind)
-    place, rest = places[0], places[1:]
-    if place.startswith("["):
-        raise KeyError(place)
-    if _is_certificate(node) or (isinstance(node, int | float) and place in ("sigma", "source")):
-        if place not in ("value", "sigma", "source") or rest:
-            raise KeyError(place)
-        node = node if isinstance(node, dict) else {"value": node}
-        return node | {place: _leaf(node.get(place), change)}
-    if node is not None and not isinstance(node, dict):
-        raise KeyError(place)
-    node = dict(node or {})
-    if kind is Wheel and place == "friction":
-        return node | {"friction": _friction(node, rest, change)}
-    place = next((key for key in GAIN_UNITS if place == "gain" and key in node), place)
-    within, is_name = (
-        _kind_at(kind, place),
-        place in NO_NUMBERS and hasattr(kind, "__pydantic_fields__"),
-    )
-    if is_name or (
-        place not in node and within is None
-    ):  # by its name a part is known to telemetry and results
-        raise KeyError(place)
-    if place not in node and _is_list_of_parts(kind, place) and rest:
-        raise KeyError(place)
-    return node | {place: _walk(node.get(place), rest, change, within)}
-
-
-def _in_list(node: list[Any], places: list[str], change: Change, kind: Any) -> list[Any]:
-    """A list of tables, in which a table goes by its name or its place, or of numbers."""
-    tables = bool(node) and all(isinstance(each, dict) for each in node)
-    if places[0].startswith("["):
-        at, rest = _index(node, places[0][1:], change.key), places[1:]
-    elif tables and len(node) == 1:
-        at, rest = 0, places
-    elif tables:
-        names = ", ".join(str(each.get("name")) for each in node)
-        raise InputError(
-            sentence(
-                f"there are {len(node)} such parts",
-                got=change.key,
-                do=f"say which in brackets: {names}",
-            )
-        )
-    else:
-        raise KeyError(places[0])
-    return [_walk(each, rest, change, kind) if i == at else each for i, each in enumerate(node)]
+def _only(tables: list[Any], key: str) -> int:
+    """The place of the only table of a list; a key says which of several."""
+    if not tables or not all(isinstance(each, dict) for each in tables):
+        raise KeyError(key)
+    if len(tables) > 1:
+        names = ", ".join(str(each.get("name")) for each in tables)
+        what = f"there are {len(tables)} such parts"
+        raise InputError(sentence(what, got=key, do=f"say which in brackets: {names}"))
+    return 0
 
 
 def _index(node: list[Any], name: str, key: str) -> int:
+    """A table of a list goes by its name or its place, any other element by its place."""
     names = [str(each.get("name")) if isinstance(each, dict) else "" for each in node]
     if name and name in names:
         return names.index(name)
@@ -283,76 +268,48 @@ def _index(node: list[Any], name: str, key: str) -> int:
     raise InputError(sentence(f"there is no [{name}] here", got=key, do=f"known: {known}"))
 
 
-def _friction(wheel: dict[str, Any], places: list[str], change: Change) -> Any:
-    """The friction of a wheel with the change; a text names one of the wheel's other laws."""
-    others, own = wheel.get("alternative_frictions", {}), wheel.get("friction")
-    if not places and isinstance(change.value, str):
-        if change.value not in others:
-            known = ", ".join(sorted(others)) or "none"
-            raise VehicleError(
-                sentence(
-                    "the wheel has no friction of this name", got=change.value, do=f"known: {known}"
-                )
-            )
-        return others[change.value]
-    if (
-        places
-        and places[0] in ("coulomb_N_m", "viscous_N_m_s")
-        and isinstance(own, dict)
-        and "spin_down" in own
-    ):
-        own = _coefficients(own["spin_down"], wheel)
-    return _walk(own, places, change, Friction)
+def _put(place: _Place, change: Change) -> Any:
+    """Do a change at its place; the new value, a law of friction by its name."""
+    old, new = place.value, change.value
+    if place.kind is Wheel and place.steps[-1] == "friction" and isinstance(new, str):
+        laws = place.nodes[-1].get("alternative_frictions", {})
+        if new not in laws:
+            known = ", ".join(sorted(laws)) or "none"
+            what = "the wheel has no friction of this name"
+            raise VehicleError(sentence(what, got=new, do=f"known: {known}"))
+        place.nodes[-1]["friction"] = deepcopy(laws[new])
+        return new
+    if change.operator != "=":
+        new = _combined(old, change)
+    elif isinstance(old, dict) and old and not isinstance(new, dict):
+        raise InputError(_one_of(old, change.key))
+    if place.certificate is not None and new != old:
+        about = place.nodes[place.certificate]
+        if not str(about.get("source")).startswith(SET):
+            was = f"{SET}; was {shown(about['value'])}"
+            about["source"] = was + (f", {about['source']}" if about.get("source") else "")
+    place.nodes[-1][place.steps[-1]] = new
+    return _bare(new)
 
 
-def _coefficients(spin_down: dict[str, Any], wheel: dict[str, Any]) -> dict[str, Any]:
-    """Coefficients in the place of a measured spin-down, so that one of them can be changed."""
-
-    def number(value: Any) -> float:
-        return float(value["value"] if isinstance(value, dict) else value)
-
-    law = {key: number(value) for key, value in spin_down.items()}
-    friction, source = (
-        Friction.from_spin_down(**law, inertia_kg_m2=number(wheel["inertia_kg_m2"])),
-        "from the measured spin-down",
-    )
-    return {
-        key: {"value": getattr(friction, key), "source": source}
-        for key in ("coulomb_N_m", "viscous_N_m_s")
-    }
-
-
-def _leaf(old: Any, change: Change) -> Any:
-    if change.operator == "=":
-        if isinstance(old, dict) and old and not isinstance(change.value, dict):
-            raise InputError(_one_of(old, change.key))
-        return change.value
-    if not _is_number(change.value):
-        raise InputError(
-            sentence(
-                f"what stands after {change.operator} must be a number",
-                got=change.value,
-                where=change.key,
-            )
-        )
-    if old is None:
-        do = "set it with = first"
-        raise InputError(
-            sentence(
-                f"{change.operator} needs a value, and this one is not set", got=change.key, do=do
-            )
-        )
-    return _combined(old, change)
-
-
-def _one_of(table: Mapping[str, Any], key: str) -> str:
-    """What is said of a change of a whole table."""
-    keys = ("coulomb_N_m", "viscous_N_m_s") if "spin_down" in table else table
-    do = f"set one of {', '.join(f'{key}.{each}' for each in keys)}"
-    return sentence("this is a table of values and not one of them", got=key, do=do)
+def _before(table: dict[str, Any], key: str, kind: Any) -> tuple[Any, str]:
+    """What stood at a key (None: nothing), and its source."""
+    try:
+        place = _located(deepcopy(table), key, kind)
+    except (KeyError, InputError):
+        return None, ""
+    about = {} if place.certificate is None else place.nodes[place.certificate]
+    return _bare(place.value), str(about.get("source", ""))
 
 
 def _combined(old: Any, change: Change) -> Any:
+    """Old values times a factor or plus a step."""
+    if not _is_number(change.value):
+        what = f"what stands after {change.operator} must be a number"
+        raise InputError(sentence(what, got=change.value, where=change.key))
+    if old is None:
+        what = f"{change.operator} needs a value, and this one is not set"
+        raise InputError(sentence(what, got=change.key, do="set it with = first"))
     if isinstance(old, dict):
         raise InputError(_one_of(old, change.key))
     if isinstance(old, list):
@@ -362,37 +319,41 @@ def _combined(old: Any, change: Change) -> Any:
     return old * change.value if change.operator == "*=" else old + change.value
 
 
+def _one_of(table: Mapping[str, Any], key: str) -> str:
+    """What is said of a change of a whole table."""
+    keys = COEFFICIENTS if "spin_down" in table else table
+    do = f"set one of {', '.join(f'{key}.{each}' for each in keys)}"
+    return sentence("this is a table of values and not one of them", got=key, do=do)
+
+
+def _unknown(key: str, known: list[str]) -> str:
+    known += [f"{k.rpartition('.')[0]}.gain" for k in known if k.rpartition(".")[2] in GAIN_UNITS]
+    ends = {k.rpartition(".")[2]: k for k in reversed(known)}
+    near = get_close_matches(key, known, n=1, cutoff=0.4)
+    near = near or [ends[end] for end in get_close_matches(key, ends, n=1)]
+    meant = f"did you mean {near[0]}? " if near else ""
+    return sentence("nothing can be set by this name", got=key, do=f"{meant}`--set list` shows all")
+
+
+def _coefficients(spin_down: dict[str, Any], wheel: dict[str, Any]) -> dict[str, Any]:
+    """Coefficients in the place of a measured spin-down, so that one of them can be changed."""
+    law = {key: float(_bare(value)) for key, value in spin_down.items()}
+    inertia = float(_bare(wheel["inertia_kg_m2"]))
+    friction = Friction.from_spin_down(**law, inertia_kg_m2=inertia)
+    source = "from the measured spin-down"
+    return {key: {"value": getattr(friction, key), "source": source} for key in COEFFICIENTS}
+
+
+def _is_certificate(node: Any) -> TypeGuard[dict[str, Any]]:
+    return isinstance(node, dict) and isinstance(node.get("value"), int | float | list | str)
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _certificate(table: Any, change: Change) -> tuple[Any, str]:
-    """What stands at a change's key, and its source; a law of friction as it is written."""
-    found: list[Any] = []
-    node: Any = table
-    source = ""
-    for place in _places(change.key):
-        if isinstance(node, list) and not place.startswith("[") and len(node) == 1:
-            node = node[0]
-        if _is_certificate(node) and place.startswith("["):
-            source, node = str(node.get("source", "")), node["value"]
-        if place.startswith("[") and isinstance(node, list):
-            try:
-                node = node[_index(node, place[1:], change.key)]
-            except InputError:
-                return None, ""
-        elif isinstance(node, dict):
-            if place == "gain":
-                place = next((key for key in GAIN_UNITS if key in node), place)
-            if place in ("coulomb_N_m", "viscous_N_m_s") and "spin_down" in node and found:
-                node = _coefficients(node["spin_down"], found[-1])
-            found.append(node)
-            node = node.get(place)
-        else:
-            return None, ""
-    if _is_certificate(node):
-        source, node = str(node.get("source", "")), node["value"]
-    return _bare(node), source
+def _is_numbers(value: Any) -> bool:
+    return all(map(_is_numbers, value)) if isinstance(value, list) else _is_number(value)
 
 
 def _bare(node: Any) -> Any:
@@ -418,9 +379,6 @@ def _is_list_of_parts(kind: Any, place: str) -> bool:
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return get_origin(annotation) is tuple and part_in(annotation) is not None
-
-
-# ------------------------------------------------------------------------------------------------------------ what can be set
 
 
 def settings(table: Mapping[str, Any], kind: Any, path: str = "") -> list[Setting]:
@@ -510,44 +468,33 @@ def shown(value: Any) -> str:
     )
 
 
-# ------------------------------------------------------------------------------------------------------------------ as a file
-
-
 def toml_text(table: Mapping[str, Any]) -> str:
     """A table as TOML: tables of the first level under their headings, what is in them on a line each."""
-    lines = [
-        f"{_name(key)} = {_toml(value)}" for key, value in table.items() if not _has_heading(value)
-    ]
+    import tomlkit
+
+    def line(value: Any) -> Any:
+        if isinstance(value, dict):
+            inline = tomlkit.inline_table()
+            inline.update({key: line(each) for key, each in value.items()})
+            return inline
+        return value
+
+    def lines(value: Mapping[str, Any]) -> Any:
+        under = tomlkit.table()
+        for key, each in value.items():
+            under.add(key, line(each))
+        return under
+
+    document, headed = tomlkit.document(), {}
     for key, value in table.items():
-        if _has_heading(value):
-            for each in value if isinstance(value, list) else [value]:
-                lines += ["", f"[[{_name(key)}]]" if isinstance(value, list) else f"[{_name(key)}]"]
-                lines += [f"{_name(inner)} = {_toml(item)}" for inner, item in each.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _has_heading(value: Any) -> bool:
-    return isinstance(value, dict) or (
-        isinstance(value, list) and bool(value) and isinstance(value[0], dict)
-    )
-
-
-def _name(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml(key)
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return (
-            "{ " + ", ".join(f"{_name(key)} = {_toml(item)}" for key, item in value.items()) + " }"
-        )
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return repr(value)
-    escaped = "".join(
-        c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in str(value)
-    )
-    return f'"{escaped}"'
+        if isinstance(value, dict):
+            headed[key] = lines(value)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            headed[key] = tomlkit.aot()
+            for each in value:
+                headed[key].append(lines(each))
+        else:
+            document.add(key, value)
+    for key, value in headed.items():
+        document.add(key, value)
+    return tomlkit.dumps(document)
