@@ -6,7 +6,6 @@ import xarray as xr
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
-from sunspin import InputError
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.telemetry.sun import reconstructible_patterns
@@ -110,7 +109,7 @@ def test_the_near_minimum_set_by_hand():
     )
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
     earlier = volume.assign_coords(emd_bound=xr.full_like(volume, 1e-3))
-    with pytest.raises(InputError, match="interpolated.*scan again"):
+    with pytest.raises(ss.InputError, match="interpolated.*scan again"):
         near_minimum(earlier, 1.1)
 
 

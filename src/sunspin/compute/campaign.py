@@ -7,19 +7,13 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, SunspinError, sentence
 
 
-class Main(Protocol):
-    """A program: from its arguments, those of the process unless given, to its exit code."""
-
-    def __call__(self, arguments: list[str] | None = None) -> int: ...
-
-
-def command(work: Callable[[list[str] | None], None]) -> Main:
+def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
     """A `main` whose errors become one sentence on stderr and exit code 2, an interruption 130."""
 
     @wraps(work)

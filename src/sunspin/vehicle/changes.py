@@ -20,10 +20,8 @@ from sunspin.base.untrusted import plain_number
 from sunspin.vehicle.part import keys_of, part_in
 from sunspin.vehicle.parts import GAIN_UNITS, Friction, Wheel
 
-CHANGE = re.compile(r"\s*([^=]+?)\s*([*+]?=)\s*(.*?)\s*", re.DOTALL)
 PLACE = re.compile(r"([^.\[\]\s]+)|\[([^\]]*)\]")
 KEY = re.compile(r"[^.\[\]\s]+(\[[^\]]*\])*(\.[^.\[\]\s]+(\[[^\]]*\])*)*")
-MIRRORED = re.compile(r"(.*inertia_kg_m2)\[(\d+)\]\[(\d+)\]", re.ASCII)
 
 UNITS = (
     ("kg_m2", "kg m2"),
@@ -106,18 +104,19 @@ def changes_of(given: Changes) -> tuple[Change, ...]:
     if isinstance(given, str):
         given = [given]
     if isinstance(given, Mapping):
-        return tuple(_entry(str(key), value) for key, value in given.items())
+        asked: list[str | Change] = []
+        for key, value in given.items():
+            if isinstance(value, str):
+                asked.append(f"{key}{'' if value.startswith(('*=', '+=')) else '='}{value}")
+            else:
+                number = value.tolist() if hasattr(value, "tolist") else value
+                asked.append(Change(_checked(str(key)), "=", number))
+        given = asked
     return tuple(each if isinstance(each, Change) else _read(each) for each in given)
 
 
-def _entry(key: str, value: Any) -> Change:
-    if isinstance(value, str):
-        return _read(f"{key}{value}" if value.startswith(("*=", "+=")) else f"{key}={value}")
-    return Change(_checked(key), "=", value.tolist() if hasattr(value, "tolist") else value)
-
-
 def _read(text: str) -> Change:
-    parts = CHANGE.fullmatch(text)
+    parts = re.fullmatch(r"\s*([^=]+?)\s*([*+]?=)\s*(.*?)\s*", text, re.DOTALL)
     if parts is None or not parts[3]:
         do = "write KEY=VALUE, KEY*=FACTOR or KEY+=STEP, for example wheel.speed_rad_s=833"
         raise InputError(sentence("this is no change of a value", got=text, do=do))
@@ -160,65 +159,72 @@ def changed(
     """
     new, done = deepcopy(table), {}
     for asked in changes:
-        mirror = MIRRORED.fullmatch(asked.key)
+        mirror = re.fullmatch(r"(.*inertia_kg_m2)\[(\d+)\]\[(\d+)\]", asked.key, re.ASCII)
         keys = [asked.key]
         if mirror is not None and mirror[2] != mirror[3]:  # a tensor stays symmetric
             keys.append(f"{mirror[1]}[{mirror[3]}][{mirror[2]}]")
         for change in (asked._replace(key=key) for key in keys):
             try:
-                place = _located(new, change.key, kind)
+                value = _put(_located(new, change.key, kind), change)
             except KeyError:
                 held = [each.key for each in settings(table, kind)]
                 raise InputError(_unknown(change.key, [*held, *known])) from None
-            value = _put(place, change)
-            was, source = _before(table, change.key, kind)
+            try:
+                before = _located(deepcopy(table), change.key, kind)
+                was, source = _bare(before.value), str(before.about.get("source", ""))
+            except (KeyError, InputError):  # within what an earlier change has brought in
+                was, source = None, ""
             done[change.key] = Changed(change.key, value, was, unit_of(change.key), source)
     return new, tuple(each for each in done.values() if each.value != each.was)
 
 
 class _Place(NamedTuple):
-    """Where a key leads: the tables and lists on its way, the step from each to the next, and how far along the way a table with
-    value, sigma and source stands (None: nowhere); `kind` of the part in which the last step lies."""
+    """Where a key leads: the table or list that holds its value, and at which `step`; the table with value, sigma and source that
+    it belongs to, if any (`about`); the `kind` of part in which it lies."""
 
-    nodes: list[Any]
-    steps: list[str | int]
-    certificate: int | None
+    holder: Any
+    step: Any
+    value: Any
+    about: dict[str, Any]
     kind: Any
-
-    @property
-    def value(self) -> Any:
-        last, step = self.nodes[-1], self.steps[-1]
-        return last.get(step) if isinstance(last, dict) else last[step]
 
 
 def _located(table: dict[str, Any], key: str, kind: Any) -> _Place:
     """The place of a key; tables that the file leaves out are added to `table`. `KeyError` where there can be no such place."""
     node: Any = table
-    nodes, steps, certificate, inside = [], [], None, kind
+    holder: Any = None
+    step: Any = None
+    about: dict[str, Any] = {}
+    inside = kind
 
-    def enter(step: str | int) -> None:
-        nonlocal node
-        nodes.append(node)
-        steps.append(step)
-        node = node.get(step) if isinstance(node, dict) else node[step]
+    def enter(at: str | int) -> None:
+        nonlocal node, holder, step
+        holder, step = node, at
+        node = node.get(at) if isinstance(node, dict) else node[at]
 
     places = PLACE.findall(key)
     for number, (name, at) in enumerate(places):
         if node is None:  # a table that the file leaves out
-            node = nodes[-1][steps[-1]] = {}
-        if name and isinstance(node, list):
-            enter(_only(node, key))
+            node = holder[step] = {}
+        if name and isinstance(node, list):  # the only table of a list needs no brackets
+            if not node or not all(isinstance(each, dict) for each in node):
+                raise KeyError(key)
+            if len(node) > 1:
+                names = ", ".join(str(each.get("name")) for each in node)
+                what = f"there are {len(node)} such parts"
+                raise InputError(sentence(what, got=key, do=f"say which in brackets: {names}"))
+            enter(0)
         inside = kind
         if not name:
             if _is_certificate(node):
-                certificate = len(nodes)
+                about = node
                 enter("value")
             if not isinstance(node, list):
                 raise KeyError(key)
             enter(_index(node, at.strip(), key))
             continue
         if _is_number(node) and name in ("sigma", "source"):
-            node = nodes[-1][steps[-1]] = {"value": node}
+            node = holder[step] = {"value": node}
         if not isinstance(node, dict):
             raise KeyError(key)
         if _is_certificate(node):
@@ -235,26 +241,15 @@ def _located(table: dict[str, Any], key: str, kind: Any) -> _Place:
         if name not in node and (known is None or (more and _is_list_of_parts(kind, name))):
             raise KeyError(key)
         if name in COEFFICIENTS and "spin_down" in node:
-            law = _coefficients(node["spin_down"], nodes[-1])
+            law = _coefficients(node["spin_down"], holder)
             node.clear()
             node.update(law)
         enter(name)
         kind = known
     if _is_certificate(node):
-        certificate = len(nodes)
+        about = node
         enter("value")
-    return _Place(nodes, steps, certificate, inside)
-
-
-def _only(tables: list[Any], key: str) -> int:
-    """The place of the only table of a list; a key says which of several."""
-    if not tables or not all(isinstance(each, dict) for each in tables):
-        raise KeyError(key)
-    if len(tables) > 1:
-        names = ", ".join(str(each.get("name")) for each in tables)
-        what = f"there are {len(tables)} such parts"
-        raise InputError(sentence(what, got=key, do=f"say which in brackets: {names}"))
-    return 0
+    return _Place(holder, step, node, about, inside)
 
 
 def _index(node: list[Any], name: str, key: str) -> int:
@@ -271,35 +266,25 @@ def _index(node: list[Any], name: str, key: str) -> int:
 def _put(place: _Place, change: Change) -> Any:
     """Do a change at its place; the new value, a law of friction by its name."""
     old, new = place.value, change.value
-    if place.kind is Wheel and place.steps[-1] == "friction" and isinstance(new, str):
-        laws = place.nodes[-1].get("alternative_frictions", {})
+    if place.kind is Wheel and place.step == "friction" and isinstance(new, str):
+        laws = place.holder.get("alternative_frictions", {})
         if new not in laws:
             known = ", ".join(sorted(laws)) or "none"
             what = "the wheel has no friction of this name"
             raise VehicleError(sentence(what, got=new, do=f"known: {known}"))
-        place.nodes[-1]["friction"] = deepcopy(laws[new])
+        place.holder["friction"] = deepcopy(laws[new])
         return new
     if change.operator != "=":
         new = _combined(old, change)
     elif isinstance(old, dict) and old and not isinstance(new, dict):
         raise InputError(_one_of(old, change.key))
-    if place.certificate is not None and new != old:
-        about = place.nodes[place.certificate]
+    if place.about and new != old:
+        about = place.about
         if not str(about.get("source")).startswith(SET):
             was = f"{SET}; was {shown(about['value'])}"
             about["source"] = was + (f", {about['source']}" if about.get("source") else "")
-    place.nodes[-1][place.steps[-1]] = new
+    place.holder[place.step] = new
     return _bare(new)
-
-
-def _before(table: dict[str, Any], key: str, kind: Any) -> tuple[Any, str]:
-    """What stood at a key (None: nothing), and its source."""
-    try:
-        place = _located(deepcopy(table), key, kind)
-    except (KeyError, InputError):
-        return None, ""
-    about = {} if place.certificate is None else place.nodes[place.certificate]
-    return _bare(place.value), str(about.get("source", ""))
 
 
 def _combined(old: Any, change: Change) -> Any:
