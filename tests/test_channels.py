@@ -6,19 +6,21 @@ from importlib import resources
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.compute.identity import plain
 from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.posterior.light import between, light_of, seen
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.rates.images import imaged
 from sunspin.estimate.rates.state import Track
+from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.joined import Joined
-from sunspin.vehicle.response.protocol import unit_readings
-from sunspin.vehicle.response.tabled import Tabled
+from sunspin.vehicle.response.protocol import sphere, unit_readings
 
 FACES = {
     "+X": [1, 0, 0],
@@ -178,20 +180,57 @@ ARCS = [({"odd": ("+X", "+Y")}, "sum"), ({"a": ("+X", "+Y", "-Z"), "b": ("-X", "
 
 
 @pytest.mark.parametrize(("channels", "reads"), [(THREE, "sum"), (ONE, "largest"), *ARCS])
-def test_the_closed_form_is_as_good_as_a_look_all_over_the_sphere(channels, reads):
-    """Noisy readings of flat panels: in no sample does the search of other laws find a smaller Delta."""
+def test_no_direction_of_the_sphere_fits_better_than_the_closed_form(channels, reads):
     vehicle, rng = craft(channels, reads=reads), np.random.default_rng(3)
     readings = ss.panel_power(vehicle, directions(25, 6))
     readings = np.maximum(readings + 0.02 * rng.normal(size=readings.shape), 0.0)
-    response = vehicle.response_in()
-    looked = Searched(response.normals_B, response.gains, response.law, response.names)
-    assert (response.best(readings)[1] <= looked.best(readings)[1] + 1e-12).all()
+    shape = unit_readings(ss.panel_power(vehicle, sphere(200_000)))
+    least = np.sqrt(np.maximum(2 - 2 * (unit_readings(readings) @ shape.T).max(axis=1), 0.0))
+    assert (vehicle.response_in().best(readings)[1] <= least + 1e-6).all()
 
 
-class Searched(Joined):
-    """The same inputs by the search that any law may use."""
+def test_more_planes_than_can_be_cut_are_refused():
+    """Eleven panels on one input of which the largest is read: 55 planes between them."""
+    names = [f"p{k}" for k in range(11)]
+    panels = "".join(
+        f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\ngain_A = 0.5\n'
+        for name, normal in zip(names, directions(11).tolist(), strict=True)
+    )
+    shared = f'[[channel]]\nname = "all"\npanels = {names}\nreads = "largest"\n'
+    vehicle = parse_vehicle(f'name = "c"\n{panels}{shared}', "c.toml")
+    with pytest.raises(ss.VehicleError, match="66 planes, more than 40"):
+        ss.sun_directions(vehicle, np.ones((1, 1)))
 
-    _flat = None
+
+@pytest.mark.parametrize("reads", ["sum", "largest"])
+def test_compiled_code_and_bounds_know_the_inputs(reads):
+    """Readings, their slopes where lit, and bounds against directions within an angle."""
+    vehicle, angles = craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads), (0.1, 0.35)
+    response, sun, light = vehicle.response_in(), directions(40, 21), light_of(vehicle, angles)
+    exact, full = response.slopes(sun), vehicle.input_gains
+    rng = np.random.default_rng(6)
+    for i, k in np.ndindex(40, 4):
+        share, *slope = seen(light, k, *sun[i])
+        assert share * full[k] == pytest.approx(exact.power[i, k], abs=1e-15)
+        if exact.power[i, k] > 0:
+            across = slope - (slope @ sun[i]) * sun[i]
+            np.testing.assert_allclose(full[k] * across, exact.to_sun[i, k], atol=1e-15)
+    for number, angle in enumerate(angles):
+        low, high = response.bounds(sun, angle)
+        turns = Rotation.from_rotvec(angle * directions(300, 5) * rng.uniform(0, 1, (300, 1)))
+        near = np.array([response.power(turn.apply(sun)) for turn in turns])
+        assert (near >= low - 1e-12).all() and (near <= high + 1e-12).all()
+        both = [[between(light, number, k, *one) for k in range(4)] for one in sun]
+        np.testing.assert_allclose(full[:, None] * both, np.stack([low, high], -1), atol=1e-12)
+
+
+@pytest.mark.parametrize("reads", ["sum", "largest"])
+def test_the_mask_of_a_scan_counts_what_channels_allow(reads):
+    vehicle, sun = craft({"odd": ("+X", "+Y")}, reads=reads), directions(20_000, 3)
+    good, names = reconstructible_patterns(vehicle), np.array(vehicle.input_names)
+    lit = ss.panel_power(vehicle, sun) > 0
+    expected = [frozenset(names[row].tolist()) in good for row in lit]
+    assert np.mean(allows(reconstructible_mask(vehicle), sun) != expected) < 1e-3
 
 
 @pytest.mark.parametrize(("channels", "reads"), ARCS)
@@ -242,10 +281,12 @@ def test_slopes_of_flat_panels_are_those_of_the_differences(reads):
     )
     gain = np.array([1.1, 0.9, 1.2, 1.0])
     assert isinstance(response, Joined)
-    for own, differences in zip(
-        response.slopes(sun, gain=gain)[:2], Tabled._along_sphere(response, sun, gain), strict=True
-    ):
-        np.testing.assert_allclose(own, differences, atol=1e-5)
+    step, slope = 1e-6, response.slopes(sun, gain=gain).to_sun
+    for axis in np.eye(3):
+        across = axis - (sun @ axis)[:, None] * sun
+        ends = [response.power(sun + sign * step * across, gain=gain) for sign in (1, -1)]
+        difference = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(np.einsum("npi,ni->np", slope, across), difference, atol=1e-5)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- motion

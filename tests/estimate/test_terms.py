@@ -27,11 +27,8 @@ from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.terms.gyro import Gyro
 from sunspin.estimate.terms.magnetometer import Magnetometer
-from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Seen, facing, normal, student
 from sunspin.solve.rotations import turn
-from sunspin.vehicle.response.choice import ResponseForm
-from sunspin.vehicle.response.grazing import Grazing
 from sunspin.vehicle.sensors import Sensors
 
 
@@ -184,43 +181,6 @@ def test_what_the_matrix_adds_is_the_change_of_the_residuals():
         less = replace(term, field_B=term.field_B - 0.03 * term.field_B @ element.T)
         change = less.between(o.t_s, relative)[0] - term.between(o.t_s, relative)[0]
         np.testing.assert_allclose(columns[..., k - 9], change, atol=1e-9)
-
-
-@pytest.mark.evidence(
-    "rates",
-    "verified",
-    "panels that lose half of grazing light, read by that law and by the cosine",
-)
-def test_another_law_of_the_panels_is_the_responses_alone():
-    """At the truth readings cost as sound ones do under the law that made them, more under the cosine; and slopes are its own."""
-    lossy = replace(CUBE, panel_response=ResponseForm(grazing=Grazing(loss=0.5)))
-    data, run = clock_twins.twin("gyro", 0.0, np.random.default_rng(4), 12)
-    rng, sun = np.random.default_rng(5), run["sun_B"].values
-    power = np.maximum(lossy.response_in().power(sun) + 0.01 * rng.normal(size=(12, 6)), 0.0)
-    data = data.assign(power_W=(("time", "panel"), power))
-    seen = Seen(facing(sun)[None], run["omega_B"].values[None])
-    cost = {}
-    for name, vehicle in (("law", lossy), ("cosine", CUBE)):
-        read = only(observations(vehicle, data)[0], Panels)
-        panels = replace(read, sigma=np.full(power.shape, 0.01), scale_sigma=np.full(12, 0.01))
-        cost[name] = normal(panels, seen)[2].sum()
-    assert (
-        cost["law"] < 12 * 3.6 and cost["cosine"] > 2 * cost["law"]
-    )  # 3.6: what a sound sample costs at most
-    panels = replace(only(observations(lossy, data)[0], Panels), sigma=np.full(power.shape, 0.1))
-    beside = Seen(turn(seen.attitude, np.array([0.1, -0.15, 0.2])), seen.omega)
-    slope = normal(panels, beside)[1].sum(axis=1)[0]
-    steps = 1e-3 * np.eye(3)
-    ends = [
-        [
-            normal(panels, Seen(turn(beside.attitude, sign * one), seen.omega))[2].sum()
-            for sign in (1, -1)
-        ]
-        for one in steps
-    ]
-    np.testing.assert_allclose(
-        slope, [(up - down) / 2e-3 for up, down in ends], rtol=0.02, atol=0.02 * np.abs(slope).max()
-    )
 
 
 def test_readings_apart_cost_the_mean_of_their_likelihood():

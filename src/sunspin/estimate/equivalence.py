@@ -21,7 +21,6 @@ from sunspin.estimate.inertia import ASSUMED, inertia_errors
 from sunspin.telemetry.gains import prior_sigmas
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import stated_sigma
-from sunspin.vehicle.response.protocol import sphere
 
 CLEARLY = 10.0
 """Log evidence by which a change, or a pass without one of its sensors, must be better before that is named. Changes are equivalent
@@ -49,9 +48,6 @@ FLAT = 0.05
 
 MOST_ASSIGNMENTS = 1000
 """Assignments of the panels of shared inputs to each other that are tried."""
-
-LAW_ALIKE, LOOKS = 0.1, 500
-"""Of panels with a law of their own: largest difference of two readings, as a share of full Sun, and directions compared."""
 
 READINGS = ("power_W", "current_A")
 """What telemetry calls the readings of panels."""
@@ -357,7 +353,7 @@ def _panel_maps(
         for m in _procrustes(observed, from_normals[a], to_normals[b]):
             off = np.linalg.norm(from_normals[a] @ m.T - to_normals[b], axis=1)
             cost = gain_cost + float((off**2 / (sigma[a] ** 2 + sigma[b] ** 2)).sum()) / 2
-            if cost <= CLEARLY and _law_agrees(observed, first, second, m):
+            if cost <= CLEARLY:
                 yield m, cost
 
 
@@ -387,22 +383,6 @@ def _any_maps(observed: Observed) -> Iterator[np.ndarray]:
     for order in permutations(range(3)):
         for sign in product((1.0, -1.0), repeat=3):
             yield frame @ (np.eye(3)[list(order)] * np.array(sign)[:, None]) @ frame.T
-
-
-def _law_agrees(observed: Observed, first: Change, second: Change, m: np.ndarray) -> bool:
-    """Whether panels that follow a law of their own read the same under both changes."""
-    vehicle = observed.vehicle
-    if vehicle.panel_response.law is None:
-        return True
-    sun, empty = sphere(LOOKS), xr.Dataset()
-    read = []
-    for change, light in ((first, sun), (second, sun @ m.T)):
-        power = change.applied(vehicle, empty)[0].response_in().power(light)
-        columns = np.empty_like(power)
-        columns[:, list(change.columns or range(power.shape[1]))] = power
-        read.append(columns)
-    off = np.abs(read[0] - read[1]).max(axis=0) / vehicle.input_gains
-    return bool(off[observed.lit].max(initial=0.0) < LAW_ALIKE)
 
 
 def _stays_dark(observed: Observed, second: Change, m: np.ndarray) -> bool:

@@ -41,7 +41,7 @@ from sunspin.vehicle.parts import (
     Wheel,
 )
 from sunspin.vehicle.response.choice import ResponseForm, response_of
-from sunspin.vehicle.response.joined import Input, full_signal
+from sunspin.vehicle.response.joined import Input, full_sun
 from sunspin.vehicle.response.protocol import PanelResponse
 from sunspin.vehicle.sensors import Sensors
 
@@ -254,10 +254,15 @@ class Vehicle(Part):
 
     @property
     def panel_normals_B(self) -> FloatArray:
-        """Unit normals (n_panel, 3), as they stand where all panels are turned together."""
+        """Unit normals (n_panel, 3), as they stand."""
         drawn = np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(-1, 3)
-        turn = self.panel_response.turned_B_rad
-        return drawn if turn is None or not turn.any() else seen_turned(drawn, -turn)
+        turn, tilted = self.panel_response.turned_B_rad, self.panel_response.tilted
+        if turn is not None and turn.any():
+            drawn = seen_turned(drawn, -turn)
+        if tilted is not None:
+            k = self.panel_names.index(tilted.panel)
+            drawn[k] = seen_turned(drawn[k], -tilted.turn_B_rad)
+        return drawn
 
     @property
     def panel_gains(self) -> FloatArray:
@@ -296,7 +301,7 @@ class Vehicle(Part):
         if not self.channels:
             return self.panel_gains
         return np.array(
-            [full_signal(one, self.panel_normals_B, self.panel_gains) for one in self.inputs]
+            [full_sun(one, self.panel_normals_B, self.panel_gains)[1] for one in self.inputs]
         )
 
     @property
@@ -305,7 +310,7 @@ class Vehicle(Part):
         return self.telemetry.throttled or any(channel.throttled for channel in self.channels)
 
     def response_in(self, phase: str | None = None) -> PanelResponse:
-        """How the inputs see light in a phase of the vehicle's timeline: by one law in all phases, as yet.
+        """How the inputs see light in a phase of the vehicle's timeline: alike in all phases, as yet.
 
         The rest of the package asks nothing but this about it; the answer is kept and shared.
         """
@@ -317,7 +322,7 @@ class Vehicle(Part):
 
     def _response(self, inputs: tuple[Input, ...]) -> PanelResponse:
         normals, gains = map(tuple, self.panel_normals_B.tolist()), tuple(self.panel_gains.tolist())
-        return response_of(self.panel_response.law, self.panel_names, tuple(normals), gains, inputs)
+        return response_of(tuple(normals), gains, inputs)
 
     def require_inertia(self) -> FloatArray:
         """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
@@ -432,7 +437,8 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
 
 def _require_known_panels(vehicle: Vehicle) -> None:
     form = vehicle.telemetry
-    named = [("panel_response", name) for name in vehicle.panel_response.panels]
+    tilted = vehicle.panel_response.tilted
+    named = [] if tilted is None else [("panel_response.tilted", tilted.panel)]
     named += [
         (f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None
     ]

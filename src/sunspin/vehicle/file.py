@@ -169,6 +169,9 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
 
 
 def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehicle:
+    for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
+        what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
+        raise VehicleError(sentence(what, do=f"leave out [panel_response.{law}]"))
     file = TypeAdapter(VehicleFile).validate_python(
         table, context="file", by_alias=True, by_name=False
     )

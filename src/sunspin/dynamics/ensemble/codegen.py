@@ -47,14 +47,11 @@ class Structure:
     method: str = "series"  # or "split"
     oblique: bool = True  # split: whether a wheel has a component along the principal axis q
     torques: tuple[Torque, ...] = ()
-    mask_rows: int = (
-        0  # of the table of the sphere that says what counts, in the place of `normals` and `mask`
-    )
 
     @property
     def masked(self) -> bool:
         """Whether some directions do not count."""
-        return bool(self.mask or self.mask_rows)
+        return bool(self.mask)
 
     @property
     def precision(self) -> str:

@@ -31,7 +31,6 @@ from sunspin.dynamics.ensemble.deposit import deposit_body, signed_body
 from sunspin.dynamics.ensemble.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series_lanes import ORDER, SeriesLanes
 from sunspin.dynamics.ensemble.split_lanes import TIMES, SplitLanes
-from sunspin.vehicle.response import cube
 
 _lock = threading.Lock()
 
@@ -104,7 +103,7 @@ def source(structure: c.Structure, lanes: int | None = None) -> str:
         calls = [f"deposit_{node}(v, normals, bins, weights)", "add_up(bins, weights, hist)"]
         bodies["                pass  # DEPOSIT_ALL"] += calls
     parts = {
-        "CONSTANTS": o.definitions() + (f"\n\n\n{cube.TEXT}" if structure.mask_rows else ""),
+        "CONSTANTS": o.definitions(),
         "EVENTS": template("events"),
         "METHOD": template(structure.method),
         "DEPOSITS": "".join(deposits).rstrip(),

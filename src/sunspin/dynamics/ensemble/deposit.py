@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from sunspin.dynamics.ensemble.lanes import NODE_ROWS, Lanes
-from sunspin.vehicle.response.cube import size_of
 
 PARTS = 4
 """Pieces, an even number, of the way between two nodes in which the crossing of the mask's edge is looked for."""
@@ -121,12 +120,7 @@ def _counted(o: Lanes) -> None:
 
 
 def signed_lines(o: Lanes, point: list[str]) -> list[str]:
-    """The mask at a point as one number, `signed`: the largest over the clauses of the smallest of their distances, or what the
-    table there says."""
-    if o.structure.mask_rows:
-        return [
-            f"signed = read({size_of(o.structure.mask_rows)}, normals, 1, 0, {', '.join(point)})"
-        ]
+    """The mask at a point as one number, `signed`: the largest over the clauses of the smallest of their distances."""
     lines, used = [], sorted({k for clause in o.structure.mask for k, _ in clause})
     for k in used:
         terms = []

@@ -57,8 +57,6 @@ def structure_of(
     oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
     if mask is None or not bins:
         return c.Structure(axes, bins=bins, method=method, oblique=oblique, torques=torques)
-    if mask.table is not None:
-        return c.Structure(axes, (), (), bins, method, oblique, torques, len(mask.table))
     normals = tuple(c.components(normal) for normal in mask.normals_B)
     return c.Structure(axes, normals, mask.clauses, bins, method, oblique, torques)
 

@@ -21,17 +21,16 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.compute.compiler import compiled_with
 from sunspin.dynamics import gyrostat as g
+from sunspin.estimate.posterior import light
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.fit import asked
+from sunspin.estimate.posterior.light import between, light_of, nearest_node, nodes, seen
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.rotations import moved, tangents
-from sunspin.vehicle.response import cube, inside
-from sunspin.vehicle.response.cube import nodes
-from sunspin.vehicle.response.inside import between, nearest_node, seen
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
 
-jit = compiled_with(cube, inside)
+jit = compiled_with(light)
 
 TURN = 1.6
 """rad by which neighbours of the grid differ at the farthest of the samples tried; interpolated rotations then err by 0.05."""
@@ -261,7 +260,7 @@ class Starts:
             side,
             1,
         ]
-        law = self.attitudes.model.vehicle.response_in().inside((NEAR + NODE_RAD, FAR + NODE_RAD))
+        law = light_of(self.attitudes.model.vehicle, (NEAR + NODE_RAD, FAR + NODE_RAD))
         law, readings = (
             law._replace(gains=self.scale * law.gains),
             (self.data.value, self.data.used, self.data.sigma),

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from sunspin.vehicle.response.protocol import (
     misfit,
     unit_readings,
 )
-
-if TYPE_CHECKING:
-    from sunspin.vehicle.response.inside import Inside
 
 NUMBERS = 10_000_000
 """Candidates times panels times samples solved at once: some 200 MB."""
@@ -204,11 +201,6 @@ class Cosine(Flat):
         off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
         low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
         return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
-
-    def inside(self, angles: tuple[float, ...]) -> Inside:
-        from sunspin.vehicle.response.inside import Inside  # and with it a compiler
-
-        return Inside.of(self.normals_B, self.gains, angles)
 
     @cached_property
     def _cells(self) -> Arrangement:

@@ -1,25 +1,40 @@
-"""Panels that share inputs of the power system, around any law: a reading belongs to an input and not to a panel.
+"""Panels that share inputs of the power system: a reading belongs to an input and not to a panel.
 
 An input is a channel of several panels, whose sum or largest it reads, or one panel on an input of its own. Which of its panels is
-lit it does not say, so one reading may have several directions.
+lit it does not say, so one reading may have several directions. The planes in which panels graze, and those between two of one
+largest, cut the sphere into cells in each of which the same panels make the readings; there these are linear in the direction.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.solve.rotations import moved
-from sunspin.vehicle.response.cosine import RANK_TOLERANCE, Places, places_of
-from sunspin.vehicle.response.planes import ON_PLANE, arrangement
-from sunspin.vehicle.response.protocol import Law, misfit, sphere, unit_readings
-from sunspin.vehicle.response.tabled import AROUND, Tabled
+from sunspin.base.errors import VehicleError, sentence
+from sunspin.solve.rotations import moved, tangents
+from sunspin.vehicle.response.cosine import (
+    RANK_TOLERANCE,
+    Flat,
+    Places,
+    along_normals,
+    blurred,
+    places_of,
+)
+from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula
+from sunspin.vehicle.response.protocol import (
+    Counted,
+    Regions,
+    Slopes,
+    misfit,
+    sphere,
+    unit_readings,
+)
 
 CLIMBS, STARTS = 30, 200
-"""Steps, and starts, of the search for the direction in which a sum of flat panels gives most."""
+"""Steps, and starts, of the search for the direction in which a sum of panels gives most."""
 
 LIKE, LOOKS = 0.3, 500
 """A mirror that changes no reading by more than this share of full Sun leaves motions that are nearly alike, and in how many
@@ -28,16 +43,15 @@ directions that is looked at."""
 MOST_IMAGES = 48
 """Mirrors and turns of a cube; no more are tried."""
 
-
 MOST_PLANES = 40
-"""Planes of flat panels, and between those of one largest: with more the sphere is looked through as for other laws."""
+"""Planes of panels, and between those of one largest, that a vehicle may have: cells grow with their square."""
 
 ALONG = np.arange(-1.4, 1.5, 0.2)
 """Angles (rad) at which an arc of directions that fit alike is looked at."""
 
+AROUND = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1)
 DOWN_RAD, DOWN = 1e-4, 1e-9
-"""A direction is a minimum of Delta if no direction so far from it has one smaller by so much."""
-
+"""A direction is a minimum of Delta if no direction so far from it (`AROUND`) has one smaller by so much."""
 
 BEYOND = 1e-7
 """rad by which the next cell is entered."""
@@ -52,163 +66,244 @@ class Input:
     largest: bool = False
 
 
-def full_signal(one: Input, normals_B: np.ndarray, gains: np.ndarray) -> float:
-    """What an input reads at most of flat panels with normals (n_panel, 3) and gains (n_panel)."""
+def full_sun(one: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[np.ndarray, float]:
+    """The direction (3) in which an input of panels with normals (n_panel, 3) and gains (n_panel) reads most, and what it reads."""
     own = list(one.panels)
     if one.largest or len(own) == 1:
-        return float(gains[own].max())
+        best = own[int(np.argmax(gains[own]))]
+        return normals_B[best], float(gains[best])
     rows = gains[own, None] * normals_B[own]
     sun = np.concatenate([normals_B[own], sphere(STARTS)])
     for _ in range(CLIMBS):  # the sum is convex in the direction: towards its slope it never falls
         slope = (sun @ rows.T > 0) @ rows
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         sun = np.where(size > 0, slope / np.where(size > 0, size, 1.0), sun)
-    return float(np.maximum(sun @ rows.T, 0.0).sum(axis=1).max())
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """The law of inputs around that of the panels (None: gain times cosine); `gains` of panels, `full` signals of inputs."""
-
-    law: Law | None
-    inputs: tuple[Input, ...]
-    gains: tuple[float, ...]
-    full: tuple[float, ...]
-
-    def each(
-        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
-    ) -> np.ndarray:
-        """Signals (..., n_panel) of the panels."""
-        share = cosine if self.law is None else self.law.share(names, sun_B, normals_B, cosine)
-        return np.array(self.gains) * np.maximum(share, 0.0)
-
-    def share(
-        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
-    ) -> np.ndarray:
-        """Readings (..., n_input) as shares of full signals."""
-        signal = self.each(names, sun_B, normals_B, cosine)
-        read = [
-            signal[..., list(i.panels)].max(axis=-1)
-            if i.largest
-            else signal[..., list(i.panels)].sum(axis=-1)
-            for i in self.inputs
-        ]
-        return np.stack(read, axis=-1) / np.array(self.full)
-
-
-class FlatInputs(NamedTuple):
-    """Candidates for the least Delta, and per cell the direction (3) along which the readings' proportions stay, zeros if none."""
-
-    places: Places
-    free: np.ndarray
-
-    def candidates(self, target: np.ndarray) -> np.ndarray:
-        """The candidates (n, n_candidate, 3) for unit readings (n, n_input), and more along the arcs on which these stay as they
-        are."""
-        has = self.free.any(axis=1)
-        middle = self.places.mapped(target)[:, : len(self.free)][:, has]
-        along = [np.cos(angle) * middle + np.sin(angle) * self.free[has] for angle in ALONG]
-        return np.concatenate([self.places.candidates(target), *along], axis=1)
+    signal = np.maximum(sun @ rows.T, 0.0).sum(axis=1)
+    best = int(np.argmax(signal))
+    return sun[best], float(signal[best])
 
 
 @dataclass(frozen=True, eq=False)
-class Joined(Tabled):
-    """Inputs as a :class:`sunspin.vehicle.response.protocol.PanelResponse`: what is said of panels there holds for inputs here."""
+class Joined(Flat):
+    """Inputs as a :class:`sunspin.vehicle.response.protocol.PanelResponse`: what is said of panels there holds for inputs here.
 
-    law: Inputs
+    `normals_B` (n_panel, 3) and `gains` (n_panel) are those of the panels.
+    """
 
-    def sides(self, sun_B: np.ndarray) -> np.ndarray:
-        """Which panels (..., n_panel) make the readings: inside a region of the same ones they are smooth."""
-        signal = self.law.each(self.names, sun_B, self.normals_B, sun_B @ self.normals_B.T)
-        made = signal > 0
-        for one in self.law.inputs:
-            if one.largest and len(one.panels) > 1:
-                own = signal[..., list(one.panels)]
-                first = np.arange(own.shape[-1]) == np.argmax(own, axis=-1)[..., None]
-                made[..., list(one.panels)] &= first
-        return made
+    inputs: tuple[Input, ...]
 
-    def _along_sphere(
-        self, sun_B: np.ndarray, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Of flat panels in closed form: the slopes of those that make a reading."""
-        if self.law.law is not None or tilt is not None:
-            return super()._along_sphere(sun_B, gain, tilt)
-        sun = np.asarray(sun_B, dtype=np.float64)[..., None, :]
-        across = self.normals_B - (sun @ self.normals_B.T)[..., 0, :, None] * sun
-        each = (np.array(self.law.gains) * self.sides(sun[..., 0, :]))[..., None] * across
-        to_sun = np.stack(
-            [each[..., list(one.panels), :].sum(axis=-2) for one in self.law.inputs], axis=-2
-        )
-        return self.power(sun_B, gain=gain), (self.strengths(gain) / np.array(self.law.full))[
-            ..., None
-        ] * to_sun
+    def _full(self) -> list[tuple[np.ndarray, float]]:
+        return [full_sun(one, self.normals_B, self.gains) for one in self.inputs]
 
     @cached_property
-    def _flat(self) -> FlatInputs | None:
-        """Of flat panels, where the least Delta may lie: in a cell in which the same panels make the readings these are linear in
-        the direction, as of panels that share no input."""
-        if self.law.law is not None:
-            return None
-        rows, planes = np.array(self.law.gains)[:, None] * self.normals_B, self._planes
-        if len(planes) > MOST_PLANES:
-            return None
-        cells = arrangement(tuple(map(tuple, planes.tolist())))
-        made = np.unique(self.sides(cells.cell_B), axis=0)
-        sums = np.array([np.isin(np.arange(len(rows)), one.panels) for one in self.law.inputs])
-        within = [matrix for one in made if (matrix := (sums * one) @ rows).any()]
-        on_arcs = np.unique(np.column_stack([self.sides(cells.arc_B), cells.arc_plane]), axis=0)
-        between = [((sums * one[:-1]) @ rows, planes[one[-1]]) for one in on_arcs]
-        between = [(matrix, normal) for matrix, normal in between if matrix.any()]
-        ranks = np.array(
-            [np.linalg.matrix_rank(matrix, RANK_TOLERANCE * self.largest) for matrix in within]
-        )
-        free = [
-            np.linalg.svd(matrix)[2][2] if rank == 2 else np.zeros(3)
-            for matrix, rank in zip(within, ranks, strict=True)
+    def facing_B(self) -> np.ndarray:
+        return np.array([sun for sun, _ in self._full()])
+
+    @cached_property
+    def full(self) -> np.ndarray:
+        """The largest signal (n_input) of each input."""
+        return np.array([signal for _, signal in self._full()])
+
+    @property
+    def largest(self) -> float:
+        return float(self.full.max())
+
+    # ------------------------------------------------------------------------------------------------------- readings and slopes
+
+    def _made(self, signal: np.ndarray) -> np.ndarray:
+        """Which panels (..., n_panel) make the readings, by their signals: inside a cell always the same ones."""
+        made = signal > 0
+        for one in self.inputs:
+            if one.largest and len(one.panels) > 1:
+                own = list(one.panels)
+                first = np.arange(len(own)) == np.argmax(signal[..., own], axis=-1)[..., None]
+                made[..., own] &= first
+        return made
+
+    def sides(self, sun_B: np.ndarray) -> np.ndarray:
+        """The same for directions (..., 3)."""
+        return self._made(self.gains * np.maximum(sun_B @ self.normals_B.T, 0.0))
+
+    def _summed(self, parts: np.ndarray, axis: int = -1) -> np.ndarray:
+        """Of parts of panels, zero where they make no reading, the sums of inputs."""
+        each = [np.take(parts, list(one.panels), axis=axis).sum(axis=axis) for one in self.inputs]
+        return np.stack(each, axis=axis)
+
+    def power(
+        self,
+        sun_B: np.ndarray,
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
+        blur_rad: float = 0.0,
+    ) -> np.ndarray:
+        if blur_rad:
+            return blurred(lambda sun: self.power(sun, gain=gain, tilt=tilt), sun_B, blur_rad)
+        return self._read(self.gains * np.maximum(self.cosines(sun_B, tilt), 0.0), gain)
+
+    def _read(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
+        """Readings (..., n_input) of signals (..., n_panel) of the panels."""
+        each = [
+            signal[..., list(one.panels)].max(axis=-1)
+            if one.largest
+            else signal[..., list(one.panels)].sum(axis=-1)
+            for one in self.inputs
         ]
-        return FlatInputs(
-            places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B])),
-            np.array(free),
-        )
+        return np.stack(each, axis=-1) * (1.0 if gain is None else gain)
+
+    def slopes(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> Slopes:
+        normals, sun = self.turned(tilt), sun_B[..., None, :]
+        cosine = along_normals(sun_B, normals)
+        signal = self.gains * np.maximum(cosine, 0.0)
+        strength = (self.gains * self._made(signal))[..., None]
+        factor = 1.0 if gain is None else np.asarray(gain)[..., None]
+        to_sun = self._summed(strength * (normals - cosine[..., None] * sun), axis=-2) * factor
+        if tilt is None:
+            return Slopes(self._read(signal, gain), to_sun, None)
+        to_tilt = self._summed(strength * np.cross(normals, sun), axis=-2) * factor
+        return Slopes(self._read(signal, gain), to_sun, to_tilt)
+
+    def along(
+        self,
+        sun_B: np.ndarray,
+        steps: Sequence[np.ndarray],
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
+    ) -> list[np.ndarray]:
+        to_sun = self.slopes(sun_B, gain=gain, tilt=tilt).to_sun
+        return [np.einsum("...pi,...i->...p", to_sun, step) for step in steps]
+
+    def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        signal = self.gains * np.maximum(light_B @ self.normals_B.T, 0.0)
+        return self._read(signal) / unit, self.design(light_B) / unit
+
+    def design(self, light_B: np.ndarray) -> np.ndarray:
+        """The derivative (..., n_input, 3) of readings by the vector brightness times direction."""
+        return self._summed((self.gains * self.sides(light_B))[..., None] * self.normals_B, axis=-2)
+
+    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As of panels that share no input (:class:`sunspin.vehicle.response.cosine.Cosine`), summed or the largest."""
+        part = (1 + axis_B @ self.normals_B.T) / 2
+        axis = axis_B[..., None, :]
+        made = self._made(self.gains * part**2)
+        slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
+        light = self._read(self.gains * part**2) * np.asarray(strength)[..., None]
+        return light, self._summed((self.gains * made)[..., None] * slope, axis=-2)
+
+    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
+        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
+        high = self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
+        return self._read(low), np.minimum(self._read(high), self.full)
+
+    # --------------------------------------------------------------------------------------------------------------------- cells
 
     @cached_property
     def _planes(self) -> np.ndarray:
         """Unit normals (n, 3) of the planes that part the cells: where a panel grazes, and where two of one largest give alike."""
-        rows, found = np.array(self.law.gains)[:, None] * self.normals_B, [*self.normals_B]
-        for one in self.law.inputs:
+        rows, normals = self.gains[:, None] * self.normals_B, [*self.normals_B]
+        for one in self.inputs:
             for i, j in (
                 np.argwhere(np.triu(np.ones((len(one.panels),) * 2), 1)) if one.largest else ()
             ):
                 across = rows[one.panels[i]] - rows[one.panels[j]]
                 if (size := np.linalg.norm(across)) > ON_PLANE * self.largest:
-                    found.append(across / size)
+                    normals.append(across / size)
         kept: list[np.ndarray] = []
-        for normal in found:
+        for normal in normals:
             if all(abs(normal @ other) < 1 - 1e-12 for other in kept):
                 kept.append(normal)
+        if len(kept) > MOST_PLANES:
+            what = f"the panels have {len(kept)} planes, more than {MOST_PLANES}"
+            do = "leave out panels, or let channels read sums"
+            raise VehicleError(sentence(f"{what}, where some share an input", do=do))
         return np.array(kept)
 
-    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return (
-            super().best(readings)
-            if self._flat is None
-            else self._flat.places.best(self.power, readings)
+    @cached_property
+    def _cells(self) -> Arrangement:
+        return arrangement(tuple(map(tuple, self._planes.tolist())))
+
+    def regions(self) -> Regions:
+        return Regions(self._cells.cell_B, self.power(self._cells.cell_B) > 0)
+
+    def edges(self) -> np.ndarray:
+        sun = np.concatenate([self._cells.arc_B, self._cells.vertex_B])
+        return self._summed(sun @ self.normals_B.T > ON_PLANE) > 0
+
+    def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
+        if not lit.any():
+            return 0
+        if sun_B is None:
+            cells = self._cells
+            every = np.concatenate([cells.cell_B, cells.arc_B, cells.vertex_B])
+            shown = np.concatenate([self.regions().lit, self.edges()])
+            there = every[(shown == lit).all(axis=1)]
+            return max((self.rank(lit, sun) for sun in there), default=min(int(lit.sum()), 3))
+        design = (self.design(sun_B) / self.full[:, None])[lit]
+        return int(np.count_nonzero(np.linalg.svd(design, compute_uv=False) > RANK_TOLERANCE))
+
+    def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
+        """By the planes of the cells: which of their sides are those of a cell in which one of the sets is lit."""
+        lit, sides = self.regions().lit, self._cells.cell_lit
+        wanted = (lit[:, None] == good).all(axis=-1).any(axis=1)
+        return Counted(self._planes, formula(sides[wanted], sides[~wanted]))
+
+    @cached_property
+    def _places(self) -> Places:
+        """Where the least Delta may lie: in a cell readings are linear in the direction, as of panels that share no input."""
+        planes, cells = self._planes, self._cells
+        on_arcs = np.unique(np.column_stack([self.sides(cells.arc_B), cells.arc_plane]), axis=0)
+        between = [(self._matrix(one[:-1]), planes[one[-1]]) for one in on_arcs]
+        between = [(matrix, normal) for matrix, normal in between if matrix.any()]
+        fixed = np.concatenate([cells.vertex_B, cells.cell_B])
+        return places_of(self._within, between, fixed)
+
+    def _matrix(self, made: np.ndarray) -> np.ndarray:
+        """Readings by direction (n_input, 3) where panels `made` (n_panel) make them."""
+        return self._summed((made * self.gains)[:, None] * self.normals_B, axis=-2)
+
+    @cached_property
+    def _within(self) -> list[np.ndarray]:
+        """These matrices of the cells."""
+        made = np.unique(self.sides(self._cells.cell_B), axis=0)
+        return [matrix for one in made if (matrix := self._matrix(one)).any()]
+
+    @cached_property
+    def _free(self) -> np.ndarray:
+        """Per matrix of a cell the direction (3) along which the readings' proportions stay, zeros if there is none."""
+        tolerance = RANK_TOLERANCE * self.largest
+        return np.array(
+            [
+                np.linalg.svd(matrix)[2][2]
+                if np.linalg.matrix_rank(matrix, tolerance) == 2
+                else np.zeros(3)
+                for matrix in self._within
+            ]
         )
 
+    def _all_candidates(self, target: np.ndarray) -> np.ndarray:
+        """The candidates (n, n_candidate, 3) for unit readings (n, n_input), and more along the arcs on which these stay as they
+        are."""
+        has = self._free.any(axis=1)
+        middle = self._places.mapped(target)[:, : len(self._free)][:, has]
+        along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ALONG]
+        return np.concatenate([self._places.candidates(target), *along], axis=1)
+
+    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._places.best(self.power, readings)
+
     def candidates(self, share: np.ndarray) -> np.ndarray:
-        return (
-            super().candidates(share) if self._flat is None else self._flat.places.candidates(share)
-        )
+        return self._places.candidates(share)
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
         any."""
-        if self._flat is None:
-            return super().alike(readings, slack)
         target, limit = unit_readings(readings), self.best(readings)[1] + slack
         found = np.concatenate(
-            [self.best(readings)[0][:, None], self._flat.candidates(target)], axis=1
+            [self.best(readings)[0][:, None], self._all_candidates(target)], axis=1
         )
         fits = misfit(self.power(found), target[:, None]) <= limit[:, None]
         sample, which = np.nonzero(
@@ -216,7 +311,7 @@ class Joined(Tabled):
         )  # where all is dark there is no candidate
         sun, wanted = found[sample, which], target[sample]
         here, lowest = misfit(self.power(sun), wanted), np.full(len(sun), np.inf)
-        for step in AROUND[::2]:
+        for step in AROUND:
             lowest = np.minimum(
                 lowest,
                 misfit(self.power(moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1)))), wanted),
@@ -226,11 +321,30 @@ class Joined(Tabled):
         kept[:, 0] = True
         return np.where(kept[..., None], found, np.nan)
 
+    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: float) -> np.ndarray:
+        sun, _ = self.best(readings)
+        design = self.design(sun) * lit[:, None]
+        power = self.power(sun) * lit
+        bright = (readings * power).sum(axis=1) / np.maximum((power**2).sum(axis=1), 1e-300)
+        tangent = np.eye(3) - sun[:, :, None] * sun[:, None, :]
+        covariance = np.full((len(sun), 3, 3), np.nan)
+        normal = np.swapaxes(design, -1, -2) @ design
+        fine = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
+        scaled = noise**2 * np.linalg.inv(normal[fine]) / bright[fine, None, None] ** 2
+        covariance[fine] = tangent[fine] @ scaled @ tangent[fine]
+        return covariance
+
+    def _unseen(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
+        """The tangent (3) at a direction (3) along which the proportions of the lit inputs' readings change least."""
+        frame = np.stack(tangents(sun[None]), axis=-1)[0]
+        power, to_sun = (value[lit] for value in self.slopes(sun)[:2])
+        across = to_sun @ frame
+        across = across - np.outer(power, power @ across) / (power @ power)
+        return frame @ np.linalg.svd(across)[2][1]
+
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        if self._flat is None:
-            return super().arc(readings, lit)
         target = unit_readings(np.where(lit, readings, 0.0)[None])
-        sun = self._flat.candidates(target)[0]
+        sun = self._all_candidates(target)[0]
         power = self.power(sun)
         there = ((power > 0) == lit).all(axis=1)
         if not there.any():
@@ -241,9 +355,7 @@ class Joined(Tabled):
         return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
 
     def _followed(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
-        """Of flat panels an arc is a great circle from one plane to the next."""
-        if self._flat is None:
-            return super()._followed(begin, lit, sign)
+        """The end of an arc: a great circle from one plane to the next."""
         planes, sun, along, left = self._planes, begin, sign * self._unseen(begin, lit), np.pi
         while True:
             here, onward = planes @ sun, planes @ along
@@ -265,7 +377,7 @@ class Joined(Tabled):
     def images(self) -> np.ndarray:
         """Mirrors that exchange two panels of one input, and what they make together, as far as they change no reading much."""
         mirrors = []
-        for one in self.law.inputs:
+        for one in self.inputs:
             for i, j in np.argwhere(np.triu(np.ones((len(one.panels),) * 2), 1)):
                 across = self.normals_B[one.panels[i]] - self.normals_B[one.panels[j]]
                 if (size := np.linalg.norm(across)) > 0:
@@ -284,7 +396,7 @@ class Joined(Tabled):
     def _changes_little(self, image: np.ndarray) -> bool:
         sun = sphere(LOOKS)
         return bool(
-            np.abs(self.power(sun @ image.T) - self.power(sun)).max() < LIKE * self.gains.min()
+            np.abs(self.power(sun @ image.T) - self.power(sun)).max() < LIKE * self.full.min()
         )
 
 

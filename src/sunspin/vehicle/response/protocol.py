@@ -1,4 +1,4 @@
-"""What a law must answer by which panels see light: the rest of the package asks nothing else about it.
+"""What is asked about how panels see light: the rest of the package asks nothing else about it.
 
 Directions `sun_B` (..., 3) are unit vectors in body axes, results (..., n_panel); all is batched over leading axes, NaN gives
 NaN and no power is negative. If body and Sun turn together nothing changes.
@@ -8,12 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from sunspin.vehicle.response.inside import Inside
 
 Literals = tuple[tuple[int, bool], ...]
 """A conjunction: (panel index, lit?) ..."""
@@ -39,21 +36,15 @@ class Regions(NamedTuple):
 class Counted:
     """A signed function on the sphere, above 0 where a direction counts: as data, for kernels and for Python.
 
-    Either the largest over `clauses` of the smallest of distances from the planes of `normals_B` (n, 3), each clause a conjunction
-    of (panel index, lit?); or a `table` of 6 (size + 1)^2 numbers (:mod:`sunspin.vehicle.response.cube`): the angle (rad) to the
-    border.
+    It is the largest over `clauses` of the smallest of distances from the planes of `normals_B` (n, 3), each clause a conjunction
+    of (number of the plane, which side?).
     """
 
     normals_B: np.ndarray
     clauses: tuple[Literals, ...]
-    table: np.ndarray | None = None
 
     def holds(self, sun_B: np.ndarray) -> np.ndarray:
         """Whether each direction (..., 3) counts."""
-        if self.table is not None:
-            from sunspin.vehicle.response.cube import read_one  # and with it a compiler
-
-            return read_one(self.table, sun_B) > 0
         lit = sun_B @ self.normals_B.T > 0
         clauses = [
             np.all([lit[..., k] == wanted for k, wanted in clause], axis=0)
@@ -64,22 +55,7 @@ class Counted:
     @property
     def numbers(self) -> np.ndarray:
         """What compiled code reads, in float32."""
-        return np.asarray(
-            self.normals_B if self.table is None else self.table, dtype=np.float32
-        ).ravel()
-
-
-class Law(Protocol):
-    """What a new response must say. It is compared and hashed by content, since what was looked up is kept by it."""
-
-    def __hash__(self) -> int: ...
-
-    def share(
-        self, names: tuple[str, ...], sun_B: np.ndarray, normals_B: np.ndarray, cosine: np.ndarray
-    ) -> np.ndarray:
-        """The power (..., n_panel) of panels `names` over their gains for the Sun at sun_B (..., 3), which meets their normals
-        (..., n_panel, 3) or (n_panel, 3) under angles with that `cosine` (..., n_panel)."""
-        ...
+        return np.asarray(self.normals_B, dtype=np.float32).ravel()
 
 
 class PanelResponse(Protocol):
@@ -138,10 +114,6 @@ class PanelResponse(Protocol):
 
     def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         """Least and largest signal for any Sun within `angle` rad, or a little beyond."""
-        ...
-
-    def inside(self, angles: tuple[float, ...]) -> Inside:
-        """Powers, slopes and bounds within each of `angles` (rad) as numbers for compiled code."""
         ...
 
     def regions(self) -> Regions:
