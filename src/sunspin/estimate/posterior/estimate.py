@@ -51,7 +51,6 @@ from sunspin.estimate.posterior.modes import (
     within,
 )
 from sunspin.estimate.posterior.period import with_periods
-from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import (
     COUNTS,
     TOO_FEW,
@@ -61,7 +60,6 @@ from sunspin.estimate.posterior.verdict import (
     refused,
     spoilt_panels,
     verdict,
-    word_of,
 )
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
@@ -248,9 +246,6 @@ def posterior(
         )
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
-    tree.attrs["prior_widths"] = json.dumps(
-        {"word": word_of(found), "told": prior_widths(there, drawn, found)}
-    )
     checked_by_others = bool(observations) or columns_seen(vehicle, telemetry)
     row = believed(
         found, tree, prior_sigma, bool(off), AS_STATED if checked_by_others else UNCHECKED

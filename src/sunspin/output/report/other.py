@@ -67,7 +67,6 @@ SEEN_OF = {
         "pareto_k",
         "predicted",
         "hypotheses",
-        "prior_widths",
     },
 }
 """The same, for one command's summary."""
