@@ -133,9 +133,8 @@ def posterior(
         given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`,
         `friction`, `gain` (each panel's), `scale` and `noise` (of the logarithm); `tilt`, of the angles in rad by which each
         panel's normal is off to each side, and `tilt_common`, of one turn of all panels about each axis; `time_s`, sigma of the
-        samples' times in s (unless given they are taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
-        before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
-        instant; `max_rate_rad_s`, the ball in which rates are uniform. Default: what the vehicle's file states, else the values in
+        samples' times in s (unless given they are taken for exact, until the residuals say otherwise);
+        `max_rate_rad_s`, the ball in which rates are uniform. Default: what the vehicle's file states, else the values in
         `sunspin.estimate.posterior.model`; the result's attributes say which.
     seed : int
         The same seed gives the same bits, for any number of workers and however often the run was stopped.
@@ -177,10 +176,7 @@ def posterior(
     _whole(seed, draws)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
     unsure = ", ".join(untold(vehicle, telemetry))
-    if not {"wheel_off_s", "wheel_off"} & set(
-        priors or {}
-    ):  # else the vehicle's speeds are those of an earlier instant
-        vehicle = as_measured(vehicle, telemetry, start_s)
+    vehicle = as_measured(vehicle, telemetry, start_s)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
     unknown = under(unknown, acting(torques, environment, start_s))
