@@ -10,6 +10,8 @@ from sunspin.cli import gone
 
 NEEDED = {
     "--device": ("scan", "posterior"),
+    "--best-delay": ("outcomes",),
+    "--printed-lines": ("outcomes",),
 }
 """Option -> commands that had it."""
 
