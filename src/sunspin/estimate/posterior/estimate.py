@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
-from sunspin.dynamics.torques import Torque, acting
+from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.estimate.equivalence import columns_seen
 from sunspin.estimate.passes import AS_STATED, UNCHECKED, table
@@ -118,7 +118,7 @@ def posterior(
     store: str | Path | None = None,
     progress: bool = False,
     environment: Environment | None = None,
-    torques: Sequence[str | Torque] = (),
+    torques: Sequence[str] = (),
     periods: Sequence[Period] = (),
 ) -> xr.DataTree:
     """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
