@@ -286,9 +286,9 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
         ),
         (
             ("outcomes", "philae", "--set", "wheel.speed_rad_s=833"),
-            "keep the lines with --printed-lines",
+            "give --scan scan.nc, or give --omega",
         ),
-        (("outcomes", "philae", "--printed-lines", "--omega", "0,0,1"), "give one of them"),
+        (("outcomes", "philae", "--scan", "scan.nc", "--omega", "0,0,1"), "give one of them"),
         (("coverage", "--set", "study.confidence=0.8"), "give --confidence"),
         (
             ("outcomes", "philae", "--lead", "5", "--set", "study.lead_s=30"),
@@ -359,7 +359,8 @@ def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
     words = (
         "outcomes",
         "philae",
-        "--printed-lines",
+        "--omega",
+        "0.1,-0.2,0.1",
         "--runs",
         "50",
         "--strategy",
@@ -424,7 +425,7 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
         (("wheel.speed_rad_s=833",), ""),
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
-        points, whose = starts(opened("philae", sets).craft, [], tmp_path / "scan.nc", 1.1, False)
+        points, whose = starts(opened("philae", sets).craft, [], tmp_path / "scan.nc", 1.1)
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 

@@ -34,7 +34,7 @@ def test_philae_to_files(tmp_path):
     assert value == told["strategies"]["off"]["touch_leg"]["value"]
 
 
-def test_the_collision_against_the_trajectory_and_the_best_delay():
+def test_the_collision_against_the_trajectory():
     done = sunspin(
         "outcomes",
         "philae",
@@ -43,13 +43,11 @@ def test_the_collision_against_the_trajectory_and_the_best_delay():
         "--strategy",
         "off",
         "--condition",
-        "--best-delay",
         "--json",
     )
     told = json.loads(done.out)
     assert abs(told["collision"]["facts"]["speed_before"] - 0.304) < 1e-4
     assert {line["name"] for line in told["collision"]["table"]} >= {"as drawn", "13 s before"}
-    assert told["best_delay"]["delay_s"] in told["best_delay"]["as_good_s"]
 
 
 def test_a_vehicle_without_legs_and_hull(tmp_path):
@@ -86,7 +84,7 @@ LANDER = "\n".join(
 
 
 def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_told(tmp_path):
-    """No rate before or after a collision that there is not, no panel that touches; and delays end before the landing."""
+    """No rate before or after a collision that there is not, no panel that touches."""
     (tmp_path / "lander.toml").write_text(LANDER)
     given = (
         "--omega",
@@ -102,17 +100,13 @@ def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_to
         "--strategy",
         "held",
     )
-    done = sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay")
+    done = sunspin("outcomes", tmp_path / "lander.toml", *given)
     assert "There is no collision" in done.out and "before the collision" not in done.out
     assert (
         "a leg touches first: 1.0000" in done.out
         and "a panel touches" not in done.out
         and "the bare body" not in done.out
     )
-    told = json.loads(
-        sunspin("outcomes", tmp_path / "lander.toml", *given, "--best-delay", "--json").out
-    )
-    assert max(told["best_delay"]["as_good_s"]) < 600
 
 
 @pytest.mark.parametrize(

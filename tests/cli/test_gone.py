@@ -11,6 +11,8 @@ from sunspin.cli import gone
 NEEDED = {
     "--interpolate": ("scan",),
     "--device": ("scan", "posterior"),
+    "--best-delay": ("outcomes",),
+    "--printed-lines": ("outcomes",),
 }
 """Option -> commands that had it."""
 

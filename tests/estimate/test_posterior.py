@@ -442,6 +442,7 @@ def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, tele
     ("arguments", "part"),
     [
         ({"priors": {"inertai": 0.1}}, "priors know"),
+        ({"priors": {"wheel_off_s": 40.0}}, "(found wheel_off_s); leave it out"),
         ({"priors": {"inertia": -1}}, "zero (known) or positive"),
         ({"phase": "descent"}, "no such phase"),
         ({"begin_s": 1e6}, "three samples"),

@@ -1,4 +1,4 @@
-"""Other observations and unknowns of the posterior: a magnetic direction, the release of the wheels."""
+"""Other observations of the posterior: a magnetic direction."""
 
 from __future__ import annotations
 
@@ -82,14 +82,12 @@ def test_a_field_that_is_three_sigma_off_costs_what_it_should(craft, telemetry):
     assert (good(state) - bad(state))[0] == pytest.approx(4.5, abs=0.05)
 
 
-def test_derivatives_along_rate_and_release_of_the_wheel_are_those_of_differences(craft, telemetry):
-    found, state = likelihood(
-        craft, telemetry, {"wheel_off_s": 40.0, "wheel_off": 10.0}, [field(telemetry)]
-    )
-    off = 5 + found.model.where("wheel_off")[0]
+def test_derivatives_along_rate_and_speed_of_the_wheel_are_those_of_differences(craft, telemetry):
+    found, state = likelihood(craft, telemetry, None, [field(telemetry)])
+    speed = 5 + found.model.where("wheel_speed")[0]
     jacobian = found.linearised(state).jacobian
     assert np.abs(jacobian[0, -1, :5]).max() > 1  # the field tells something
-    for j, step in ((0, 1e-6), (3, 1e-5), (off, 1e-3)):
+    for j, step in ((0, 1e-6), (3, 1e-5), (speed, 1e-3)):
         ends = []
         for sign in (1, -1):
             omega, tangent, u = np.array(state.omega), np.zeros((1, 2)), np.array(state.u)
@@ -100,37 +98,6 @@ def test_derivatives_along_rate_and_release_of_the_wheel_are_those_of_difference
             ends.append(found.misfit(found.predict(other, 1e-10), other.u)[0])
         expected = (ends[0] - ends[1]) / (2 * step)
         assert np.abs(expected - jacobian[..., j]).max() < 5e-3 * np.abs(expected).max(), j
-
-
-def test_wheels_released_before_the_first_sample_have_run_down_there(craft):
-    unknown, told = model(craft, {"wheel_off_s": 40.0, "wheel_off": 10.0}, 1.0)
-    u = np.zeros((3, len(unknown.unknowns)))
-    u[1, unknown.where("wheel_off")], u[2, unknown.where("wheel_off")] = 1.0, -9.0
-    # dW/dt = -(mu0 + mu1 W) / J, about 0.65 rad/s2 at 300 rad/s
-    slope = (1e-6 + 1e-9 * SPEED) / 2e-6
-    speeds = unknown.wheel_speeds(u)[:, 0]
-    assert speeds[0] == pytest.approx(SPEED - 40 * slope, abs=0.5) and speeds[1] == pytest.approx(
-        SPEED - 50 * slope, abs=0.7
-    )
-    assert speeds[2] == SPEED  # not before the first sample: at it
-    assert told["wheel_off"] == "40 s before the first sample, sigma 10 s (given)"
-    known, _ = model(craft, {"wheel_off_s": 40.0}, 1.0)
-    assert (
-        not known.where("wheel_off")
-        and known.wheel_speeds(np.zeros((1, len(known.unknowns))))[0, 0] == speeds[0]
-    )
-
-
-@pytest.mark.parametrize(
-    ("priors", "mode", "part"),
-    [
-        ({"wheel_off": -1.0}, "coast", "zero or positive, in s"),
-        ({"wheel_off": 5.0}, "hold", "not held"),
-    ],
-)
-def test_a_release_that_makes_no_sense_is_told(craft, priors, mode, part):
-    with pytest.raises(InputError, match=part):
-        model(craft, priors, 1.0, mode)
 
 
 @pytest.mark.parametrize(

@@ -302,31 +302,16 @@ def test_without_a_motion_powers_are_shown_pass_by_pass(passes, tmp_path):
 
 
 def test_a_posteriors_summary_has_a_place_for_each_of_its_entries(tmp_path):
-    widths = [
-        {"prior": "max_rate_rad_s", "factor": 2.0, "told": False, "effective": 0.0},
-        {
-            "prior": "inertia",
-            "factor": 0.5,
-            "told": True,
-            "word": "unique",
-            "weight": 1.0,
-            "shift": 0.36,
-            "width": 0.89,
-        },
-    ]
-    summary = {
-        "hypotheses": {"as stated": 0.65, "a steady torque in body axes": 0.35},
-        "prior_widths": widths,
-    }
+    summary = {"hypotheses": {"as stated": 0.65, "a steady torque in body axes": 0.35}}
     results = Results(tmp_path, "posterior", summary)
     assert unknown(results) is None
-    weights, table = posterior._hypotheses(results), posterior._widths(results)
-    assert weights.rows == [["as stated", "0.65"], ["a steady torque in body axes", "0.35"]]
-    assert table.rows[0] == ["largest rate", "2", "not told by these draws", "", ""]
-    assert table.rows[1] == ["inertia", "0.5", "unique", "0.36", "0.89"]
+    assert posterior._hypotheses(results).rows == [
+        ["as stated", "0.65"],
+        ["a steady torque in body axes", "0.35"],
+    ]
     for odd in (3, None, [3], [{"factor": "x"}], {"a": []}):  # of somebody else's folder
-        results = Results(tmp_path, "posterior", {"hypotheses": odd, "prior_widths": odd})
-        assert posterior._hypotheses(results) is None and posterior._widths(results) is None
+        results = Results(tmp_path, "posterior", {"hypotheses": odd})
+        assert posterior._hypotheses(results) is None
 
 
 def test_panels_of_one_face_have_one_label_on_the_sphere(tmp_path):

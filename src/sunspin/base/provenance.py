@@ -17,7 +17,7 @@ TEXTS = frozenset(
     "kind epoch_utc file sha256 vehicle changes comments sunspin_version quantity unused_columns missing_sensors frame_N "
     "celestial_frame source verdict verdict_word acceleration_noise_from sensors_late_from wiring_doubt odd_sensor alike wheels "
     "strategy scenario schedule orbit_name not_told vertical metric about collision command title noise_from torques priors "
-    "hypotheses prior_widths".split()
+    "hypotheses".split()
 )
 NUMBERS = frozenset(
     "synthetic seed runs candidates collisions rows_sorted rows_merged coarse_passes cut_passes effort acceleration_noise "

@@ -66,11 +66,6 @@ from sunspin.cli.values import vertical as read_vertical
     "legs were lowest there), any, an angle in degrees about legs-down, or x,y,z.",
 )
 @click.option(
-    "--best-delay",
-    is_flag=True,
-    help="Search for the switch-off delay after which a leg most often touches first.",
-)
-@click.option(
     "--condition",
     is_flag=True,
     help="Weight the collisions of the first strategy by the trajectory kernel's speeds.",
@@ -85,11 +80,6 @@ from sunspin.cli.values import vertical as read_vertical
 @store_option("Folder that keeps what is computed; the same command resumes.")
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786 or `local`."
-)
-@click.option(
-    "--printed-lines",
-    is_flag=True,
-    help="Take the lines that the paper prints, though this body is another.",
 )
 @set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"), idle=READING)
 @output_options()
@@ -109,12 +99,10 @@ def outcomes(
     collision_speed,
     landing_speed,
     vertical,
-    best_delay,
     condition,
     data,
     store,
     scheduler,
-    printed_lines,
     sets,
     out,
     as_json,
@@ -135,7 +123,6 @@ def outcomes(
       sunspin outcomes vehicle.toml --omega 0.1,0,0.2 --sun 0,0,1 --after 600 --collision-speed 0 --runs 1000
     """
     from sunspin.landing.scenario import scenario_of, strategy_of
-    from sunspin.landing.strategies import best_delay as search
     from sunspin.landing.strategies import compare, compared
     from sunspin.philae.starts import against_kernel, starts
 
@@ -158,9 +145,7 @@ def outcomes(
     if collision_speed is not None:
         given["collision_speed_m_s"] = collision_speed or None
     scenario = scenario_of(vehicle, craft, given)
-    candidates, whose = starts(
-        craft, [numbers(text, "--omega", 3) for text in omega], scan, factor, printed_lines
-    )
+    candidates, whose = starts(craft, [numbers(text, "--omega", 3) for text in omega], scan, factor)
     claim(out, "outcomes")
     options: dict[str, Any] = {
         "workers": workers,
@@ -168,13 +153,8 @@ def outcomes(
         "progress": on_terminal(quiet),
     }
     table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
-    best = (
-        search(craft, candidates, n=max(runs // 10, 1), seed=seed, scenario=scenario, **options)
-        if best_delay
-        else None
-    )
     weighted = against_kernel(craft.name, next(iter(found.values())), data) if condition else None
-    tree = made.mark(compared(table, found, best, weighted))
+    tree = made.mark(compared(table, found, weighted))
     deliver(
         tree,
         out,

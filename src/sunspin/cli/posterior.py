@@ -48,8 +48,7 @@ BLOW = ("body.mass_kg", "leg", "collision")
     multiple=True,
     help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
     "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
-    "one may turn the body in this stretch, 300 unless given, 0: none), and in s how long "
-    "before the first sample the wheels were released, wheel_off_s, with sigma wheel_off. Repeatable.",
+    "one may turn the body in this stretch, 300 unless given, 0: none). Repeatable.",
 )
 @click.option(
     "--rate",

@@ -20,7 +20,7 @@ from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.taylor import integrator, parameter_values
-from sunspin.dynamics.torques import NOTHING, Acting, Torque, acting
+from sunspin.dynamics.torques import NOTHING, Acting, Steady, acting
 from sunspin.dynamics.torques.acting import OWN, PER_DIRECTION, directions_of, needed, outside
 from sunspin.environment import Environment
 from sunspin.environment.frames import BODY_AT_START
@@ -103,7 +103,7 @@ def propagate(
     rtol: float = 1e-12,
     *,
     environment: Environment | None = None,
-    torques: Sequence[str | Torque] = (),
+    torques: Sequence[str | Steady] = (),
     B_from_N: npt.ArrayLike | None = None,
 ) -> xr.Dataset:
     """Rotation of `vehicle` from the state given at ``t_s[0]``, on all of `t_s` (paper, eqs. 3-7), and under torques.
@@ -130,7 +130,7 @@ def propagate(
     environment : Environment, optional
         What surrounds the body, such as :func:`sunspin.environment.circular`, on the clock of `t_s`.
     torques : list, optional
-        Names of torques that act on the body (`sunspin.dynamics.torques.TORQUES`), or torques themselves.
+        Names of torques that act on the body (`sunspin.dynamics.torques.TORQUES`), or steady ones (`Steady` there).
     B_from_N : (4,), optional
         Attitude at ``t_s[0]``, scalar last, from the environment's N; the body's axes at ``t_s[0]`` are N unless given.
 

@@ -12,7 +12,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.dynamics.propagate import propagate
-from sunspin.dynamics.torques import Torque
+from sunspin.dynamics.torques import Steady
 from sunspin.telemetry.synthetic import (
     drawn_tilts,
     generator,
@@ -50,7 +50,7 @@ class Truth:
     scale: float | None = None
     noise: float | None = None
     tilt_B_rad: npt.ArrayLike = 0.0
-    torques: Sequence[str | Torque] = ()
+    torques: Sequence[str | Steady] = ()
 
 
 def synthetic_telemetry(

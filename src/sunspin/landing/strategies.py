@@ -107,19 +107,14 @@ def compare(
 def compared(
     table: xr.Dataset,
     runs: Mapping[str, xr.Dataset],
-    best: xr.Dataset | None = None,
     collision: xr.Dataset | None = None,
 ) -> xr.DataTree:
     """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy.
 
-    With `best`, of :func:`best_delay`, as `best_delay`; and with `collision`, runs weighted by what is known of the blow.
+    With `collision`, runs weighted by what is known of the blow.
     """
     nodes = {"strategies": table} | {f"runs/{name}": found for name, found in runs.items()}
-    nodes |= {
-        name: part
-        for name, part in (("best_delay", best), ("collision", collision))
-        if part is not None
-    }
+    nodes |= {} if collision is None else {"collision": collision}
     return xr.DataTree.from_dict(
         {"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes}
     )
@@ -210,7 +205,6 @@ def best_delay(
         )
         .assign_coords(delay_s=(by, delays, {"units": "s"}))
         .assign_attrs(
-            kind="best_delay",
             metric=metric,
             best_s=float(delays[best]),
             spread_s=[float(low), float(high)],

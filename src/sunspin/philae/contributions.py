@@ -73,13 +73,6 @@ def best_state(vehicle: Vehicle, telemetry: xr.Dataset, tree: Any) -> tuple[Any,
     unknown, _ = model(
         vehicle, json.loads(tree.attrs["priors_given"]), brightness(vehicle, data), mode
     )
-    if unknown.where("wheel_off"):
-        raise InputError(
-            sentence(
-                "a posterior with an unknown release of the wheels cannot be taken apart here",
-                got="wheel_off",
-            )
-        )
     found = tree["posterior"]
     values = np.stack(
         [

@@ -16,19 +16,16 @@ from sunspin.vehicle import Vehicle
 
 
 def starts(
-    craft: Vehicle, omega: list[list[float]], scan: Path | None, factor: float, printed_lines: bool
+    craft: Vehicle, omega: list[list[float]], scan: Path | None, factor: float
 ) -> tuple[np.ndarray, str]:
     """Candidate rates (m, 3) in rad/s, and in words where they come from and whose they are.
 
     They are `omega` where any are given, else the near-minimum set of a stored scan, else the case's printed lines, which are
-    those of the case's own body: of another they are taken only where `printed_lines` asks for them.
+    those of the case's own body: for another they are refused.
     """
-    if (scan is not None) + bool(omega) + printed_lines > 1:
+    if scan is not None and omega:
         raise InputError(
-            sentence(
-                "candidates come from --scan, from --omega or from --printed-lines",
-                do="give one of them",
-            )
+            sentence("candidates come from --scan or from --omega", do="give one of them")
         )
     if omega:
         return np.array(omega), "as given"
@@ -40,7 +37,7 @@ def starts(
             else f"; of another body than this run's: {_told(of)}, here {_told(mine)}"
         )
         return stored_near_minimum(scan, factor), f"the near-minimum set of {scan.name}{other}"
-    return _printed(craft, printed_lines)
+    return _printed(craft)
 
 
 def _told(said: dict[str, str]) -> str:
@@ -52,25 +49,22 @@ def _told(said: dict[str, str]) -> str:
     )
 
 
-def _printed(craft: Vehicle, anyway: bool) -> tuple[np.ndarray, str]:
-    """The lines that the paper prints, of the case's own body; of another only where they are asked for."""
+def _printed(craft: Vehicle) -> tuple[np.ndarray, str]:
+    """The lines that the paper prints, of the case's own body."""
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "line_L1" not in case.published:
         raise InputError(
             sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc")
         )
-    alike = moves_and_sees_alike(craft, case.vehicle)
-    if not alike and not anyway:
+    if not moves_and_sees_alike(craft, case.vehicle):
         raise InputError(
             sentence(
                 "the printed lines were found for another body, wheel or panels than these",
                 got=_told(craft.said),
-                do="scan these with the same --set and give --scan scan.nc, give --omega, or keep the lines with --printed-lines",
+                do="scan these with the same --set and give --scan scan.nc, or give --omega",
             )
         )
-    return published_candidates(case), "the lines that the paper prints" + (
-        "" if alike else ", which are those of another body"
-    )
+    return published_candidates(case), "the lines that the paper prints"
 
 
 def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:

@@ -74,7 +74,7 @@ def slopes(torques: Sequence[Torque], pulled: bool) -> list[str]:
 def attitude_kernel(torques: tuple[Torque, ...], pulled: bool) -> Callable[..., None]:
     """The compiled `run` of attitude_template.py."""
     return module_of(
-        kept_text(("attitude", pulled), torques, lambda: source(torques, pulled)), compiler()
+        kept_text(("attitude", torques, pulled), lambda: source(torques, pulled)), compiler()
     ).run
 
 

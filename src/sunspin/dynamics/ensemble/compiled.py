@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import IntEnum
 from functools import lru_cache
 from importlib import metadata
@@ -190,16 +190,11 @@ def kernel(structure: c.Structure) -> ModuleType:
 
 def kept_source(structure: c.Structure) -> str:
     """`source(structure)`, kept."""
-    return kept_text((structure, series_lanes.ORDER), structure.torques, lambda: source(structure))
+    return kept_text((structure, series_lanes.ORDER), lambda: source(structure))
 
 
-def kept_text(made_from: tuple[Any, ...], torques: Sequence[Any], make: Callable[[], str]) -> str:
-    """Generated source, from the cache folder where the same code has made it before: with SymPy it takes up to a second.
-
-    Not for torques: what a user's own function says is not known by its name.
-    """
-    if torques:
-        return make()
+def kept_text(made_from: tuple[Any, ...], make: Callable[[], str]) -> str:
+    """Generated source, from the cache folder where the same code has made it before: with SymPy it takes up to a second."""
     made_from = (*made_from, code()["physics_sha256"], metadata.version("sympy"))
     path = cache_folder() / f"source_{_digest(repr(made_from))}.txt"
     if path.exists():

@@ -22,8 +22,8 @@ from sunspin.dynamics.ensemble.compiled import Outcome
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
 from sunspin.dynamics.ensemble.steps import SEGMENTS, UNEVEN, Scales, plan, segments
 from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
-from sunspin.dynamics.torques import NOTHING, Acting, Torque
-from sunspin.dynamics.torques.acting import spun
+from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.dynamics.torques.acting import Torque, spun
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.protocol import Counted
 

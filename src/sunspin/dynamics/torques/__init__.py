@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sunspin.base.errors import MotionError, sentence
-from sunspin.dynamics.torques.acting import NOTHING, Acting, Torque, needed_around
+from sunspin.dynamics.torques.acting import NOTHING, Acting, needed_around
 from sunspin.dynamics.torques.gravity_gradient import GravityGradient
 from sunspin.dynamics.torques.steady import Steady
 from sunspin.environment import Environment
 
-__all__ = ["NOTHING", "TORQUES", "Acting", "Steady", "Torque", "acting"]
+__all__ = ["NOTHING", "TORQUES", "Acting", "Steady", "acting"]
 
-_ALL: tuple[Torque, ...] = (GravityGradient(),)
-
-TORQUES: dict[str, Torque] = {torque.name: torque for torque in _ALL}
+TORQUES = {torque.name: torque for torque in (GravityGradient(),)}
 """What may be named as a torque."""
 
 
 def acting(
-    torques: Sequence[str | Torque], environment: Environment | None, t_s: float = 0.0
+    torques: Sequence[str | Steady], environment: Environment | None, t_s: float = 0.0
 ) -> Acting:
-    """The torques, by name or as they are, in their environment, for a motion that begins at `t_s`.
+    """The torques, by name or steady ones as they are, in their environment, for a motion that begins at `t_s`.
 
     `MotionError` for a name that is none, and for a torque that needs what the environment does not give.
     """
@@ -29,7 +27,7 @@ def acting(
         raise MotionError(
             sentence("torques must be a list", got=torques, do=f"write [{torques!r}]")
         )
-    found = tuple(_named(torque) if isinstance(torque, str) else torque for torque in torques)
+    found = tuple(torque if isinstance(torque, Steady) else _named(torque) for torque in torques)
     here = None if environment is None else environment.at(t_s)
     for torque in found:
         if needed_around([torque]) and here is None:
@@ -45,9 +43,9 @@ def acting(
     return Acting(found, environment, float(t_s))
 
 
-def _named(name: str) -> Torque:
-    if name not in TORQUES:
+def _named(name: str) -> GravityGradient:
+    if not isinstance(name, str) or name not in TORQUES:
         raise MotionError(
-            sentence("no such torque", got=name, do=f"choose from {', '.join(TORQUES) or 'none'}")
+            sentence("no such torque", got=name, do=f"choose from {', '.join(TORQUES)}")
         )
     return TORQUES[name]

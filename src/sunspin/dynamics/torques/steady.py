@@ -23,7 +23,7 @@ class Steady:
     """
 
     torque_N_m: npt.ArrayLike | None = field(
-        default=None, compare=False
+        default=None, compare=False, repr=False
     )  # numbers of a run, not of its equations
     name: str = "steady"
     needs: tuple[str, ...] = (OWN,)

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
-from sunspin.dynamics.torques import Torque, acting
+from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.estimate.equivalence import columns_seen
 from sunspin.estimate.passes import AS_STATED, UNCHECKED, table
@@ -51,7 +51,6 @@ from sunspin.estimate.posterior.modes import (
     within,
 )
 from sunspin.estimate.posterior.period import with_periods
-from sunspin.estimate.posterior.prior_widths import prior_widths
 from sunspin.estimate.posterior.verdict import (
     COUNTS,
     TOO_FEW,
@@ -61,7 +60,6 @@ from sunspin.estimate.posterior.verdict import (
     refused,
     spoilt_panels,
     verdict,
-    word_of,
 )
 from sunspin.estimate.terms.period import Period
 from sunspin.estimate.verdict import alike_motions
@@ -120,7 +118,7 @@ def posterior(
     store: str | Path | None = None,
     progress: bool = False,
     environment: Environment | None = None,
-    torques: Sequence[str | Torque] = (),
+    torques: Sequence[str] = (),
     periods: Sequence[Period] = (),
 ) -> xr.DataTree:
     """The posterior of the motion in free flight from the raw readings of all samples, dark panels included.
@@ -135,9 +133,8 @@ def posterior(
         given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each moment), `wheel_speed`, `wheel_inertia`,
         `friction`, `gain` (each panel's), `scale` and `noise` (of the logarithm); `tilt`, of the angles in rad by which each
         panel's normal is off to each side, and `tilt_common`, of one turn of all panels about each axis; `time_s`, sigma of the
-        samples' times in s (unless given they are taken for exact, until the residuals say otherwise); `wheel_off_s`, how long
-        before the first sample the wheels were released, and its sigma `wheel_off` (s): their speeds are then those of that
-        instant; `max_rate_rad_s`, the ball in which rates are uniform. Default: what the vehicle's file states, else the values in
+        samples' times in s (unless given they are taken for exact, until the residuals say otherwise);
+        `max_rate_rad_s`, the ball in which rates are uniform. Default: what the vehicle's file states, else the values in
         `sunspin.estimate.posterior.model`; the result's attributes say which.
     seed : int
         The same seed gives the same bits, for any number of workers and however often the run was stopped.
@@ -179,10 +176,7 @@ def posterior(
     _whole(seed, draws)
     data, start_s, remarks = readings(vehicle, telemetry, begin_s, end_s, phase, observations)
     unsure = ", ".join(untold(vehicle, telemetry))
-    if not {"wheel_off_s", "wheel_off"} & set(
-        priors or {}
-    ):  # else the vehicle's speeds are those of an earlier instant
-        vehicle = as_measured(vehicle, telemetry, start_s)
+    vehicle = as_measured(vehicle, telemetry, start_s)
     scale = brightness(vehicle, data)
     unknown, told = model(vehicle, priors, scale, wheel_mode)
     unknown = under(unknown, acting(torques, environment, start_s))
@@ -248,9 +242,6 @@ def posterior(
         )
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
-    tree.attrs["prior_widths"] = json.dumps(
-        {"word": word_of(found), "told": prior_widths(there, drawn, found)}
-    )
     checked_by_others = bool(observations) or columns_seen(vehicle, telemetry)
     row = believed(
         found, tree, prior_sigma, bool(off), AS_STATED if checked_by_others else UNCHECKED

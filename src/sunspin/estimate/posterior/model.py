@@ -57,8 +57,6 @@ KEYS = {
     "noise",
     "scale",
     "time_s",
-    "wheel_off_s",
-    "wheel_off",
     "tilt",
     "tilt_common",
 }
@@ -98,9 +96,7 @@ class Model:
     """A vehicle with its unknowns.
 
     Rates and direction are those at the reference, `after_s` after the first sample, wheel speeds those at the first sample.
-    `time_sigma_s` is that of each sample's time tag. `wheel_off_s`: how long before the first sample the wheels were released; the
-    vehicle's speeds are those of that instant, and the unknown "wheel_off" is added to it (never less than zero together).
-    `acting`: the torques, their motion beginning at the first sample.
+    `time_sigma_s` is that of each sample's time tag. `acting`: the torques, their motion beginning at the first sample.
 
     A steady torque in the axes of `frame` ("": none) is in body axes at the reference, over the mean moment of inertia. Its sigma
     is the widest of those that it may have, all alike beforehand: its `shares` of that. Fits are under one of them, `share`.
@@ -112,7 +108,6 @@ class Model:
     wheel_mode: str | tuple[str, ...] = "coast"
     time_sigma_s: float = 0.0
     after_s: float = 0.0
-    wheel_off_s: float = 0.0
     acting: Acting = NOTHING
     frame: Literal["", "B", "N"] = ""
     shares: tuple[float, ...] = ()
@@ -169,10 +164,7 @@ class Model:
             speeds[:, self.unknowns[i].index] = (
                 self.unknowns[i].centre + self.unknowns[i].sigma * u[:, i]
             )
-        elapsed = self.after_s + np.maximum(
-            self.wheel_off_s + self.relative(u, "wheel_off", 1)[:, 0], 0.0
-        )
-        if not np.any(elapsed):
+        if not self.after_s:
             return speeds
         bodies, commands = self.bodies(u), k.check_commands(self.vehicle, self.wheel_mode)
         for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
@@ -180,7 +172,7 @@ class Model:
                 brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 dry, viscous = bodies.coulomb_N_m[:, i] + brake, bodies.viscous_N_m_s[:, i]
                 speeds[:, i] = spin_down_speed(
-                    dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], elapsed
+                    dry, viscous, bodies.wheel_inertia_kg_m2[:, i], speeds[:, i], self.after_s
                 )
         return speeds
 
@@ -290,7 +282,11 @@ def model(
     unknown = sorted(set(priors) - KEYS)
     if unknown:
         raise InputError(
-            sentence(f"priors know {', '.join(sorted(KEYS))}", got=", ".join(map(str, unknown)))
+            sentence(
+                f"priors know {', '.join(sorted(KEYS))}",
+                got=", ".join(map(str, unknown)),
+                do="leave it out",
+            )
         )
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     commands = k.check_commands(vehicle, mode)
@@ -306,8 +302,6 @@ def model(
     ]
     made.append(Unknown("log_noise", "noise", "1", 0.0, _noise_sigma(vehicle, priors, told)))
     made += _wheels(vehicle, priors, commands, told)
-    off = _wheel_off(vehicle, priors, commands, told)
-    made += [] if off is None else [off]
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
     made += [
@@ -331,7 +325,6 @@ def model(
         float(limit),
         mode,
         _tags(priors, told),
-        wheel_off_s=0.0 if off is None else off.centre,
     ), told
 
 
@@ -468,21 +461,6 @@ def _wheels(
             )
             made.append(Unknown(f"log_{kind}{tail}", kind, "1", 0.0, own, i))
     return made
-
-
-def _wheel_off(
-    vehicle: Vehicle, priors: Mapping[str, Any], commands: tuple[str, ...], told: dict[str, str]
-) -> Unknown | None:
-    """How long before the first sample the wheels were released (s), where the caller says so."""
-    given = [priors.get(key, 0.0) for key in ("wheel_off_s", "wheel_off")]
-    if not any(key in priors for key in ("wheel_off_s", "wheel_off")):
-        return None
-    for value in given:
-        _not_negative(value, "wheel_off_s and its sigma wheel_off must be zero or positive, in s")
-    if not any(command != "hold" for command in commands):
-        raise InputError(sentence("wheel_off needs a wheel that is not held", got=vehicle.name))
-    told["wheel_off"] = f"{given[0]:g} s before the first sample, sigma {given[1]:g} s (given)"
-    return Unknown("wheel_off_s", "wheel_off", "s", float(given[0]), float(given[1]))
 
 
 def _inertia(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:

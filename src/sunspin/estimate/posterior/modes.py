@@ -730,7 +730,7 @@ def _widened(state: State, model: Model, kept: np.ndarray) -> State:
 
 def _of_the_vehicle(model: Model) -> tuple[Unknown, ...]:
     """Unknowns without which all motions are of the vehicle's own body: one for all runs faster than one for each."""
-    return tuple(x for x in model.unknowns if x.kind in ("wheel_speed", "wheel_off"))
+    return tuple(x for x in model.unknowns if x.kind == "wheel_speed")
 
 
 def _anything(model: Model, chosen: Plan) -> State:

@@ -53,7 +53,6 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     for i, x in enumerate(unknown.unknowns):
         if x.kind in (
             "wheel_speed",
-            "wheel_off",
             "scale",
         ):  # told by the wheels' speeds, or of no effect on the motion
             continue

@@ -15,7 +15,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.compute.copies import may_copy
 from sunspin.compute.rows import worker_count
-from sunspin.dynamics.torques import Torque, acting
+from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.effort import USUAL, Effort, allowed, may_go_on
@@ -137,7 +137,7 @@ def rates(
     pass_id: int | None = None,
     environment: Environment | None = None,
     calibration: FieldCalibration | None = None,
-    torques: Sequence[str | Torque] = (),
+    torques: Sequence[str] = (),
     periods: Sequence[Period] = (),
     wirings: bool = False,
     effort: float = 1.0,
@@ -494,7 +494,7 @@ def _useful(
     parts: list[np.ndarray],
     momenta: dict[str, np.ndarray],
     vehicle: Vehicle,
-    torques: Sequence[Torque],
+    torques: Sequence[object],
 ) -> int:
     """Processes of use, as the signs of wheels are asked in them; none where torques bring an environment: it stays in this one."""
     tasks = (

@@ -19,7 +19,7 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.compute.rows import CHUNK, ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.torques import Torque, acting
+from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.rows import (
@@ -64,7 +64,7 @@ def scan(
     scheduler: Any = None,
     progress: bool = False,
     environment: Environment | None = None,
-    torques: Sequence[str | Torque] = (),
+    torques: Sequence[str] = (),
     B_from_N: npt.ArrayLike | None = None,
     start_s: float = 0.0,
 ) -> xr.DataArray:

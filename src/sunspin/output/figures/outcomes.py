@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from sunspin.landing.tally import Estimate, density, quantity, tally
-from sunspin.output.figures import ABOVE, COLOURS, named, titled
+from sunspin.output.figures import COLOURS, named, titled
 
 DOTS = (
     (
@@ -161,11 +160,6 @@ def _within(value: np.ndarray, error: np.ndarray) -> np.ndarray:
     return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
 
 
-def _error_of(name: str, value: Any, error: Any) -> np.ndarray:
-    """The error of a quantity as drawn: only of a speed does it lead anywhere."""
-    return np.asarray(error) if "speed" in name else _within(np.asarray(value), np.asarray(error))
-
-
 def _stack(axes, table: xr.Dataset, names: list[str], prefix: str, known: set[str]) -> None:
     bottom = np.zeros(len(names))
     for k, kind in enumerate(("leg", "panel", "body")):
@@ -271,66 +265,6 @@ def distributions_figure(
         )
     parts[1].legend(fontsize=8, frameon=False)
     figure.suptitle(titled("At the landing, and on the way to it", _synthetic(runs)))
-    return figure
-
-
-def delay_figure(search: xr.Dataset) -> Figure:
-    """The search for the best delay: its metric with errors, the delays that are as good, and what else changes."""
-    figure = Figure(figsize=(8, 6.2), layout="constrained")
-    top, low = figure.subplots(2, 1, sharex=True)
-    minutes, metric = search["delay_s"].values / 60, str(search.attrs["metric"])
-    value, error = (search[part].sel(quantity=metric).values for part in ("value", "error"))
-    bar = _error_of(metric, value, error)
-    top.errorbar(
-        minutes, value, yerr=bar, fmt="o-", color=COLOURS[0], capsize=2, label="one standard error"
-    )
-    good = search["as_good"].values
-    top.plot(
-        minutes[good],
-        value[good],
-        "o",
-        ms=12,
-        mfc="none",
-        mec=COLOURS[1],
-        mew=1.6,
-        label="not behind the best by 2 errors",
-    )
-    low_s, high_s = search.attrs["spread_s"]
-    top.axvspan(
-        low_s / 60,
-        high_s / 60,
-        color=COLOURS[7],
-        alpha=0.25,
-        lw=0,
-        label="best in 68 % of resamplings",
-    )
-    top.set_ylabel(
-        {"touch_leg": "probability that a leg touches first"}.get(metric, metric.replace("_", " "))
-    )
-    top.legend(ncols=3, fontsize=8, **ABOVE)
-    figure.suptitle(titled("When to switch the wheel off", search.attrs.get("synthetic")))
-    quantities = (
-        ("rz_time_below_-0.5", "share of time with $r_z$ < -0.5"),
-        ("rest_leg", "rests on its legs"),
-        ("leg_tip_speed", "fastest leg tip at contact (m/s)"),
-    )
-    for k, (name, text) in enumerate(quantities):
-        if name in search["quantity"].values:
-            at = search.sel(quantity=name)
-            low.errorbar(
-                minutes,
-                at["value"],
-                yerr=_error_of(name, at["value"], at["error"]),
-                fmt="osD"[k] + "-",
-                ms=4,
-                color=COLOURS[k + 1],
-                capsize=2,
-                label=text,
-            )
-    low.set_ylim(bottom=0)
-    low.set_ylabel("probability, or speed (m/s)")
-    low.set_xlabel("switch-off after the touchdown (min)")
-    low.legend(ncols=3, fontsize=8, **ABOVE)
     return figure
 
 

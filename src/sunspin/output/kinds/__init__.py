@@ -67,9 +67,6 @@ KINDS: dict[str, Kind] = {
     "strategies": Kind(
         "outcomes", "strategies.nc", outcomes.strategies_summary, outcomes.strategies_drawings
     ),
-    "best_delay": Kind(
-        "outcomes", "best-delay.nc", outcomes.delay_summary, outcomes.delay_drawings
-    ),
     "collision": Kind(
         "outcomes", "collision.nc", collision.collision_summary, collision.collision_drawings
     ),

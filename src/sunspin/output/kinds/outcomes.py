@@ -89,10 +89,9 @@ def landing_summary(tree: Any) -> Summary:
     for name, runs in runs_of(tree).items():
         lines += _lines(runs, told["strategies"][name])
     numbers = dict(told)
-    for name, summary in (("best_delay", delay_summary), ("collision", collision_summary)):
-        if name in tree:
-            numbers[name] = found = summary(tree[name].to_dataset())
-            lines += found.lines
+    if "collision" in tree:
+        numbers["collision"] = found = collision_summary(tree["collision"].to_dataset())
+        lines += found.lines
     return Summary(numbers, lines, told.notes)
 
 
@@ -147,48 +146,9 @@ def runs_drawings(runs: Mapping[str, xr.Dataset]) -> Iterator[Drawing]:
         )
 
 
-def delay_summary(search: Any) -> Summary:
-    """The delay of :func:`sunspin.landing.strategies.best_delay`, and those that are as good."""
-    good = search["delay_s"].values[search["as_good"].values].tolist()
-    best, largest = (
-        float(search.attrs["best_s"]),
-        float(search["value"].sel(quantity=search.attrs["metric"]).max()),
-    )
-    what = (
-        "a leg touches first"
-        if search.attrs["metric"] == "touch_leg"
-        else f"{search.attrs['metric']} is largest"
-    )
-    line = (
-        f"{what} most often if the wheel is switched off {best:g} s after the touchdown ({largest:.3f}); "
-        f"not worse by two errors: {', '.join(f'{t:g}' for t in good)} s"
-    )
-    return Summary(
-        {
-            "delay_s": best,
-            "as_good_s": good,
-            "spread_s": [float(t) for t in search.attrs["spread_s"]],
-        },
-        [line],
-    )
-
-
-def delay_drawings(search: Any, _: Beside) -> Iterator[Drawing]:
-    from sunspin.output.figures import outcomes as figures
-
-    yield Drawing(
-        "delay",
-        lambda: figures.delay_figure(search),
-        "Probability that a leg touches first against the delay of the switch-off.",
-        "When to switch the wheel off: means over the runs, bars: one standard error.",
-    )
-
-
 def landing_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
     yield from strategies_drawings(tree["strategies"].to_dataset(), beside)
     yield from runs_drawings(runs_of(tree))
-    if "best_delay" in tree:
-        yield from delay_drawings(tree["best_delay"].to_dataset(), beside)
     if "collision" in tree:
         yield from collision_drawings(tree["collision"].to_dataset(), beside)
 

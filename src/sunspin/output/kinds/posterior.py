@@ -12,7 +12,6 @@ import pandas as pd
 
 from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.predict import intervals
-from sunspin.estimate.posterior.prior_widths import prior_sentences
 from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.folder import write_netcdf, write_whole
@@ -68,10 +67,6 @@ def posterior_summary(tree: Any) -> Summary:
             "  weights: "
             + ", ".join(f"{what} {weight:.2g}" for what, weight in numbers["hypotheses"].items())
         )
-    if "prior_widths" in tree.attrs:
-        widths = json.loads(tree.attrs["prior_widths"])
-        numbers["prior_widths"] = widths["told"]
-        lines += [f"  {said}" for said in prior_sentences(**widths)]
     if "period" in tree.children:
         seen = tree["period"].to_dataset()
         lines += [f"  {said}" for said in period_sentences(seen)]

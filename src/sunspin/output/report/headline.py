@@ -188,11 +188,6 @@ def _outcomes(results: Results) -> list[str]:
             + ", ".join(parts)
             + " (one standard error)."
         )
-    if isinstance(best := results.summary.get("best_delay"), dict):
-        good = ", ".join(f"{t / 60:g}" for t in best["as_good_s"])
-        told.append(
-            f"Of the delays that were searched {best['delay_s'] / 60:g} min is best; not worse by two errors: {good} min."
-        )
     missing = results.summary.get("not_told")
     return [*told, str(missing)] if missing else told
 

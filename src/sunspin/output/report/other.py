@@ -54,7 +54,7 @@ SEEN_OF = {
     },
     "simulate": {"t_s", "omega_B", "sun_B", "wheel_speed_rad_s", "events"},
     "sun": {"samples", "reconstructed", "status", "median_sigma_deg", "noise_from"},
-    "outcomes": {"runs", "candidates", "candidates_from", "strategies", "not_told", "best_delay"},
+    "outcomes": {"runs", "candidates", "candidates_from", "strategies", "not_told"},
     "scan": {"metric", "rows", "minimum", "best_omega_B", "near_minimum_points", "lines"},
     "posterior": {
         "verdict",
@@ -67,7 +67,6 @@ SEEN_OF = {
         "pareto_k",
         "predicted",
         "hypotheses",
-        "prior_widths",
     },
 }
 """The same, for one command's summary."""

@@ -81,7 +81,6 @@ def section(results: Results) -> Section | None:
         _believed(results),
         _judged(results),
         _hypotheses(results),
-        _widths(results),
         _predicted(results),
     ]
     known = [table for table in tables if table is not None]
@@ -195,45 +194,6 @@ def _hypotheses(results: Results) -> Table | None:
             rows,
             "What may move the body; the draws of all are mixed",
         )
-        if rows
-        else None
-    )
-
-
-PRIORS = {"max_rate_rad_s": "largest rate", "tilt_common": "common tilt"}
-"""Priors whose names do not say what they are."""
-
-
-def _widths(results: Results) -> Table | None:
-    """What the verdict owes to each prior."""
-    rows, found = [], results.summary.get("prior_widths")
-    for one in found if isinstance(found, list) else ():
-        if not (isinstance(one, dict) and isinstance(factor := one.get("factor"), int | float)):
-            continue
-        word, numbers = "not told by these draws", [""] * 2
-        if one.get("told"):
-            word = str(one.get("word", ""))
-            numbers = [
-                f"{one[key]:.2f}" if isinstance(one.get(key), int | float) else ""
-                for key in ("shift", "width")
-            ]
-        rows.append(
-            [
-                PRIORS.get(str(one.get("prior")), str(one.get("prior", "")).replace("_", " ")),
-                f"{factor:g}",
-                word,
-                *numbers,
-            ]
-        )
-    head = [
-        "prior",
-        "its width times",
-        "verdict",
-        "rate moves by (sigma)",
-        "sigma of the rate times",
-    ]
-    return (
-        Table(head, rows, "The verdict under other widths of the priors", closed=True)
         if rows
         else None
     )
