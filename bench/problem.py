@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -63,10 +62,8 @@ class Problem:
         axes: dict[str, np.ndarray],
         workers: int | None = None,
         direction_error: float | None = None,
-        factors: Sequence[float] = (),
     ) -> xr.DataArray:
-        """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3. With `factors` in
-        two grades, for the sets below so many times the smallest."""
+        """sunspin's own scan of a grid; unless a `direction_error` (rad) is asked for, for an EMD good to 1e-3."""
         return ss.scan(
             self.vehicle,
             self.target_z,
@@ -76,7 +73,6 @@ class Problem:
             duration_s=self.window_s,
             workers=workers,
             direction_error=direction_error,
-            factors=factors,
         )
 
     def starts(self, omega_B: np.ndarray) -> np.ndarray:

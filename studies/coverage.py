@@ -59,8 +59,8 @@ class Grid(NamedTuple):
 def make_grid(case: Case, coarser: int) -> Grid:
     """Run every motion of the grid once."""
     speeds, mask = rb.nominal_speed(case.vehicle), rb.counted(case) and "reconstructible"
-    axes, sun_B = rb.grid(case, coarser), rb.first_sun(case)
-    table = make_table(case.vehicle, sun_B, axes, speeds, rb.window_s(case), mask=mask)
+    scan = case.vehicle, rb.first_sun(case), rb.grid(case, coarser), speeds, rb.window_s(case)
+    table = make_table(*scan, mask=mask)
     back = rb.speeds_back(case, table.rows.start, rb.after_touchdown_s(case))
     return Grid(case, table, ensemble(back)["speed"])
 
@@ -82,13 +82,13 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
         count = np.searchsorted(emd[order], limits, side="left")
         speed = np.where(count > 0, slowest[np.maximum(count, 1) - 1], np.nan)
         sets |= {f"{name}_count": count.tolist(), f"{name}_speed": speed.tolist()}
-    states, mask = rows_of(case, truth[None]), rb.counted(case)
+    setup = case.vehicle, rows_of(case, truth[None]), rb.window_s(case), rb.counted(case)
     near = rb.families(case, volume, FACTOR, seed=0)
     return {
         "truth_touchdown_speed": float(speeds_at_touchdown(case, truth[None])[0]),
         "n_told": z.size,
         "emd_min": smallest,
-        "emd_truth": float(reached(case.vehicle, states, rb.window_s(case), mask, [(z, None)])[0]),
+        "emd_truth": float(reached(*setup, [(z, None)])[0]),
         "points": len(near.points),
         "truth_to_set": float(np.linalg.norm(near.points - truth, axis=1).min()),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
@@ -122,10 +122,9 @@ def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nd
 
 def lines(case: Case, near: rb.Families, truth: np.ndarray) -> dict[str, Any]:
     """The lines fitted to the near-minimum set: how far from the truth and the published lines, smallest speed."""
+    nan, four = float("nan"), [float("nan")] * 4
     if near.lines is None:  # too few points
-        nan, four = float("nan"), [float("nan")] * 4
-        apart = {"line_angle": four, "line_distance": four}
-        return {"truth_to_line": nan, "bound_lines": nan, **apart}
+        return dict(truth_to_line=nan, line_angle=four, line_distance=four, bound_lines=nan)
     points, directions = near.lines["point"].values, near.lines["direction"].values
     limits, starts = box(case), []
     for point, direction in zip(points, directions, strict=True):
@@ -230,19 +229,16 @@ def main(arguments: list[str] | None = None) -> None:
         "synthetic": True,
         "command": f"python -m studies.coverage OUT --twins {given.twins} --seed {given.seed}{more}",
         "sunspin_version": version(),
-        "seed": given.seed,
-        "coarser": given.coarser,
         "factor": FACTOR,
         "grid_points": len(grid.speed),
         "twins": each,
     }
-    texts = {coverage.SHIPPED: json.dumps(data)}
-    study = coverage.from_json(texts[coverage.SHIPPED], str(given.out))
-    texts["coverage.md"] = table(study)
-    for name, text in texts.items():
-        (given.out / name).write_text(text + "\n", "utf-8")
+    text = json.dumps(data)
+    study = coverage.from_json(text, str(given.out))
+    (given.out / coverage.SHIPPED).write_text(text + "\n", "utf-8")
+    (given.out / "coverage.md").write_text(table(study) + "\n", "utf-8")
     draw(case, study).savefig(given.out / "coverage.png", dpi=150)
-    print(texts["coverage.md"])
+    print(table(study))
 
 
 if __name__ == "__main__":
