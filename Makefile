@@ -7,6 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-com
 BYTECODE := $(BIN)/python -m compileall -qq -j 0 $(VENV)
 READY := $(VENV)/.ready
 OUT ?= results
+STUDIES ?= build/studies
 BENCH ?=
 SCOREBOARD ?= --quick
 EVIDENCE := build/evidence.json
@@ -15,7 +16,7 @@ TESTS := $(BIN)/python -m pytest --evidence=$(EVIDENCE)
 # as many workers as cores, four at most: threads of the linear algebra would only stand in their way
 SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 
-.PHONY: help reproduce test test-all test-slow docs bench scoreboard validate-real long other-pythons lint contracts style types lock clean
+.PHONY: help reproduce test test-all test-slow docs bench studies scoreboard validate-real long other-pythons lint contracts style types lock clean
 
 help:
 	@echo "make reproduce   the whole Philae study into $(OUT)/ (environment built on first use)"
@@ -24,6 +25,7 @@ help:
 	@echo "make test-slow   the campaigns marked slow"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
+	@echo "make studies     what else was asked of the paper, into $(STUDIES)/, about 10 minutes; resumable (docs/studies.md)"
 	@echo "make scoreboard  what must not get worse, case by case (make scoreboard SCOREBOARD='--full --against FILE'); resumable"
 	@echo "make validate-real  rates of real satellites against what was withheld, where SUNSPIN_DATA has them (docs/real-data.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
@@ -91,6 +93,10 @@ docs: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
+
+# go on where they were stopped
+studies: $(READY)
+	$(BIN)/python -m studies.coverage $(STUDIES)/coverage
 
 # goes on where it was stopped
 scoreboard: $(READY)

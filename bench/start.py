@@ -33,11 +33,11 @@ def run(quick: bool) -> Table:
         table.add(name, statistics.median(values), None, repeats)
     with tempfile.TemporaryDirectory(prefix="sunspin-bench-") as folder:
         say("start: first scan with an empty cache")
-        seconds, told = child("first", *FIRST_GRID, cache=folder)
+        seconds, told = child(*FIRST_GRID, cache=folder)
         table.add("first scan, empty cache", seconds, told["scan_s"], 1)
         before = _files(folder)
         say("start: first scan with a warm cache")
-        again = [child("first", *FIRST_GRID, cache=folder) for _ in range(repeats)]
+        again = [child(*FIRST_GRID, cache=folder) for _ in range(repeats)]
         seconds = statistics.median(wall for wall, _ in again)
         table.add(
             "first scan, warm cache",

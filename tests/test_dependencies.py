@@ -32,7 +32,7 @@ NOT_IMPORTED = {
 BROUGHT = {"pandas": "xarray", "markupsafe": "jinja2", "llvmlite": "numba"}
 """Imported here, and needed always by a declared one, which knows the version that it needs."""
 
-OWN = {"sunspin", "validation", "tests", "docs", "bench"}
+OWN = {"sunspin", "validation", "tests", "docs", "bench", "studies"}
 
 SHARE_ALIKE = re.compile(r"\b(A?GPL|GNU (Affero )?General Public)", re.IGNORECASE)
 

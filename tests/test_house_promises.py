@@ -14,7 +14,7 @@ from sources import has, nodes_if, tree
 ROOT = Path(__file__).parents[1]
 PYTHON = [
     path
-    for part in ("src", "tests", "validation", "bench")
+    for part in ("src", "tests", "validation", "studies", "bench")
     for path in sorted((ROOT / part).rglob("*.py"))
 ]
 FUNCTIONS = [name for name in ss.__all__ if inspect.isfunction(getattr(ss, name))]

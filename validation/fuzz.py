@@ -187,7 +187,6 @@ def cut_short() -> list[Any]:
         mock.patch("sunspin.dynamics.ensemble.ahead.compile_ahead", lambda structures: None),
         mock.patch("sunspin.dynamics.ensemble.run.compile_ahead", lambda structures: None),
         mock.patch("sunspin.philae.reproduction.compute", begins),
-        mock.patch("sunspin.philae.coverage.compute", begins),
     ]
 
 

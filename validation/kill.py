@@ -77,12 +77,6 @@ TARGETS = (
         ("philae", "--runs=16000", "--workers=2"),
         ("philae", "--runs=5000", "--workers=2"),
     ),
-    Target(
-        "worth",
-        0.15,
-        ("--twins=16", "--coarser=3", "--workers=2", "--confidence=0.6"),
-        ("--twins=10", "--coarser=8", "--workers=2", "--confidence=0.5"),
-    ),
     Target("reproduce", 0.1, ("--coarser=8",), ("--coarser=25",), stored=False),
 )
 

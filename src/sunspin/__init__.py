@@ -17,14 +17,12 @@ if (
     from sunspin.telemetry.case import Case as Case, load_case as load_case
     from sunspin.base.errors import (
         InputError as InputError,
-        Interrupted as Interrupted,
         MotionError as MotionError,
         OutputError as OutputError,
         SunspinError as SunspinError,
         TelemetryError as TelemetryError,
         VehicleError as VehicleError,
     )
-    from sunspin.compute.rows import ensemble as ensemble
     from sunspin.estimate.scan.lines import fit_lines as fit_lines
     from sunspin.estimate.scan.metrics import direction_error as direction_error, emd as emd
     from sunspin.estimate.posterior.estimate import posterior as posterior
@@ -45,7 +43,6 @@ if (
     from sunspin.output.compare import compare as compare
     from sunspin.philae.twin import twin as twin
     from sunspin.philae.reproduction import reproduce as reproduce
-    from sunspin.philae.coverage_results import coverage as coverage, worth as worth
     from sunspin.vehicle import (
         Antenna as Antenna,
         Channel as Channel,
@@ -88,7 +85,6 @@ _HOME = {
     "emd": "sunspin.estimate.scan.metrics",
     "scan": "sunspin.estimate.scan.volume",
     "near_minimum": "sunspin.estimate.scan.volume",
-    "ensemble": "sunspin.compute.rows",
     "fit_lines": "sunspin.estimate.scan.lines",
     "posterior": "sunspin.estimate.posterior.estimate",
     "twin": "sunspin.philae.twin",
@@ -96,15 +92,12 @@ _HOME = {
     "Scenario": "sunspin.landing.scenario",
     "compare": "sunspin.output.compare",
     "reproduce": "sunspin.philae.reproduction",
-    "coverage": "sunspin.philae.coverage_results",
-    "worth": "sunspin.philae.coverage_results",
     "SunspinError": "sunspin.base.errors",
     "VehicleError": "sunspin.base.errors",
     "TelemetryError": "sunspin.base.errors",
     "MotionError": "sunspin.base.errors",
     "InputError": "sunspin.base.errors",
     "OutputError": "sunspin.base.errors",
-    "Interrupted": "sunspin.base.errors",
 }
 
 __all__ = ["__version__", *_HOME]
@@ -113,7 +106,14 @@ __all__ = ["__version__", *_HOME]
 import_after("xarray", "sunspin.output.result")  # the accessor's class only, nothing that draws
 
 
-_GONE: dict[str, str] = {}
+_STUDY = "is a study of the repository now: `python -m studies.coverage OUT`"
+
+_GONE = {
+    "coverage": f"ss.coverage {_STUDY}",
+    "worth": f"ss.worth {_STUDY}",
+    "ensemble": "ss.ensemble is gone; ss.scan, ss.outcomes and ss.posterior spread their own rows: give them workers",
+    "Interrupted": "ss.Interrupted is gone; catch KeyboardInterrupt, or ss.SunspinError",
+}
 """Public name of an earlier version -> what is to be said of it."""
 
 

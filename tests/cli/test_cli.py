@@ -17,7 +17,7 @@ from validation.border import Told
 
 pytestmark = pytest.mark.usefixtures("framed")
 
-COMMANDS = ["reproduce", "worth", "init", "check", "sun", "simulate", "scan", "outcomes", "report"]
+COMMANDS = ["reproduce", "init", "check", "sun", "simulate", "scan", "outcomes", "report"]
 
 
 def sunspin(*arguments, cwd=".", code=0) -> Told:

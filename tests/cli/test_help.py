@@ -16,8 +16,6 @@ ELSEWHERE = {
     "compile": "minutes where nothing was compiled before; it has tests of its own",
     "compare": "other people's kernels",
     "reproduce": "minutes; it has tests of its own",
-    "coverage": "minutes; it has tests of its own",
-    "worth": "minutes; it has tests of its own",
     "posterior": "minutes; it has tests of its own",
     "report": "needs the results of another command; it has tests of its own",
 }

@@ -44,7 +44,7 @@ def client():
 
 
 @pytest.mark.evidence(
-    "ensemble", "verified", "the same rows on two processes of a Dask cluster, bit by bit"
+    "scan", "verified", "the same rows on two processes of a Dask cluster, bit by bit"
 )
 def test_a_cluster_changes_no_bit(client):
     for chunk in (1000, 33):
@@ -93,7 +93,7 @@ def is_socket(pid: int, fd: str) -> bool:
         return False
 
 
-@pytest.mark.evidence("ensemble", "verified", "a worker killed on the way")
+@pytest.mark.evidence("scan", "verified", "a worker killed on the way")
 def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
     """Result and store, with one of the two processes killed in the middle of the work."""
     log, store = tmp_path / "rows", tmp_path / "store"
@@ -166,9 +166,7 @@ def test_few_chunks_are_in_flight(client, monkeypatch):
     assert len(most) == 100 and max(most) <= 4 * 2
 
 
-@pytest.mark.evidence(
-    "ensemble", "verified", "the same rows by an executor of processes, bit by bit"
-)
+@pytest.mark.evidence("scan", "verified", "the same rows by an executor of processes, bit by bit")
 def test_any_executor_changes_no_bit_and_stays_open():
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         assert same(ensemble(ROWS, scheduler=pool, chunk=33))

@@ -25,9 +25,7 @@ def same(a, b) -> bool:
     )
 
 
-@pytest.mark.evidence(
-    "ensemble", "verified", "all rows at once, for any chunk and number of threads"
-)
+@pytest.mark.evidence("scan", "verified", "all rows at once, for any chunk and number of threads")
 @pytest.mark.parametrize("workers", [1, 2, 5])
 @pytest.mark.parametrize("chunk", [1, 7, 333, 5000])
 def test_the_cut_changes_no_bit(workers, chunk):

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 import sunspin as ss
 from sunspin.output.kinds import KINDS
 from sunspin.output.text import rate_text
-from sunspin.philae.coverage import shipped
 
 NO_FIGURE = {"impact", "lines", "calibration"}
 
@@ -97,7 +96,6 @@ MADE = {
     "scan": scan,
     "lines": lambda: ss.fit_lines(np.random.default_rng(1).normal(size=(30, 3)), 2),
     "outcomes": outcomes,
-    "coverage": lambda: shipped(ss.load_case("philae")),
 }
 """Kind -> how a public function makes it, small."""
 

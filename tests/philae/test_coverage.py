@@ -1,31 +1,25 @@
-"""The method on twins: its pieces against independent ones, its statistics against what they must give, its file and command."""
+"""The study of the paper's method: its pieces against independent ones, its statistics, its program, the file that ships."""
 
 import json
 import re
-import subprocess
-import sys
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from studies import coverage as study
 from sunspin.base.errors import InputError, MotionError
 from sunspin.cli import cli
-from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Rows
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan import coverage as lv
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.estimate.scan.volume import scan
-from sunspin.philae import coverage as wo
-from sunspin.philae import coverage_results, coverage_rows, threshold
+from sunspin.philae import coverage, threshold
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage_results import Coverage
-from sunspin.philae.coverage_twins import LEAST_TOLD, TwinRows, draw_twin, samples_z, truth_distance
+from sunspin.philae.carries import LEAST_DIRECTIONS
 from sunspin.telemetry.case import load_case
 
 CASE = load_case("philae")
@@ -51,7 +45,9 @@ def test_a_table_gives_the_bits_of_a_scan_for_every_target(table):
     assert table.volume(z).dims == alone.dims and table.volume(z).attrs == alone.attrs
 
 
-@pytest.mark.evidence("worth", "validated", "SciPy's Wasserstein distance of heyoka trajectories")
+@pytest.mark.evidence(
+    "reproduce", "validated", "SciPy's Wasserstein distance of heyoka trajectories"
+)
 def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
     z = np.random.default_rng(4).uniform(0.05, 0.95, 16)
     found = table.volume(z)
@@ -97,78 +93,61 @@ def test_a_wheel_at_rest_at_the_first_sample_is_taken_to_have_stood_still_since_
     )
 
 
-def test_a_twin_without_noise_and_with_dense_samples_fits_its_truth():
-    """Negative control beside it: the samples of another motion do not fit."""
+def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
-    assert truth_distance(CASE, truth, rb.seen_z(CASE, truth)) < 1e-3
-    assert truth_distance(CASE, other, rb.seen_z(CASE, truth)) > 0.02
+    states = study.rows_of(CASE, np.array([truth, other]))
+    target = rb.seen_z(CASE, truth), None
+    own, wrong = threshold.reached(
+        CASE.vehicle, states, rb.window_s(CASE), rb.counted(CASE), [target, target]
+    )
+    assert own < 1e-3 and wrong > 0.02
+
+
+@pytest.fixture(scope="module")
+def grid():
+    return study.make_grid(CASE, COARSE)
 
 
 def test_twins_look_like_the_synthetic_telemetry():
-    counts = [
-        samples_z(CASE, np.array([-0.27, 0.07, 0.08]), np.random.default_rng(i)).size
-        for i in range(5)
-    ]
+    truth = np.array([-0.27, 0.07, 0.08])
+    counts = [study.measured_z(CASE, truth, np.random.default_rng(i)).size for i in range(5)]
     assert min(counts) >= 10 and max(counts) <= 23
-    truth, z = draw_twin(CASE, "grid", np.random.default_rng(0))
-    assert z.size >= LEAST_TOLD and np.all(np.abs(truth) <= 1)
-    on_line, _ = draw_twin(CASE, "lines", np.random.default_rng(0))
+    assert np.all(np.abs(study.true_rate(CASE, "grid", np.random.default_rng(0))) <= 1)
+    on_line = study.true_rate(CASE, "lines", np.random.default_rng(0))
     away = [np.linalg.norm(np.cross(on_line - p, d)) for p, d in rb.published_lines(CASE)]
     assert min(away) < 1e-12
 
 
-def test_a_twin_is_the_same_alone_in_company_and_resumed(tmp_path):
-    rows = TwinRows("philae", "lines", 4, 7, COARSE)
-    together = ensemble(rows, chunk=4)
-    alone = ensemble(rows, index=[2])
-    kept = ensemble(rows, chunk=1, store=tmp_path / "twins")
-    again = ensemble(rows, chunk=1, store=tmp_path / "twins")
-    for name, values in together.items():
-        np.testing.assert_array_equal(alone[name][0], values[2])
-        np.testing.assert_array_equal(kept[name], values)
-        np.testing.assert_array_equal(again[name], values)
-
-
-def test_what_is_kept_of_a_twin_is_consistent():
-    rows = TwinRows("philae", "grid", 3, 1, COARSE)
-    out, ground = ensemble(rows), rows.ground()
-    assert np.all(out["points"] >= 1) and np.all(np.diff(out["level_count"], axis=1) >= 0)
-    assert np.all(out["bound_set"] >= ground.touchdown_speed.min())
-    speed = np.where(np.isnan(out["level_speed"]), np.inf, out["level_speed"])
-    assert np.all(speed[:, 1:] <= speed[:, :-1])  # larger sets have smaller bounds
-    assert np.all(out["emd_min"] > 0) and np.all(out["truth_to_set"] >= 0)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"prior": "ring"}, {"factor": 1.0}, {"n": 0}, {"seed": -1}, {"coarser": 0}, {"n": True}],
-    ids=str,
-)
-def test_wrong_setups_are_refused(wrong):
-    with pytest.raises(InputError, match="must"):
-        replace(TwinRows("philae", "lines", 4, 0), **wrong)
+def test_what_is_kept_of_a_twin_is_consistent(grid):
+    for number in range(3):
+        row = study.twin(grid, "grid", number, 1)
+        assert row["n_told"] >= LEAST_DIRECTIONS and row["points"] >= 1
+        assert np.all(np.diff(row["level_count"]) >= 0) and row["bound_set"] >= grid.speed.min()
+        speed = np.where(np.isnan(row["level_speed"]), np.inf, row["level_speed"])
+        assert np.all(speed[1:] <= speed[:-1])  # larger sets have smaller bounds
+        assert row["emd_min"] > 0 and row["emd_truth"] > 0 and row["truth_to_set"] >= 0
 
 
 def _twins(emd_truth, emd_min):
     n = len(emd_min)
-    twin = {name: np.ones(n) for name in lv.UNITS} | {"emd_truth": emd_truth, "emd_min": emd_min}
+    twin = {"emd_truth": emd_truth, "emd_min": emd_min}
     table = {
         "at": np.array([1.0, 2.0, 3.0]),
         "count": np.ones((3, 3)),
         "speed": np.ones((3, 3)),
         "holds": np.array([1, n - 1, n]),
     }
-    return lv.Twins(twin, table, table)
+    return coverage.Twins(twin, table, table)
 
 
 def test_shares_by_hand():
     """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
-    low, high = lv.Share(0, 10).interval
+    low, high = coverage.Share(0, 10).interval
     assert low == pytest.approx(0.0, abs=1e-12) and high == pytest.approx(0.27754, abs=1e-4)
-    assert lv.Share(5, 10).value == 0.5 and lv.Share(0, 0).interval == (0.0, 1.0)
+    assert coverage.Share(5, 10).value == 0.5 and coverage.Share(0, 0).interval == (0.0, 1.0)
 
 
-@pytest.mark.evidence("worth", "verified", "order statistics of 4,000 drawn studies")
+@pytest.mark.evidence("reproduce", "verified", "order statistics of 4,000 drawn studies")
 def test_a_threshold_holds_a_further_truth_as_often_as_it_says(reached):
     """Over many studies of 99 twins a further twin lies below the 90 % threshold in 90 % of the cases: exactly 90 of 100 ranks."""
     rng = np.random.default_rng(11)
@@ -193,7 +172,7 @@ def test_too_few_twins_are_refused():
     with pytest.raises(InputError, match="too few twins.*ask for more"):
         _twins(np.ones(10), np.ones(10)).threshold(0.95, False)
     with pytest.raises(InputError, match="between 0 and 1"):
-        lv.check_confidence(100, 1.0)
+        threshold.check_confidence(100, 1.0)
 
 
 def test_the_bound_is_looked_up_from_where_it_holds_for_good():
@@ -202,96 +181,56 @@ def test_the_bound_is_looked_up_from_where_it_holds_for_good():
     assert twins.at(2.5, False)["threshold"] == 3.0
 
 
-@pytest.mark.evidence("worth", "modelled", "300 synthetic rebounds of known truth")
+@pytest.mark.evidence("reproduce", "modelled", "300 synthetic rebounds of known truth")
 def test_the_shipped_study_says_what_its_rows_say(reached):
-    worth = wo.shipped(CASE)
-    assert worth.attrs["command"] == "sunspin worth --twins 300 --seed 0" and set(
-        lv.twins_of(worth)
-    ) == {"lines", "grid"}
-    rows = {row.id: row for row in coverage_rows.rows(CASE, worth)}
-    lines = lv.twins_of(worth)["lines"]
-    assert rows["worth_truth_in_set"].ours == pytest.approx(np.mean(lines.ratio < 1.1))
+    shipped = coverage.shipped(CASE)
+    assert shipped.command == "python -m studies.coverage OUT --twins 300 --seed 0"
+    rows = {row.id: row for row in coverage.rows(CASE, shipped)}
+    lines = shipped.twins["lines"]
+    assert rows["worth_truth_in_set"].ours == np.mean(lines.ratio < 1.1)
     assert (
         rows["worth_truth_in_set"].ours < 0.035 and 2.66 < rows["worth_factor_90"].ours < 5
     )  # both of panels as drawn
     reached("truth within 1.1 times the smallest EMD", rows["worth_truth_in_set"].ours)
-    assert all("synthetic" in row.note for row in rows.values() if "sunspin worth" in row.note)
-    again = lv.from_json(json.dumps(lv.to_json(worth)), "here")
-    assert lv.to_json(again) == lv.to_json(worth)
-    with pytest.raises(InputError, match="no result of `sunspin coverage`"):
-        lv.from_json("{}", "here")
+    assert all("synthetic" in row.note for row in rows.values() if "studies" in row.note)
+    assert "within 1.1 times the smallest EMD" in coverage.told(shipped)
+    lines.twin["line_angle"][:] = np.nan
+    assert "no set has four lines" in coverage.told(shipped)
+    assert "nan" not in coverage.told(shipped)
+    with pytest.raises(InputError, match="no study of the paper's method"):
+        coverage.from_json("{}", "here")
 
 
-def test_a_coverage_keeps_its_names_beside_its_variables(monkeypatch):
-    """Scripts ask for rows and sentences by name; a Dataset is what is stored."""
-    shipped = wo.shipped(CASE)
-    rows = json.dumps([asdict(row) for row in coverage_rows.rows(CASE, shipped)])
-    found = Coverage(shipped.data_vars, shipped.coords, shipped.attrs).assign_attrs(
-        figures=rows, seconds=1.5
-    )
-    assert "the truth lies in the set within 1.1 times the smallest EMD" in found["sentences"][0]
-    assert {row["id"]: row["ours"] for row in found["figures"]}["worth_factor_90"] > 2.3
-    assert (found["seconds"], found["folder"], found["changes"], found["confidence"]) == (
-        1.5,
-        None,
-        [],
-        0.9,
-    )
-    assert (
-        found["line_angle"].dims == ("prior", "twin", "line")
-        and found["line_angle"].attrs["units"] == "rad"
-    )
-    with pytest.raises(KeyError):
-        found["nonsense"]
-    without_lines = found.assign(line_angle=found["line_angle"] * np.nan)
-    assert (
-        "no set has four lines" in without_lines["sentences"][0]
-        and "nan" not in without_lines["sentences"][0]
-    )
-    monkeypatch.setattr(coverage_results, "coverage", lambda *_, **__: found)
-    printed = CliRunner().invoke(cli, ["coverage"], catch_exceptions=False).output.splitlines()
-    assert printed[0] == found["sentences"][0] and len(printed) > 10
+def test_the_study_goes_on_where_it_stopped_and_writes_table_picture_and_file(
+    tmp_path, capsys, framed
+):
+    arguments = [str(tmp_path), "--twins=20", f"--coarser={COARSE}"]
+    assert study.main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "| truth on the published lines | 20 |" in printed
+    names = ("worth.json", "coverage.md", "coverage.png")
+    before = {name: (tmp_path / name).read_bytes() for name in names}
+    kept = sorted(tmp_path.glob("*/*.json"))
+    assert len(kept) == 40
+    kept[7].unlink()
+    assert study.main(arguments) == 0
+    assert before == {name: (tmp_path / name).read_bytes() for name in names}
+    found = coverage.from_json(before["worth.json"].decode(), "out")
+    assert found.twins["grid"].n == 20 and f"--coarser {COARSE}" in found.command
+    assert study.main([str(tmp_path), "--twins=10"]) == 2
+    assert "too few twins" in capsys.readouterr().err
 
 
-def test_the_command_writes_a_study_that_can_be_read_again(tmp_path, framed):
-    out = tmp_path / "out"
-    arguments = [
-        "worth",
-        "--twins=10",
-        "--confidence=0.5",
-        f"--coarser={COARSE}",
-        f"--out={out}",
-        "--json",
-    ]
-    done = CliRunner().invoke(cli, arguments, catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    summary = json.loads(done.output)
-    assert summary["synthetic_telemetry"] is True and any(
-        row["id"] == "worth_factor_50" for row in summary["figures"]
-    )
-    found = lv.from_json((out / "worth.json").read_text("utf-8"), "out")
-    assert lv.twins_of(found)["grid"].n == 10 and f"--coarser {COARSE}" in found.attrs["command"]
-    page = (out / "report.html").read_text("utf-8")
-    assert (
-        "Synthetic telemetry" in page
-        and (out / "worth.png").is_file()
-        and (out / "coverage.nc").is_file()
-    )
+def test_the_page_has_the_table_of_the_file_that_ships():
+    page = (Path(__file__).parents[2] / "docs" / "studies.md").read_text("utf-8")
+    assert study.table(coverage.shipped(CASE)) in page
 
 
-def test_results_of_coverage_have_their_accessor_in_a_fresh_process():
-    """The command uses it before any public name is asked for, which would register it."""
-    code = (
-        "import xarray, sunspin.philae.coverage_results; assert hasattr(xarray.Dataset, 'sunspin')"
-    )
-    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
-
-
-def test_the_command_refuses_before_the_work(tmp_path):
-    from sunspin.philae.coverage_results import worth
-
-    with pytest.raises(InputError, match="too few twins"):
-        worth(tmp_path / "out", 10, confidence=0.95)
+def test_an_old_results_folder_is_refused_in_one_sentence(tmp_path):
+    (tmp_path / ".sunspin-results").write_text("worth\n", "utf-8")
+    done = CliRunner().invoke(cli, ["report", str(tmp_path)])
+    assert isinstance(done.exception, InputError)
+    assert "results of `sunspin worth` are no longer shown" in str(done.exception)
 
 
 def test_a_scan_takes_a_calibrated_threshold():
@@ -323,7 +262,7 @@ def test_a_scan_takes_a_calibrated_threshold():
 def test_the_readme_states_the_figures_that_ship():
     """Shares of the shipped study of twins, factor of the shipped calibration: what the README says is what the files hold."""
     text = re.sub(r"\s+", " ", (Path(__file__).parents[2] / "README.md").read_text("utf-8"))
-    share = lv.twins_of(wo.shipped(CASE))["lines"].in_set(1.1)
+    share = coverage.shipped(CASE).twins["lines"].in_set(1.1)
     low, high = share.interval
     assert (
         f"in {share.value * 100:.1f} % of {share.n} ({low * 100:.1f} to {high * 100:.1f} %)" in text

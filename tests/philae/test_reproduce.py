@@ -253,7 +253,7 @@ def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
     inputs = rp.Inputs(
         CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None}
     )
-    with pytest.raises(InputError, match="sunspin coverage"):
+    with pytest.raises(InputError, match="studies.coverage"):
         rp._worth(inputs)
 
 

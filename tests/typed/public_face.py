@@ -1,6 +1,6 @@
 """What a type checker must make of the public face. Checked, never run: `make lint`."""
 
-from typing import Any, assert_type
+from typing import assert_type
 
 import numpy as np
 import xarray as xr
@@ -55,26 +55,8 @@ assert_type(ss.outcomes(vehicle, points, "off", 100, 0, scenario=scenario), xr.D
 
 tree = ss.posterior(vehicle, seen, {"max_rate_rad_s": 0.3}, seed=1)
 assert_type(tree, xr.DataTree)
-worth: xr.Dataset = ss.worth(twins=10)
-covered: xr.Dataset = ss.coverage(twins=10)
-
-
-class Squares:
-    n_rows = 3
-    outputs = {"square": ("float64", ())}
-
-    def identity(self) -> dict[str, Any]:
-        return {}
-
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        return {"square": index.astype(np.float64) ** 2}
-
-
-assert_type(ss.ensemble(Squares()), dict[str, np.ndarray])
 
 try:
     ss.reproduce("results")
-except ss.Interrupted as stopped:
-    caught: KeyboardInterrupt = stopped
 except (ss.VehicleError, ss.TelemetryError, ss.MotionError, ss.InputError, ss.OutputError) as error:
     wrong: ss.SunspinError = error

@@ -67,8 +67,6 @@ COMMANDS = {
         "compile", MOTIONS, "Compile what scans run now, so that the first need not wait."
     ),
     "reproduce": Listed("reproduce", PHILAE, "The whole Philae study: figures, tables, report."),
-    "coverage": Listed("coverage", PHILAE, "How often the paper's method finds the truth."),
-    "worth": Listed("coverage", PHILAE, "The earlier name of coverage."),
     "decode": Listed("decode", OTHERS, "Raw beacons of skCUBE into a table."),
 }
 """In the order of --help. A command's module is imported only when the command is used or its help line shown."""

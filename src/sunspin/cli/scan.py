@@ -55,7 +55,7 @@ from sunspin.cli.values import grid, instants_of, numbers
     "--threshold",
     type=click.FloatRange(0, min_open=True),
     help="Take the points below this value instead: one that was "
-    "calibrated, such as by `sunspin coverage`, makes the set a confidence region.",
+    "calibrated on simulated flights of known truth makes the set a confidence region.",
 )
 @click.option(
     "--direction-error",

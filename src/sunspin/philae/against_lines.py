@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from sunspin.estimate.information import rate_volume
-from sunspin.estimate.scan.coverage import twins_of
 from sunspin.estimate.scan.lines import distances, point_at
 from sunspin.estimate.scan.volume import near_minimum
-from sunspin.philae import coverage
+from sunspin.philae import coverage, threshold
 from sunspin.philae import rebound as rb
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
@@ -74,8 +73,8 @@ def against(
     factor = case.assumptions.study.near_minimum_factor
     factors = {f"EMD < {factor:g} EMD_min": factor}
     known = coverage.shipped(case)
-    for prior, twins in () if known is None else twins_of(known).items():
-        factor = twins.threshold(coverage.CONFIDENCE, relative=True)[0]
+    for prior, twins in () if known is None else known.twins.items():
+        factor = twins.threshold(threshold.CONFIDENCE, relative=True)[0]
         factors[f"EMD < {factor:.2f} EMD_min (90 %, {prior})"] = factor
     sets: dict[str, tuple[np.ndarray | None, float]] = {}
     for name, factor in factors.items():

@@ -25,8 +25,7 @@ from sunspin.landing.outcomes import BINS
 from sunspin.landing.tally import Estimate, estimate
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import Carries
-from sunspin.philae.coverage import CONFIDENCE
-from sunspin.philae.threshold import Calibration, calibration
+from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
 

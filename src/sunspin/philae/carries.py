@@ -14,7 +14,6 @@ import xarray as xr
 
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage_twins import LEAST_TOLD
 from sunspin.philae.descent import Descent
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
@@ -25,6 +24,9 @@ from sunspin.vehicle.timeline import utc_seconds
 
 SHADOWED_PHASES = ("deployment", "settling", "rest")
 """Phases in which parts of the lander or the ground shadow the panels: the paper leaves them out of its statistics of Delta."""
+
+LEAST_DIRECTIONS = 8
+"""Nobody would fit a rebound with fewer."""
 
 MOST_IMPOSSIBLE = 0.02
 """Share of samples before the second touchdown whose lit pattern no Sun makes: the paper has none of them."""
@@ -162,7 +164,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
             f"{unexplained} of {int(early.sum())} samples before the second touchdown have a lit pattern that no "
             "Sun makes"
         )
-    if told.sum() < LEAST_TOLD:
+    if told.sum() < LEAST_DIRECTIONS:
         reasons.append(
             f"only {int(told.sum())} samples between first touchdown and collision give a direction"
         )

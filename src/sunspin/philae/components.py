@@ -14,7 +14,6 @@ import numpy as np
 from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.coverage import check_confidence
 from sunspin.estimate.scan.mask import allows
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.philae import rebound as rb
@@ -123,7 +122,9 @@ def compute(
             for i, target in enumerate(targets)
         ]
         factor = float(
-            np.sort(ratio)[check_confidence(len(ratio), case.assumptions.study.confidence)]
+            np.sort(ratio)[
+                threshold.check_confidence(len(ratio), case.assumptions.study.confidence)
+            ]
         )
         emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis], rebound.weights)
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))

@@ -10,8 +10,8 @@ import numpy as np
 from sunspin.output.text import turn_text
 from sunspin.philae import touchdown
 from sunspin.philae.candidates import Chain
-from sunspin.philae.coverage import CONFIDENCE
 from sunspin.philae.study import Reproduction
+from sunspin.philae.threshold import CONFIDENCE
 
 
 def headline(result: Reproduction) -> list[str]:

@@ -16,11 +16,11 @@ from sunspin.output.figures.collision import collision_figure
 from sunspin.output.figures.motion import spin_down_figure
 from sunspin.output.figures.telemetry import sun_directions_figure
 from sunspin.output.folder import Picture
-from sunspin.output.kinds.coverage import coverage_drawings
-from sunspin.output.kinds.kind import Beside, Drawing, synthetic_words
+from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
+from sunspin.philae.figures import coverage as figures_coverage
 from sunspin.philae.figures import descent as figures_descent
 from sunspin.philae.figures import directions as figures_directions
 from sunspin.philae.figures import health as figures_health
@@ -302,7 +302,13 @@ def _health(result: Reproduction, part: Any) -> Iterator[Drawing]:
 
 
 def _worth(_: Reproduction, part: Any) -> Iterator[Drawing]:
-    yield from coverage_drawings(part[1], Beside())
+    yield Drawing(
+        "worth",
+        lambda: figures_coverage.draw(*part),
+        "EMD of the truth, coverage of the level set, scatter of the lines and of the lower bound over many twins",
+        "What the answer is worth: the paper's method repeated on synthetic rebounds whose truth is known. Bands: 95 % sampling "
+        f"error above, 5 to 95 % of the twins below. Made with `{part[1].command}`.",
+    )
 
 
 SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (

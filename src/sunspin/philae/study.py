@@ -27,7 +27,6 @@ from sunspin.philae import (
     components,
     contradictions,
     coverage,
-    coverage_rows,
     descent,
     impulse,
     landing,
@@ -182,18 +181,15 @@ def _published_lines(i: Inputs) -> published_lines.PublishedLines:
     )
 
 
-def _worth(i: Inputs) -> tuple[Case, xr.Dataset]:
+def _worth(i: Inputs) -> tuple[Case, coverage.Coverage]:
     found = coverage.shipped(i.case)
     if found is None:
-        raise InputError(sentence("the case comes without a study of twins", do="sunspin coverage"))
+        do = "python -m studies.coverage OUT makes one"
+        raise InputError(sentence("the case comes without a study of twins", do=do))
     alike = rb.draws_alike(i.case.vehicle, load_vehicle(i.case.name))
     if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
-        do = "make one with `sunspin coverage` and the same --set"
         raise InputError(
-            sentence(
-                "the study of twins that comes with the case is of another body or other assumptions",
-                do=do,
-            )
+            "the study of twins that comes with the case is of another body or other assumptions"
         )
     return i.case, found
 
@@ -326,7 +322,7 @@ PARTS = (
         "What the paper's method is worth",
         "no_telemetry",
         _worth,
-        lambda r: coverage_rows.rows(*r),
+        lambda r: coverage.rows(*r),
     ),
     Part(
         "inputs",

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,17 +23,18 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.coverage import holding
 from sunspin.estimate.scan.rows import BINS, distances_to, histograms, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
-from sunspin.philae.coverage import CONFIDENCE
 from sunspin.philae.twin_philae import drawn_panels
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import stated_sigma
+
+CONFIDENCE = 0.9
+"""Probability that a calibrated set holds the truth, where nobody asks for another."""
 
 SHIPPED = "threshold.json"
 """The calibration of the case's own telemetry, which comes with the case."""
@@ -96,6 +98,36 @@ class Calibration:
             f"synthetic rebounds of known truth like these data, {self.source}; {int(self.directions.min())} to "
             f"{int(self.directions.max())} directions each"
         )
+
+
+def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]:
+    """Threshold below which a further one of the `values` (n) lies with this probability, and its 95 % interval.
+
+    The order statistic ceil(c (n + 1)), which holds it with probability c or a little more whatever the distribution; the interval
+    is that of the quantile (binomial order statistics).
+    """
+    n, ordered = len(values), np.sort(values)
+    at = check_confidence(n, confidence)
+    from scipy.stats import binom
+
+    low, high = binom.ppf([0.025, 0.975], n, confidence).astype(int)
+    return float(ordered[at]), float(ordered[max(low - 1, 0)]), float(ordered[min(high, n - 1)])
+
+
+def check_confidence(n: int, confidence: float) -> int:
+    """Which of n ordered twins, from 0, sets the threshold of this confidence; refuses what n twins cannot tell."""
+    if not 0 < confidence < 1:
+        raise InputError(sentence("a confidence must lie between 0 and 1", got=confidence))
+    at = ceil(confidence * (n + 1)) - 1
+    if at >= n:
+        raise InputError(
+            sentence(
+                "too few twins for this confidence",
+                got=f"{n} twins, {confidence:g}",
+                do="ask for more twins",
+            )
+        )
+    return at
 
 
 def key_of(rebound: rb.Rebound, table: Table) -> str:

@@ -6,7 +6,6 @@ from sunspin.output.kinds import (
     calibration,
     collision,
     comparison,
-    coverage,
     motion,
     outcomes,
     posterior,
@@ -76,13 +75,6 @@ KINDS: dict[str, Kind] = {
         comparison.comparison_summary,
         comparison.comparison_drawings,
         comparison.comparison_tables,
-    ),
-    "coverage": Kind(
-        "worth",
-        "coverage.nc",
-        coverage.coverage_summary,
-        coverage.coverage_drawings,
-        coverage.coverage_tables,
     ),
     "landing": Kind(
         "outcomes", "", outcomes.landing_summary, outcomes.landing_drawings, outcomes.landing_tables

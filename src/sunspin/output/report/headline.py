@@ -20,7 +20,6 @@ TITLES = {
     "scan": "Which motions of {vehicle} fit",
     "outcomes": "What the motion of {vehicle} leads to",
     "posterior": "How {vehicle} turned: the posterior",
-    "worth": "What the answer is worth",
 }
 
 

@@ -165,6 +165,14 @@ def read_results(folder: str | Path, ours: bool = False) -> Results:
                 )
             )
         command = maker(marker)
+        if command in ("coverage", "worth"):
+            raise InputError(
+                sentence(
+                    f"results of `sunspin {command}` are no longer shown, as the command is gone",
+                    do="python -m studies.coverage OUT makes the study anew",
+                    where=str(path),
+                )
+            )
         files = sorted(path.iterdir())
     except OSError as error:
         raise InputError(

@@ -1,16 +1,17 @@
-"""What the paper's answer is worth: the method on twins of known truth (paper, sections 2.3 and 3.2)."""
+"""How often the paper's method finds the truth: the method on twins of known truth (paper, sections 2.3 and 3.2)."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from sunspin.estimate.scan.coverage import Share, Twins, twins_of
 from sunspin.output.figures import COLOURS
+from sunspin.philae.coverage import Coverage, Share, Twins
+from sunspin.philae.threshold import CONFIDENCE
+from sunspin.telemetry.case import Case
 
 NAMES = {"lines": "truth on the published lines", "grid": "truth anywhere in the box"}
 DEGREES = np.degrees(1.0)
@@ -18,15 +19,15 @@ BOUND_TOP = 0.4
 """rad/s; end of the axis of lower bounds."""
 
 
-def coverage_figure(found: xr.Dataset) -> Figure:
+def draw(case: Case, study: Coverage) -> Figure:
     """EMD of the truth against the smallest; coverage against the factor; the lines' wandering; the lower bound."""
     figure = Figure(figsize=(9.5, 9.0), layout="constrained")
     (scatter, cover), (turned, bound) = figure.subplots(2, 2)
-    about, twins = found.attrs, twins_of(found)
-    _scatter(scatter, twins, about["factor"], about["published_emd_min"])
-    _coverage(cover, twins, about["factor"], about["confidence"])
-    _turned(turned, twins["lines"], about["factor"])
-    _bound(bound, twins["lines"], about["published_touchdown_speed_rad_s"], about["confidence"])
+    twins, published = study.twins, case.published
+    _scatter(scatter, twins, study.factor, published["emd_min"].value)
+    _coverage(cover, twins, study.factor)
+    _turned(turned, twins["lines"], study.factor)
+    _bound(bound, twins["lines"], published["rate_at_touchdown_min"].value)
     figure.suptitle(
         f"The method repeated on synthetic rebounds of known truth: {twins['lines'].n} twins of each kind",
         fontsize=11,
@@ -60,7 +61,7 @@ def _scatter(axes: Any, each: dict[str, Twins], factor: float, published: float)
     axes.set_title("the truth is rarely the best", fontsize=10)
 
 
-def _coverage(axes: Any, each: dict[str, Twins], chosen: float, confidence: float) -> None:
+def _coverage(axes: Any, each: dict[str, Twins], chosen: float) -> None:
     at = np.geomspace(1.0, 10.0, 200)
     for k, (kind, twins) in enumerate(each.items()):
         shares = [twins.in_set(factor) for factor in at]
@@ -74,7 +75,7 @@ def _coverage(axes: Any, each: dict[str, Twins], chosen: float, confidence: floa
             label=NAMES[kind],
         )
     axes.axvline(chosen, ls="--", lw=1, color=COLOURS[6], label=f"the paper's {chosen:g}")
-    axes.axhline(confidence, ls=":", lw=1, color=COLOURS[7])
+    axes.axhline(CONFIDENCE, ls=":", lw=1, color=COLOURS[7])
     axes.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
     axes.minorticks_off()
     axes.set(
@@ -104,7 +105,7 @@ def _turned(axes: Any, lines: Twins, factor: float) -> None:
     )
 
 
-def _bound(axes: Any, lines: Twins, published: float, confidence: float) -> None:
+def _bound(axes: Any, lines: Twins, published: float) -> None:
     table = lines.levels
     speed = np.where(np.isfinite(table["speed"]), table["speed"], np.nan)
     top = np.where(
@@ -121,9 +122,9 @@ def _bound(axes: Any, lines: Twins, published: float, confidence: float) -> None
     )
     axes.plot(table["at"], speed[:, 1], color=COLOURS[0], label="median twin")
     axes.plot([], [], color=COLOURS[3], label="share of twins in which it is a bound (right)")
-    value, low, high = lines.threshold(confidence, False)
+    value, low, high = lines.threshold(CONFIDENCE, False)
     axes.axvspan(low, high, color=COLOURS[4], alpha=0.35, lw=0)
-    axes.axvline(value, lw=1, color=COLOURS[4], label=f"holds the truth with {confidence:.0%}")
+    axes.axvline(value, lw=1, color=COLOURS[4], label=f"holds the truth with {CONFIDENCE:.0%}")
     axes.axhline(published, ls="--", lw=1, color=COLOURS[6], label="published bound")
     axes.set(
         xlabel="threshold on EMD",
