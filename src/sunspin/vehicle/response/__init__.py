@@ -1,5 +1,2 @@
-"""How panels see light. `protocol.py` says what is asked of a law; `cosine.py` answers in closed form, `tabled.py` for any other.
-
-Another law is a file with a :class:`~sunspin.vehicle.part.Part` that has `panels` (names that it speaks of) and `share`, as in
-`grazing.py`, and a line in `choice.py`.
-"""
+"""How panels see light: `protocol.py` says what is asked, `cosine.py` answers for panels each on an input of its own, `joined.py`
+where panels share inputs; `choice.py` makes the one or the other of a vehicle's file."""
