@@ -76,7 +76,6 @@ def test_a_first_scan_waits_for_no_module_that_it_does_not_use():
         "scipy.optimize",
         "scipy.spatial",
         "matplotlib",
-        "zarr",
         "plotly",
     }
 

@@ -9,7 +9,7 @@ from importlib import import_module
 
 CAMPAIGNS = {
     "fuzz": "hostile vehicle files, telemetry and options through the command line",
-    "corrupt": "binary files damaged and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip",
+    "corrupt": "binary files damaged and opened: NetCDF, Parquet, stores of rows, SPICE kernels, zip",
     "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
     "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",

@@ -1,4 +1,4 @@
-"""Binary files damaged in many ways and opened: NetCDF, Parquet, Zarr stores, SPICE kernels, zip archives.
+"""Binary files damaged in many ways and opened: NetCDF, Parquet, stores of rows, SPICE kernels, zip archives.
 
 Their readers are other people's C; a case runs in a worker of :mod:`validation.pool`, so a crash there is seen and counted.
 """

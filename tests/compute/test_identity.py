@@ -1,36 +1,17 @@
-"""What a store's name hangs on: the files that decide what a row gives."""
-
-import ast
-from pathlib import Path
-
-import pytest
+"""What a store's name depends on: the text of the package, too."""
 
 from sunspin.compute import identity
 
-PACKAGE = Path(identity.__file__).parents[1]
 
-
-def named() -> set[str]:
-    """Files and folders that the package names to `identity.code`, the common ones included."""
-    found = set(identity.PHYSICS)
-    for text in (path.read_text("utf-8") for path in PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(text)) if "code(" in text else ():
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "code":
-                found |= {word.value for word in node.args if isinstance(word, ast.Constant)}
-    return found
-
-
-@pytest.mark.parametrize("name", sorted(named()))
-def test_every_file_that_is_named_is_there(name):
-    files = dict(identity._files(name, PACKAGE / name))
-    assert files and all(path.is_file() for path in files.values())
-
-
-def test_a_change_of_the_physics_is_another_identity(monkeypatch):
+def test_another_text_of_the_package_is_another_identity(monkeypatch, tmp_path):
     before = identity.code()
+    (tmp_path / "compute").mkdir()
+    (tmp_path / "compute" / "identity.py").write_text("")
     identity.code.cache_clear()
-    monkeypatch.setattr(identity, "PHYSICS", identity.PHYSICS[:-1])
+    monkeypatch.setattr(identity, "__file__", str(tmp_path / "compute" / "identity.py"))
     try:
-        assert identity.code()["physics_sha256"] != before["physics_sha256"]
+        changed = identity.code()
+        assert changed["code_sha256"] != before["code_sha256"]
+        assert changed["sunspin"] == before["sunspin"]
     finally:
         identity.code.cache_clear()

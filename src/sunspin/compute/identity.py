@@ -4,25 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
-from importlib import metadata, resources
-from importlib.resources.abc import Traversable
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-PHYSICS = (
-    "vehicle",
-    "environment",
-    "dynamics",
-    "compute/compiler.py",
-    "telemetry/sun.py",
-    *(f"estimate/scan/{name}.py" for name in ("rows", "histogram", "mask", "metrics")),
-)
-"""Files and folders of the package whose text decides what a row gives."""
 
 SMALL = 16
 """Arrays up to this size are written out, for people to read."""
@@ -77,25 +67,14 @@ def fingerprint(identity: Mapping[str, Any]) -> str:
     ).hexdigest()
 
 
-@lru_cache(maxsize=8)
-def code(*more: str) -> dict[str, str]:
-    """Versions of sunspin and of the compiler, and the SHA-256 of the files that decide what a row gives: `PHYSICS` and `more`."""
-    found, root = hashlib.sha256(), resources.files("sunspin")
-    for name in PHYSICS + more:
-        for path, file in _files(name, root.joinpath(name)):
-            found.update(f"{path}\n".encode() + file.read_bytes())
+@lru_cache(maxsize=1)
+def code() -> dict[str, str]:
+    """Versions of sunspin and of the compiler, and the SHA-256 of the package's Python files."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return {
         "sunspin": metadata.version("sunspin"),
-        "physics_sha256": found.hexdigest(),
+        "code_sha256": digest.hexdigest(),
         "numba": metadata.version("numba"),
     }
-
-
-def _files(path: str, place: Traversable) -> Iterator[tuple[str, Traversable]]:
-    """The Python files at a place, those of folders in it included."""
-    if not place.is_dir():
-        yield path, place
-        return
-    for item in sorted(place.iterdir(), key=lambda item: item.name):
-        if item.is_dir() or item.name.endswith(".py"):
-            yield from _files(f"{path}/{item.name}", item)

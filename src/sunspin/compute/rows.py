@@ -74,7 +74,7 @@ def ensemble(
         Rows per call of the function, at most: fewer where some workers would have none. A new store is cut into pieces of this
         size too, and keeps that size: it is what an interruption can cost, per worker.
     store : path, optional
-        A folder (a Zarr group) in which finished chunks are kept. The same call resumes there after any interruption, be it
+        A folder in which finished chunks are kept. The same call resumes there after any interruption, be it
         kill -9 or a power failure; once complete it is simply read. The folder must be new, empty or of the same
         inputs.
     scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
@@ -112,9 +112,7 @@ def ensemble(
         with ExitStack() as stack:
             missing = [(0, n)] if n else []
             if store is not None and n:
-                from sunspin.compute.store import (
-                    open_store,
-                )  # Zarr is imported only by those who keep results
+                from sunspin.compute.store import open_store
 
                 taker.kept, missing = stack.enter_context(open_store(store, function, chunk, out))
             taker.rows = n - sum(stop - start for start, stop in missing)

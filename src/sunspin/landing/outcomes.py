@@ -48,8 +48,6 @@ APPROACH_TURN_RAD = 0.25
 """Runs that turn further than this from one sample to the next are run again with twice, four times ... as many. At 3 rad/s and
 samples 1.2 rad apart a tenth of the runs touched with the wrong point."""
 
-CODE = tuple(f"landing/{name}.py" for name in ("contact", "flight", "outcomes", "scenario"))
-
 
 @dataclass(frozen=True)
 class Candidates:
@@ -188,7 +186,7 @@ class OutcomeRows:
 
     def identity(self) -> dict[str, Any]:
         parts = ("vehicle", "scenario", "strategy", "candidates", "n", "seed")
-        return {**code(*CODE), **{name: plain(getattr(self, name)) for name in parts}}
+        return {**code(), **{name: plain(getattr(self, name)) for name in parts}}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         draw = sc.draws(self.seed, index)

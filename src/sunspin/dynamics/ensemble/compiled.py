@@ -195,7 +195,7 @@ def kept_source(structure: c.Structure) -> str:
 
 def kept_text(made_from: tuple[Any, ...], make: Callable[[], str]) -> str:
     """Generated source, from the cache folder where the same code has made it before: with SymPy it takes up to a second."""
-    made_from = (*made_from, code()["physics_sha256"], metadata.version("sympy"))
+    made_from = (*made_from, code()["code_sha256"], metadata.version("sympy"))
     path = cache_folder() / f"source_{_digest(repr(made_from))}.txt"
     if path.exists():
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")

@@ -16,31 +16,6 @@ from sunspin.solve.least_squares import least_squares, shortened, take
 from sunspin.solve.linear import Dense, dense, each_row
 from sunspin.solve.rotations import moved, tangents
 
-FILES = (
-    "estimate/posterior/data.py",
-    "estimate/posterior/model.py",
-    "estimate/posterior/likelihood.py",
-    "estimate/posterior/fit.py",
-    "estimate/posterior/cells.py",
-    "estimate/posterior/importance.py",
-    "estimate/posterior/tags.py",
-    "estimate/inertia.py",
-    "estimate/terms/steady_torque.py",
-    "estimate/terms/reading.py",
-    "estimate/terms/angular_speed.py",
-    "estimate/terms/gyro.py",
-    "estimate/terms/sun_angle.py",
-    "estimate/terms/sun_direction.py",
-    "solve/least_squares.py",
-    "solve/linear.py",
-    "solve/rotations.py",
-    "solve/weights.py",
-    "estimate/posterior/tilt.py",
-    "estimate/posterior/turns.py",
-    "estimate/posterior/family.py",
-)
-"""Files whose text decides what the rows of a posterior give."""
-
 FLOOR = 1e-9
 """Part of the largest curvature that is added to all: directions that nothing tells are left alone."""
 
@@ -69,7 +44,7 @@ def chunk_rows(likelihood: Likelihood) -> int:
 def asked(function: Any) -> dict[str, Any]:
     """The identity of a function of rows: code, and all that it is made of."""
     return {
-        **code(*FILES),
+        **code(),
         type(function).__name__.lower(): plain(function),
     }
 

@@ -102,7 +102,7 @@ class AtTimes:
     def identity(self) -> dict[str, Any]:
         parts = ("vehicle", "rows", "ends_s", "wheel_mode", "acting")
         return {
-            **code("estimate/posterior/predict.py"),
+            **code(),
             **{name: plain(getattr(self, name)) for name in parts},
         }
 
