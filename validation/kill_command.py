@@ -32,7 +32,7 @@ def run(options: Any) -> int:
         ended = f"{told.after_files} of them with results in place; {told.runs_through} runs got through"
         print(
             f"{told.name}: {told.kills} kills, {ended}; "
-            + ("; ".join(told.wrong) or "all bits as undisturbed"),
+            + ("; ".join(told.wrong) or "the undisturbed result"),
             flush=True,
         )
         wrong += bool(told.wrong)

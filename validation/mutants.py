@@ -25,7 +25,6 @@ MODULES = {
         "tests/test_properties.py",
         "tests/dynamics/test_ensemble.py",
         "tests/dynamics/test_ensemble_outputs.py",
-        "tests/test_golden.py",
     ),
     "estimate/scan/histogram.py": ("tests/estimate/test_histogram.py",),
     "telemetry/sun.py": ("tests/telemetry/test_sun.py", "tests/telemetry/test_sun_statistics.py"),

@@ -1,4 +1,4 @@
-"""Many rows on threads: the same bits however they are cut, rows alone, errors and interruptions at once."""
+"""Many rows on threads: the same result however they are cut, rows alone, errors and interruptions at once."""
 
 import pickle
 import signal

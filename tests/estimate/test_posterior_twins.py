@@ -155,7 +155,7 @@ def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
 
 @pytest.mark.parametrize("along", [False, True])
 def test_a_fit_does_not_hang_on_its_company(along):
-    """Rows that have arrived wait while others go on: each gives the same bits alone, all unknowns free or some directions."""
+    """Rows that have arrived wait while others go on: each gives the same result alone, all unknowns free or some directions."""
     vehicle = craft(6)
     data, _, _ = readings(vehicle, samples(vehicle, 6))
     unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)

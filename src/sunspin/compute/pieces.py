@@ -36,7 +36,7 @@ class RowFunction(Protocol):
         ...
 
     def __call__(self, index: np.ndarray) -> Values:
-        """Results of the rows `index` (n): each of `outputs` with shape (n, ...). The same bits in whatever company."""
+        """Results of the rows `index` (n): each of `outputs` with shape (n, ...). The same to 1e-9 in whatever company."""
         ...
 
 

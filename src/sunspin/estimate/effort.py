@@ -1,6 +1,6 @@
 """How much an estimate may compute, counted in motions carried over one interval between two samples.
 
-Never in seconds: a seed gives the same bits on any machine. The equations of motion `spend`; a search asks `may_go_on` before what
+Never in seconds: a seed gives the same result anywhere. The equations of motion `spend`; a search asks `may_go_on` before what
 could be left out, keeps the best so far, and notes that it was cut short.
 """
 

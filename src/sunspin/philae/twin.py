@@ -39,7 +39,7 @@ def twin(
         ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.twin_philae.philae_twin`.
     truth : Truth, or a mapping with its fields
     seed : int
-        Of the noise and of what else is drawn. The same seed gives the same bits.
+        Of the noise and of what else is drawn. The same seed gives the same data.
     landing
         Of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
         :func:`sunspin.philae.twin_philae.philae_twin`.

@@ -120,7 +120,7 @@ def philae_twin(
     Parameters
     ----------
     seed : int
-        The same seed gives the same bits.
+        The same seed gives the same data.
     noise : float, optional
         One sigma in W; default: the vehicle file's. Zero gives the powers that the true directions make.
     tilt_rad, turned_rad : float, optional

@@ -3,7 +3,7 @@
 Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process;
 the disk cache carries the machine code over. What a process has compiled itself differs from what is loaded: helpers that it
 has compiled singly take the place of those compiled into the kernel, with sums contracted otherwise. So kernels are always
-loaded, and give the same bits in the first run as in the next.
+loaded, and give the same result in the first run as in the next.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Many trajectories at once: rows of initial states into blocks of lanes, blocks through the compiled kernels.
 
 The step of a row is a function of that row alone; a block holds one rung of the ladder of steps and is padded with copies of
-its last row. So the bits of a row do not depend on its neighbours, on the number of threads or on how rows are cut into
+its last row. So a row does not depend on its neighbours, on the number of threads or on how rows are cut into
 chunks.
 """
 

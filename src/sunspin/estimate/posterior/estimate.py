@@ -137,7 +137,7 @@ def posterior(
         `max_rate_rad_s`, the ball in which rates are uniform. Default: what the vehicle's file states, else the values in
         `sunspin.estimate.posterior.model`; the result's attributes say which.
     seed : int
-        The same seed gives the same bits, for any number of workers and however often the run was stopped.
+        The same seed gives the same result to 1e-9, for any number of workers and however often the run was stopped.
     observations : list of mappings
         ``{"kind": "rate" | "gyro" | "direction" | "field", "t_s": ..., "value": ..., "sigma": ...}``: angular speed, body rate,
         direction of the Sun seen otherwise, or another direction in the body, such as the magnetic field's, of which the angle

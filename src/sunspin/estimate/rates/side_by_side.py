@@ -1,4 +1,4 @@
-"""What is done with each pass by itself, in this process or in several: the same bits in either case.
+"""What is done with each pass by itself, in this process or in several: the same result in either case.
 
 Each may spend so much, counted by itself; what was spent is added up in the order of the passes.
 """
