@@ -86,7 +86,7 @@ class RowStore:
     def _write(self, number: int, arrays: Values) -> None:
         def save(part: Path) -> None:
             with open(part, "wb") as file:  # a name would be given an ending of NumPy's
-                np.savez(file, allow_pickle=False, **arrays)
+                np.savez(file, **arrays)
 
         try:
             write_whole(self.place(number), save)
@@ -103,7 +103,7 @@ def _read(file: Path, arrays: Values) -> bool:
                 member = sizes[f"{name}.npy"]
                 if member.compress_type or member.file_size > array.nbytes + HEADER_BYTES:
                     return False
-        with np.load(file, allow_pickle=False) as kept:
+        with np.load(file) as kept:
             for name, array in arrays.items():
                 read = kept[name]
                 if read.shape != array.shape or read.dtype != array.dtype:
