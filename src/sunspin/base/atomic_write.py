@@ -70,12 +70,12 @@ def left(folder: Path) -> set[Path]:
 
 
 def _is_over(process: int) -> bool:
+    if os.name == "nt":  # where a signal of 0 ends the process
+        return False
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        pass
+    except OSError as error:
+        return isinstance(error, ProcessLookupError)
     return False
 
 

@@ -83,7 +83,7 @@ class RowStore:
                 self._write(number, {name: array[rows] for name, array in out.items()})
                 self.rows_kept += rows.stop - rows.start
 
-    def _write(self, number: int, arrays: Values) -> None:
+    def _write(self, number: int, arrays: dict[str, Any]) -> None:
         def save(part: Path) -> None:
             with open(part, "wb") as file:  # a name would be given an ending of NumPy's
                 np.savez(file, **arrays)
@@ -146,9 +146,9 @@ def _wanted(function: RowFunction) -> dict[str, Any]:
         name: [np.dtype(dtype).str, list(shape)]
         for name, (dtype, shape) in function.outputs.items()
     }
-    if names := [name for name in outputs if not name.isidentifier() or name == "file"]:
-        what = "an output of this name cannot be kept in a store"
-        raise InputError(sentence(what, got=", ".join(names)))
+    own = {"file", "allow_pickle"}  # of NumPy
+    if names := [name for name in outputs if not name.isidentifier() or name in own]:
+        raise InputError(sentence("no store keeps an output of this name", got=", ".join(names)))
     whole = {
         **function.identity(),
         "function": type(function).__name__,

@@ -9,7 +9,6 @@ loaded, and give the same result in the first run as in the next.
 from __future__ import annotations
 
 import atexit
-import fcntl
 import os
 import subprocess
 import sys
@@ -24,6 +23,7 @@ import numpy as np
 
 from sunspin.base.cache import is_writable
 from sunspin.base.errors import OutputError, sentence
+from sunspin.compute.store import hold
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
 
@@ -129,7 +129,7 @@ def _wait_for_others(file: IO) -> None:
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            hold(file)
             return
         except BlockingIOError:
             time.sleep(POLL_S)
