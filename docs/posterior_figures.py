@@ -20,8 +20,6 @@ from sunspin.landing.predictions import collision_s
 from sunspin.landing.sampling import widths
 from sunspin.output.figures import sampling as figures_sampling
 from sunspin.output.figures.predicted import predicted_figure
-from sunspin.philae.against_lines import against
-from sunspin.philae.figures import posterior_and_lines as figures_lines
 from sunspin.telemetry.case import load_case
 
 IMAGES = Path(__file__).parent / "images"
@@ -53,12 +51,6 @@ def main(posterior_folder, sampling_folder=None):
     labels = [str(label).removeprefix("2014-11-12T") for label in found["asked"].values]
     truth = true_motion(case, found["predicted_s"].values)
     predicted_figure(found, labels, truth).savefig(IMAGES / "posterior_predicted.png", dpi=80)
-    compared = against(case, tree)
-    figures_lines.draw(compared).savefig(IMAGES / "posterior_lines.png", dpi=80)
-    for name, factor in compared.factors.items():
-        print(
-            f"{name}: {compared.sets[name][1]:.3g} (rad/s)^3, {factor:.3g} times the posterior's {compared.volume:.3g}"
-        )
     if sampling_folder is None:
         return
     rows = [
