@@ -27,7 +27,6 @@ from sunspin.estimate.scan.volume import near_minimum, scan
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
 from sunspin.vehicle.timeline import utc_seconds
 
 LINE_RANGE = (-0.2, 0.3)
@@ -67,13 +66,6 @@ def counted(case: Case) -> Mask | None:
 def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
     """Whether what is concluded from the panels on the free motion of one vehicle holds for the other."""
     return moving_and_seeing(vehicle) == moving_and_seeing(other)
-
-
-def draws_alike(vehicle: Vehicle, other: Vehicle) -> bool:
-    """Whether synthetic telemetry of one vehicle may stand for that of the other: its panels stand off by the same sigmas, too."""
-    return moves_and_sees_alike(vehicle, other) and plain(stated_sigma(vehicle)) == plain(
-        stated_sigma(other)
-    )
 
 
 def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
