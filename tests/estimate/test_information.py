@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from philae_sun import AS_DRAWN
-from posteriors import philae_draws
-from sunspin.base.errors import InputError
 from sunspin.estimate.information import Information, exact_readings, rate_volume, speed_sigma
 from sunspin.estimate.posterior.model import State, model
-from sunspin.philae.contributions import contributions, philae_extras, text
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {
@@ -87,25 +83,3 @@ def test_the_volume_is_that_of_an_ellipsoid_which_holds_ninety_percent():
     assert rate_volume(np.diag([1.0, 4.0, 0.25])) == pytest.approx(
         4 / 3 * np.pi * radius**3, rel=0.02
     )
-
-
-def test_what_each_observation_of_philaes_twin_contributes():
-    case, (tree, _) = AS_DRAWN, philae_draws(3)
-    table = contributions(case.vehicle, case.telemetry, tree, philae_extras(case.vehicle, tree))
-    size = {line.what: line.volume for line in table}
-    base = size.pop("everything")
-    less = [value for what, value in size.items() if what.startswith(("without", "the first"))]
-    more = [
-        value for what, value in size.items() if what.startswith("with ") or what.endswith("known")
-    ]
-    assert len(less) == 23 + 6 + 5 and len(more) == 4 + 5 and 1e-8 < base < 1e-6
-    assert min(less) >= base * (1 - 1e-9) and max(more) <= base * (1 + 1e-9)
-    assert max(size, key=lambda what: size[what] if "panel" in what else 0) == "without panel 6"
-    assert size["inertia, friction and wheel known"] < 0.01 * size["inertia known"]
-    assert len(text(table)) == len(table) + 1
-    with pytest.raises(InputError, match="not that of the posterior"):
-        contributions(
-            case.vehicle,
-            case.telemetry.isel(time=abs(case.telemetry["time"].values - 26000) > 100),
-            tree,
-        )
