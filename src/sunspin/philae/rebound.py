@@ -23,7 +23,7 @@ from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_l
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.rows import Start
-from sunspin.estimate.scan.volume import near_minimum, scan
+from sunspin.estimate.scan.volume import near_minimum
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
@@ -334,26 +334,6 @@ def by_threshold(case: Case, volume: xr.DataArray, seed: int) -> list[dict[str, 
             }
         )
     return table
-
-
-def scan_against(
-    case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool
-) -> xr.DataArray:
-    """The paper's scan against one set of z values."""
-    axes = grid(case, coarser)
-    return scan(
-        case.vehicle,
-        target_z,
-        first_sun(case),
-        omega_x=axes["omega_x"],
-        omega_y=axes["omega_y"],
-        omega_z=axes["omega_z"],
-        wheel_speed_rad_s=nominal_speed(case.vehicle),
-        duration_s=window_s(case),
-        mask=None if counted(case) is None else "reconstructible",
-        workers=workers,
-        progress=progress,
-    )
 
 
 def after_touchdown_s(case: Case) -> float:
