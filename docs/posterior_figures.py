@@ -1,11 +1,8 @@
-"""Draw the figures of docs/posterior.md: python docs/posterior_figures.py POSTERIOR_FOLDER [SAMPLING_FOLDER]
+"""Draw the figure of docs/posterior.md: python docs/posterior_figures.py POSTERIOR_FOLDER
 
-POSTERIOR_FOLDER: of `sunspin posterior philae --predict 15:34:04,16:20,17:25 --out POSTERIOR_FOLDER`; SAMPLING_FOLDER: of
-`python -m sunspin.landing.sampling SAMPLING_FOLDER`, whose twins are drawn as far as they are there; without it that figure stays
-as it is.
+POSTERIOR_FOLDER: of `sunspin posterior philae --predict 15:34:04,16:20,17:25 --out POSTERIOR_FOLDER`.
 """
 
-import json
 import sys
 import tomllib
 from pathlib import Path
@@ -17,11 +14,7 @@ from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
 from sunspin.landing.predictions import collision_s
-from sunspin.landing.sampling import widths
-from sunspin.output.figures import sampling as figures_sampling
 from sunspin.output.figures.predicted import predicted_figure
-from sunspin.philae.against_lines import against
-from sunspin.philae.figures import posterior_and_lines as figures_lines
 from sunspin.telemetry.case import load_case
 
 IMAGES = Path(__file__).parent / "images"
@@ -46,28 +39,14 @@ def true_motion(case, times_s):
     return predictions(model(case.vehicle, None, 1.0)[0], start, run, times_s)
 
 
-def main(posterior_folder, sampling_folder=None):
+def main(posterior_folder):
     case = load_case("philae")
     tree = xr.open_datatree(Path(posterior_folder) / "posterior.nc").load()
     found = tree["predictions"].to_dataset()
     labels = [str(label).removeprefix("2014-11-12T") for label in found["asked"].values]
     truth = true_motion(case, found["predicted_s"].values)
     predicted_figure(found, labels, truth).savefig(IMAGES / "posterior_predicted.png", dpi=80)
-    compared = against(case, tree)
-    figures_lines.draw(compared).savefig(IMAGES / "posterior_lines.png", dpi=80)
-    for name, factor in compared.factors.items():
-        print(
-            f"{name}: {compared.sets[name][1]:.3g} (rad/s)^3, {factor:.3g} times the posterior's {compared.volume:.3g}"
-        )
-    if sampling_folder is None:
-        return
-    rows = [
-        json.loads(path.read_text("utf-8")) for path in sorted(Path(sampling_folder).glob("*.json"))
-    ]
-    figures_sampling.draw(widths(case.vehicle), rows).savefig(
-        IMAGES / "posterior_sampling.png", dpi=80
-    )
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(sys.argv[1])

@@ -1,34 +1,34 @@
-"""How often the paper's method finds the truth: it is repeated on simulated rebounds (twins) whose rates are known.
+"""How often the paper's method finds the truth: it is repeated on simulated rebounds whose rates are known.
 
     python -m studies.coverage OUT
 
 The direction at the first sample is the published one; sample times, noise and panel misalignments are drawn as for the synthetic
-telemetry of the case. Each twin is scanned on the paper's grid. OUT keeps a file for each twin, so that the same command goes on
-where it stopped, and holds the table, the picture and `worth.json`, which `sunspin reproduce` reads from the folder of the case.
+telemetry of the case. Each rebound is scanned on the paper's grid. OUT keeps a file for each rebound, so that the same command
+resumes where it stopped, and holds the table and the picture.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+from scipy.stats import binomtest
 
-from sunspin.base.provenance import version
 from sunspin.compute.campaign import command, kept, rows_folder
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Outcome, Rows
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.lines import distances, point_at
+from sunspin.estimate.scan.lines import point_at
 from sunspin.estimate.scan.table import Table, make_table
-from sunspin.philae import coverage
+from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import LEAST_DIRECTIONS
-from sunspin.philae.figures.coverage import draw
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.philae.twin_philae import CELL_W, drawn_panels, keep_direction, rebound_times
 from sunspin.telemetry.case import Case, load_case
@@ -38,18 +38,15 @@ from sunspin.telemetry.synthetic import noisy_power
 FACTOR = 1.1
 """Of the near-minimum set (paper, eq. 14)."""
 
-LEVELS = np.round(np.arange(0.005, 0.1505, 0.001), 3)
-"""Thresholds on EMD at which the size of the set and its smallest speed are kept."""
-
 FACTORS = np.round(np.geomspace(1.05, 12.0, 80), 4)
-"""The same as multiples of the smallest EMD."""
+"""Multiples of the smallest EMD at which the size of the set and its smallest speed are kept."""
 
-LINE_STEPS = 51
-"""Points of a fitted line whose speed at the touchdown is computed."""
+KINDS = {"lines": "truth on the published lines", "grid": "truth anywhere in the scanned box"}
+"""Where true rates are drawn: omega_z even over `rebound.LINE_RANGE` on a published line, or even over the scanned box."""
 
 
 class Grid(NamedTuple):
-    """The scan that all twins share, and the speed (n) in rad/s of each of its motions at the touchdown."""
+    """The scan that all rebounds share, and the speed (n) in rad/s of each of its motions at the touchdown."""
 
     case: Case
     table: Table
@@ -66,7 +63,7 @@ def make_grid(case: Case, coarser: int) -> Grid:
 
 
 def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
-    """A twin of this kind, its scan, and what the method makes of it."""
+    """A simulated rebound of this kind, its scan, and what the method concludes from it. Speeds in rad/s at the touchdown."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     case, z = grid.case, np.array([])
     while z.size < LEAST_DIRECTIONS:
@@ -77,23 +74,24 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     smallest = float(emd.min())
     order = np.argsort(emd, kind="stable")
     slowest = np.minimum.accumulate(grid.speed[order])
-    sets = {}
-    for name, limits in (("level", LEVELS), ("factor", FACTORS * smallest)):
-        count = np.searchsorted(emd[order], limits, side="left")
-        speed = np.where(count > 0, slowest[np.maximum(count, 1) - 1], np.nan)
-        sets |= {f"{name}_count": count.tolist(), f"{name}_speed": speed.tolist()}
-    setup = case.vehicle, rows_of(case, truth[None]), rb.window_s(case), rb.counted(case)
+    count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
+    state = rows_of(case, truth[None])
+    back = rb.run_back(case, state, rb.after_touchdown_s(case))
     near = rb.families(case, volume, FACTOR, seed=0)
+    angles = [float("nan")] * 4  # too few points for four lines
+    if near.lines is not None:
+        angles = [apart["angle_rad"] for apart in near.deviation]
+    target = [(z, None)]
     return {
-        "truth_touchdown_speed": float(speeds_at_touchdown(case, truth[None])[0]),
-        "n_told": z.size,
+        "truth_touchdown_speed": float(np.linalg.norm(back)),
         "emd_min": smallest,
-        "emd_truth": float(reached(*setup, [(z, None)])[0]),
-        "points": len(near.points),
-        "truth_to_set": float(np.linalg.norm(near.points - truth, axis=1).min()),
+        "emd_truth": float(
+            reached(case.vehicle, state, rb.window_s(case), rb.counted(case), target)[0]
+        ),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
-        **lines(case, near, truth),
-        **sets,
+        "line_angle": angles,
+        "factor_count": count.tolist(),
+        "factor_speed": slowest[count - 1].tolist(),
     }
 
 
@@ -120,28 +118,6 @@ def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nd
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 
 
-def lines(case: Case, near: rb.Families, truth: np.ndarray) -> dict[str, Any]:
-    """The lines fitted to the near-minimum set: how far from the truth and the published lines, smallest speed."""
-    nan, four = float("nan"), [float("nan")] * 4
-    if near.lines is None:  # too few points
-        return dict(truth_to_line=nan, line_angle=four, line_distance=four, bound_lines=nan)
-    points, directions = near.lines["point"].values, near.lines["direction"].values
-    limits, starts = box(case), []
-    for point, direction in zip(points, directions, strict=True):
-        reach = np.linalg.norm(np.ptp(limits, axis=1)) + np.linalg.norm(point - limits.mean(axis=1))
-        along = point + np.linspace(-reach, reach, 4001)[:, None] * direction
-        inside = along[np.all((along >= limits[:, 0]) & (along <= limits[:, 1]), axis=1)]
-        if len(inside):
-            starts.append(inside[np.linspace(0, len(inside) - 1, LINE_STEPS).round().astype(int)])
-    speeds = speeds_at_touchdown(case, np.concatenate(starts)) if starts else [np.nan]
-    return {
-        "truth_to_line": float(distances(truth[None], points, directions).min()),
-        "line_angle": [apart["angle_rad"] for apart in near.deviation],
-        "line_distance": [apart["mean"] for apart in near.deviation],
-        "bound_lines": float(np.min(speeds)),
-    }
-
-
 def box(case: Case) -> np.ndarray:
     """Ends (3, 2) of the scanned range in rad/s."""
     return np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
@@ -153,59 +129,82 @@ def rows_of(case: Case, omega_B: np.ndarray) -> Rows:
     return Rows(omega_B, np.tile(rb.first_sun(case), (n, 1)), np.tile(speeds, (n, 1)))
 
 
-def speeds_at_touchdown(case: Case, omega_B: np.ndarray) -> np.ndarray:
-    """Angular speeds (n) in rad/s at the first touchdown of motions with these rates (n, 3) at the first sample."""
-    back = rb.run_back(case, rows_of(case, omega_B), rb.after_touchdown_s(case))
-    return np.linalg.norm(back, axis=1)
+def gathered(rebounds: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    """The rebounds of a kind, one array for each value; "ratio" is the true motion's EMD over the smallest of the scan."""
+    each = {name: np.array([row[name] for row in rebounds]) for name in rebounds[0]}
+    return each | {"ratio": each["emd_truth"] / each["emd_min"]}
 
 
-def condensed(twins: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """All twins of a kind as `worth.json` has them: what is known of each, and quantiles over the twins for each threshold."""
-    each = {name: np.array([row[name] for row in twins], dtype=float) for name in twins[0]}
-    parts, quantiles = {}, (0.05, 0.5, 0.95)
-    for name, at in (("level", LEVELS), ("factor", FACTORS)):
-        count, speed = each.pop(f"{name}_count"), each.pop(f"{name}_speed")
-        speed = np.where(np.isnan(speed), np.inf, speed)  # an empty set is a bound that fails
-        parts[f"{name}s"] = {
-            "at": at,
-            "count": np.quantile(count, quantiles, axis=0).T,
-            "speed": np.quantile(speed, quantiles, axis=0, method="higher").T,
-            "holds": (speed <= each["truth_touchdown_speed"][:, None]).sum(axis=0),
-        }
-    return {
-        part: {name: digits(values) for name, values in arrays.items()}
-        for part, arrays in ({"twin": each} | parts).items()
-    }
+def share(true: np.ndarray) -> str:
+    """How often it is true, with the 95 % interval (Wilson's)."""
+    test = binomtest(int(true.sum()), true.size)
+    interval = test.proportion_ci(method="wilson")
+    return f"{test.statistic:.1%} ({interval.low:.1%} to {interval.high:.1%})"
 
 
-def digits(values: np.ndarray) -> list[Any]:
-    """Numbers with six digits; None for those that are not finite."""
-    if values.ndim > 1:
-        return [digits(row) for row in values]
-    return [float(f"{x:.6g}") if np.isfinite(x) else None for x in values.tolist()]
-
-
-def table(study: coverage.Coverage) -> str:
-    """The findings in Markdown, a line for each kind of truth."""
-    limit = f"{study.factor:g} EMD_min"
+def table(rebounds: dict[str, dict[str, np.ndarray]], motions: int) -> str:
+    """The results in Markdown, a line for each kind of truth; `motions` of the grid."""
+    limit = f"{FACTOR:g} EMD_min"
     text = (
         f"| | rebounds | truth below {limit} | speed bound of the set below {limit} holds | factor of the 90 % set "
-        "| truth in the 90 % set | its share of the box | its smallest speed, rad/s |\n"
+        "| truth in the 90 % set | its share of the box | its smallest speed, rad/s | median angle of each line, deg |\n"
         + "|---"
-        * 8
+        * 9
     )
-    for kind, twins in study.twins.items():
-        factor, low, high = twins.threshold(CONFIDENCE, relative=True)
-        on_half = holding(twins.ratio[::2], CONFIDENCE)[0]  # judged by the others
-        in_region = coverage.Share(int((twins.ratio[1::2] < on_half).sum()), twins.n // 2)
-        holds = twins.twin["bound_set"] <= twins.twin["truth_touchdown_speed"]
-        region = twins.at(factor, relative=True)
+    for kind, each in rebounds.items():
+        factor, low, high = holding(each["ratio"], CONFIDENCE)
+        on_half = holding(each["ratio"][::2], CONFIDENCE)[0]  # judged by the others
+        k = min(int(np.searchsorted(FACTORS, factor)), len(FACTORS) - 1)
+        size = np.median(each["factor_count"][:, k]) / motions
+        speed = np.quantile(each["factor_speed"][:, k], 0.5, method="higher")
+        fitted = each["line_angle"][np.isfinite(each["line_angle"][:, 0])]
+        angles = np.degrees(np.median(fitted, axis=0)) if len(fitted) else []
         text += (
-            f"|\n| {coverage.KINDS[kind]} | {twins.n} | {twins.in_set(study.factor)} "
-            f"| {coverage.Share(int(holds.sum()), twins.n)} | {factor:.2f} ({low:.2f} to {high:.2f}) "
-            f"| {in_region} | {region['count'][1] / study.grid_points:.0%} | {region['speed'][1]:.3f} "
+            f"|\n| {KINDS[kind]} | {len(each['ratio'])} | {share(each['ratio'] < FACTOR)} "
+            f"| {share(each['bound_set'] <= each['truth_touchdown_speed'])} | {factor:.2f} ({low:.2f} to {high:.2f}) "
+            f"| {share(each['ratio'][1::2] < on_half)} | {size:.0%} | {speed:.3f} "
+            f"| {', '.join(f'{angle:.0f}' for angle in angles) or 'none fitted'} "
         )
     return text + "|"
+
+
+def draw(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
+    """EMD of the truth against the smallest, how often a set contains the truth, and how far the fitted lines turn."""
+    figure = Figure(figsize=(13.0, 4.4), layout="constrained")
+    scatter, cover, turned = figure.subplots(1, 3)
+    at = np.geomspace(1.0, 10.0, 200)
+    for k, (kind, each) in enumerate(rebounds.items()):
+        style = {"color": COLOURS[k], "label": KINDS[kind]}
+        scatter.loglog(
+            each["emd_min"], each["emd_truth"], "o^"[k], ms=3.5, mfc="none", mew=0.7, **style
+        )
+        cover.semilogx(at, (each["ratio"][:, None] < at).mean(axis=0), ("-", "--")[k], **style)
+    ends = np.array(scatter.get_xlim())
+    limit = {"ls": "--", "lw": 1, "color": COLOURS[6], "label": f"{FACTOR:g} times the smallest"}
+    scatter.loglog(ends, FACTOR * ends, **limit)
+    scatter.set(xlim=ends, xlabel="smallest EMD of the scan", ylabel="EMD of the true motion")
+    for axis in (scatter.xaxis, scatter.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    cover.axvline(FACTOR, **limit)
+    cover.axhline(CONFIDENCE, ls=":", lw=1, color=COLOURS[7])
+    cover.set_xticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"])
+    cover.minorticks_off()
+    cover.set(
+        xlabel="factor on the smallest EMD", ylabel="share of rebounds with the truth in the set"
+    )
+    bins = np.linspace(0, 90, 31)
+    for k, angle in enumerate(rebounds["lines"]["line_angle"].T):
+        known = np.degrees(angle[np.isfinite(angle)])
+        turned.hist(known, bins, histtype="step", lw=1.3, color=COLOURS[k], label=f"L{k + 1}")
+    turned.set(xlabel="angle between fitted and published line (deg)", ylabel="rebounds per 3 deg")
+    for axes in (scatter, cover, turned):
+        axes.legend(fontsize=8)
+    figure.suptitle(
+        f"The paper's method on {len(rebounds['lines']['ratio'])} synthetic rebounds of each kind"
+    )
+    return figure
 
 
 @command
@@ -217,28 +216,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--coarser", type=int, default=1, help="every n-th point of the grid only")
     given = parser.parse_args(arguments)
     check_confidence(given.twins // 2, CONFIDENCE)
-    case = load_case("philae")
-    grid, each = make_grid(case, given.coarser), {}
-    for kind in coverage.KINDS:
+    grid, each = make_grid(load_case("philae"), given.coarser), {}
+    for kind in KINDS:
         folder = rows_folder(given.out / f"{kind}-seed{given.seed}-coarser{given.coarser}")
         make = [partial(twin, grid, kind, k, given.seed) for k in range(given.twins)]
-        each[kind] = condensed([kept(folder / f"{k}.json", m) for k, m in enumerate(make)])
-    more = "" if given.coarser == 1 else f" --coarser {given.coarser}"
-    data = {
-        "what": "the paper's method repeated on synthetic rebounds of known truth",
-        "synthetic": True,
-        "command": f"python -m studies.coverage OUT --twins {given.twins} --seed {given.seed}{more}",
-        "sunspin_version": version(),
-        "factor": FACTOR,
-        "grid_points": len(grid.speed),
-        "twins": each,
-    }
-    text = json.dumps(data)
-    study = coverage.from_json(text, str(given.out))
-    (given.out / coverage.SHIPPED).write_text(text + "\n", "utf-8")
-    (given.out / "coverage.md").write_text(table(study) + "\n", "utf-8")
-    draw(case, study).savefig(given.out / "coverage.png", dpi=150)
-    print(table(study))
+        each[kind] = gathered([kept(folder / f"{k}.json", m) for k, m in enumerate(make)])
+    text = table(each, len(grid.speed))
+    (given.out / "coverage.md").write_text(text + "\n", "utf-8")
+    draw(each).savefig(given.out / "coverage.png", dpi=150)
+    print(text)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from sunspin.landing.outcomes import own_scenario
 from sunspin.landing.scenario import case_scenario, paper_scenario, scenario_of
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
-from sunspin.philae import study
 from sunspin.philae.starts import starts
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
 from sunspin.vehicle.changes import Change, changed, changes_of, settings
@@ -184,22 +183,14 @@ def test_assumptions_follow_into_the_study():
 
 
 def test_what_was_found_for_another_body_is_not_kept():
-    """The shipped study of twins and the printed lines hold for the case as it is; legs do not enter them."""
+    """The published lines hold for the case as it is; legs do not enter them."""
     case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
     assert not rb.moves_and_sees_alike(case.vehicle, OWN)
     assert rb.moves_and_sees_alike(with_changes("leg[2].tip_B_m[0]+=0.1"), OWN)
     surer = replace(
         OWN, facts={key: fact for key, fact in OWN.facts.items() if not key.startswith("panel")}
     )
-    assert (
-        rb.moves_and_sees_alike(surer, OWN)
-        and rb.draws_alike(OWN, OWN)
-        and not rb.draws_alike(surer, OWN)
-    )
-    with pytest.raises(InputError, match="another body"):
-        study._worth(study.Inputs(case, None))
-    landed = ss.load_case("philae", ["collision.restitution=0.2"])
-    assert study._worth(study.Inputs(landed, None))[1].twins.keys() == {"lines", "grid"}
+    assert rb.moves_and_sees_alike(surer, OWN)
 
 
 def command(*words):
@@ -396,11 +387,6 @@ def test_a_posterior_without_predictions_does_not_use_the_collision(monkeypatch)
 
 def refuse(*_, **__):
     raise InputError("not run")
-
-
-def test_a_noise_set_for_a_run_leaves_the_shipped_study_of_twins_out():
-    with pytest.raises(InputError, match="other assumptions"):
-        study._worth(study.Inputs(ss.load_case("philae", ["telemetry.noise*=3"]), None))
 
 
 def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):

@@ -152,13 +152,13 @@ def test_what_one_study_alone_has_or_concludes_is_said(tmp_path):
         [f"It turned once in 8.6 min. It fits {share}% of 2.5 or so.", "Same."]
         for share in (73, 58)
     ]
-    rows = [row("both", 1.0), row("worth_bound", 2.0)], [row("both", 1.0)]
+    rows = [row("both", 1.0), row("sun_height", 2.0)], [row("both", 1.0)]
     a, b = (
         folder(tmp_path / name, "reproduce", figures=r, headline=t)
         for name, r, t in zip("ab", rows, told, strict=True)
     )
     lines = str(ss.compare(a, b).sunspin.summary())
-    assert "alone has 1 rows: worth_bound" in lines
+    assert "alone has 1 rows: sun_height" in lines
     assert (
         "concludes: It fits 73% of 2.5 or so." in lines
         and "concludes: It fits 58%" in lines

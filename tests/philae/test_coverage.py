@@ -1,4 +1,4 @@
-"""The study of the paper's method: its pieces against independent ones, its statistics, its program, the file that ships."""
+"""The study of the paper's method: its pieces against independent ones, its statistics, its program."""
 
 import json
 import re
@@ -17,9 +17,8 @@ from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.estimate.scan.volume import scan
-from sunspin.philae import coverage, threshold
 from sunspin.philae import rebound as rb
-from sunspin.philae.carries import LEAST_DIRECTIONS
+from sunspin.philae import threshold
 from sunspin.telemetry.case import load_case
 
 CASE = load_case("philae")
@@ -121,30 +120,10 @@ def test_twins_look_like_the_synthetic_telemetry():
 def test_what_is_kept_of_a_twin_is_consistent(grid):
     for number in range(3):
         row = study.twin(grid, "grid", number, 1)
-        assert row["n_told"] >= LEAST_DIRECTIONS and row["points"] >= 1
-        assert np.all(np.diff(row["level_count"]) >= 0) and row["bound_set"] >= grid.speed.min()
-        speed = np.where(np.isnan(row["level_speed"]), np.inf, row["level_speed"])
-        assert np.all(speed[1:] <= speed[:-1])  # larger sets have smaller bounds
-        assert row["emd_min"] > 0 and row["emd_truth"] > 0 and row["truth_to_set"] >= 0
-
-
-def _twins(emd_truth, emd_min):
-    n = len(emd_min)
-    twin = {"emd_truth": emd_truth, "emd_min": emd_min}
-    table = {
-        "at": np.array([1.0, 2.0, 3.0]),
-        "count": np.ones((3, 3)),
-        "speed": np.ones((3, 3)),
-        "holds": np.array([1, n - 1, n]),
-    }
-    return coverage.Twins(twin, table, table)
-
-
-def test_shares_by_hand():
-    """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
-    low, high = coverage.Share(0, 10).interval
-    assert low == pytest.approx(0.0, abs=1e-12) and high == pytest.approx(0.27754, abs=1e-4)
-    assert coverage.Share(5, 10).value == 0.5 and coverage.Share(0, 0).interval == (0.0, 1.0)
+        assert row["factor_count"][0] >= 1 and np.all(np.diff(row["factor_count"]) >= 0)
+        assert np.all(np.diff(row["factor_speed"]) <= 0)  # larger sets have smaller bounds
+        assert row["bound_set"] >= grid.speed.min()
+        assert row["emd_min"] > 0 and row["emd_truth"] > 0 and len(row["line_angle"]) == 4
 
 
 @pytest.mark.evidence("reproduce", "verified", "order statistics of 4,000 drawn studies")
@@ -153,8 +132,7 @@ def test_a_threshold_holds_a_further_truth_as_often_as_it_says(reached):
     rng = np.random.default_rng(11)
     n, studies = 99, 4000
     held = [
-        rng.gamma(2.0) < _twins(rng.gamma(2.0, size=n), np.ones(n)).threshold(0.9, True)[0]
-        for _ in range(studies)
+        rng.gamma(2.0) < threshold.holding(rng.gamma(2.0, size=n), 0.9)[0] for _ in range(studies)
     ]
     assert np.mean(held) == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / studies))
     assert np.mean(held) != pytest.approx(
@@ -163,67 +141,49 @@ def test_a_threshold_holds_a_further_truth_as_often_as_it_says(reached):
     reached("share of further truths held, asked for 0.9", np.mean(held))
     covered = 0
     for _ in range(500):
-        _, low, high = _twins(rng.uniform(size=200), np.ones(200)).threshold(0.9, True)
+        _, low, high = threshold.holding(rng.uniform(size=200), 0.9)
         covered += low <= 0.9 <= high
     assert covered / 500 > 0.92
 
 
 def test_too_few_twins_are_refused():
     with pytest.raises(InputError, match="too few twins.*ask for more"):
-        _twins(np.ones(10), np.ones(10)).threshold(0.95, False)
+        threshold.holding(np.ones(10), 0.95)
     with pytest.raises(InputError, match="between 0 and 1"):
         threshold.check_confidence(100, 1.0)
 
 
-def test_the_bound_is_looked_up_from_where_it_holds_for_good():
-    twins = _twins(np.ones(100), np.ones(100))
-    assert twins.bound_threshold(0.9, False) == 2.0 and twins.bound_threshold(1.0, True) == 3.0
-    assert twins.at(2.5, False)["threshold"] == 3.0
+def test_shares_and_the_table_by_hand():
+    """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
+    assert study.share(np.zeros(10, dtype=bool)) == "0.0% (0.0% to 27.8%)"
+    row = {
+        "truth_touchdown_speed": 0.2,
+        "emd_min": 0.01,
+        "bound_set": 0.1,
+        "line_angle": [0.1] * 4,
+        "factor_count": list(range(1, 81)),
+        "factor_speed": [0.05] * 80,
+    }
+    rows = [row | {"emd_truth": 0.01 * (1 + k / 20)} for k in range(1, 21)]
+    text = study.table({"lines": study.gathered(rows)}, 160)
+    at = int(np.searchsorted(study.FACTORS, 1.95)) + 1
+    assert "| 20 | 5.0% (0.9% to 23.6%) | 100.0% (83.9% to 100.0%) | 1.95 (" in text
+    assert f"| {at / 160:.0%} | 0.050 | 6, 6, 6, 6 |" in text
 
 
-@pytest.mark.evidence("reproduce", "modelled", "300 synthetic rebounds of known truth")
-def test_the_shipped_study_says_what_its_rows_say(reached):
-    shipped = coverage.shipped(CASE)
-    assert shipped.command == "python -m studies.coverage OUT --twins 300 --seed 0"
-    rows = {row.id: row for row in coverage.rows(CASE, shipped)}
-    lines = shipped.twins["lines"]
-    assert rows["worth_truth_in_set"].ours == np.mean(lines.ratio < 1.1)
-    assert (
-        rows["worth_truth_in_set"].ours < 0.035 and 2.66 < rows["worth_factor_90"].ours < 5
-    )  # both of panels as drawn
-    reached("truth within 1.1 times the smallest EMD", rows["worth_truth_in_set"].ours)
-    assert all("synthetic" in row.note for row in rows.values() if "studies" in row.note)
-    assert "within 1.1 times the smallest EMD" in coverage.told(shipped)
-    lines.twin["line_angle"][:] = np.nan
-    assert "no set has four lines" in coverage.told(shipped)
-    assert "nan" not in coverage.told(shipped)
-    with pytest.raises(InputError, match="no study of the paper's method"):
-        coverage.from_json("{}", "here")
-
-
-def test_the_study_goes_on_where_it_stopped_and_writes_table_picture_and_file(
-    tmp_path, capsys, framed
-):
+def test_the_study_resumes_and_writes_table_and_picture(tmp_path, capsys, framed):
     arguments = [str(tmp_path), "--twins=20", f"--coarser={COARSE}"]
     assert study.main(arguments) == 0
-    printed = capsys.readouterr().out
-    assert "| truth on the published lines | 20 |" in printed
-    names = ("worth.json", "coverage.md", "coverage.png")
+    assert "| truth on the published lines | 20 |" in capsys.readouterr().out
+    names = ("coverage.md", "coverage.png")
     before = {name: (tmp_path / name).read_bytes() for name in names}
     kept = sorted(tmp_path.glob("*/*.json"))
     assert len(kept) == 40
     kept[7].unlink()
     assert study.main(arguments) == 0
     assert before == {name: (tmp_path / name).read_bytes() for name in names}
-    found = coverage.from_json(before["worth.json"].decode(), "out")
-    assert found.twins["grid"].n == 20 and f"--coarser {COARSE}" in found.command
     assert study.main([str(tmp_path), "--twins=10"]) == 2
     assert "too few twins" in capsys.readouterr().err
-
-
-def test_the_page_has_the_table_of_the_file_that_ships():
-    page = (Path(__file__).parents[2] / "docs" / "studies.md").read_text("utf-8")
-    assert study.table(coverage.shipped(CASE)) in page
 
 
 def test_an_old_results_folder_is_refused_in_one_sentence(tmp_path):
@@ -259,14 +219,15 @@ def test_a_scan_takes_a_calibrated_threshold():
     )
 
 
-def test_the_readme_states_the_figures_that_ship():
-    """Shares of the shipped study of twins, factor of the shipped calibration: what the README says is what the files hold."""
-    text = re.sub(r"\s+", " ", (Path(__file__).parents[2] / "README.md").read_text("utf-8"))
-    share = coverage.shipped(CASE).twins["lines"].in_set(1.1)
-    low, high = share.interval
-    assert (
-        f"in {share.value * 100:.1f} % of {share.n} ({low * 100:.1f} to {high * 100:.1f} %)" in text
-    )
+def test_the_readme_states_what_the_study_and_the_calibration_give():
+    """Shares in the table of the study, factor of the calibration that ships."""
+    root = Path(__file__).parents[2]
+    text = re.sub(r"\s+", " ", (root / "README.md").read_text("utf-8"))
+    table = (root / "docs" / "studies.md").read_text("utf-8")
+    count, share, low, high = re.search(
+        r"published lines \| (\d+) \| ([\d.]+)% \(([\d.]+)% to ([\d.]+)%\)", table
+    ).groups()
+    assert f"in {share} % of {count} ({low} to {high} %)" in text
     path = CASE.folder / threshold.SHIPPED
     factor = threshold.from_json(path.read_text("utf-8"), str(path), "shipped").factor()[0]
     assert f"90 % region: {factor:.2f} times the smallest EMD" in text

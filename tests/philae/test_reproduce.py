@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.text import Text
 
 from drawing import covered
-from sunspin.base.errors import InputError, MotionError, TelemetryError
+from sunspin.base.errors import MotionError, TelemetryError
 from sunspin.output.folder import Picture
 from sunspin.philae import carries, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
@@ -32,7 +32,6 @@ QUICK = (
     "touchdown",
     "mechanics",
     "published_lines",
-    "worth",
     "inputs",
     "contradictions",
 )
@@ -78,7 +77,7 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     names = {sheet.name for sheet in sheets}
     assert (
         "fig10_11_descent" not in names
-        and {"fig03_measured", "fig09_lines", "fig12_touchdown", "worth"} <= names
+        and {"fig03_measured", "fig09_lines", "fig12_touchdown"} <= names
     )
     assert all(sheet.alt and sheet.caption for sheet in sheets)
     for sheet in sheets:  # synthetic readings were not measured
@@ -136,7 +135,7 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick):
 @pytest.mark.long
 def test_a_wheel_that_stands_still_leaves_a_study(quick):
     found = quick(load_case("philae", changes={"wheel.speed_rad_s": 0}), coarser=20)
-    assert set(found.missing) == {"worth"}
+    assert not found.missing
     rows = {row.id: row for row in found.rows}
     assert rows["wheel_stop"].ours is None and "descent_wheel_speed" not in rows
     assert np.isfinite(rows["rate_at_touchdown_min"].low)
@@ -246,15 +245,6 @@ def test_a_part_that_is_needed_ends_the_study(monkeypatch):
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
     with pytest.raises(TelemetryError, match="no sample between first touchdown and collision"):
         quick(rb.with_telemetry(CASE, without("first_rebound")))
-
-
-def test_a_case_without_twins_says_how_to_make_them(quick, monkeypatch):
-    monkeypatch.setattr(rp.coverage, "SHIPPED", "nothing.json")
-    inputs = rp.Inputs(
-        CASE, rp.sun_directions(CASE.vehicle, CASE.telemetry), done={"level_set": None}
-    )
-    with pytest.raises(InputError, match="studies.coverage"):
-        rp._worth(inputs)
 
 
 def test_every_figure_of_the_paper_has_a_sheet_in_its_order():

@@ -20,7 +20,6 @@ from sunspin.output.kinds.kind import Drawing, synthetic_words
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
-from sunspin.philae.figures import coverage as figures_coverage
 from sunspin.philae.figures import descent as figures_descent
 from sunspin.philae.figures import directions as figures_directions
 from sunspin.philae.figures import health as figures_health
@@ -301,16 +300,6 @@ def _health(result: Reproduction, part: Any) -> Iterator[Drawing]:
     )
 
 
-def _worth(_: Reproduction, part: Any) -> Iterator[Drawing]:
-    yield Drawing(
-        "worth",
-        lambda: figures_coverage.draw(*part),
-        "EMD of the truth, coverage of the level set, scatter of the lines and of the lower bound over many twins",
-        "What the answer is worth: the paper's method repeated on synthetic rebounds whose truth is known. Bands: 95 % sampling "
-        f"error above, 5 to 95 % of the twins below. Made with `{part[1].command}`.",
-    )
-
-
 SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (
     (("phases",), _measured),
     (("mechanics",), _mechanics),
@@ -322,7 +311,6 @@ SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (
     (("landing",), _landing),
     (("published_lines",), _published_lines),
     (("phases",), _health),
-    (("worth",), _worth),
 )
 """Parts of `study.PARTS`, the first the one drawn, and its figures, in the paper's order."""
 

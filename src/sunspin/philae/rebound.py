@@ -23,11 +23,10 @@ from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_l
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.rows import Start
-from sunspin.estimate.scan.volume import near_minimum, scan
+from sunspin.estimate.scan.volume import near_minimum
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
 from sunspin.vehicle.timeline import utc_seconds
 
 LINE_RANGE = (-0.2, 0.3)
@@ -67,13 +66,6 @@ def counted(case: Case) -> Mask | None:
 def moves_and_sees_alike(vehicle: Vehicle, other: Vehicle) -> bool:
     """Whether what is concluded from the panels on the free motion of one vehicle holds for the other."""
     return moving_and_seeing(vehicle) == moving_and_seeing(other)
-
-
-def draws_alike(vehicle: Vehicle, other: Vehicle) -> bool:
-    """Whether synthetic telemetry of one vehicle may stand for that of the other: its panels stand off by the same sigmas, too."""
-    return moves_and_sees_alike(vehicle, other) and plain(stated_sigma(vehicle)) == plain(
-        stated_sigma(other)
-    )
 
 
 def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
@@ -342,26 +334,6 @@ def by_threshold(case: Case, volume: xr.DataArray, seed: int) -> list[dict[str, 
             }
         )
     return table
-
-
-def scan_against(
-    case: Case, target_z: np.ndarray, coarser: int, workers: int | None, progress: bool
-) -> xr.DataArray:
-    """The paper's scan against one set of z values."""
-    axes = grid(case, coarser)
-    return scan(
-        case.vehicle,
-        target_z,
-        first_sun(case),
-        omega_x=axes["omega_x"],
-        omega_y=axes["omega_y"],
-        omega_z=axes["omega_z"],
-        wheel_speed_rad_s=nominal_speed(case.vehicle),
-        duration_s=window_s(case),
-        mask=None if counted(case) is None else "reconstructible",
-        workers=workers,
-        progress=progress,
-    )
 
 
 def after_touchdown_s(case: Case) -> float:

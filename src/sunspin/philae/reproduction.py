@@ -15,7 +15,7 @@ from sunspin.base.provenance import version
 from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
-from sunspin.philae import coverage, impulse, touchdown
+from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.files import store
 from sunspin.philae.headline import headline, score
@@ -314,8 +314,6 @@ def conclusions(result: Reproduction) -> list[str]:
     if result.chain is not None:
         found += touchdown.sentences(result.chain)
     found += _of_lines(result)
-    if "worth" in result.parts:
-        found.append(coverage.told(result.parts["worth"][1]))
     if "impulse" in result.parts:
         found.append(_impulse(result))
     apart = [row for row in result.rows if row.agrees is False]

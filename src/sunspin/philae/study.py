@@ -26,7 +26,6 @@ from sunspin.philae import (
     carries,
     components,
     contradictions,
-    coverage,
     descent,
     impulse,
     landing,
@@ -45,8 +44,7 @@ from sunspin.philae.reading_noise import ReadingNoise, with_own_noise
 from sunspin.philae.row import Row, counts, settled
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
-from sunspin.vehicle import Vehicle, load_vehicle
-from sunspin.vehicle.changes import OF_READINGS
+from sunspin.vehicle import Vehicle
 
 LANDING_RUNS = 5_000
 """Simulated collisions: their probabilities err by 0.007 at most, ten times what the paper had; `sunspin outcomes` runs more."""
@@ -181,19 +179,6 @@ def _published_lines(i: Inputs) -> published_lines.PublishedLines:
     )
 
 
-def _worth(i: Inputs) -> tuple[Case, coverage.Coverage]:
-    found = coverage.shipped(i.case)
-    if found is None:
-        do = "python -m studies.coverage OUT makes one"
-        raise InputError(sentence("the case comes without a study of twins", do=do))
-    alike = rb.draws_alike(i.case.vehicle, load_vehicle(i.case.name))
-    if not alike or any(one.key.startswith(("study.", *OF_READINGS)) for one in i.case.changes):
-        raise InputError(
-            "the study of twins that comes with the case is of another body or other assumptions"
-        )
-    return i.case, found
-
-
 PARTS = (
     Part(
         "phases",
@@ -316,13 +301,6 @@ PARTS = (
         "no_telemetry",
         lambda i: precession.compute(i.case),
         precession.rows,
-    ),
-    Part(
-        "worth",
-        "What the paper's method is worth",
-        "no_telemetry",
-        _worth,
-        lambda r: coverage.rows(*r),
     ),
     Part(
         "inputs",
