@@ -183,24 +183,19 @@ def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
 
 
 def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
-    """A line for each set: counts and figures; of both states, each over its own cases."""
+    """A line for each set: counts and figures; of two states counts over the cases of both, the rest over each one's."""
     heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "in 50", "in 90", "s"]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, each in now["sets"].items():
         old = (before or {"sets": {}})["sets"].get(name)
-        cells = [name, str(len(each["cases"]))]
-        for key in (
-            *OUTCOMES,
-            "in_68",
-            "in_95",
-            "rms_pull",
-            "sigma",
-            "in_50",
-            "in_90",
-            "processor_s",
-        ):
-            value = _shown(each["figures"], key)
-            cells.append(value if old is None else f"{_shown(old['figures'], key)} / {value}")
+        both = [case for case in each["cases"] if old is None or case in old["cases"]]
+        states = [each] if old is None else [old, each]
+        cells = [name, str(len(both))]
+        for key in OUTCOMES:
+            counts = [sum(state["cases"][case] == key for case in both) for state in states]
+            cells.append(" / ".join(map(str, counts)))
+        for key in ("in_68", "in_95", "rms_pull", "sigma", "in_50", "in_90", "processor_s"):
+            cells.append(" / ".join(_shown(state["figures"], key) for state in states))
         lines.append("| " + " | ".join(cells) + " |")
         for case, measured in each["measured"].items():
             for key, value in measured.items():
@@ -214,5 +209,5 @@ def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
 def _shown(numbers: dict[str, float], key: str) -> str:
     value = numbers.get(key)
     if value is None:
-        return "0" if key in OUTCOMES else "-"
+        return "-"
     return f"{value:.0%}" if key.startswith("in_") else f"{value:.3g}"
