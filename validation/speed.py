@@ -106,7 +106,7 @@ def size_MB(python: Path) -> float:
         sum(
             path.stat().st_size
             for path in place.rglob("*")
-            if path.is_file() and path.suffix != ".pyc"
+            if path.is_file() and "__pycache__" not in path.parts
         )
         / 1e6
     )
