@@ -34,30 +34,6 @@ RANK_TOLERANCE = 1e-6
 """Normals whose smallest singular value is below this lie in one plane (or on one line)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Flat:
-    """Panels by their normals (n_panel, 3) and gains (n_panel): what every law has."""
-
-    normals_B: np.ndarray
-    gains: np.ndarray
-
-    def cosines(self, sun_B: np.ndarray, tilt: np.ndarray | None) -> np.ndarray:
-        """Of the angles (..., n_panel) between the Sun and normals turned by `tilt`."""
-        return along_normals(sun_B, self.turned(tilt))
-
-    def turned(self, tilt: np.ndarray | None) -> np.ndarray:
-        """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
-        return (
-            self.normals_B
-            if tilt is None
-            else seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
-        )
-
-    def strengths(self, gain: np.ndarray | None) -> np.ndarray:
-        """Gains (..., n_panel) with their factors."""
-        return self.gains if gain is None else self.gains * gain
-
-
 def blurred(power, sun_B: np.ndarray, blur_rad: float) -> np.ndarray:
     """The mean of a function `power` over directions that err by `blur_rad`, one sigma to each side."""
     flat = sun_B.reshape(-1, 3)
@@ -134,6 +110,72 @@ def places_of(
     return Places(np.array(maps), fixed)
 
 
+@dataclass(frozen=True, eq=False)
+class Flat:
+    """Panels by their normals (n_panel, 3) and gains (n_panel): what is the same whether or not they share inputs."""
+
+    normals_B: np.ndarray
+    gains: np.ndarray
+
+    def cosines(self, sun_B: np.ndarray, tilt: np.ndarray | None) -> np.ndarray:
+        """Of the angles (..., n_panel) between the Sun and normals turned by `tilt`."""
+        return along_normals(sun_B, self.turned(tilt))
+
+    def turned(self, tilt: np.ndarray | None) -> np.ndarray:
+        """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
+        return (
+            self.normals_B
+            if tilt is None
+            else seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+        )
+
+    def strengths(self, gain: np.ndarray | None) -> np.ndarray:
+        """Gains (..., n_panel) with their factors."""
+        return self.gains if gain is None else self.gains * gain
+
+    def power(
+        self,
+        sun_B: np.ndarray,
+        *,
+        gain: np.ndarray | None = None,
+        tilt: np.ndarray | None = None,
+        blur_rad: float = 0.0,
+    ) -> np.ndarray:
+        if blur_rad:
+            return blurred(lambda sun: self._power(sun, gain, tilt), sun_B, blur_rad)
+        return self._power(sun_B, gain, tilt)
+
+    def _power(
+        self, sun_B: np.ndarray, gain: np.ndarray | None, tilt: np.ndarray | None
+    ) -> np.ndarray:
+        """The signals under a Sun whose direction does not err."""
+        raise NotImplementedError
+
+    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
+        ((1 + cos a) / 2)^2, to 0.05 of what it is at most."""
+        part = (1 + axis_B @ self.normals_B.T) / 2
+        axis = axis_B[..., None, :]
+        slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
+        return self.gains * part**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
+
+    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
+        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
+        return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
+
+    @cached_property
+    def _places(self) -> Places:
+        """Where the least Delta may lie."""
+        raise NotImplementedError
+
+    def candidates(self, share: np.ndarray) -> np.ndarray:
+        return self._places.candidates(share)
+
+    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._places.best(self.power, readings)
+
+
 class Cosine(Flat):
     """``gain * max(0, normal . sun)``. Names and shapes as in :class:`sunspin.vehicle.response.protocol.PanelResponse`."""
 
@@ -150,16 +192,9 @@ class Cosine(Flat):
     def largest(self) -> float:
         return np.abs(self._rows).max()
 
-    def power(
-        self,
-        sun_B: np.ndarray,
-        *,
-        gain: np.ndarray | None = None,
-        tilt: np.ndarray | None = None,
-        blur_rad: float = 0.0,
+    def _power(
+        self, sun_B: np.ndarray, gain: np.ndarray | None, tilt: np.ndarray | None
     ) -> np.ndarray:
-        if blur_rad:
-            return blurred(lambda sun: self.power(sun, gain=gain, tilt=tilt), sun_B, blur_rad)
         return self.strengths(gain) * np.maximum(0.0, self.cosines(sun_B, tilt))
 
     def slopes(
@@ -189,19 +224,6 @@ class Cosine(Flat):
         rows = self._rows / unit
         return np.maximum(0.0, light_B @ rows.T), rows
 
-    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
-        ((1 + cos a) / 2)^2, to 0.05 of what it is at most."""
-        part = (1 + axis_B @ self.normals_B.T) / 2
-        axis = axis_B[..., None, :]
-        slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
-        return self.gains * part**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
-
-    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
-        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
-        return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
-
     @cached_property
     def _cells(self) -> Arrangement:
         return arrangement(tuple(map(tuple, self.normals_B.tolist())))
@@ -224,12 +246,6 @@ class Cosine(Flat):
             if lit.any()
         ]
         return places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
-
-    def candidates(self, share: np.ndarray) -> np.ndarray:
-        return self._places.candidates(share)
-
-    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._places.best(self.power, readings)
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         return self.best(readings)[0][:, None]

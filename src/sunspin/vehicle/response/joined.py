@@ -20,7 +20,6 @@ from sunspin.vehicle.response.cosine import (
     Flat,
     Places,
     along_normals,
-    blurred,
     places_of,
 )
 from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula
@@ -92,17 +91,18 @@ class Joined(Flat):
 
     inputs: tuple[Input, ...]
 
+    @cached_property
     def _full(self) -> list[tuple[np.ndarray, float]]:
         return [full_sun(one, self.normals_B, self.gains) for one in self.inputs]
 
-    @cached_property
+    @property
     def facing_B(self) -> np.ndarray:
-        return np.array([sun for sun, _ in self._full()])
+        return np.array([sun for sun, _ in self._full])
 
-    @cached_property
+    @property
     def full(self) -> np.ndarray:
         """The largest signal (n_input) of each input."""
-        return np.array([signal for _, signal in self._full()])
+        return np.array([signal for _, signal in self._full])
 
     @property
     def largest(self) -> float:
@@ -129,16 +129,9 @@ class Joined(Flat):
         each = [np.take(parts, list(one.panels), axis=axis).sum(axis=axis) for one in self.inputs]
         return np.stack(each, axis=axis)
 
-    def power(
-        self,
-        sun_B: np.ndarray,
-        *,
-        gain: np.ndarray | None = None,
-        tilt: np.ndarray | None = None,
-        blur_rad: float = 0.0,
+    def _power(
+        self, sun_B: np.ndarray, gain: np.ndarray | None, tilt: np.ndarray | None
     ) -> np.ndarray:
-        if blur_rad:
-            return blurred(lambda sun: self.power(sun, gain=gain, tilt=tilt), sun_B, blur_rad)
         return self._read(self.gains * np.maximum(self.cosines(sun_B, tilt), 0.0), gain)
 
     def _read(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
@@ -186,17 +179,12 @@ class Joined(Flat):
 
     def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As of panels that share no input (:class:`sunspin.vehicle.response.cosine.Cosine`), summed or the largest."""
-        part = (1 + axis_B @ self.normals_B.T) / 2
-        axis = axis_B[..., None, :]
-        made = self._made(self.gains * part**2)
-        slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
-        light = self._read(self.gains * part**2) * np.asarray(strength)[..., None]
-        return light, self._summed((self.gains * made)[..., None] * slope, axis=-2)
+        signal, slope = super().disc(axis_B, np.ones(axis_B.shape[:-1]))
+        light = self._read(signal) * np.asarray(strength)[..., None]
+        return light, self._summed(self._made(signal)[..., None] * slope, axis=-2)
 
     def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
-        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
-        high = self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
+        low, high = super().bounds(sun_B, angle)
         return self._read(low), np.minimum(self._read(high), self.full)
 
     # --------------------------------------------------------------------------------------------------------------------- cells
@@ -292,12 +280,6 @@ class Joined(Flat):
         along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ALONG]
         return np.concatenate([self._places.candidates(target), *along], axis=1)
 
-    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._places.best(self.power, readings)
-
-    def candidates(self, share: np.ndarray) -> np.ndarray:
-        return self._places.candidates(share)
-
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
         any."""
@@ -388,7 +370,8 @@ class Joined(Flat):
             new = [
                 one
                 for k, one in enumerate(new)
-                if _is_new(one, found + new[:k]) and self._changes_little(one)
+                if all(np.abs(one - other).max() > 1e-6 for other in found + new[:k])
+                and self._changes_little(one)
             ]
             found += new
         return np.array(found[:MOST_IMAGES])
@@ -398,7 +381,3 @@ class Joined(Flat):
         return bool(
             np.abs(self.power(sun @ image.T) - self.power(sun)).max() < LIKE * self.full.min()
         )
-
-
-def _is_new(one: np.ndarray, found: list[np.ndarray]) -> bool:
-    return all(np.abs(one - other).max() > 1e-6 for other in found)
