@@ -289,7 +289,7 @@ def deliver(
     if out is not None:
         command = shlex.join(["sunspin", *sys.argv[1:]])
         folder = result.sunspin.save(
-            out, vehicle=vehicle, telemetry=telemetry, command=command, also=also
+            out, vehicle=vehicle, telemetry=telemetry, command=command, also=also, lines=lines
         )
         told += [f"Results: {folder / main}", f"A page to look into it: sunspin report {folder}"]
     report({**summary, **(also or {})}, told, as_json, quiet)

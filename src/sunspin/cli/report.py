@@ -15,7 +15,7 @@ from sunspin.cli.common import output_options, report
 def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
     """One page to look into, from a results folder: DIR/report.html, complete in itself, to open from disk or send away.
 
-    DIR is the --out of an earlier command. What the page does not know how to draw it lists.
+    DIR is the --out of an earlier command.
 
     \b
     Example:
@@ -24,7 +24,7 @@ def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
     from sunspin.output.report import write_report
     from sunspin.output.text import size_text
 
-    target = write_report(folder, figures=True)
+    target = write_report(folder)
     size = target.stat().st_size
     report(
         {"report": str(target), "bytes": size},

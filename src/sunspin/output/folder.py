@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, sentence
 from sunspin.base.untrusted import is_own
+from sunspin.output.kind import Drawing, Table
 from sunspin.vehicle.file import vehicle_text
 
 MARKER = ".sunspin-results"
@@ -27,12 +29,8 @@ CITE = (
 """The source of the model."""
 
 
-class Picture(NamedTuple):
-    """A PNG in the results folder, what it shows in words, and its caption."""
-
-    path: Path
-    alt: str
-    caption: str
+MANIFEST = "manifest.json"
+"""The list of the folder's data, figures and tables: a page shows these and nothing else."""
 
 
 def results_folder(path: Any, command: str) -> Path:
@@ -136,30 +134,51 @@ def write_netcdf(target: Path, data: Any) -> Path:
     return write_whole(target, lambda part: part.write_bytes(buffer.getbuffer()))
 
 
-def write_run(
-    folder: Path,
-    summary: dict[str, Any],
-    vehicle: Any = None,
-    telemetry: Any = None,
-    pictures: Sequence[Picture] = (),
-) -> None:
-    """Write what a report of the run needs beside its results: `summary.json`, the vehicle's file, the samples, the captions.
+@dataclass
+class Contents:
+    """What a results folder holds besides its summary: data (name -> dataset), figures that are drawn already, tables."""
+
+    data: dict[str, Any] = field(default_factory=dict)
+    figures: list[Drawing] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    vehicle: Any = None
+    telemetry: Any = None
+    synthetic: bool = False
+
+
+def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
+    """Write data, tables, the vehicle's file, the samples, `summary.json` and the manifest that lists them.
 
     Parameters
     ----------
     summary : dict
-        Of the command, with "command", the line that repeats the run.
-    vehicle : name of a built-in vehicle or path of a vehicle file
-    telemetry : Dataset of `read_telemetry`
+        Of the command, with "command", the line that repeats the run, and "sentences", what it says to a person.
+    contents : Contents
+        `vehicle`: name of a built-in vehicle or path of a vehicle file; `telemetry`: Dataset of `read_telemetry`.
     """
-    if vehicle is not None:
-        text = vehicle_text(vehicle)
-        write_whole(folder / "vehicle.toml", lambda part: part.write_text(text, "utf-8"))
-    if telemetry is not None:
-        write_netcdf(folder / "telemetry.nc", telemetry)
-    if pictures:
-        write_json(
-            folder / "figures.json",
-            [{"file": p.path.name, "alt": p.alt, "caption": p.caption} for p in pictures],
+    data = contents.data | ({} if contents.telemetry is None else {"telemetry": contents.telemetry})
+    for name, dataset in data.items():
+        write_netcdf(folder / f"{name}.nc", dataset)
+    for table in contents.tables:
+        label = "# synthetic telemetry\n" if contents.synthetic else ""
+        head = label + (f"# {table.comment}\n" if table.comment else "")
+        text = head + table.frame.to_csv(index=False, float_format="%.9g")
+        write_whole(
+            folder / f"{table.name}.csv", lambda part, text=text: part.write_text(text, "utf-8")
         )
+    if contents.vehicle is not None:
+        text = vehicle_text(contents.vehicle)
+        write_whole(folder / "vehicle.toml", lambda part: part.write_text(text, "utf-8"))
+    manifest = {
+        "data": [f"{name}.nc" for name in data],
+        "figures": [
+            {"file": f"{figure.name}.svg", "alt": figure.alt, "caption": figure.caption}
+            for figure in contents.figures
+        ],
+        "tables": [
+            {"file": f"{table.name}.csv", "title": table.title, "shown": dict(table.shown)}
+            for table in contents.tables
+        ],
+    }
+    write_json(folder / MANIFEST, manifest)
     write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})

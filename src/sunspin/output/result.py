@@ -5,7 +5,7 @@ A result is known by ``attrs["kind"]``; :mod:`sunspin.output.kinds` holds what e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 
 if TYPE_CHECKING:
-    from sunspin.output.kinds.kind import Drawing, Kind, Summary
+    from sunspin.output.kind import Kind, Summary
 
 
 @xr.register_dataset_accessor("sunspin")
@@ -55,7 +55,7 @@ class Result:
         name : str, optional
             Which of its figures; default: the first.
         telemetry : Dataset of `read_telemetry`, optional
-            The samples that the result was made from, drawn beside it where the figure has a place for them.
+            The samples that the result was computed from; some figures draw them too.
 
         Returns
         -------
@@ -66,11 +66,10 @@ class Result:
         InputError
             Where the kind has no figure, or none of this name.
         """
-        from sunspin.output.kinds.kind import Beside
+        from sunspin.output.kind import Context
 
-        known = {
-            drawing.name: drawing for drawing in self._kind.drawings(self._data, Beside(telemetry))
-        }
+        context = Context(telemetry)
+        known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
         if not known:
             raise InputError(
                 sentence(
@@ -94,7 +93,7 @@ class Result:
         telemetry: xr.Dataset | None = None,
         command: str = "",
         also: Mapping[str, Any] | None = None,
-        drawings: Iterable[Drawing] = (),
+        lines: Sequence[str] = (),
     ) -> Path:
         """Write a results folder: NetCDF, tables, figures as PNG and SVG, `summary.json`; `sunspin report` makes a page of it.
 
@@ -110,30 +109,36 @@ class Result:
             The line that repeats the run.
         also : dict, optional
             More entries of `summary.json`.
-        drawings : Drawings, optional
-            More figures.
+        lines : list of str, optional
+            More sentences of the summary.
         """
-        from sunspin.compute.copies import at_once
         from sunspin.output.figures import save
-        from sunspin.output.folder import Picture, results_folder, write_run
-        from sunspin.output.kinds.kind import Beside
+        from sunspin.output.folder import Contents, results_folder, write_contents
+        from sunspin.output.kind import Context
 
-        kind, beside = self._kind, Beside(telemetry, vehicle)
+        kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
-        drawn = [*kind.drawings(self._data, beside), *drawings]
-        at_once(
-            [
-                lambda: kind.write(self._data, path, beside),
-                *(lambda one=one: save(one.make(), path, one.name) for one in drawn),
-            ]
+        if isinstance(data, xr.DataArray):  # a Dataset that knows its kind when it is read again
+            attrs = {key: value for key, value in data.attrs.items() if key != "units"}
+            data = data.to_dataset().assign_attrs(attrs)
+        contents = Contents(
+            ({kind.main: data} if kind.main else {}) | dict(kind.datasets(data, context)),
+            list(kind.drawings(self._data, context)),
+            list(kind.tables(self._data)),
+            vehicle,
+            telemetry,
+            bool(data.attrs.get("synthetic")),
         )
-        pictures = [Picture(path / f"{one.name}.png", one.alt, one.caption) for one in drawn]
-        said = {} if telemetry is None else telemetry.attrs
+        for drawing in contents.figures:
+            save(drawing.make(), path, drawing.name)
+        source = {} if telemetry is None else telemetry.attrs
         inputs = (
-            [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}]
-            if "sha256" in said
+            [{"what": "telemetry", "file": str(source["file"]), "sha256": str(source["sha256"])}]
+            if "sha256" in source
             else []
         )
-        summary = {**self.summary(), **(also or {}), "command": command, "inputs": inputs}
-        write_run(path, summary, vehicle, telemetry, pictures)
+        summary = self.summary()
+        sentences = [line.strip() for line in (*summary.lines, *lines, *summary.notes)]
+        also = {**(also or {}), "sentences": sentences, "command": command, "inputs": inputs}
+        write_contents(path, {**summary, **also}, contents)
         return path

@@ -2,49 +2,38 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.base.provenance import version
-from sunspin.output.folder import write_netcdf, write_whole
 from sunspin.philae import rebound as rb
 from sunspin.philae.study import Reproduction
 
 
-def store(result: Reproduction, folder: Path) -> None:
-    """Write NetCDF files of every part that was computed, and the case's timeline."""
-    attrs = {"synthetic": int(result.synthetic), "seed": result.seed, "sunspin_version": version()}
-    write_netcdf(folder / "sun.nc", result.sun)
-    timeline = result.case.folder / "timeline.toml"
-    write_whole(folder / "timeline.toml", lambda part: part.write_bytes(timeline.read_bytes()))
-    for name, data in datasets(result):
-        write_netcdf(folder / f"{name}.nc", data.assign_attrs(attrs))
-
-
-def datasets(result: Reproduction) -> list[tuple[str, xr.Dataset]]:
-    """File name -> data."""
+def datasets(result: Reproduction) -> dict[str, xr.Dataset]:
+    """File name -> data of every part that was computed."""
     parts = result.parts
-    found = [*_scans(result), *_touchdown(result)]
+    tables = [("sun", result.sun), *_scans(result), *_touchdown(result)]
     if "sensitivity" in parts:
-        found += [
+        tables += [
             ("map_rates", parts["sensitivity"].rates.to_dataset()),
             ("map_parameters", _parameters(parts["sensitivity"])),
         ]
     if "landing" in parts:
-        found += [
+        tables += [
             (f"outcomes-{name}", runs) for name, runs in parts["landing"].chosen.paper.items()
         ]
-        found.append(("strategies", parts["landing"].strategies))
+        tables.append(("strategies", parts["landing"].strategies))
     if "motions" in parts:
-        found += [
+        tables += [
             (f"motion-{_file(name)}", run.assign_attrs(title=name))
             for name, run in parts["motions"].candidates.items()
         ]
-        found.append(("speed", parts["motions"].speed))
-    return found
+        tables.append(("speed", parts["motions"].speed))
+    attrs = {"synthetic": int(result.synthetic), "seed": result.seed, "sunspin_version": version()}
+    return {name: data.assign_attrs(attrs) for name, data in tables}
 
 
 def _file(name: str) -> str:

@@ -15,8 +15,7 @@ from sunspin.output.figures import outcomes as figures_outcomes
 from sunspin.output.figures.collision import collision_figure
 from sunspin.output.figures.motion import spin_down_figure
 from sunspin.output.figures.telemetry import sun_directions_figure
-from sunspin.output.folder import Picture
-from sunspin.output.kinds.kind import Drawing, synthetic_words
+from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
@@ -55,14 +54,13 @@ class Gallery:
             if k not in self._sheets and result.parts.keys() >= {*parts}:
                 self._sheets[k] = self._pool.submit(_drawn, sheets, result, parts[0])
 
-    def write(self, result: Reproduction, folder: Path) -> list[Picture]:
-        """All figures of the parts that were computed, as PNG and SVG."""
+    def write(self, result: Reproduction, folder: Path) -> list[Drawing]:
+        """Write all figures of the parts that were computed, as PNG and SVG."""
         self.begin(result)
         sheets = [sheet for k in sorted(self._sheets) for sheet in self._sheets[k].result()]
-        return [
-            Picture(figures.write(files, folder, made.name)[0], made.alt, made.caption)
-            for made, files in sheets
-        ]
+        for drawing, files in sheets:
+            figures.write(files, folder, drawing.name)
+        return [drawing for drawing, _ in sheets]
 
 
 def _drawn(

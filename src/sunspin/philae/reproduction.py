@@ -12,12 +12,13 @@ from typing import Any
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import version
-from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
+from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
+from sunspin.output.kind import Drawing
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
-from sunspin.philae.files import store
+from sunspin.philae.files import datasets
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
@@ -171,7 +172,8 @@ def reproduce(
     with Gallery() as gallery:
         result = compute(case, options, gallery.begin)
         pictures = gallery.write(result, folder)
-    store(result, folder)
+    timeline = (case.folder / "timeline.toml").read_bytes()
+    write_whole(folder / "timeline.toml", lambda part: part.write_bytes(timeline))
     write_whole(
         folder / f"telemetry{source.suffix or '.csv'}",
         lambda part: part.write_bytes(source.read_bytes()),
@@ -194,6 +196,7 @@ def reproduce(
         if result.chain is None or result.chain.calibration is None
         else result.chain.calibration.told,
         "missing": result.missing,
+        "stop": _no_conclusion(result),
         "impulse": _impulse(result),
         "headline": headline(result),
         "conclusions": conclusions(result),
@@ -212,8 +215,21 @@ def reproduce(
         ],
     }
     made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
-    write_run(folder, summary, made_with, case.telemetry, pictures)
-    return Written(folder, write_report(folder, ours=True, figures=True), summary)
+    contents = Contents(datasets(result), pictures, [], made_with, case.telemetry, result.synthetic)
+    write_contents(folder, summary, contents)
+    return Written(folder, write_report(folder), summary)
+
+
+def _no_conclusion(result: Reproduction) -> str:
+    """Why nothing follows from this telemetry about the motion after the first touchdown; empty if something does."""
+    if "candidates" not in result.missing:
+        return ""
+    texts = [result.missing[name] for name in ("candidates", "level_set") if name in result.missing]
+    reasons = [
+        text.split(": not reproduced, as ", 1)[-1] for text in texts if "not reproduced, as" in text
+    ]
+    why = (reasons or texts)[0].rstrip(".")
+    return f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
 
 
 def _case(
@@ -277,12 +293,12 @@ def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     return found
 
 
-def figure_rows(pictures: list[Picture]) -> list[Row]:
+def figure_rows(pictures: list[Drawing]) -> list[Row]:
     """One row for each numbered figure of the paper: what it shows, the files that show it here."""
     found = []
     for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
-        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.path.name)]
-        ours = ", ".join(p.path.name for p in mine) or (
+        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
+        ours = ", ".join(f"{p.name}.png" for p in mine) or (
             "not drawn" if number > 2 else "not drawn: a picture of the lander"
         )
         note = " ".join(p.caption for p in mine)

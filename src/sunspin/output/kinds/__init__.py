@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sunspin.output.kind import Kind
 from sunspin.output.kinds import (
     calibration,
     collision,
@@ -13,71 +14,76 @@ from sunspin.output.kinds import (
     scan,
     telemetry,
 )
-from sunspin.output.kinds.kind import Kind
 
 KINDS: dict[str, Kind] = {
     "telemetry": Kind(
-        "telemetry", "telemetry.nc", telemetry.telemetry_summary, telemetry.telemetry_drawings
+        "telemetry", "telemetry", telemetry.telemetry_summary, telemetry.telemetry_drawings
     ),
     "sun_directions": Kind(
-        "sun", "sun.nc", telemetry.sun_summary, telemetry.sun_drawings, telemetry.sun_tables
+        "sun", "sun", telemetry.sun_summary, telemetry.sun_drawings, telemetry.sun_tables
     ),
     "panel_quality": Kind(
-        "panel_quality", "panel-quality.nc", telemetry.quality_summary, telemetry.quality_drawings
+        "panel_quality", "panel-quality", telemetry.quality_summary, telemetry.quality_drawings
     ),
     "panel_health": Kind(
-        "panel_health", "panel-health.nc", telemetry.health_summary, telemetry.health_drawings
+        "panel_health", "panel-health", telemetry.health_summary, telemetry.health_drawings
     ),
     "calibration": Kind(
         "calibrate-sensors",
-        "calibration.nc",
+        "calibration",
         calibration.calibration_summary,
         tables=calibration.calibration_tables,
     ),
-    "rates": Kind(
-        "rates", "rates.nc", rates.rates_summary, rates.rates_drawings, rates.rates_tables
-    ),
+    "rates": Kind("rates", "rates", rates.rates_summary, rates.rates_drawings, rates.rates_tables),
     "trajectory": Kind(
-        "simulate", "trajectory.nc", motion.trajectory_summary, motion.trajectory_drawings
+        "simulate", "trajectory", motion.trajectory_summary, motion.trajectory_drawings
     ),
-    "impact": Kind("impact", "impact.nc", motion.impact_summary),
+    "impact": Kind("impact", "impact", motion.impact_summary),
     "spin_down": Kind(
-        "spin_down", "spin-down.nc", motion.spin_down_summary, motion.spin_down_drawings
+        "spin_down", "spin-down", motion.spin_down_summary, motion.spin_down_drawings
     ),
-    "scan": Kind("scan", "scan.nc", scan.scan_summary, scan.scan_drawings),
-    "lines": Kind("lines", "lines.nc", scan.lines_summary),
+    "scan": Kind("scan", "scan", scan.scan_summary, scan.scan_drawings, scan.scan_tables),
+    "lines": Kind("lines", "lines", scan.lines_summary),
     "posterior": Kind(
         "posterior",
-        "posterior.nc",
+        "posterior",
         posterior.posterior_summary,
         posterior.posterior_drawings,
         posterior.posterior_tables,
+        posterior.posterior_datasets,
     ),
     "predictions": Kind(
         "predictions",
-        "predictions.nc",
+        "predictions",
         posterior.predictions_summary,
         posterior.predictions_drawings,
         posterior.predictions_tables,
     ),
-    "outcomes": Kind(
-        "outcomes", "outcomes.nc", outcomes.outcomes_summary, outcomes.outcomes_drawings
-    ),
+    "outcomes": Kind("outcomes", "outcomes", outcomes.outcomes_summary, outcomes.outcomes_drawings),
     "strategies": Kind(
-        "outcomes", "strategies.nc", outcomes.strategies_summary, outcomes.strategies_drawings
+        "outcomes",
+        "strategies",
+        outcomes.strategies_summary,
+        outcomes.strategies_drawings,
+        outcomes.strategies_tables,
     ),
     "collision": Kind(
-        "outcomes", "collision.nc", collision.collision_summary, collision.collision_drawings
+        "outcomes", "collision", collision.collision_summary, collision.collision_drawings
     ),
     "comparison": Kind(
         "compare",
-        "comparison.nc",
+        "comparison",
         comparison.comparison_summary,
         comparison.comparison_drawings,
         comparison.comparison_tables,
     ),
     "landing": Kind(
-        "outcomes", "", outcomes.landing_summary, outcomes.landing_drawings, outcomes.landing_tables
+        "outcomes",
+        "",
+        outcomes.landing_summary,
+        outcomes.landing_drawings,
+        outcomes.landing_tables,
+        outcomes.landing_datasets,
     ),
 }
 """`attrs["kind"]` -> what can be said, drawn and written of it."""

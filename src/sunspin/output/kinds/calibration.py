@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from sunspin.output.folder import write_whole
-from sunspin.output.kinds.kind import Beside, Summary, synthetic_label
+from sunspin.output.kind import Summary, Table
 
 COLUMNS = (
     "key",
@@ -106,9 +105,9 @@ def _digits(value: float, sigma: float) -> int:
     return int(np.clip(np.floor(np.log10(abs(value))) - np.floor(np.log10(sigma)) + 2, 2, 8))
 
 
-def calibration_tables(found: Any, folder: Path, _: Beside) -> None:
+def calibration_tables(found: Any) -> Iterator[Table]:
     import pandas as pd
 
+    shown = {name: name.replace("_", " ") for name in COLUMNS[:8]}
     frame = pd.DataFrame({name: found[name].values for name in COLUMNS})
-    text = synthetic_label(found) + frame.to_csv(index=False, float_format="%.9g")
-    write_whole(folder / "calibration.csv", lambda part: part.write_text(text, "utf-8"))
+    yield Table("calibration", frame, "Keys of the vehicle file", shown)

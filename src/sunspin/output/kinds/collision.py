@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from sunspin.landing.weighted import explained, facts_of, weightings
-from sunspin.output.kinds.kind import Beside, Drawing, Summary
+from sunspin.output.kind import Context, Drawing, Summary
 
 
 def collision_summary(found: Any) -> Summary:
@@ -27,7 +27,7 @@ def collision_summary(found: Any) -> Summary:
     )
 
 
-def collision_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
+def collision_drawings(found: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.collision import collision_figure
 
     yield Drawing(

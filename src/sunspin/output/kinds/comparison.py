@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sunspin.output.folder import write_whole
-from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
 
 MOST_LINES = 20
 """Rows that are printed; the table has all."""
@@ -94,7 +92,7 @@ def _plain(found: Any, i: int) -> dict[str, Any]:
     }
 
 
-def comparison_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
+def comparison_drawings(found: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.comparison import comparison_figure
 
     others = int(np.count_nonzero(~np.isfinite(found["error"].values) & found["beyond"].values))
@@ -108,9 +106,11 @@ def comparison_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
     )
 
 
-def comparison_tables(found: Any, folder: Path, _: Beside) -> None:
+def comparison_tables(found: Any) -> Iterator[Table]:
     import pandas as pd
 
-    table = {"row": found["row"].values} | {name: found[name].values for name in COLUMNS}
-    text = synthetic_label(found) + pd.DataFrame(table).to_csv(index=False, float_format="%.9g")
-    write_whole(folder / "comparison.csv", lambda part: part.write_text(text, "utf-8"))
+    frame = pd.DataFrame(
+        {"row": found["row"].values} | {name: found[name].values for name in COLUMNS}
+    )
+    shown = {name: name for name in ("row", "a", "b", "unit", "size", "words")}
+    yield Table("comparison", frame, "What moved, the largest first", shown)

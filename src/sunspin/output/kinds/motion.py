@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.kinds.kind import Beside, Drawing, Summary, vector
+from sunspin.output.kind import Context, Drawing, Summary, vector
 from sunspin.output.text import rate_text
 
 MOST_EVENTS = 20
@@ -38,7 +38,7 @@ def trajectory_summary(run: Any) -> Summary:
     return Summary({"t_s": float(t[-1]), **state, "events": events}, lines)
 
 
-def trajectory_drawings(run: Any, _: Beside) -> Iterator[Drawing]:
+def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.motion import trajectory_figure
 
     yield Drawing(
@@ -86,7 +86,7 @@ def spin_down_summary(fit: Any) -> Summary:
     )
 
 
-def spin_down_drawings(fit: Any, _: Beside) -> Iterator[Drawing]:
+def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.motion import spin_down_figure
 
     curves = {"recorded": fit["recorded_rad_s"].values, "fitted": fit["fitted_rad_s"].values}

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.landing.tally import quantity, tally
-from sunspin.output.folder import write_netcdf
+from sunspin.output.kind import Context, Drawing, Summary, Table
 from sunspin.output.kinds.collision import collision_drawings, collision_summary
-from sunspin.output.kinds.kind import Beside, Drawing, Summary
+from sunspin.output.text import capital, with_sigma
 
 SHOWN = (
     "touch_leg",
@@ -103,11 +102,11 @@ def runs_of(tree: Any) -> dict[str, xr.Dataset]:
     }
 
 
-def outcomes_drawings(runs: Any, _: Beside) -> Iterator[Drawing]:
+def outcomes_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
     return runs_drawings({str(runs.attrs["strategy"]): runs})
 
 
-def strategies_drawings(table: Any, _: Beside) -> Iterator[Drawing]:
+def strategies_drawings(table: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures import outcomes as figures
 
     yield Drawing(
@@ -146,14 +145,50 @@ def runs_drawings(runs: Mapping[str, xr.Dataset]) -> Iterator[Drawing]:
         )
 
 
-def landing_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
-    yield from strategies_drawings(tree["strategies"].to_dataset(), beside)
+def landing_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
+    yield from strategies_drawings(tree["strategies"].to_dataset(), context)
     yield from runs_drawings(runs_of(tree))
     if "collision" in tree:
-        yield from collision_drawings(tree["collision"].to_dataset(), beside)
+        yield from collision_drawings(tree["collision"].to_dataset(), context)
 
 
-def landing_tables(tree: Any, folder: Path, _: Beside) -> None:
-    for name, runs in runs_of(tree).items():
-        write_netcdf(folder / f"outcomes-{name.replace(':', '-')}.nc", runs)
-    write_netcdf(folder / "strategies.nc", tree["strategies"].to_dataset())
+def landing_datasets(tree: Any, _: Context) -> dict[str, xr.Dataset]:
+    """The runs of each strategy and their comparison, a file each."""
+    runs = {f"outcomes-{name.replace(':', '-')}": data for name, data in runs_of(tree).items()}
+    return {"strategies": tree["strategies"].to_dataset()} | runs
+
+
+def strategies_tables(table: Any) -> Iterator[Table]:
+    """A row for each quantity, a column for each strategy: mean and one standard error over the runs."""
+    import pandas as pd
+
+    rows = []
+    for name in table["quantity"].values.astype(str):
+        about, at = quantity(name), table.sel(quantity=name)
+        if np.isfinite(at["value"]).any():
+            values, errors = at["value"].values * about.scale, at["error"].values * about.scale
+            texts = [with_sigma(v, e) for v, e in zip(values, errors, strict=True)]
+            rows.append([name, capital(about.heading), *texts])
+    names = table["strategy"].values.astype(str)
+    frame = pd.DataFrame(rows, columns=["quantity", "what", *names])
+    shown = {"what": "quantity"} | {name: strategy_name(name) for name in names}
+    yield Table("strategies", frame, "Commands to the wheel (one standard error)", shown)
+
+
+def landing_tables(tree: Any) -> Iterator[Table]:
+    return strategies_tables(tree["strategies"].to_dataset())
+
+
+STRATEGY_NAMES = {
+    "off": "off at touchdown",
+    "held": "held at speed",
+    "brake": "braked at touchdown",
+    "after_rest": "held, off after rest",
+}
+
+
+def strategy_name(name: str) -> str:
+    """A command to the wheel in plain words."""
+    if name.startswith("delay:"):
+        return f"off after {float(name[6:]) / 60:g} min"
+    return STRATEGY_NAMES.get(name, name)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sunspin.output.folder import write_whole
-from sunspin.output.kinds.kind import synthetic_label
+from sunspin.output.kind import Table
 
 OF_A_PASS = ("utc_start", "utc_end", "samples")
 BELIEVED = (
@@ -41,38 +39,64 @@ OF_A_MOTION = (
 def pass_numbers(found: Any, k: int) -> dict[str, Any]:
     """What a summary says of pass number `k` of a Dataset with the variables of :func:`sunspin.estimate.passes.table`."""
     names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *(name for name in ADDED if name in found))
-    told = {name: found[name].values[k].item() for name in names}
-    return {"pass_id": int(found["pass_id"].values[k])} | told
+    values = {name: found[name].values[k].item() for name in names}
+    return {"pass_id": int(found["pass_id"].values[k])} | values
 
 
 def motion_numbers(found: Any, k: int, mode: int) -> dict[str, Any]:
     """The same of one of its motions."""
-    told = {name: float(found[name].values[k, mode]) for name in OF_A_MOTION}
-    return (
-        {"mode": mode, "weight": float(found["weight"].values[k, mode])} | told | in_degrees(told)
-    )
+    rates = {name: float(found[name].values[k, mode]) for name in OF_A_MOTION}
+    weight = float(found["weight"].values[k, mode])
+    return {"mode": mode, "weight": weight} | rates | in_degrees(rates)
 
 
-def in_degrees(told: dict[str, Any]) -> dict[str, Any]:
-    return {f"{name}_deg_s": float(np.degrees(value)) for name, value in told.items()}
+def in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
+    """The columns in rad/s, named in deg/s."""
+    rates = {name: value for name, value in columns.items() if not name.endswith("_deg_s")}
+    return {
+        (name.removesuffix("_rad_s") + "_deg_s"): np.degrees(value)
+        for name, value in rates.items()
+        if name.endswith("_rad_s") or name in OF_A_MOTION
+    }
 
 
-def write_passes(found: Any, folder: Path, label: Any) -> None:
-    """Write `passes.csv`; `label`: the result that says whether the telemetry is synthetic."""
+SHOWN = {
+    "pass_id": "pass",
+    "utc_start": "begins (UTC)",
+    "samples": "samples",
+    "mode": "solution",
+    "weight": "probability",
+    "speed_median_deg_s": "speed (deg/s)",
+    **{
+        f"{what}_{axis}_deg_s": f"ω{axis} (deg/s)" if what == "omega" else "±"
+        for axis in "xyz"
+        for what in ("omega", "sigma")
+    },
+    "decided": "decided",
+    "why_not_decided": "why not",
+    "model": "model of the motion",
+}
+"""Columns on the page."""
+
+
+def passes_table(found: Any) -> Table:
+    """A row for each solution of each pass."""
     import pandas as pd
 
     rows = []
     for k in range(found.sizes["pass_id"]):
-        told = pass_numbers(found, k)
+        known = pass_numbers(found, k)
         for mode in np.flatnonzero(np.isfinite(found["weight"].values[k])):
             motion = motion_numbers(found, k, int(mode))
             first = ("pass_id", *OF_A_PASS)
+            last = (*(name for name in ADDED if name in known), "why_not_decided")
             rows.append(
-                {name: told[name] for name in first}
+                {name: known[name] for name in first}
                 | {name: motion[name] for name in ("mode", "weight")}
-                | {name: told[name] for name in BELIEVED}
+                | {name: known[name] for name in BELIEVED}
                 | motion
-                | {name: told[name] for name in ADDED if name in told}
+                | {name: known[name] for name in last}
             )
-    text = synthetic_label(label) + pd.DataFrame(rows).to_csv(index=False, float_format="%.9g")
-    write_whole(folder / "passes.csv", lambda part: part.write_text(text, "utf-8"))
+    frame = pd.DataFrame(rows)
+    shown = {name: heading for name, heading in SHOWN.items() if name in frame}
+    return Table("passes", frame, "Every solution of every pass", shown)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,8 @@ from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.predict import intervals
 from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
-from sunspin.output.folder import write_netcdf, write_whole
-from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
-from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
+from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
 from sunspin.output.text import digits_of
 
 MOST_MODES = 12
@@ -125,7 +123,7 @@ def labels(found: Any) -> list[str]:
     return [f"{t:g} s" for t in found["predicted_s"].values]
 
 
-def posterior_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
+def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.posterior import corner_figure, search_figure
 
     note = synthetic_note(tree)
@@ -145,10 +143,10 @@ def posterior_drawings(tree: Any, beside: Beside) -> Iterator[Drawing]:
             "with the share of effective draws and Pareto's k." + note,
         )
     if "predictions" in tree.children:
-        yield from predictions_drawings(tree["predictions"].to_dataset(), beside)
+        yield from predictions_drawings(tree["predictions"].to_dataset(), context)
 
 
-def predictions_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
+def predictions_drawings(found: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.predicted import predicted_figure
 
     yield Drawing(
@@ -160,7 +158,7 @@ def predictions_drawings(found: Any, _: Beside) -> Iterator[Drawing]:
     )
 
 
-def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
+def posterior_tables(tree: Any) -> Iterator[Table]:
     modes, sigma = tree["modes"], sigmas(tree["modes"])
     columns: dict[str, Any] = {
         "weight": modes["weight"].values,
@@ -169,32 +167,35 @@ def posterior_tables(tree: Any, folder: Path, beside: Beside) -> None:
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
-    columns |= {
-        name.replace("_rad_s", "_deg_s"): np.degrees(columns[name])
-        for name in [*columns]
-        if name.endswith("_rad_s")
-    }
+    columns |= in_degrees(columns)
     columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
-    _table(folder / "modes.csv", tree, columns)
+    shown = {"weight": "probability"}
+    for axis in "xyz":
+        shown |= {f"omega_{axis}_B_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
+    shown |= {"chi_square": "chi-square", "lit_readings": "lit readings", "starts": "starts"}
+    yield Table(
+        "modes", pd.DataFrame(columns), "Solutions: rates at the first sample, body axes", shown
+    )
     if "passes" in tree.children:
-        write_passes(tree["passes"].to_dataset(), folder, tree)
-    if beside.vehicle is not None:
-        from sunspin.estimate.posterior.motion import best_motions
-        from sunspin.vehicle import Vehicle, load_vehicle
-
-        craft = (
-            beside.vehicle if isinstance(beside.vehicle, Vehicle) else load_vehicle(beside.vehicle)
-        )
-        for run in best_motions(craft, tree):
-            write_netcdf(folder / f"motion-region-{run.attrs['region']}.nc", run)
+        yield passes_table(tree["passes"].to_dataset())
     if "predictions" in tree.children:
-        predictions_tables(tree["predictions"].to_dataset(), folder, beside)
+        yield from predictions_tables(tree["predictions"].to_dataset())
 
 
-def predictions_tables(found: Any, folder: Path, _: Beside) -> None:
-    _table(folder / "predicted.csv", found, intervals(found))
+def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
+    """The best motion of each solution."""
+    if context.vehicle is None:
+        return {}
+    from sunspin.estimate.posterior.motion import best_motions
+
+    motions = best_motions(context.craft(), tree)
+    return {f"motion-region-{run.attrs['region']}": run for run in motions}
 
 
-def _table(path: Path, data: Any, columns: Any) -> None:
-    text = synthetic_label(data) + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
-    write_whole(path, lambda part: part.write_text(text, "utf-8"))
+PREDICTED = ("t_s", "quantity", "median", "low_90", "high_90")
+
+
+def predictions_tables(found: Any) -> Iterator[Table]:
+    frame = pd.DataFrame(intervals(found))
+    shown = {name: name.replace("_", " ") for name in PREDICTED}
+    yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", shown)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimate.terms.period import reading_words, unheard
-from sunspin.output.folder import write_whole
-from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
-from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
+from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
 from sunspin.output.kinds.rate_words import clock_of, rate_at
 from sunspin.output.text import digits_of
 from sunspin.vehicle.timeline import utc_after
@@ -140,30 +138,37 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     return numbers, f"  {t[0]:z10.0f} s  {len(at):3d} samples  {best}"
 
 
-def rates_drawings(result: Any, beside: Beside) -> Iterator[Drawing]:
+def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.rates import rates_figure
 
     yield Drawing(
         "rates",
-        lambda: rates_figure(result, beside.telemetry),
+        lambda: rates_figure(result, context.telemetry),
         "The three components of the body rate against time in each pass, with bands of one sigma.",
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
     )
-    if (
-        beside.telemetry is not None
-        and beside.vehicle is not None
-        and set(beside.telemetry.data_vars) & READ
-    ):
-        from sunspin.output.figures.residuals import residuals_figure
-        from sunspin.vehicle import Vehicle, load_vehicle
+    if context.telemetry is None or context.vehicle is None:
+        return
+    from sunspin.output.curves import dense
+    from sunspin.output.figures.panel_signals import panel_signals_figure
+    from sunspin.output.figures.residuals import residuals_figure
 
-        samples, craft = beside.telemetry, beside.vehicle
-        vehicle = craft if isinstance(craft, Vehicle) else load_vehicle(craft)
+    samples, vehicle = context.telemetry, context.craft()
+    runs = dense(result)
+    if "panel" in samples.coords and runs:
+        yield Drawing(
+            "signals",
+            lambda: panel_signals_figure(samples, runs, vehicle),
+            "Signal of each panel against time in up to four passes: samples as dots, the solution's prediction as a line.",
+            "Panel signals of the passes with the most samples: dots are samples, lines what the likeliest solution predicts, with "
+            "one factor for each pass." + synthetic_note(result),
+        )
+    if set(samples.data_vars) & READ:
         yield Drawing(
             "residuals",
             lambda: residuals_figure(result, samples, vehicle),
-            "Residuals of each sensor in sigmas against time in each pass, and their distribution beside that of the stated noise.",
+            "Residuals of each sensor in sigmas against time in each pass, and their distribution compared with the stated noise.",
             "Readings less what the likeliest motion predicts, in sigmas of their noise (grey: one sigma; farther out than six: at "
             "the edge). Right, a predictive check: bars are the residuals, the line is how they scatter if the motion is right and "
             "the noise as stated. A wave, or more readings beyond three sigma than noise makes, speaks against the motion. "
@@ -180,7 +185,7 @@ def _decided(result: Any) -> str:
     return f"{int(sure.sum())} of {sure.size} passes are decided{others}."
 
 
-def rates_tables(result: Any, folder: Path, _: Beside) -> None:
+def rates_tables(result: Any) -> Iterator[Table]:
     import pandas as pd
 
     epoch = result.attrs.get("epoch_utc")
@@ -194,11 +199,7 @@ def rates_tables(result: Any, folder: Path, _: Beside) -> None:
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = result["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = np.sqrt(result["omega_cov_B"].values[:, k, k])
-    columns |= {
-        name.replace("_rad_s", "_deg_s"): np.degrees(columns[name])
-        for name in [*columns]
-        if name.endswith("_rad_s")
-    }
+    columns |= in_degrees(columns)
     for k, axis in enumerate("xyz"):
         columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
     for k, part in enumerate("xyzw"):
@@ -208,11 +209,6 @@ def rates_tables(result: Any, folder: Path, _: Beside) -> None:
         if result.attrs.get("frame_N") == SUN_Z_LOCAL
         else result.attrs.get("frame_N")
     )
-    head = f"# time_s from {result.attrs.get('epoch_utc')}; best motion of each pass; body axes; N: {frame}\n"
-    text = (
-        synthetic_label(result)
-        + head
-        + pd.DataFrame(columns).to_csv(index=False, float_format="%.9g")
-    )
-    write_whole(folder / "rates.csv", lambda part: part.write_text(text, "utf-8"))
-    write_passes(result, folder, result)
+    comment = f"time_s from {epoch}; best motion of each pass; body axes; N: {frame}"
+    yield passes_table(result)
+    yield Table("rates", pd.DataFrame(columns), comment=comment)

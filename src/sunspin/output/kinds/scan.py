@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.scan.volume import near_minimum
-from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_note, vector
+from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note, vector
 from sunspin.output.text import counted, rate_text
 
 DIMS = ("omega_x", "omega_y", "omega_z")
@@ -75,7 +75,7 @@ def lines_summary(lines: Any) -> Summary:
     return Summary({"lines": found}, text)
 
 
-def scan_drawings(scan: Any, _: Beside) -> Iterator[Drawing]:
+def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.scan import scan_figure
 
     volume, (points, by) = misfit(scan), chosen(scan)
@@ -92,3 +92,17 @@ def scan_drawings(scan: Any, _: Beside) -> Iterator[Drawing]:
         f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} {near}; any may be the true one."
         + synthetic_note(scan),
     )
+
+
+def scan_tables(scan: Any) -> Iterator[Table]:
+    """The lines fitted to the near-minimum set, if any."""
+    import pandas as pd
+
+    if "point" not in scan or "direction" not in scan:
+        return
+    columns: dict[str, Any] = {"points": scan["count"].values}
+    for name in ("point", "direction"):
+        unit = "_rad_s" if name == "point" else ""
+        columns |= {f"{name}_{a}{unit}": scan[name].values[:, k] for k, a in enumerate("xyz")}
+    shown = {name: name.replace("_rad_s", " (rad/s)").replace("_", " ") for name in columns}
+    yield Table("lines", pd.DataFrame(columns), "Lines fitted to the near-minimum set", shown)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sunspin.output.folder import write_whole
-from sunspin.output.kinds.kind import Beside, Drawing, Summary, synthetic_label, synthetic_note
+from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
 from sunspin.telemetry.health import NOISE, named_panels
 from sunspin.telemetry.sun import is_reconstructed
 
@@ -35,7 +33,7 @@ def telemetry_summary(samples: Any) -> Summary:
     return Summary(numbers, [f"{text}; {numbers['flagged']} of them flagged"])
 
 
-def telemetry_drawings(samples: Any, _: Beside) -> Iterator[Drawing]:
+def telemetry_drawings(samples: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.telemetry import signals_figure
 
     if "panel" in samples.coords:
@@ -86,21 +84,22 @@ def status_lines(sun: Any) -> list[str]:
     return [f"  {number:6d}  {text}" for text, number in status_counts(sun).items()]
 
 
-def sun_drawings(sun: Any, beside: Beside) -> Iterator[Drawing]:
+def sun_drawings(sun: Any, context: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.telemetry import sun_directions_figure
 
     if "time" not in sun.coords:
         return
     yield Drawing(
         "sun",
-        lambda: sun_directions_figure(sun, beside.telemetry),
+        lambda: sun_directions_figure(sun, context.telemetry),
         "Panel signals, components of the direction to the Sun with error bars, and the misfit Delta of every sample against time.",
         "Panel signals; direction to the Sun in body axes, bars: one sigma; grey marks: samples that give no direction, by reason; "
         "how badly the best direction explains a sample (Delta, no unit)." + synthetic_note(sun),
     )
 
 
-def sun_tables(sun: Any, folder: Path, _: Beside) -> None:
+def sun_tables(sun: Any) -> Iterator[Table]:
+    """A row for each sample: direction, misfit, error, and why there is no direction."""
     table = sun[["sun_B", "delta", "sigma_rad", "status_text"]]
     flat = table.drop_vars("sun_B").drop_vars(
         [name for name in ("panel", "axis") if name in table.coords], errors="ignore"
@@ -109,12 +108,10 @@ def sun_tables(sun: Any, folder: Path, _: Beside) -> None:
     for k, axis in enumerate("xyz"):
         frame.insert(k, f"sun_{axis}_B", sun["sun_B"].values[:, k])
     frame.index.name = "time_s"
-    epoch = sun.attrs.get("epoch_utc")
-    head = f"{synthetic_label(sun)}# time_s from {epoch}; body axes; sigma_rad is the rms angle of the error\n"
-    write_whole(
-        folder / "sun.csv",
-        lambda part: part.write_text(head + frame.to_csv(float_format="%.9g"), "utf-8"),
-    )
+    shown = {"time_s": "time (s)", "delta": "Delta", "sigma_rad": "error (rad)"}
+    shown |= {f"sun_{axis}_B": f"Sun {axis}" for axis in "xyz"} | {"status_text": "status"}
+    comment = f"time_s from {sun.attrs.get('epoch_utc')}; body axes; sigma_rad is the rms angle of the error"
+    yield Table("sun", frame.reset_index(), "Sun direction of each sample", shown, comment)
 
 
 def quality_summary(quality: Any) -> Summary:
@@ -139,7 +136,7 @@ def quality_summary(quality: Any) -> Summary:
     )
 
 
-def quality_drawings(quality: Any, _: Beside) -> Iterator[Drawing]:
+def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.telemetry import gains_figure
 
     yield Drawing(
@@ -200,7 +197,7 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
 
 
-def health_drawings(health: Any, _: Beside) -> Iterator[Drawing]:
+def health_drawings(health: Any, _: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.telemetry import health_figure
 
     yield Drawing(

@@ -1,8 +1,7 @@
-"""A results folder as one HTML page that opens from disk, asks the network for nothing and can be turned by hand.
+"""A results folder as one HTML page that opens from disk and asks the network for nothing.
 
-read.py reads the folder and trusts nothing in it; each module of sections (overview, measured, lander, rate_space, landing, rows,
-quality, runs, other) turns what it recognises into :class:`section.Section`; page.py puts them into page.html.j2 with page.css,
-page.js, lander.js and plotly's bundled script.
+read.py reads what the folder's manifest lists and trusts nothing in it; body.py and views.py draw the three interactive views;
+rows.py compares a study with the paper; page.py fills page.html.j2.
 """
 
 from sunspin.output.report.page import write_report

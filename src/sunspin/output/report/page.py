@@ -1,4 +1,4 @@
-"""Sections into one HTML file: the template, the scripts, and the data as JSON that no label can break out of."""
+"""The page of a results folder: one HTML file that opens from disk and asks the network for nothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import json
 import re
 from functools import cache
-from importlib import resources
+from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
@@ -15,79 +15,187 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from sunspin.base.errors import OutputError, sentence
-from sunspin.output.folder import plain, write_whole
-from sunspin.output.report import sections
-from sunspin.output.report.read import Results, read_results
-from sunspin.output.report.section import Plot, Section, Special
+from sunspin.output.folder import CITE, plain, write_whole
+from sunspin.output.report import rows
+from sunspin.output.report.read import PageTable, Results, read_results
+from sunspin.output.text import number_text
 
-MAX_PICTURES = 5_000_000
-"""Bytes of drawn figures put into the page; what is beyond stays in the folder and is named."""
+FIRST_SENTENCES = 5
+"""Sentences of the first screen; the others are closed."""
 
+MAX_PICTURES = 12_000_000
+"""Bytes of figures in a page; what is beyond stays in the folder and is named."""
 
-REDRAWN = {
-    "fig03_measured",
-    "fig04_phases",
-    "fig08_maps",
-    "fig09_lines",
-    "fig09_telemetry",
-    "fig13_after_collision",
-    "strategies",
-}
-"""Figures of the study that the page has in another form, most of them to be turned; the files stay in the folder."""
+LONGEST = 400
+"""Characters of an entry of the summary."""
 
+HIDDEN = (
+    "figures",
+    "sentences",
+    "headline",
+    "score",
+    "conclusions",
+    "command",
+    "inputs",
+    "title",
+    "changes",
+    "stop",
+)
+"""Entries of a summary that the page shows in a place of their own."""
 
 TURNS = re.compile("[\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u2069]")
 """Characters that turn the direction of the text after them, by which names from outside could show what they are not."""
 
 
-def write_report(folder: str | Path, ours: bool = False, figures: bool = False) -> Path:
-    """Write `report.html` of a results folder from the files in it, and return its path; `ours` as in `read_results`.
+def write_report(folder: str | Path) -> Path:
+    """Write `report.html` of a results folder from what its manifest lists, and return its path.
 
-    With `figures` the page's flat plots are also written as PNG and SVG.
+    Raises
+    ------
+    InputError
+        Not a results folder, or one of an earlier version.
     """
-    results = read_results(folder, ours)
-    with np.errstate(
-        all="ignore"
-    ):  # a damaged file may hold any numbers: they are shown as they are
-        page = sections.page(results)
-        data = _data(page)
-        if figures:
-            _save_figures(results, page)
-    turned = bool(data["plots"]) or len(data) > 1  # else nothing on the page needs the library
-    redrawn = REDRAWN if results.command == "reproduce" else results.drawn
-    pictures, left_out = _pictures(
-        [picture for picture in results.pictures if picture.path.stem not in redrawn]
-    )
-    text = _template().render(
-        page=page,
-        pictures=pictures,
-        left_out=left_out,
-        problems=results.problems,
-        style=Markup(_asset("page.css")),
-        data=Markup(_json(data)),
-        licence=_licence() if turned else "",
-        scripts=[
-            Markup(_script(text))
-            for text in (*([_plotly()] if turned else []), _asset("page.js"), _asset("lander.js"))
-        ],
-    )
-    text = TURNS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    results = read_results(folder)
+    with np.errstate(all="ignore"):  # a damaged file may hold any numbers
+        text = _page(results)
+    text = TURNS.sub(lambda turn: f"\\u{ord(turn[0]):04x}", text)
     return write_whole(
         results.folder / "report.html",
         lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")),
     )
 
 
-def _save_figures(results: Results, page: sections.Page) -> None:
-    from sunspin.output.figures import save
-    from sunspin.output.report.described import figure_of, flat_plots
-
-    for plot in flat_plots(page.sections, page.hero):
-        sections.guarded(
-            results,
-            f"the figure {plot.id}",
-            lambda _, plot=plot: save(figure_of(plot), results.folder, plot.id),
+def _page(results: Results) -> str:
+    summary = results.summary
+    views = results.attempt("the views", lambda: _views(results)) or {}
+    every = [str(line) for key in ("headline", "score") for line in _list(summary, key)]
+    every += [str(line) for line in _list(summary, "conclusions" if every else "sentences")]
+    figures, left_out, size = [], [], 0
+    for figure in results.figures:
+        size += len(figure.content)
+        if size > MAX_PICTURES:
+            left_out.append(figure.name)
+            continue
+        kind = "svg+xml" if figure.name.endswith(".svg") else "png"
+        data = f"data:image/{kind};base64,{base64.b64encode(figure.content).decode('ascii')}"
+        figures.append(
+            {"data": data, "alt": figure.alt, "caption": figure.caption, "name": figure.name}
         )
+    first = len(_list(summary, "headline")) + len(_list(summary, "score")) or FIRST_SENTENCES
+    plotted = {
+        view.id: json.loads(view.figure.to_json()) for part in views.values() for view in part
+    }
+    return _template().render(
+        title=str(summary.get("title") or _title(results)),
+        results=results,
+        stop=str(summary.get("stop") or ""),
+        changes=[str(line) for line in _list(summary, "changes")],
+        first=every[:first],
+        more=every[first:],
+        views=views,
+        figures=figures,
+        left_out=left_out,
+        tables=results.tables + _events(results),
+        rows=results.attempt("the comparison", lambda: rows.comparison(summary)),
+        numbers=_numbers(summary),
+        provenance=_provenance(results),
+        command=str(summary.get("command") or ""),
+        style=Markup(_asset("page.css")),
+        data=Markup(_json(plotted)),
+        licence=_licence() if plotted else "",
+        scripts=[
+            Markup(_script(text)) for text in (*([_plotly()] if plotted else []), _asset("page.js"))
+        ],
+    )
+
+
+def _views(results: Results) -> dict[str, list[Any]]:
+    """Interactive views by the heading of their section."""
+    from sunspin.output.report.body import body_in_motion
+    from sunspin.output.report.views import rate_space, sun_on_sphere
+
+    parts = {
+        "Motion": results.attempt("the motion", lambda: list(body_in_motion(results))),
+        "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results)]),
+        "Rate space": results.attempt("rate space", lambda: list(rate_space(results))),
+    }
+    known = {
+        title: [view for view in part or [] if view is not None] for title, part in parts.items()
+    }
+    return {title: part for title, part in known.items() if part}
+
+
+def _list(summary: dict[str, Any], key: str) -> list[Any]:
+    value = summary.get(key)
+    return value if isinstance(value, list) else []
+
+
+TITLES = {
+    "rates": "How {vehicle} rotates",
+    "sun": "Sun directions of {vehicle}",
+    "simulate": "A motion of {vehicle}",
+    "scan": "Which motions of {vehicle} fit",
+    "outcomes": "What the motion of {vehicle} leads to",
+    "posterior": "How {vehicle} rotated: the posterior",
+}
+
+
+def _title(results: Results) -> str:
+    vehicle = results.vehicle.name if results.vehicle else "the vehicle"
+    known = TITLES.get(results.command, f"Results of sunspin {printable_command(results)}")
+    return known.format(vehicle=vehicle.capitalize() if vehicle == "philae" else vehicle)
+
+
+def printable_command(results: Results) -> str:
+    return results.command.replace("{", "").replace("}", "")
+
+
+def _events(results: Results) -> list[PageTable]:
+    """The events of a timeline as a table."""
+    if results.timeline is None:
+        return []
+    from sunspin.vehicle.timeline import utc_after
+
+    line = results.timeline
+    rows = [
+        [
+            utc_after(event.t_s, line.epoch_utc),
+            event.name.replace("_", " "),
+            event.note,
+            event.refined_source or event.source,
+        ]
+        for event in line.events
+    ]
+    return [PageTable("Timeline", ["UTC", "event", "", "source"], rows)]
+
+
+def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Every entry of the summary that is no list of objects, as text."""
+    found = []
+    for key, value in summary.items():
+        if key not in HIDDEN:
+            nested = value.items() if isinstance(value, dict) else [("", value)]
+            for name, item in nested:
+                text = number_text(item, 4)
+                text = text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+                found.append((f"{key} {name}".replace("_", " ").strip(), text))
+    return found
+
+
+def _provenance(results: Results) -> list[tuple[str, str]]:
+    """Version, seed, inputs with hashes, what is synthetic, how to cite."""
+    summary = results.summary
+    version = summary.get("version", "of unknown version")
+    facts = [("computed by", f"sunspin {version}, command {results.command}")]
+    facts += [(key, str(summary[key])) for key in ("seed", "seconds") if key in summary]
+    made = "computed, not measured" if results.synthetic else "no file calls itself synthetic"
+    facts.append(("synthetic data", made))
+    for entry in _list(summary, "inputs"):
+        if isinstance(entry, dict):
+            words = f"{entry.get('file', '')}, SHA-256 {entry.get('sha256', '')}"
+            facts.append((str(entry.get("what", "input")), words))
+    cite = f"{summary.get('cite', CITE)}; and sunspin with its version"
+    return [*facts, ("please cite", cite)]
 
 
 @cache
@@ -102,32 +210,6 @@ def _asset(name: str) -> str:
     return resources.files("sunspin").joinpath("output", "report", name).read_text(encoding="utf-8")
 
 
-def _data(page: sections.Page) -> dict[str, Any]:
-    """What the scripts need: each plot by its id, and the data of special parts by their kind."""
-    parts: list[Section] = [*page.sections]
-    items = [page.hero] if page.hero is not None else []
-    items += [item for part in parts for item in part.items]
-    plots = {
-        item.id: {
-            "data": item.data,
-            "layout": item.layout,
-            "views": item.views,
-            "narrow": item.narrow,
-            "height": item.height,
-        }
-        for item in items
-        if isinstance(item, Plot)
-    }
-    return {
-        "plots": plots,
-        **{
-            item.kind: item.data
-            for item in items
-            if isinstance(item, Special) and item.data is not None
-        },
-    }
-
-
 def _json(data: Any) -> str:
     """JSON for a script element: without a sign that could end the element or a string."""
     text = json.dumps(plain(data), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
@@ -135,7 +217,7 @@ def _json(data: Any) -> str:
 
 
 def _script(text: str) -> str:
-    """A script as the content of its element, which ends at the first closing tag whatever it stands in."""
+    """A script as the content of its element, which ends at the first closing tag wherever it stands."""
     return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 
@@ -152,30 +234,7 @@ def _plotly() -> str:
 
 def _licence() -> str:
     """The library's licence, which travels with it."""
-    from importlib import metadata
-
-    files = metadata.files("plotly") or []
-    for file in files:
+    for file in metadata.files("plotly") or []:
         if file.name.upper().startswith("LICENSE") and "dist-info" in str(file):
             return file.read_text()
     return "plotly.js, Copyright Plotly, Inc., MIT licence"
-
-
-def _pictures(pictures: list[Any]) -> tuple[list[dict[str, str]], list[str]]:
-    shown, left_out, total = [], [], 0
-    for picture in pictures:
-        size = picture.path.stat().st_size
-        if total + size > MAX_PICTURES:
-            left_out.append(picture.path.name)
-            continue
-        total += size
-        data = base64.b64encode(picture.path.read_bytes()).decode("ascii")
-        shown.append(
-            {
-                "data": data,
-                "alt": picture.alt,
-                "caption": picture.caption,
-                "file": picture.path.name,
-            }
-        )
-    return shown, left_out

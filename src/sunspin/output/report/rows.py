@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.report.read import Results
-from sunspin.output.report.section import Section, Special
 from sunspin.output.text import number_text
 
 STATEMENT = "contradiction_"
@@ -61,36 +59,28 @@ WITHOUT = "no telemetry"
 """What the heading of the section says whose tests need no telemetry."""
 
 
-def section(results: Results) -> Section | None:
-    """All rows of the summary, by section and part, with filters."""
-    given = [row for row in results.summary.get("figures", []) if isinstance(row, dict)]
+def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
+    """Title, sentences, filters, and the rows of the summary by section and part; None if it has no rows."""
+    given = summary.get("figures")
+    given = [row for row in given if isinstance(row, dict)] if isinstance(given, list) else []
     if not given:
         return None
-    rows = [_shown(row) for row in given]
-    groups: dict[str, dict[str, list[dict[str, str]]]] = {}
-    for row in rows:
-        groups.setdefault(row["section"], {}).setdefault(row["part"], []).append(row)
-    found = Counter(row["verdict"] for row in rows)
-    content = {
-        "sections": [
-            {
-                "title": title,
-                "parts": [{"title": part, "rows": members} for part, members in parts.items()],
-            }
-            for title, parts in groups.items()
-        ],
+    shown = [_shown(row) for row in given]
+    sections: dict[str, dict[str, list[dict[str, str]]]] = {}
+    for row in shown:
+        sections.setdefault(row["section"], {}).setdefault(row["part"], []).append(row)
+    count = Counter(row["verdict"] for row in shown)
+    tests = any(count[key] for key in TESTS)
+    return {
+        "title": "The paper against this run, row by row" if tests else "Figures of this run",
+        "lead": lead(shown),
+        "sections": sections,
         "filters": [
-            {"key": key, "label": text[2:], "count": found[key]}
+            {"key": key, "label": text[2:], "count": count[key]}
             for key, text in VERDICTS.items()
-            if found[key]
+            if count[key]
         ],
     }
-    title = (
-        "The paper against this run, row by row"
-        if any(found[key] for key in TESTS)
-        else "Figures of this run"
-    )
-    return Section("comparison", title, lead(rows), [Special("comparison", content)])
 
 
 def lead(rows: list[dict[str, str]]) -> list[str]:

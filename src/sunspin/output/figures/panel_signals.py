@@ -1,0 +1,100 @@
+"""Signals of the panels as measured, and as a motion predicts them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sunspin.base.errors import SunspinError
+from sunspin.output.figures import COLOURS, named, titled
+from sunspin.output.figures.rates import clock_text
+from sunspin.telemetry.quality import USED, panel_quality
+from sunspin.telemetry.sun import signals
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import panel_power
+
+MOST_RUNS = 4
+"""Motions that are drawn, a column each: those with the most samples."""
+
+LONGEST_S = 900.0
+"""Of each motion these first seconds are drawn: a tumbling body makes up to sixty revolutions in them."""
+
+
+def panel_signals_figure(
+    telemetry: xr.Dataset, runs: Sequence[tuple[str, xr.Dataset]], vehicle: Vehicle
+) -> Figure:
+    """A row for each panel, a column for each motion: samples as dots, the predicted signal as a line.
+
+    Parameters
+    ----------
+    runs : (title, Dataset)
+        Motions with `sun_B` (time, 3) in body axes on times fine enough to draw; their factor is fitted to the samples.
+    """
+    measured, time = signals(telemetry), telemetry["time"].values
+    dead, counts = _counting(telemetry, vehicle)
+    inside = [_within(time, run) for _, run in runs]
+    order = sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS]
+    shown = sorted(order)
+    names = [str(name) for name in telemetry["panel"].values]
+    size = (max(7.5, 2.6 * len(shown) + 1), 1.05 * len(names) + 1.2)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(names), len(shown), sharex="col", sharey="row", squeeze=False)
+    for column, k in zip(grid.T, shown, strict=True):
+        title, run = runs[k]
+        t0 = float(run["time"].values[0])
+        early = run["time"].values <= t0 + LONGEST_S
+        t, sun = run["time"].values[early], run["sun_B"].values[early]
+        model = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        at = inside[k] & (time <= t0 + LONGEST_S)
+        factor = _factor(time[at & counts], measured[at & counts][:, ~dead], t, model[:, ~dead])
+        for panel, axes in enumerate(column):
+            lost = bool(dead[panel])
+            line: dict[str, Any] = (
+                {"color": COLOURS[7], "ls": ":"} if lost else {"color": COLOURS[1]}
+            )
+            axes.plot((t - t0) / 60, factor * model[:, panel], lw=1, **line)
+            axes.plot(
+                (time[at] - t0) / 60,
+                measured[at, panel],
+                "x" if lost else ".",
+                ms=5,
+                color=COLOURS[7] if lost else COLOURS[6],
+            )
+        column[0].set_title(f"{named(title)}\n{clock_text(run, t0)}", fontsize=8)
+        column[-1].set_xlabel("time (min)")
+    unit = "W" if "power_W" in telemetry else "A"
+    for panel, row in enumerate(grid):
+        left = "\nnever lit" if dead[panel] else ""
+        row[0].set_ylabel(f"{named(names[panel])} ({unit}){left}", fontsize=8)
+    text = "Panel signals: samples (dots) and the motion's prediction (lines)"
+    figure.suptitle(titled(text, telemetry.attrs.get("synthetic")), fontsize=10)
+    return figure
+
+
+def _within(time: np.ndarray, run: xr.Dataset) -> np.ndarray:
+    first, last = run["time"].values[0], run["time"].values[-1]
+    return (time >= first) & (time <= last)
+
+
+def _counting(telemetry: xr.Dataset, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
+    """Which panels (n_panel) never see light, and which samples (n) are not limited by the battery."""
+    none = np.zeros(telemetry.sizes["panel"], bool)
+    every = np.ones(telemetry.sizes["time"], bool)
+    try:
+        quality = panel_quality(vehicle, telemetry)
+    except SunspinError:  # samples that cannot be judged are drawn as they are
+        return none, every
+    full = quality["use"].values == USED
+    return quality["dead"].values.astype(bool), full if full.any() else every
+
+
+def _factor(t: np.ndarray, measured: np.ndarray, when: np.ndarray, model: np.ndarray) -> float:
+    """The factor, by least squares over the samples, that brings the model to the measured signals; 1 without samples."""
+    known = np.isfinite(measured).all(axis=1)
+    there = np.stack([np.interp(t[known], when, column) for column in model.T], axis=1)
+    power = float((there**2).sum()) if known.any() else 0.0
+    return float((there * measured[known]).sum()) / power if power > 0 else 1.0

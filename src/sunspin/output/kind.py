@@ -1,0 +1,92 @@
+"""What each kind of result has: its numbers in words, its figures, its tables, its files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import xarray as xr
+
+
+class Summary(dict[str, Any]):
+    """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know with them."""
+
+    def __init__(
+        self, numbers: Mapping[str, Any], lines: Sequence[str], notes: Sequence[str] = ()
+    ) -> None:
+        super().__init__(numbers)
+        self.lines, self.notes = list(lines), list(notes)
+
+    def __str__(self) -> str:
+        return "\n".join([*self.lines, *self.notes])
+
+
+class Drawing(NamedTuple):
+    """A figure to draw: file name, function that returns the matplotlib figure, what it shows in words, caption."""
+
+    name: str
+    make: Callable[[], Any]
+    alt: str
+    caption: str
+
+
+class Table(NamedTuple):
+    """A table to write as CSV.
+
+    `frame`: the pandas DataFrame; `shown`: its columns on the page, with their headings there (none: the file only);
+    `comment`: a first line of the file.
+    """
+
+    name: str
+    frame: Any
+    title: str = ""
+    shown: Mapping[str, str] = {}
+    comment: str = ""
+
+
+class Context(NamedTuple):
+    """What a result was computed from: the samples, and the vehicle by name, path or itself; None where not known."""
+
+    telemetry: xr.Dataset | None = None
+    vehicle: Any = None
+
+    def craft(self) -> Any:
+        """The vehicle itself, or None."""
+        from sunspin.vehicle import Vehicle, load_vehicle
+
+        known = self.vehicle is None or isinstance(self.vehicle, Vehicle)
+        return self.vehicle if known else load_vehicle(self.vehicle)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of result.
+
+    Attributes
+    ----------
+    command : the command whose results folders these are
+    main : the NetCDF file that holds the result itself; empty if `datasets` has all
+    summary, drawings, tables : what it says, its figures, its tables
+    datasets : further NetCDF files, by name
+    """
+
+    command: str
+    main: str
+    summary: Callable[[Any], Summary]
+    drawings: Callable[[Any, Context], Iterable[Drawing]] = lambda *_: ()
+    tables: Callable[[Any], Iterable[Table]] = lambda _: ()
+    datasets: Callable[[Any, Context], Mapping[str, xr.Dataset]] = lambda *_: {}
+
+
+def synthetic_note(data: Any) -> str:
+    """The end of a caption of what was made from synthetic telemetry."""
+    return synthetic_words(data.attrs.get("synthetic"))
+
+
+def synthetic_words(synthetic: Any) -> str:
+    return " Synthetic telemetry." if synthetic else ""
+
+
+def vector(values: Iterable[float]) -> str:
+    return "[" + ", ".join(f"{value:z.5g}" for value in values) + "]"

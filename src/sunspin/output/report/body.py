@@ -1,0 +1,277 @@
+"""The vehicle turning in space, as frames that plotly plays in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+import xarray as xr
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from sunspin.output.figures import COLOURS
+from sunspin.output.report.read import Results
+from sunspin.output.report.views import INK, MOST_MOTIONS, View, float32, line, motions_of, styled
+from sunspin.output.text import capital
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.timeline import utc_after
+
+MOST_FRAMES = 300
+"""Instants of a motion that are shown."""
+
+LARGEST_TURN = 0.35
+"""rad between two instants that are shown: beyond it the eye loses the sense of rotation. Faster motions are shown in part."""
+
+PLATE_M = 0.5
+"""Distance of a panel's plate from the centre if the vehicle's file has no hull."""
+
+
+def body_in_motion(results: Results) -> Iterator[View]:
+    """The vehicle turning in space, for each motion of the folder whose attitude is known."""
+    vehicle = results.vehicle
+    if vehicle is None:
+        return
+    motions = motions_of(results)
+    for k, (title, run) in enumerate(motions[:MOST_MOTIONS]):
+        figure = _motion(vehicle, run)
+        if figure is None:
+            continue
+        shape = (
+            ""
+            if vehicle.hull
+            else " The vehicle's file gives no shape: panels are plates of equal size."
+        )
+        about = str(run.attrs.get("about", ""))
+        yield View(
+            f"motion-{k}",
+            title,
+            figure,
+            "The vehicle in three dimensions as it turns; the line under it states time, angular speed and wheel speeds.",
+            f"{capital(about)}. "
+            * bool(about)
+            + "Gold: direction to the Sun. Blue: angular momentum, or the first axis of rotation if the momentum is not known. "
+            f"A panel is the brighter the more sunlight it gets.{shape}",
+        )
+
+
+def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
+    """Frames of a motion; None if its attitude is not known at two instants."""
+    t = np.asarray(run["time"].values, dtype=float)
+    order = np.argsort(t)
+    both = np.concatenate([run["B_from_N"].values, run["omega_B"].values], axis=1)
+    order = order[np.isfinite(both).all(axis=1)[order]]
+    if len(order) < 2:
+        return None
+    t, speed = t[order], np.linalg.norm(run["omega_B"].values[order], axis=1)
+    rotation = np.concatenate([[0.0], np.cumsum(np.diff(t) * (speed[1:] + speed[:-1]) / 2)])
+    step = (
+        max(LARGEST_TURN, 1e-9)
+        if rotation[-1] > LARGEST_TURN * MOST_FRAMES
+        else rotation[-1] / MOST_FRAMES
+    )
+    wanted = np.arange(min(MOST_FRAMES, len(t))) * step if rotation[-1] > 0 else np.zeros(1)
+    frames = np.unique(np.searchsorted(rotation, wanted).clip(max=len(t) - 1))
+    if rotation[-1] == 0:
+        frames = np.unique(np.linspace(0, len(t) - 1, 2).astype(int))
+    at = order[frames]
+    attitude = Rotation.from_quat(run["B_from_N"].values[at])
+    sun, omega = run["sun_B"].values[at], run["omega_B"].values[at]
+    momentum = run["momentum_B"].values[at] if "momentum_B" in run else None
+    to_scene = (
+        _scene(attitude[0], sun[0], omega[0] if momentum is None else momentum[0]) * attitude.inv()
+    )
+    vertices, faces, owner, size = _shape(vehicle)
+    light = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+    light = light / np.maximum(light.max(axis=0, initial=0.0), 1e-30)
+    wheels = (
+        run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)
+        if "wheel_speed_rad_s" in run
+        else np.zeros((len(at), 0))
+    )
+    legs = [leg.tip_B_m for leg in vehicle.legs]
+    lines = np.array(
+        [point for tip in legs for point in (np.zeros(3), tip, np.full(3, np.nan))]
+    ).reshape(-1, 3)
+    still = [
+        _arrow(to_scene[0].apply(sun[0]), 1.3 * size, COLOURS[4], "Sun"),
+        _arrow(
+            to_scene[0].apply(omega[0] if momentum is None else momentum[0]),
+            1.3 * size,
+            COLOURS[0],
+            "axis of rotation" if momentum is None else "angular momentum",
+        ),
+    ]
+
+    def moving(k: int) -> list[Any]:
+        turned = to_scene[k].apply(vertices)
+        colours = [_light(light[k, panel]) if panel >= 0 else "#9aa2a9" for panel in owner]
+        mesh = go.Mesh3d(
+            x=float32(turned[:, 0]),
+            y=float32(turned[:, 1]),
+            z=float32(turned[:, 2]),
+            i=faces[:, 0],
+            j=faces[:, 1],
+            k=faces[:, 2],
+            facecolor=colours,
+            flatshading=True,
+            hoverinfo="skip",
+            lighting={"ambient": 0.85, "diffuse": 0.3},
+        )
+        tips = to_scene[k].apply(lines) if len(lines) else lines
+        return [mesh, line(tips, INK, 5)]
+
+    figure = go.Figure([*moving(0), *still])
+    texts = [
+        f"{_clock(run, float(t[frame]))}, {np.degrees(speed[frame]):.3g} deg/s{_wheels(vehicle, wheels[k])}"
+        for k, frame in enumerate(frames)
+    ]
+    figure.frames = [
+        go.Frame(data=moving(k), traces=[0, 1], name=str(k)) for k in range(len(frames))
+    ]
+    play = {
+        "frame": {"duration": 60, "redraw": True},
+        "fromcurrent": True,
+        "transition": {"duration": 0},
+    }
+    stop = {"frame": {"duration": 0, "redraw": False}, "mode": "immediate"}
+    figure.update_layout(
+        scene={
+            **{f"{a}axis": {"range": [-1.3 * size, 1.3 * size], "visible": False} for a in "xyz"},
+            "aspectmode": "cube",
+            "camera": {"eye": {"x": 0.5, "y": -1.3, "z": 0.4}},
+        },
+        updatemenus=[
+            {
+                "type": "buttons",
+                "direction": "right",
+                "x": 0,
+                "y": 0,
+                "xanchor": "left",
+                "yanchor": "top",
+                "pad": {"t": 8},
+                "buttons": [
+                    {"label": "▶ Play", "method": "animate", "args": [None, play]},
+                    {"label": "❚❚ Pause", "method": "animate", "args": [[None], stop]},
+                ],
+            }
+        ],
+        sliders=[
+            {
+                "currentvalue": {"prefix": ""},
+                "pad": {"t": 50},
+                "ticklen": 0,
+                "minorticklen": 0,
+                "font": {"size": 12},
+                "steps": [
+                    {
+                        "label": text,
+                        "method": "animate",
+                        "args": [
+                            [str(k)],
+                            {"mode": "immediate", "frame": {"duration": 0, "redraw": True}},
+                        ],
+                    }
+                    for k, text in enumerate(texts)
+                ],
+            }
+        ],
+    )
+    return styled(figure)
+
+
+def _scene(attitude: Rotation, sun_B: np.ndarray, up_B: np.ndarray) -> Rotation:
+    """N to the axes of the view: `up_B` up and the Sun to the right, both in body axes at the first instant."""
+    up, to_sun = attitude.inv().apply(up_B), attitude.inv().apply(sun_B)
+    z = up / np.linalg.norm(up) if np.linalg.norm(up) > 0 else np.array([0.0, 0.0, 1.0])
+    side = to_sun - (to_sun @ z) * z
+    if np.linalg.norm(side) < 1e-6:
+        side = np.eye(3)[int(np.argmin(np.abs(z)))]
+        side = side - (side @ z) * z
+    x = side / np.linalg.norm(side)
+    return Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
+
+
+def _shape(vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Vertices (n, 3) in m, triangles (m, 3), the panel of each (-1: none), and the size in m."""
+    hull = _hull(vehicle) if vehicle.hull else None
+    vertices, faces, owner = hull or _plates(vehicle)
+    size = float(np.linalg.norm(vertices, axis=1).max()) if len(vertices) else 1.0
+    size = max([size, *(float(np.linalg.norm(leg.tip_B_m)) for leg in vehicle.legs)])
+    return vertices, np.array(faces).reshape(-1, 3), np.array(owner, int), size
+
+
+def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]] | None:
+    """The convex hull of the stated corners; None if they lie in a plane."""
+    points = np.unique(np.concatenate([part.points_B_m for part in vehicle.hull]).round(9), axis=0)
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    names = list(vehicle.panel_names)
+    corners = [
+        (names.index(part.panel), {tuple(p) for p in part.points_B_m.round(9)})
+        for part in vehicle.hull
+        if part.panel in names
+    ]
+    owner = [
+        next((k for k, corner in corners if {tuple(p) for p in points[face]} <= corner), -1)
+        for face in hull.simplices
+    ]
+    return points, list(hull.simplices), owner
+
+
+def _plates(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]]:
+    """A square plate for each panel."""
+    vertices, faces, owner = [], [], []
+    for k, normal in enumerate(vehicle.panel_normals_B):
+        u = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        u /= np.linalg.norm(u)
+        v, base = np.cross(normal, u), 4 * k
+        corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        vertices += [PLATE_M * normal + 0.45 * (a * u + b * v) for a, b in corners]
+        faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
+        owner += [k, k]
+    return np.array(vertices).reshape(-1, 3), faces, owner
+
+
+def _light(share: float) -> str:
+    """The colour of a panel that gets this share of its largest signal: dark blue to yellow."""
+    dark, bright = np.array([40, 60, 110]), np.array([250, 205, 60])
+    red, green, blue = (dark + float(np.clip(share, 0, 1)) * (bright - dark)).astype(int)
+    return f"#{red:02x}{green:02x}{blue:02x}"
+
+
+def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.Scatter3d:
+    tip = direction / max(float(np.linalg.norm(direction)), 1e-30) * length
+    return go.Scatter3d(
+        x=[0, tip[0]],
+        y=[0, tip[1]],
+        z=[0, tip[2]],
+        mode="lines+markers+text",
+        line={"width": 6, "color": colour},
+        marker={"size": [0, 6], "color": colour},
+        text=["", name],
+        textfont={"color": colour},
+        hoverinfo="skip",
+        showlegend=False,
+    )
+
+
+def _wheels(vehicle: Vehicle, speeds: np.ndarray) -> str:
+    """The speeds of the wheels in words."""
+    known = zip(vehicle.wheels, speeds, strict=False)
+    return "".join(
+        f", {wheel.name} {speed:.0f} rad/s" if np.isfinite(speed) else f", {wheel.name} not known"
+        for wheel, speed in known
+    )
+
+
+def _clock(data: xr.Dataset, seconds: float) -> str:
+    epoch = str(data.attrs.get("epoch_utc", ""))
+    try:
+        return utc_after(seconds, epoch)[11:19] + " UTC" if epoch else f"{seconds:.1f} s"
+    except ValueError:
+        return f"{seconds:.1f} s"
