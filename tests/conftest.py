@@ -46,13 +46,11 @@ def undrawn(monkeypatch) -> None:
 
 @pytest.fixture
 def framed(monkeypatch) -> None:
-    """Figures are made, but only their frames drawn, in files and on pages."""
+    """Figures are made, but only their frames drawn."""
     from drawing import frame
     from sunspin.output import figures
-    from sunspin.output.figures import inline
 
     monkeypatch.setattr(figures, "lay_out", frame)
-    monkeypatch.setattr(inline, "lay_out", frame)
 
 
 def kernel_cache() -> Path:

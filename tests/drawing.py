@@ -10,6 +10,14 @@ def frame(figure: Figure) -> Figure:
     return Figure(figsize=figure.get_size_inches())
 
 
+def blank(_: Figure) -> dict[str, bytes]:
+    """The files of a figure, without a drawing in them."""
+    return {
+        suffix: b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="6"/>'
+        for suffix in ("svg", "png")
+    }
+
+
 def covered(figure: Figure) -> list[str]:
     """Titles of the flat axes whose legend stands on points of a curve, on marks or on an edge of a histogram."""
     lay_out(figure).draw_without_rendering()

@@ -11,13 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from matplotlib.figure import Figure
 
 from browser import HOSTILE, Browser, found
-from drawing import frame
+from drawing import blank
 from shared_folder import shared_folder
 from sunspin.output import figures
-from sunspin.output.figures import inline
 from sunspin.philae import (
     carries,
     contradictions_motion,
@@ -30,11 +28,6 @@ from sunspin.philae import (
 )
 from sunspin.philae import study as rp
 from sunspin.telemetry.case import load_case
-
-
-def unsaved(_: Figure, folder: Path, name: str) -> list[Path]:
-    """Says where a figure would be and writes none."""
-    return [folder / f"{name}.png"]
 
 
 @contextmanager
@@ -57,8 +50,7 @@ def small() -> Iterator[None]:
                 tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity")),
             ),
             (pictures, "SHEETS", ()),
-            (inline, "lay_out", frame),
-            (figures, "save", unsaved),
+            (figures, "drawn", blank),
         ):
             patch.setattr(module, name, value)
         yield
@@ -106,8 +98,8 @@ TWINS = 30
 
 @pytest.fixture(scope="session")
 def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results of the commands for a user's own vehicle, whose name and panels are hostile, and their pages; of figures `sun` alone
-    writes files, and on the pages of all others they are empty frames: figures have tests of their own."""
+    """Results of the commands for a user's own vehicle, whose name and panels are hostile, and their pages; `sun` alone
+    draws figures, all others write empty ones: figures have tests of their own."""
     from sunspin.cli import cli
 
     def make(root: Path) -> None:
@@ -119,8 +111,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                     sys, "argv", ["sunspin", *arguments]
                 )  # kept with the results as the line that repeats them
                 if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
-                    patch.setattr(figures, "save", unsaved)
-                    patch.setattr(inline, "lay_out", frame)
+                    patch.setattr(figures, "drawn", blank)
                 done = run.invoke(cli, arguments, catch_exceptions=False)
             assert done.exit_code == 0, done.output
 

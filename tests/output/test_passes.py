@@ -7,7 +7,8 @@ import xarray as xr
 
 from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
-from sunspin.output.kinds.passes import motion_numbers, pass_numbers, write_passes
+from sunspin.output.folder import Contents, write_contents
+from sunspin.output.kinds.passes import motion_numbers, pass_numbers, passes_table
 from sunspin.output.kinds.rate_words import RateAt
 from sunspin.output.text import number_text, size_text, with_sigma
 from sunspin.vehicle.timeline import utc_after
@@ -83,7 +84,8 @@ def found():
 
 
 def test_every_motion_is_a_row_with_the_columns_that_scripts_read(found, tmp_path):
-    write_passes(found, tmp_path, found)
+    contents = Contents(tables=[passes_table(found)], synthetic=True)
+    write_contents(tmp_path, {}, contents)
     text = (tmp_path / "passes.csv").read_text("utf-8")
     assert text.startswith("# synthetic telemetry\n")
     rows = pd.read_csv(tmp_path / "passes.csv", comment="#")

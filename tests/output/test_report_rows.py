@@ -8,13 +8,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import xarray as xr
 from pages import Page
 
 from browser import HOSTILE
-from sunspin.output.folder import MARKER
+from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
 from sunspin.output.report.rows import VERDICTS, WITHOUT, between, verdict_of
 from sunspin.philae import study as rp
@@ -63,13 +61,8 @@ def page_of(folder: Path, **summary: Any) -> Page:
     folder.mkdir(exist_ok=True)
     (folder / MARKER).write_text("reproduce\n", "utf-8")
     (folder / "summary.json").write_text(json.dumps(summary), "utf-8")
+    (folder / MANIFEST).write_text("{}", "utf-8")
     return Page(write_report(folder))
-
-
-def copy(study: Path, folder: Path, *names: str) -> None:
-    """Some files of a study."""
-    for name in names:
-        (folder / name).write_bytes((study / name).read_bytes())
 
 
 @pytest.mark.parametrize(
@@ -230,11 +223,12 @@ def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):
         calibration=HOSTILE,
         chain=HOSTILE,
         missing={"candidates": HOSTILE},
+        stop=HOSTILE,
         conclusions=[HOSTILE],
         cite=HOSTILE,
         command=HOSTILE,
     )
-    assert [attrs.get("id") for tag, attrs in page.tags if tag == "script"] == ["data", None, None]
+    assert [attrs.get("id") for tag, attrs in page.tags if tag == "script"] == ["data", None]
     assert page.text.count(" ".join(HOSTILE.split())) > 30
     rows = [attrs["data-row"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs]
     assert rows == [f"{HOSTILE}0", f"{HOSTILE}1", "rate_at_touchdown_bound"]
@@ -257,49 +251,17 @@ def test_a_damaged_summary_still_gives_a_page(tmp_path, figures):
     assert "one" in page.part("summary")
 
 
-def test_a_fact_that_the_data_leave_open_says_so(tmp_path):
-    bound = {
-        "id": "rate_at_touchdown_bound",
-        "kind": "not_comparable",
-        "unit": "rad/s",
-        "published": 0.1816,
-    }
-    bound |= {"low": 0.09, "high": 1.4}
-    known = page_of(tmp_path / "a", figures=[row(**bound, ours=0.09, chain="scan")]).part("summary")
-    assert "angular speed after the touchdown, at least (90 %) 0.09 rad/s published 0.1816" in known
-    levels = {
-        "posterior": "(95 %)",
-        "published": "whatever this telemetry says",
-        "a.csv": "(of the motions of a.csv)",
-    }
-    for chain, words in levels.items():
-        assert words in page_of(
-            tmp_path / "a", figures=[row(**bound, ours=0.09, chain=chain)]
-        ).part("summary")
-    left = page_of(
-        tmp_path / "a", figures=[row(**bound, ours=0.09, chain="scan", informative=False)]
-    ).part("summary")
-    assert (
-        "not known from these data" in left
-        and "uninformative" in left
-        and "0.09 rad/s published" not in left
-    )
-
-
-def test_the_first_screen_of_a_study_begins_with_what_the_file_carries(study):
+def test_the_first_screen_of_a_study_has_headline_and_score(study):
     summary, page = (
         json.loads((study / "summary.json").read_text("utf-8")),
         Page(study / "report.html"),
     )
     first = page.part("summary")
-    assert first.index(summary["carries"]) < first.index(" ".join(summary["headline"][0].split()))
     assert "No conclusion." not in first
-    for line in summary["score"]:
-        assert line in first
-    provenance = page.part("provenance")
-    for key in ("chain", "noise", "calibration"):
-        assert summary[key] in provenance
-    assert "more" not in page.ids("section") or "uninformative" not in page.part("more")
+    for line in (*summary["headline"], *summary["score"]):
+        assert " ".join(line.split()) in first
+    for key in ("chain", "noise", "calibration", "carries"):
+        assert " ".join(str(summary[key]).split())[:300] in page.part("provenance")
 
 
 @pytest.mark.long
@@ -324,95 +286,11 @@ def test_a_page_without_conclusions_gives_the_reason_and_claims_nothing(no_concl
     told = next(
         text for name in ("candidates", "level_set") if ", as " in (text := missing.get(name, ""))
     )
-    assert " ".join(told.split(", as ", 1)[1].split()) in first and summary["carries"] in first
+    assert " ".join(told.split(", as ", 1)[1].rstrip(".").split()) in first
     assert not re.search(r"rad/s|once in|or faster|all that fits|families|four lines", first)
-    plots = json.loads(page.data)["plots"]
-    assert "speed" not in plots and not {"lander", "outcomes", "strategies"} & set(
-        page.ids("section")
-    )
-    assert "four families" not in page.text.lower() and "Motions that fit" not in page.text
+    assert not any(name.startswith(("motion", "speed")) for name in json.loads(page.data))
+    assert not (no_conclusion / "speed.svg").exists() and "four families" not in page.text.lower()
     verdicts = {
         attrs["data-verdict"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs
     }
     assert "uninformative" not in verdicts
-
-
-def test_stale_files_of_motions_are_no_claim_where_nothing_is_concluded(study, tmp_path):
-    """Files of an earlier run, or of another hand, do not put a motion on the first screen."""
-    summary = json.loads((study / "summary.json").read_text("utf-8"))
-    copy(
-        study,
-        tmp_path,
-        "speed.nc",
-        "motion-best-fit.nc",
-        "candidates.nc",
-        "scan_telemetry.nc",
-        "timeline.toml",
-        "vehicle.toml",
-    )
-    summary["missing"] = {
-        "candidates": "Section 2.3: the motions that follow: not reproduced, as the panels are exchanged"
-    }
-    page = page_of(tmp_path, **summary)
-    assert "the first touchdown: the panels are exchanged." in page.part("summary")
-    plots = json.loads(page.data)["plots"]
-    assert "speed" not in plots and plots["lines"]["views"][0]["text"].count("Pale") == 0
-
-
-@pytest.mark.evidence(
-    "report", "verified", "the telemetry's scan first; the printed lines' scan called what it is"
-)
-def test_rate_space_shows_the_telemetry_first_and_no_lines_that_are_not_there(study, tmp_path):
-    page = Page(study / "report.html")
-    plot = json.loads(page.data)["plots"]["lines"]
-    first, second = plot["views"]
-    assert first["label"] == "Scan against the directions of this telemetry"
-    assert second["label"].startswith("No telemetry: scan against")
-    names = [plot["data"][k].get("name", "") for k in first["show"]]
-    assert (
-        "candidates" in names
-        and "fitted line" not in names
-        and not any("family" in name for name in names)
-    )
-    found = next(
-        r
-        for r in json.loads((study / "summary.json").read_text("utf-8"))["figures"]
-        if r["id"] == "lines_found"
-    )
-    assert (
-        f"Of the 4 lines that the paper prints (dashed) {found['ours']} come out of them."
-        in first["text"]
-    )
-    assert "four" not in page.part("rate-space").split("No telemetry")[0].lower()
-    told = next(
-        attrs["aria-label"] for tag, attrs in page.tags if attrs.get("data-plot") == "lines"
-    )
-    assert "four" not in told and "line" not in told
-    volumes = json.loads(page.data)["slices"]["volumes"]
-    scans = [
-        xr.load_dataset(study / f"{name}.nc", engine="h5netcdf")["emd"]
-        for name in ("scan_telemetry", "scan_published_lines")
-    ]
-    assert [v["low"] for v in volumes] == pytest.approx(
-        [float(np.log10(scan.min())) for scan in scans], abs=1e-6
-    )
-
-
-def test_the_axis_of_the_first_picture_holds_every_motion(study, tmp_path):
-    copy(study, tmp_path, "timeline.toml")
-    speed = xr.load_dataset(study / "speed.nc", engine="h5netcdf")
-    speed["speed"][{"level": 0, "time": 3}] = 0.0
-    speed["speed"][{"level": 2}] = 5.0
-    speed.to_netcdf(tmp_path / "speed.nc", engine="h5netcdf")
-    made = json.loads(
-        page_of(tmp_path, **json.loads((study / "summary.json").read_text("utf-8"))).data
-    )["plots"]["speed"]["layout"]
-    usual = json.loads(Page(study / "report.html").data)["plots"]["speed"]["layout"]
-    assert (
-        made["yaxis"]["range"][1] > np.log10(5)
-        and made["yaxis"]["range"] == made["yaxis2"]["range"]
-    )
-    known = xr.load_dataset(study / "speed.nc", engine="h5netcdf")
-    low, high = usual["yaxis"]["range"]
-    for part in ("speed", "speed_after_collision"):
-        assert low <= np.log10(known[part].min()) and np.log10(known[part].max()) <= high

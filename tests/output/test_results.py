@@ -115,10 +115,10 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
             result.sunspin.plot("nonsense")
     folder = result.sunspin.save(tmp_path / "saved")
     names = {path.name for path in folder.iterdir()}
-    assert {KINDS[kind].main, "summary.json"} <= names and (kind in NO_FIGURE) is not any(
-        n.endswith(".svg") for n in names
-    )
-    stored = xr.load_dataset(folder / KINDS[kind].main, engine="h5netcdf")
+    assert {f"{KINDS[kind].main}.nc", "summary.json", "manifest.json"} <= names and (
+        kind in NO_FIGURE
+    ) is not any(n.endswith(".svg") for n in names)
+    stored = xr.load_dataset(folder / f"{KINDS[kind].main}.nc", engine="h5netcdf")
     assert stored.attrs["kind"] == kind and stored.sunspin.summary() == summary
     assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
 

@@ -138,7 +138,8 @@ class Result:
             else []
         )
         summary = self.summary()
-        sentences = [line.strip() for line in (*summary.lines, *lines, *summary.notes)]
+        every = [*summary.lines[:1], *lines, *summary.lines[1:], *summary.notes]
+        sentences = [line.strip() for line in every]
         also = {**(also or {}), "sentences": sentences, "command": command, "inputs": inputs}
         write_contents(path, {**summary, **also}, contents)
         return path

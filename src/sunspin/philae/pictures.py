@@ -14,6 +14,7 @@ from sunspin.output import figures
 from sunspin.output.figures import outcomes as figures_outcomes
 from sunspin.output.figures.collision import collision_figure
 from sunspin.output.figures.motion import spin_down_figure
+from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.figures.telemetry import sun_directions_figure
 from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.philae import rebound as rb
@@ -25,7 +26,9 @@ from sunspin.philae.figures import health as figures_health
 from sunspin.philae.figures import level_set as figures_level_set
 from sunspin.philae.figures import precession as figures_precession
 from sunspin.philae.figures import sensitivity as figures_sensitivity
+from sunspin.philae.figures import speed as figures_speed
 from sunspin.philae.level_set import LevelSet
+from sunspin.philae.motions import Motions
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.study import Reproduction
 
@@ -71,6 +74,35 @@ def _drawn(
 
 def _note(result: Reproduction) -> str:
     return synthetic_words(result.synthetic)
+
+
+def _motions(result: Reproduction, part: Motions) -> Iterator[Drawing]:
+    chain = str(part.speed.attrs["chain"])
+    meaning = {
+        "scan": "; every motion in the band fits and none is preferred, and the heights of the Sun bound it from below only",
+        "published": "; this telemetry does not enter",
+    }.get(chain, "")
+    yield Drawing(
+        "speed",
+        lambda: figures_speed.draw(result.case, part.speed, result.synthetic),
+        "Angular speed against time: the descent as a line, then a band of rates to the collision and another after it",
+        f"How fast Philae turned. Band: {part.speed.attrs['about_candidates']}, slowest to fastest{meaning}. Dashed: "
+        f"{part.speed.attrs['about_recipe']}; it has no stated confidence. After the collision: 95 % of simulated collisions of "
+        "the same motions. Diamonds: the magnetometer, which was not used." + _note(result),
+    )
+    runs = [(title, run) for title, run in part.candidates.items() if title in SHOWN_MOTIONS]
+    yield Drawing(
+        "signals",
+        lambda: panel_signals_figure(result.case.telemetry, runs, result.case.vehicle),
+        "Power of each panel against time in two motions: samples as dots, the motion's prediction as a line",
+        "Panel powers: dots are samples, lines the prediction of a motion in the first 15 minutes after the touchdown, with one "
+        "common factor. Motions that fit share how often the Sun stands at each height, not when: only one can meet the dots "
+        "one by one." + _note(result),
+    )
+
+
+SHOWN_MOTIONS = ("Truth", "Best fit", "Descent")
+"""Motions whose panel powers are drawn."""
 
 
 def _measured(result: Reproduction, _: Any) -> Iterator[Drawing]:
@@ -299,6 +331,7 @@ def _health(result: Reproduction, part: Any) -> Iterator[Drawing]:
 
 
 SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (
+    (("motions",), _motions),
     (("phases",), _measured),
     (("mechanics",), _mechanics),
     (("sensitivity",), _sensitivity),

@@ -46,7 +46,7 @@ def rates_summary(result: Any) -> Summary:
     if "periods" in result.attrs:
         numbers["periods"] = json.loads(result.attrs["periods"])
         lines += [f"  {_period(result, one)}" for one in numbers["periods"]]
-    counted = [f"  {count:6d}  {text}" for text, count in zip(texts, counts, strict=True)]
+    counted = [f"  {count:6d} samples  {text}" for text, count in zip(texts, counts, strict=True)]
     silent = [
         f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"
     ]

@@ -13,7 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
-from sunspin.output.report.views import INK, MOST_MOTIONS, View, float32, line, motions_of, styled
+from sunspin.output.report.views import (
+    GREY,
+    INK,
+    MOST_MOTIONS,
+    View,
+    float32,
+    line,
+    motions_of,
+    styled,
+)
 from sunspin.output.text import capital
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
@@ -61,8 +70,8 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
     """Frames of a motion; None if its attitude is not known at two instants."""
     t = np.asarray(run["time"].values, dtype=float)
     order = np.argsort(t)
-    both = np.concatenate([run["B_from_N"].values, run["omega_B"].values], axis=1)
-    order = order[np.isfinite(both).all(axis=1)[order]]
+    both = np.concatenate([run["B_from_N"].values, run["omega_B"].values], axis=1)[order]
+    order = order[np.flatnonzero(np.isfinite(both).all(axis=1))]
     if len(order) < 2:
         return None
     t, speed = t[order], np.linalg.norm(run["omega_B"].values[order], axis=1)
@@ -160,11 +169,11 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
         ],
         sliders=[
             {
-                "currentvalue": {"prefix": ""},
+                "currentvalue": {"prefix": "", "font": {"size": 13, "color": GREY}},
                 "pad": {"t": 50},
                 "ticklen": 0,
                 "minorticklen": 0,
-                "font": {"size": 12},
+                "font": {"size": 1, "color": "rgba(0,0,0,0)"},  # no labels at the ticks
                 "steps": [
                     {
                         "label": text,

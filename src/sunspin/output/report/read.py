@@ -28,6 +28,12 @@ from sunspin.vehicle.timeline import Timeline, parse_timeline
 MAX_DATA_BYTES = 500_000_000
 """Of one NetCDF file; larger ones are named and not read."""
 
+MAX_TOTAL_BYTES = 2_000_000_000
+"""Of all data in memory."""
+
+MAX_DAMAGED = 10
+"""NetCDF files that cannot be read, after which no more are tried: each may take seconds."""
+
 MAX_TEXT_BYTES = 20_000_000
 """Of a summary, a table, a picture."""
 
@@ -136,14 +142,20 @@ def read_results(folder: str | Path) -> Results:
         raise InputError(sentence(what, do="run the command again", where=str(path)))
     manifest = results.attempt(MANIFEST, lambda: _object(path / MANIFEST)) or {}
     results.summary = results.attempt("summary.json", lambda: _object(path / "summary.json")) or {}
+    damaged = 0
     for entry in _entries(results, manifest, "data"):
-        results.attempt(str(entry), lambda entry=entry: _data(results, _own(path, entry)))
+        read = results.attempt(_name(entry), lambda entry=entry: _data(results, _own(path, entry)))
+        damaged += read is None
+        size = sum(data.nbytes for data in results.data.values())
+        if damaged == MAX_DAMAGED or size > MAX_TOTAL_BYTES:
+            results.problems.append(f"Data listed after {_name(entry)} were not read.")
+            break
     for entry in _entries(results, manifest, "figures"):
-        results.attempt(
-            "a figure", lambda entry=entry: results.figures.append(_figure(path, entry))
-        )
+        figure = results.attempt(_name(entry), lambda entry=entry: _figure(path, entry))
+        results.figures += [] if figure is None else [figure]
     for entry in _entries(results, manifest, "tables"):
-        results.attempt("a table", lambda entry=entry: results.tables.extend(_table(path, entry)))
+        tables = results.attempt(_name(entry), lambda entry=entry: list(_table(path, entry)))
+        results.tables += tables or []
     for name, read in (
         ("vehicle", lambda text, name: read_vehicle(path / name)),
         ("timeline", parse_timeline),
@@ -169,6 +181,11 @@ def _entries(results: Results, manifest: dict[str, Any], key: str) -> list[Any]:
             f"{MANIFEST} lists more than {MAX_FILES} {key}; the rest is left out."
         )
     return entries[:MAX_FILES]
+
+
+def _name(entry: Any) -> str:
+    name = entry.get("file") if isinstance(entry, dict) else entry
+    return name[:200] if isinstance(name, str) else f"an entry of {MANIFEST}"
 
 
 def _own(folder: Path, name: Any) -> Path:
@@ -198,7 +215,7 @@ def _object(path: Path) -> dict[str, Any]:
     return value
 
 
-def _data(results: Results, path: Path) -> None:
+def _data(results: Results, path: Path) -> bool:
     if path.stat().st_size > MAX_DATA_BYTES:
         size = f"{MAX_DATA_BYTES / 1e6:.0f} MB"
         raise InputError(sentence(f"the file is larger than {size}", do="look into it with xarray"))
@@ -208,6 +225,7 @@ def _data(results: Results, path: Path) -> None:
         if data.variables or len(groups) == 1:
             data.attrs = root | data.attrs
             results.data[path.stem if name == "/" else f"{path.stem}{name}"] = data
+    return True
 
 
 def _figure(folder: Path, entry: Any) -> PageFigure:

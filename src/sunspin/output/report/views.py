@@ -21,6 +21,9 @@ MOST_MOTIONS = 4
 MOST_POINTS = 5000
 """Points of a cloud; larger ones are thinned evenly."""
 
+MOST_PATH = 600
+"""Instants of a motion whose Sun is drawn as a path: a longer one covers the sphere."""
+
 GREY, INK = "#808890", "#70787f"
 """Axes and edges, legible on light and on dark paper."""
 
@@ -72,7 +75,7 @@ def sun_on_sphere(results: Results) -> View | None:
             traces.append(_cloud(points, name.replace("_", " "), COLOURS[k % 6], 4))
     for k, (title, run) in enumerate(motions_of(results)[:MOST_MOTIONS]):
         path = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
-        trace = line(1.004 * path[:MOST_POINTS], INK, 3, f"path: {title}")
+        trace = line(1.004 * path[:MOST_PATH], INK, 3, f"path: {title}")
         traces.append(trace.update(visible=True if k == 0 else "legendonly", showlegend=True))
     if len(traces) == bare:
         return None
@@ -168,7 +171,7 @@ def rate_space(results: Results) -> Iterator[View]:
         ]
         for point, direction, label, colour in (
             ("point", "direction", "fitted lines", INK),
-            ("published_point", "published_direction", "published lines", GREY),
+            ("published_point", "published_direction", "published lines", COLOURS[1]),
         ):
             if point in scan and scan[point].ndim == 2:
                 ends = [

@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import base64
-import json
 import random
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimate.rates.wheels import COASTING, HELD, MEASURED
+from sunspin.output.curves import dense
 from sunspin.output.figures import save
 from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals, residuals_figure
 from sunspin.output.figures.telemetry import _passes_together, sun_directions_figure
 from sunspin.output.kinds.rate_words import rate_at
-from sunspin.output.report import lander, measured, orbit, posterior, runs, sphere
-from sunspin.output.report.other import unknown
-from sunspin.output.report.passes import dense
-from sunspin.output.report.read import Results
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
-from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 FACES = {
     "+X": [1, 0, 0],
@@ -158,32 +151,6 @@ def test_the_sensors_used_are_named(used, said):
     assert sources(result.assign_attrs(source="field", field_used=1)) == "magnetometer"
 
 
-def test_the_factor_is_fitted_to_panels_that_count():
-    _, samples = tumble()
-    t, value = samples["time"].values, samples["power_W"].values.copy()
-    model = ss.panel_power(CUBE, samples["true_sun_B"].values) / 5.0
-    value[:, 0] = 0.0
-    works = np.arange(6) > 0
-    assert measured.scale_of(t, value[:, works], t, model[:, works]) == pytest.approx(5.0, rel=0.01)
-    assert measured.scale_of(t, value, t, model) < 4.7  # what it was with the dead one
-
-
-def test_curves_bend_between_the_instants_of_a_motion():
-    coarse = ss.propagate(CUBE, 20 * OMEGA, [0.6, 0.0, 0.8], None, np.arange(0.0, 60.0, 1.0))
-    coarse = coarse.assign(
-        panel_signal=(("time", "panel"), ss.panel_power(CUBE, coarse["sun_B"].values))
-    )
-    fine = measured._finer(coarse, CUBE, list(FACES))
-    assert fine.sizes["time"] > 4 * coarse.sizes["time"]
-    exact = ss.propagate(CUBE, 20 * OMEGA, [0.6, 0.0, 0.8], None, fine["time"].values)
-    power, t = ss.panel_power(CUBE, exact["sun_B"].values), fine["time"].values
-    chords = np.stack(
-        [np.interp(t, coarse["time"].values, column) for column in coarse["panel_signal"].values.T],
-        axis=1,
-    )
-    assert np.abs(fine["panel_signal"].values - power).max() < np.abs(chords - power).max() / 3
-
-
 def with_curve(result: xr.Dataset, omega=OMEGA) -> xr.Dataset:
     """The same with the motion between its samples, and attitudes."""
     t = np.linspace(0.0, result["time"].values[-1], 800)
@@ -224,104 +191,6 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
     assert dense(result.drop_vars("curve_pass_of")) == []
-
-
-def told_of_a_wheel(wheel: Wheel, samples: xr.Dataset | None, doing: str) -> np.ndarray:
-    """The speeds of a wheel, rad/s, at the instants of the pass that the page shows."""
-    result, _ = tumble(20, 30.0)
-    data = {"rates": with_curve(result).assign_attrs(wheels=doing)} | (
-        {} if samples is None else {"telemetry": samples}
-    )
-    section = lander.section(Results(Path("."), "rates", {}, data, replace(CUBE, wheels=(wheel,))))
-    (motion,) = section.items[0].data["motions"]
-    assert json.dumps(motion, allow_nan=False) and len(motion["wheel"]) == 1
-    return np.frombuffer(base64.b64decode(motion["wheel"][0]), "<f4")
-
-
-def test_the_speed_of_a_wheel_is_that_which_the_rates_were_made_with():
-    _, samples = tumble(20, 30.0)
-    spins = Wheel("w", [0, 0, 1], 1e-4, 300.0)
-    for read, doing in (
-        (samples, HELD),
-        (None, HELD),
-        (samples, f"{HELD} (evidence 3.1 above any other)"),
-    ):
-        np.testing.assert_allclose(told_of_a_wheel(spins, read, doing), 300.0, rtol=1e-6)
-    read = samples.assign(
-        wheel_speed_rad_s=(("time", "wheel"), 200.0 + samples["time"].values[:, None] / 10)
-    )
-    measured_speed = told_of_a_wheel(spins, read, MEASURED)
-    assert measured_speed[0] == pytest.approx(200.0) and measured_speed[-1] == pytest.approx(
-        257.0, abs=0.5
-    )
-    rubs = replace(spins, friction=Friction(viscous_N_m_s=1e-7))
-    assert told_of_a_wheel(rubs, samples, COASTING)[-1] == pytest.approx(
-        300 * np.exp(-1e-3 * 570), rel=0.01
-    )
-    for wheel, read, doing in (
-        (replace(spins, speed_rad_s=0.0), samples, HELD),
-        (spins, None, MEASURED),
-    ):
-        assert np.isnan(told_of_a_wheel(wheel, read, doing)).all()
-
-
-def test_the_page_names_what_a_motion_may_be(tmp_path):
-    result, _ = tumble(20, 30.0)
-    said = {"why_not_decided": ("pass_id", [""]), "omega_mean_B": result["omega_sigma_B"]}
-    said |= {name: ("pass_id", [True]) for name in ("decided", "fits")}
-    for model, text in (
-        ("as stated", "decided"),
-        ("a step in the rate", "decided; likeliest: a step in the rate"),
-    ):
-        data = {"rates": result.assign(said | {"model": ("pass_id", [model])})}
-        table = runs.rates(Results(tmp_path, "rates", {}, data)).items[-2]
-        assert table.rows[0][-1] == text
-
-
-@pytest.mark.parametrize("passes", [1, 2, 30])
-def test_without_a_motion_powers_are_shown_pass_by_pass(passes, tmp_path):
-    """On one axis passes 95 minutes apart would be specks beside emptiness."""
-    _, samples = tumble(20, 30.0)
-    samples = xr.concat(
-        [samples.assign_coords(time=samples["time"].values + 5700 * k) for k in range(passes)],
-        "time",
-    )
-    samples.attrs["epoch_utc"] = "2026-01-01T00:00:00Z"
-    (plot,) = measured.powers(Results(tmp_path, "sun", {}, {"telemetry": samples})).items
-    views = (
-        []
-        if passes == 1
-        else [f"Pass at 2026-01-{1 + k * 5700 // 86400:02d}" for k in range(passes)][:12]
-    )
-    assert len(plot.views) == (len(views) + 1 if views else 0)
-    assert all(
-        view["label"].startswith(text) for view, text in zip(plot.views, views, strict=False)
-    )
-    for view in plot.views[:-1]:
-        assert 570 <= np.ptp(view["range"]) / 1000 < 600
-
-
-def test_a_posteriors_summary_has_a_place_for_each_of_its_entries(tmp_path):
-    summary = {"hypotheses": {"as stated": 0.65, "a steady torque in body axes": 0.35}}
-    results = Results(tmp_path, "posterior", summary)
-    assert unknown(results) is None
-    assert posterior._hypotheses(results).rows == [
-        ["as stated", "0.65"],
-        ["a steady torque in body axes", "0.35"],
-    ]
-    for odd in (3, None, [3], [{"factor": "x"}], {"a": []}):  # of somebody else's folder
-        results = Results(tmp_path, "posterior", {"hypotheses": odd})
-        assert posterior._hypotheses(results) is None
-
-
-def test_panels_of_one_face_have_one_label_on_the_sphere(tmp_path):
-    twice = replace(
-        CUBE,
-        panels=(*CUBE.panels, Panel("second", FACES["+Y"], 5.0)),
-        telemetry=TelemetryForm(noise=0.05),
-    )
-    (drawn,) = sphere._normals(Results(tmp_path, "sun", {}, {}, twice))
-    assert len(drawn["text"]) == 6 and "+Y, second" in drawn["text"]
 
 
 @pytest.mark.parametrize("passes", [2, 5, 30])
@@ -376,56 +245,3 @@ def test_names_that_look_like_formulas_are_drawn_as_they_are(seed, tmp_path):
         save(sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun")
         save(residuals_figure(result, samples, odd), tmp_path, "residuals")
     assert (tmp_path / "sun.png").stat().st_size and (tmp_path / "residuals.svg").stat().st_size
-
-
-def test_the_orbit_is_a_table_of_its_own_and_no_raw_entry(tmp_path):
-    entry = {
-        "epoch_utc": "2017-08-24T21:49:23Z",
-        "age_days": -60.5,
-        "satellite": 42790,
-        "name": "VZLUSAT-1",
-        "verdict": "fits",
-        "copies": 50,
-        "better_copies": 0,
-        "node_turn_rad": 0.0,
-        "node_turn_times": 1.0,
-        "shift_s": -152.4,
-        "shift_sigma_s": 6.6,
-        "clock_behind_s": 0.0,
-        "field_residual_T": 5.1e-7,
-        "sun_field_residual_rad": 0.08,
-        "in_shadow": 4,
-        "in_shadow_with_sun": 0,
-        "sign_turned": False,
-        "samples": {"field": 200},
-        "notes": ["old"],
-        "used": True,
-    }
-    results = Results(tmp_path, "rates", {"orbit": entry})
-    found = orbit.section(results)
-    assert unknown(results) is None and found.lead == ["The orbit is used."]
-    text = dict(found.items[0].rows)
-    assert (
-        text["elements of"] == "VZLUSAT-1 42790"
-        and text["age in the middle of the telemetry"] == "-60.5 days"
-    )
-    assert text["ahead of the elements along the track"] == "-152 s, sigma 7 s"
-    assert text["median residual of the field's strength"] == "0.51 uT" and not any(
-        "clock" in what for what in text
-    )
-    entry |= {
-        "used": False,
-        "verdict": "refused",
-        "clock_behind_s": 3600.0,
-        "samples": "<b>",
-        "shift_s": "x",
-    }
-    entry |= {"node_turn_times": 1.4, "node_turn_rad": 0.2}
-    found = orbit.section(results)
-    text = dict(found.items[0].rows)
-    assert (
-        "NOT USED" in found.lead[0]
-        and text["clock behind UTC with which the elements would fit"] == "+1 h"
-    )
-    assert text["residuals with another plane"] == "1.40 times smaller, node +11 deg on"
-    assert orbit.section(Results(tmp_path, "rates", {"orbit": 3})) is None

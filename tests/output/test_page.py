@@ -1,0 +1,221 @@
+"""The page of a results folder as text: whole, safe, true to the files, and never stopped by a damaged part."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from pages import Page
+
+import sunspin as ss
+from browser import HOSTILE
+from sunspin.base.errors import InputError
+from sunspin.cli import cli
+from sunspin.output.folder import MANIFEST, MARKER
+from sunspin.output.report import write_report
+from sunspin.output.report.body import body_in_motion
+from sunspin.output.report.page import _json, _script
+from sunspin.output.report.read import Results, read_results
+from sunspin.output.report.views import sun_on_sphere
+from sunspin.vehicle import Panel, Vehicle
+
+
+@pytest.fixture(scope="module")
+def page(study) -> Page:
+    return Page(study / "report.html")
+
+
+PARTS = {
+    "sun": ["summary", "sun", "tables", "provenance"],
+    "rates": ["summary", "motion", "sun", "figures", "tables", "provenance"],
+    "scan": ["summary", "rate-space", "provenance"],
+    "simulate": ["summary", "motion", "sun", "provenance"],
+    "posterior": ["summary", "motion", "sun", "rate-space", "figures", "tables", "provenance"],
+    "outcomes": ["summary", "figures", "tables", "provenance"],
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_every_command_gets_its_parts_and_labels_from_outside_stay_text(user_runs, name):
+    read = Page(user_runs[name] / "report.html")
+    assert read.ids("section") == PARTS[name]
+    assert "could not be" not in read.text and f"sunspin {name}" in read.text
+    ids = [attrs["id"] for _, attrs in read.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    assert not [a for _, attrs in read.tags for a in attrs if a.startswith("on")]
+    scripts = [attrs.get("id") for tag, attrs in read.tags if tag == "script"]
+    assert scripts == ["data", *[None] * (1 if name == "outcomes" else 2)]
+    if name != "outcomes":  # of Philae, whose name is not hostile
+        assert " ".join(HOSTILE.split()) in read.text
+    manifest = json.loads((user_runs[name] / MANIFEST).read_text("utf-8"))
+    shown = [attrs for tag, attrs in read.tags if tag == "img"]
+    assert len(shown) == len(manifest["figures"]) > 0
+    assert all(attrs["src"].startswith("data:image/") and attrs["alt"] for attrs in shown)
+
+
+def test_the_study_has_every_part_and_says_what_its_summary_says(study, page):
+    parts = ["summary", "motion", "sun", "rate-space", "tables", "comparison", "provenance"]
+    assert [i for i in page.ids("section") if i != "figures"] == parts
+    summary = json.loads((study / "summary.json").read_text("utf-8"))
+    assert "could not be" not in page.text and len(summary["headline"]) == 3
+    for sentence in summary["headline"] + summary["score"] + summary["conclusions"]:
+        assert " ".join(sentence.split()) in page.text
+    for entry in summary["inputs"]:
+        assert entry["sha256"] in page.text
+    for text in (summary["command"], f"sunspin {summary['version']}", summary["cite"]):
+        assert text in page.text
+
+
+def test_it_stands_alone_and_is_small(study, page):
+    assert (study / "report.html").stat().st_size < 15e6
+    for tag, attrs in page.tags:
+        for name in ("src", "href", "action", "poster", "data"):
+            value = attrs.get(name)
+            assert value is None or value.startswith(("#", "data:")), (tag, value)
+    policies = [
+        a["content"] for t, a in page.tags if a.get("http-equiv") == "Content-Security-Policy"
+    ]
+    assert "default-src 'none'" in str(policies[0])
+    assert "MIT License" in page.text or "MIT license" in page.text
+
+
+def test_every_view_has_words_and_axes_with_units(user_runs, page):
+    for read in (page, Page(user_runs["posterior"] / "report.html")):
+        words = {
+            attrs["data-plot"]: attrs["aria-label"]
+            for tag, attrs in read.tags
+            if tag == "div" and "data-plot" in attrs
+        }
+        plots = json.loads(read.data)
+        assert set(words) == set(plots) and all(len(str(text)) > 30 for text in words.values())
+        for name, plot in plots.items():
+            axes = [plot["layout"]["scene"][f"{a}axis"] for a in "xyz"]
+            titles = [axis.get("title", {}).get("text", "") for axis in axes]
+            if name.startswith("motion"):
+                assert plot["frames"] and all(axis["visible"] is False for axis in axes)
+            else:
+                assert all(re.search(r"rad/s|deg/s|body", title) for title in titles), titles
+
+
+@pytest.mark.parametrize("text", ["</script>", "<!--<script>", "\u2028\u2029", "a&b'\"\\", "]]>"])
+def test_no_label_ends_the_script_it_stands_in(text):
+    made = _json({"label": text, text: 1})
+    assert not re.search(r"[<>&\u2028\u2029]", made)
+    assert json.loads(made) == {"label": text, text: 1}
+    assert "</script" not in _script(f"x = '{text}'") and "<!--" not in _script(text)
+
+
+@pytest.mark.evidence(
+    "report", "verified", "the drawn attitude, rates and Sun against the result file"
+)
+def test_the_drawn_attitude_is_the_stored_one(user_runs):
+    """The rotation is recovered from the drawn corners; the Sun's arrow, carried back by it, is the stored Sun."""
+    results = read_results(user_runs["simulate"])
+    (view,) = body_in_motion(results)
+    run = results.data["trajectory"]
+    first, label = view.figure.frames[0].data[0], view.figure.layout.sliders[0].steps[0].label
+    still = np.array([first.x, first.y, first.z]).T
+    sun = np.array([view.figure.data[2][a][1] for a in "xyz"])
+    for frame in view.figure.frames[:: max(len(view.figure.frames) // 7, 1)]:
+        mesh = frame.data[0]
+        turned = np.array([mesh.x, mesh.y, mesh.z]).T
+        matrix, *_ = np.linalg.lstsq(still, turned, rcond=None)
+        np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-5)
+        now = matrix @ sun / np.linalg.norm(sun)  # the Sun in the axes of the first instant's body
+        then = run["sun_B"].values @ run["sun_B"].values[0]
+        assert np.abs(then - now @ sun / np.linalg.norm(sun)).min() < 1e-3
+    speed = np.degrees(np.linalg.norm(run["omega_B"].values[0]))
+    assert f"{speed:.3g} deg/s" in label and "300 rad/s" not in label
+
+
+def test_faster_motions_are_shown_in_part_and_standing_ones_whole():
+    """No two frames are a third of a radian apart, whatever the rate; a body that does not turn has frames too."""
+    cube = Vehicle(
+        "cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 0, 1], 1.0))
+    )
+    for rate in (0.0, 0.01, 3.0):
+        run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 600.0, 0.05))
+        results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
+        (view,) = body_in_motion(results)
+        corners = [np.array([f.data[0].x, f.data[0].y, f.data[0].z]).T for f in view.figure.frames]
+        assert 2 <= len(corners) <= 300
+        size = np.linalg.norm(corners[0], axis=1).max()
+        assert max(np.abs(np.diff(corners, axis=0)).max(axis=(1, 2))) < 0.5 * size
+
+
+def test_panels_of_one_side_have_one_label_on_the_sphere():
+    panels = (Panel("a", [1, 0, 0], 1.0), Panel("b", [1, 0, 0], 1.0), Panel("c", [0, 0, 1], 1.0))
+    cube = Vehicle("cube", np.eye(3), panels=panels)
+    run = ss.propagate(cube, [0, 0, 0.1], [1, 0, 0], None, np.arange(9.0))
+    view = sun_on_sphere(Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube))
+    assert sorted(view.figure.data[-1].text) == ["a, b", "c"]
+
+
+def test_tables_are_those_of_the_files(user_runs):
+    folder = user_runs["rates"]
+    passes = pd.read_csv(folder / "passes.csv", comment="#")
+    text = Page(folder / "report.html").part("tables")
+    for value in passes[["speed_median_deg_s", "omega_x_deg_s", "sigma_x_deg_s"]].values.ravel():
+        assert f"{value:.4g}" in text
+    strategies = Page(user_runs["outcomes"] / "report.html").part("tables")
+    assert (
+        "off at touchdown" in strategies and "m/s" in strategies and "touch_leg" not in strategies
+    )
+
+
+def test_what_is_broken_is_named_and_the_rest_is_shown(user_runs, tmp_path):
+    folder = tmp_path / "odd"
+    shutil.copytree(user_runs["rates"], folder)
+    (folder / "rates.nc").write_bytes(b"\x89HDF\r\n\x1a\nno")
+    (folder / "summary.json").write_text('{"half": ', "utf-8")
+    (folder / "vehicle.toml").write_text("name = 'x'\n[body]\nmass_kg = -1\n", "utf-8")
+    (folder / "passes.csv").unlink()
+    text = Page(write_report(folder)).text
+    for name in ("rates.nc", "summary.json", "vehicle.toml", "a table"):
+        assert f"{name} could not be read or shown" in text
+    for wrong in ("[]", "3", '{"data": 3, "figures": [3, {}], "tables": [{"shown": {"a": 1}}]}'):
+        (folder / MANIFEST).write_text(wrong, "utf-8")
+        assert "could not be" in Page(write_report(folder)).text or "is no list" in text
+
+
+def test_only_our_folders_are_taken(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        write_report(tmp_path / "none")
+    (tmp_path / "report.html").write_text("mine", "utf-8")
+    with pytest.raises(InputError, match="not a results folder"):
+        write_report(tmp_path)
+    (tmp_path / MARKER).write_text("rates\n", "utf-8")
+    with pytest.raises(InputError, match="earlier version wrote it.*run the command again"):
+        write_report(tmp_path)
+    assert (tmp_path / "report.html").read_text("utf-8") == "mine"
+
+
+@pytest.mark.evidence("report", "verified", "the draws and the best motion of a posterior's files")
+def test_the_best_motion_of_a_posterior_is_its_likeliest_draw(user_runs):
+    folder = user_runs["posterior"]
+    tree = xr.load_datatree(folder / "posterior.nc")
+    motion = xr.load_dataset(folder / "motion-region-1.nc")
+    likeliest = int(np.argmax(tree["posterior"]["log_likelihood_sum"].values))
+    best = tree["posterior"].to_dataset().isel(chain=0, draw=likeliest)
+    assert np.allclose(motion["omega_B"].values[0], best["omega_B"].values, atol=1e-12)
+    ends = [tree.attrs["t_first_s"], tree.attrs["t_last_s"]]
+    assert motion["time"].values[[0, -1]] == pytest.approx(ends)
+    samples = xr.load_dataset(folder / "telemetry.nc")["power_W"]
+    modelled = motion["panel_signal"].interp(time=samples["time"]).values
+    scale = (samples.values * modelled).sum() / (modelled**2).sum()
+    assert np.abs(scale * modelled - samples.values).max() < 6 * 0.02  # of its noise, 0.02 W
+
+
+def test_the_command_names_the_page(user_runs):
+    done = CliRunner().invoke(
+        cli, ["report", str(user_runs["scan"]), "--json"], catch_exceptions=False
+    )
+    said = json.loads(done.output)
+    assert Path(said["report"]).stat().st_size == said["bytes"]
