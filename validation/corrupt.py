@@ -340,7 +340,7 @@ class Corrupt(Suite):
 
     def try_summary(self, place: Path, rng: np.random.Generator) -> Verdict:
         folder = self._folder(place, rng)
-        path = folder / str(rng.choice(["summary.json", "summary.json", "figures.json"]))
+        path = folder / str(rng.choice(["summary.json", "summary.json", "manifest.json"]))
         said = json.loads(path.read_text("utf-8")) if path.exists() else []
         for _ in range(int(rng.integers(1, 4))):
             said = reworded(said, rng)

@@ -94,13 +94,13 @@ def test_a_users_run_with_a_hostile_name_moves(browser, user_runs, name):
     browser.show(MOTION)
     assert browser.js("window.hacked === undefined") and browser.complaints() == []
     assert HOSTILE in text(browser, "main")
-    corners = f'[...document.querySelector("{MOTION}").data[0].x]'
+    corners = f'[...document.querySelector("{MOTION}")._fullData[0].x]'
     before = np.array(browser.js(corners))
     browser.js(
         f"Plotly.animate(document.querySelector(\"{MOTION}\"), ['20'], {{frame: {{duration: 0}}}})"
     )
     browser.until(
-        f'Math.abs(document.querySelector("{MOTION}").data[0].x[0] - {before[0]}) > 1e-4', 10
+        f'Math.abs(document.querySelector("{MOTION}")._fullData[0].x[0] - {before[0]}) > 1e-4', 10
     )
     eye = f'JSON.stringify(document.querySelector("{MOTION}")._fullLayout.scene.camera.eye)'
     browser.js(f'document.querySelector("{MOTION}").focus()')
