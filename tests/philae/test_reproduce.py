@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from drawing import covered
 from sunspin.base.errors import MotionError, TelemetryError
-from sunspin.output.folder import Picture
+from sunspin.output.kind import Drawing
 from sunspin.philae import carries, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
@@ -165,7 +166,7 @@ def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
 
 def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
     names = ["fig03_measured", "fig09_lines", "fig09_telemetry", "fig10_11_descent", "growth"]
-    rows = figure_rows([Picture(tmp_path / f"{name}.png", "alt", f"{name}.") for name in names])
+    rows = figure_rows([Drawing(name, Figure, "alt", f"{name}.") for name in names])
     assert [row.id for row in rows] == [f"figure_{number}" for number in range(1, 14)]
     shown = {row.id: row.ours for row in rows}
     assert shown["figure_9"] == "fig09_lines.png, fig09_telemetry.png"

@@ -287,6 +287,9 @@ def test_a_page_of_damaged_results_names_them_and_opens_no_bomb(home, undrawn, f
     with h5netcdf.File("results/bomb.nc", "w") as file:
         file.dimensions = {"time": 10**12}
         file.create_variable("px", ("time",), "f8", chunks=(10**6,))
+    manifest = json.loads((home / "results" / "manifest.json").read_text("utf-8"))
+    manifest["data"].append("bomb.nc")
+    (home / "results" / "manifest.json").write_text(json.dumps(manifest), "utf-8")
     data = bytearray((home / "results" / "trajectory.nc").read_bytes())
     data[200:260] = bytes(60)
     (home / "results" / "trajectory.nc").write_bytes(data)

@@ -74,6 +74,7 @@ def test_devices_pipes_and_files_of_the_kernel_are_refused(command, home, soon):
 
 def test_results_made_of_pipes_are_refused(home, soon):
     (home / ".sunspin-results").write_text("rates\n")
+    (home / "manifest.json").write_text('{"data": ["rates.nc"]}')
     for name in ("rates.nc", "summary.json", "timeline.toml"):
         os.mkfifo(name)
     assert judge(sunspin("export", ".", "--out", "out")).what == "refused"
