@@ -20,7 +20,6 @@ from sunspin.output import figures
 from sunspin.output.figures import inline
 from sunspin.philae import (
     carries,
-    contradictions_motion,
     motions,
     pictures,
     published_lines,
@@ -45,7 +44,6 @@ def small() -> Iterator[None]:
             (motions, "SPREAD_MOTIONS", 4),
             (motions, "COLLISIONS", 40),
             (published_lines, "LINE_POINTS", 3),
-            (contradictions_motion, "LINE_POINTS", 3),
             (rebound, "POOL_POINTS", 4),
             (threshold, "BLOCK", 64),
             (carries, "SHUFFLES", 1),

@@ -51,7 +51,6 @@ def row(**given: Any) -> dict[str, Any]:
         "informative": True,
         "chain": "telemetry",
         "holds": None,
-        "weak": False,
         "part": "a part",
         "section": "a section",
     }
@@ -90,10 +89,6 @@ def copy(study: Path, folder: Path, *names: str) -> None:
         ({"kind": "not_comparable", "holds": True}, "not-comparable"),
         ({"kind": "not_comparable", "agrees": True}, "not-comparable"),
         ({"kind": "not_comparable", "id": "figure_3"}, "drawn"),
-        ({"kind": "arithmetic", "id": "contradiction_x", "holds": False}, "contradicted"),
-        ({"kind": "arithmetic", "id": "contradiction_x", "holds": False, "weak": True}, "weak"),
-        ({"kind": "arithmetic", "id": "contradiction_x", "holds": True}, "stands"),
-        ({"kind": "arithmetic", "id": "contradiction_x", "weak": True}, "open"),
         ({"kind": "of another time"}, "not-comparable"),
         ({"agrees": "yes"}, "not-comparable"),
     ],
@@ -161,7 +156,7 @@ def test_rows_filters_and_sentences_have_the_counts_of_the_summary(study):
     assert found["uninformative"] == total["uninformative"]
     assert found["comes-back"] + found["not-back"] + found["put-in"] == total["put_in"]
     assert found["not-comparable"] == total["not_comparable"] and found["drawn"] == 13
-    own = ("holds", "holds-not", "arithmetic", "contradicted", "weak", "stands", "open")
+    own = ("holds", "holds-not", "arithmetic")
     assert sum(found[key] for key in own) == sum(part["arithmetic"] for part in every)
     lines = counts["without_telemetry"]
     said = (
@@ -169,10 +164,23 @@ def test_rows_filters_and_sentences_have_the_counts_of_the_summary(study):
         f"Tests without telemetry (the equations and the printed lines): {lines['agree']} agree, {lines['differ']} differ",
         f"Put in: {total['put_in']} figures",
         f"Not comparable: {total['not_comparable']} rows",
-        f"Statements of the paper: {found['contradicted']} contradict its own figures or public facts, {found['weak']} more",
     )
     for sentence in said:
         assert sentence in page.text
+
+
+def test_contradictions_are_a_table_of_the_unchanged_study_alone(study, tmp_path):
+    """Their texts stay texts, and a damaged table leaves the page."""
+    summary = json.loads((study / "summary.json").read_text("utf-8"))
+    statements = summary["contradictions"]["statements"]
+    strong = sum(not each["weak"] for each in statements)
+    shown = Page(study / "report.html").part("contradictions")
+    assert f"{strong} statements of the paper contradict" in shown
+    assert all(" ".join(each["other_reading"].split()) in shown for each in statements)
+    bad = {"statements": [dict.fromkeys(statements[0], HOSTILE), 3], "made": 3}
+    assert " ".join(HOSTILE.split()) in page_of(tmp_path / "a", contradictions=bad).text
+    for odd in (None, 3, {}, {"statements": []}):
+        assert "contradict" not in page_of(tmp_path / "b", contradictions=odd).text
 
 
 def test_a_row_shows_its_interval_what_was_possible_and_what_made_it(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import shlex
 import time
@@ -15,8 +16,8 @@ from sunspin.base.provenance import version
 from sunspin.output.folder import CITE, Picture, results_folder, write_run, write_whole
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
-from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
+from sunspin.philae import touchdown
 from sunspin.philae.files import store
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import Gallery
@@ -91,7 +92,6 @@ class Written:
             *told["headline"][:2],
             *told["score"],
             *told["missing"].values(),
-            *([] if "impulse" in told["missing"] else [told["impulse"]]),
             f"Report: {self.report} (in {told['seconds']:.0f} s)",
         ]
 
@@ -113,7 +113,6 @@ def reproduce(
     workers: int | None = None,
     coarser: int = 1,
     changes: Changes = None,
-    data: str | Path | None = None,
     progress: bool = False,
 ) -> Written:
     """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
@@ -143,21 +142,11 @@ def reproduce(
         Use every n-th point of the scan's grid, for a quick look.
     changes : dict or list of str, optional
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
-    data : path, optional
-        Folder with philae_spk/ (docs/data.md): the landing kernel's impulse then weights the collisions, in rows beyond the paper.
     """
     began = time.perf_counter()
     asked = changes_of(changes)
     case = _case(telemetry, vehicle, asked)
-    options = Options(
-        candidates,
-        calibrate,
-        seed,
-        coarser,
-        workers,
-        progress,
-        None if data is None else Path(data),
-    )
+    options = Options(candidates, calibrate, seed, coarser, workers, progress)
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         raise InputError(
@@ -194,7 +183,6 @@ def reproduce(
         if result.chain is None or result.chain.calibration is None
         else result.chain.calibration.told,
         "missing": result.missing,
-        "impulse": _impulse(result),
         "headline": headline(result),
         "conclusions": conclusions(result),
         "score": score(result),
@@ -204,6 +192,10 @@ def reproduce(
         "command": _command(telemetry, vehicle, options, asked),
         "inputs": _inputs(case, vehicle),
         "cite": CITE,
+        # made once by a study, for the paper's own body and the built-in telemetry
+        "contradictions": json.loads((case.folder / "contradictions.json").read_text("utf-8"))
+        if (telemetry, vehicle, asked) == (None, None, ())
+        else None,
         "figures": [
             asdict(row)
             | {"part": heading.get(name, name), "section": SECTIONS[section.get(name, "paper")]}
@@ -244,13 +236,8 @@ def _command(
     changes: tuple[Change, ...],
 ) -> str:
     words = ["sunspin", "reproduce", "--seed", str(options.seed)]
-    given = (
-        ("telemetry", telemetry),
-        ("vehicle", vehicle),
-        ("calibrate", options.twins),
-        ("data", options.data),
-    )
-    for name, value in given:
+    given = {"telemetry": telemetry, "vehicle": vehicle, "calibrate": options.twins}
+    for name, value in given.items():
         words += [] if value is None else [f"--{name}", str(value)]
     words += [] if options.source == "scan" else ["--candidates", options.source]
     words += [word for change in changes for word in ("--set", str(change))]
@@ -314,8 +301,6 @@ def conclusions(result: Reproduction) -> list[str]:
     if result.chain is not None:
         found += touchdown.sentences(result.chain)
     found += _of_lines(result)
-    if "impulse" in result.parts:
-        found.append(_impulse(result))
     apart = [row for row in result.rows if row.agrees is False]
     if apart:
         found.append(
@@ -325,13 +310,6 @@ def conclusions(result: Reproduction) -> list[str]:
         )
     found += [f"{line}." for line in score(result)]
     return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
-
-
-def _impulse(result: Reproduction) -> str:
-    """What the collision's impulse changes, or why it does not."""
-    if "impulse" in result.parts:
-        return impulse.told(result.parts["impulse"], result.rows_by_part["impulse"])
-    return result.off.get("impulse") or result.missing["impulse"]
 
 
 def _of_scan(result: Reproduction) -> list[str]:

@@ -29,6 +29,7 @@ SEEN = {
     "calibration",
     "score",
     "counts",
+    "contradictions",
 }
 """Keys of a summary that have a place of their own."""
 

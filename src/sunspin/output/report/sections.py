@@ -56,6 +56,7 @@ BUILDERS: tuple[tuple[str, Callable[[Results], Section | None]], ...] = (
     ("outcomes", landing.outcomes),
     ("strategies", landing.strategies),
     ("the comparison", rows.section),
+    ("contradictions", rows.contradictions),
     ("the orbit", orbit.section),
     ("data quality", quality.section),
     ("conclusions", other.conclusions),
