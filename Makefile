@@ -25,7 +25,7 @@ help:
 	@echo "make test-slow   the campaigns marked slow"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
 	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/benchmarks.md)"
-	@echo "make studies     what else was asked of the paper, into $(STUDIES)/, about 10 minutes; resumable (docs/studies.md)"
+	@echo "make studies     what else was asked of the paper, into $(STUDIES)/, about 15 minutes (docs/studies.md)"
 	@echo "make scoreboard  what must not get worse, case by case (make scoreboard SCOREBOARD='--full --against FILE'); resumable"
 	@echo "make validate-real  rates of real satellites against what was withheld, where SUNSPIN_DATA has them (docs/real-data.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
@@ -94,9 +94,11 @@ docs: $(READY)
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
 
-# go on where they were stopped
+# the first goes on where it was stopped; the last needs other people's data
 studies: $(READY)
 	$(BIN)/python -m studies.coverage $(STUDIES)/coverage
+	$(BIN)/python -m studies.contradictions $(STUDIES)/contradictions
+	test -z "$$SUNSPIN_DATA" || $(BIN)/python -m studies.impulse $(STUDIES)/impulse
 
 # goes on where it was stopped
 scoreboard: $(READY)

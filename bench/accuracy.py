@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 import sunspin as ss
 from bench.problem import grid_sample, philae
-from bench.table import Table
-from bench.timing import medians, say
+from bench.timing import Table, medians
 from sunspin.dynamics import ensemble as k
 from sunspin.vehicle import Vehicle
 
@@ -20,26 +20,20 @@ COLUMNS = ("motions", "asked, rad", "median", "99 %", "largest", "us/row")
 def run(quick: bool) -> Table:
     """Errors (rad) of the Sun's direction at the end, on one core."""
     n, refused = 24 if quick else 256, 0
-    table = Table("accuracy", "error of directions against the error asked for", COLUMNS)
+    table = Table("accuracy: error of directions against the error asked for", COLUMNS)
     for name, vehicle, rows, window in cases(n):
-        say(f"accuracy: {name}, reference")
         exact = np.array([last_sun(vehicle, rows, i, window) for i in range(n)])
         for asked in DIRECTION_ERRORS[1:3] if quick else DIRECTION_ERRORS:
             found = k.run_rows(vehicle, rows, window, direction_error=asked)
             fine = found.outcome == k.Outcome.FINE
             refused += int((~fine).sum())
             error = np.linalg.norm(found.sun_B[fine, 0] - exact[fine], axis=1)
-            work = {
-                "run": lambda v=vehicle, r=rows, w=window, e=asked: k.run_rows(
-                    v, r, w, direction_error=e
-                )
-            }
-            seconds = medians(work, 1 if quick else 3)["run"]
-            table.add(name, asked, *np.quantile(error, [0.5, 0.99, 1.0]), 1e6 * seconds / n)
-    table.notes.append(
-        f"rows that end in an outcome other than FINE, and are not counted: {refused}"
-    )
-    table.notes.append("few rows fill few lanes, see `scan` for speed")
+            run = partial(k.run_rows, vehicle, rows, window, direction_error=asked)
+            seconds = medians({"run": run}, 1 if quick else 3)["run"]
+            quantiles = np.quantile(error, [0.5, 0.99, 1.0])
+            table.rows.append((name, asked, *quantiles, 1e6 * seconds / n))
+    table.notes.append(f"Rows that are not counted, as their outcome is not FINE: {refused}")
+    table.notes.append("Few rows fill few lanes; see `scan` for speed.")
     return table
 
 

@@ -1,4 +1,4 @@
-"""The contestants: heyoka in batches, heyoka one by one, SciPy. All integrate `sunspin.dynamics.gyrostat.rhs`.
+"""The contestants: heyoka in batches, SciPy. All integrate `sunspin.dynamics.gyrostat.rhs`.
 
 Each propagates states (n, 7) over the window with the wheel's stop found on the way, and does nothing else: no mask, no
 distribution, no distance. The stopped wheel is taken to stay stuck, which it does for every motion of the grid; the direction
@@ -112,27 +112,6 @@ class TaylorBatch:
         stuck.state[:] = np.delete(states, 3, axis=1).T
         stuck.propagate_until(self.problem.window_s)
         return End(stuck.state[3:, :n].T.copy(), times[:n])
-
-
-class TaylorScalar:
-    """heyoka's integrator for one motion at a time, the stop a terminal event."""
-
-    def __init__(self, problem: Problem, tol: float) -> None:
-        system, speed = free_system(problem)
-        event = hk.t_event(speed, direction=hk.event_direction.negative)
-        self.window_s = problem.window_s
-        self.free = hk.taylor_adaptive(system, np.zeros(N_STATE), t_events=[event], tol=tol)
-        self.stuck = hk.taylor_adaptive(stuck_system(problem), np.zeros(6), tol=tol)
-
-    def __call__(self, starts: np.ndarray) -> End:
-        sun, stop = np.empty((len(starts), 3)), np.empty(len(starts))
-        for i, start in enumerate(starts):
-            self.free.time, self.free.state[:] = 0.0, start
-            self.free.propagate_until(self.window_s)
-            self.stuck.time, self.stuck.state[:] = self.free.time, np.delete(self.free.state, 3)
-            self.stuck.propagate_until(self.window_s)
-            sun[i], stop[i] = self.stuck.state[3:], self.free.time
-        return End(sun, stop)
 
 
 class DormandPrince:

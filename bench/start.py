@@ -2,57 +2,53 @@
 
 from __future__ import annotations
 
+import os
 import statistics
+import subprocess
+import sys
 import tempfile
+import time
 from pathlib import Path
 
-from bench.processes import call, child
-from bench.table import Table
-from bench.timing import say
+from bench.timing import Table
+
+ROOT = Path(__file__).parents[1]
 
 CHEAP = {
     "python -c pass": ("-c", "pass"),
     "import sunspin": ("-c", "import sunspin"),
     "sunspin --help": ("-m", "sunspin.cli", "--help"),
 }
-FIRST_GRID = ("2", "2", "2")
+SCAN = ("-c", "from bench.problem import philae; philae().scan(philae().axes(2, 2, 2))")
 
 
 def run(quick: bool) -> Table:
     """Wall times of fresh processes."""
     repeats = 3 if quick else 5
-    table = Table(
-        "start", "wall time of fresh processes", ("what", "s", "of which the scan", "processes")
-    )
-    taken: dict[str, list[float]] = {name: [] for name in CHEAP}
-    say(f"start: {', '.join(CHEAP)}")
-    for _ in range(repeats):
-        for name, arguments in CHEAP.items():
-            taken[name].append(call(*arguments)[0])
-    for name, values in taken.items():
-        table.add(name, statistics.median(values), None, repeats)
+    table = Table("start: wall time of fresh processes", ("what", "s", "processes"))
+    for name, arguments in CHEAP.items():
+        seconds = statistics.median(call(arguments) for _ in range(repeats))
+        table.rows.append((name, seconds, repeats))
     with tempfile.TemporaryDirectory(prefix="sunspin-bench-") as folder:
-        say("start: first scan with an empty cache")
-        seconds, told = child(*FIRST_GRID, cache=folder)
-        table.add("first scan, empty cache", seconds, told["scan_s"], 1)
-        before = _files(folder)
-        say("start: first scan with a warm cache")
-        again = [child(*FIRST_GRID, cache=folder) for _ in range(repeats)]
-        seconds = statistics.median(wall for wall, _ in again)
-        table.add(
-            "first scan, warm cache",
-            seconds,
-            statistics.median(told["scan_s"] for _, told in again),
-            repeats,
-        )
-        unchanged = before and _files(folder) == before
-    table.notes.append(
-        f"The scan has 8 rows. Compiled anew with the warm cache: {'no' if unchanged else 'YES'}."
-    )
+        table.rows.append(("a first scan of 8 rows, nothing compiled", call(SCAN, folder), 1))
+        kernels = compiled(folder)
+        seconds = statistics.median(call(SCAN, folder) for _ in range(repeats))
+        table.rows.append(("the same, kernels compiled", seconds, repeats))
+        unchanged = kernels and compiled(folder) == kernels
+    table.notes.append(f"Compiled anew although kernels are there: {'no' if unchanged else 'YES'}.")
     return table
 
 
-def _files(folder: str) -> dict[str, tuple[int, int]]:
+def call(arguments: tuple[str, ...], cache: str | None = None) -> float:
+    """Wall time (s) of ``python ARGUMENTS``, with the kernels' cache in a folder of its own if named."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | {"PYTHONPATH": path} | ({"SUNSPIN_CACHE": cache} if cache else {})
+    start = time.perf_counter()
+    subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, check=True)
+    return time.perf_counter() - start
+
+
+def compiled(folder: str) -> dict[str, tuple[int, int]]:
     """Size and time of change of each file of compiled code."""
-    found = (path for path in Path(folder).rglob("*") if path.is_file())
-    return {str(path): (path.stat().st_size, path.stat().st_mtime_ns) for path in found}
+    files = (path for path in Path(folder).rglob("*") if path.is_file())
+    return {str(path): (path.stat().st_size, path.stat().st_mtime_ns) for path in files}

@@ -1,10 +1,9 @@
-"""Times of competing pieces of work, taken in turn so that a machine that slows down slows all of them."""
+"""Times of competing pieces of work, taken in turn so that a machine that slows down slows all of them; tables of them."""
 
 from __future__ import annotations
 
 import os
 import statistics
-import sys
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
@@ -12,11 +11,6 @@ from typing import TypeVar
 
 Work = Callable[[], object]
 Name = TypeVar("Name", bound=Hashable)
-
-
-def say(text: str) -> None:
-    """A line of progress; the tables alone go to stdout."""
-    print(f"bench: {text}", file=sys.stderr, flush=True)
 
 
 def cores() -> int:
@@ -69,3 +63,27 @@ def timings(work: Mapping[Name, Work], repeats: int) -> dict[Name, Timing]:
 def medians(work: Mapping[Name, Work], repeats: int) -> dict[Name, float]:
     """Median wall time in s of each piece of work."""
     return {name: timing.median for name, timing in timings(work, repeats).items()}
+
+
+@dataclass
+class Table:
+    """Rows of a benchmark, a cell for each column, and the sentences without which they would mislead."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[tuple[str | float | None, ...]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def text(self) -> str:
+        """The table in Markdown: three digits, a dash for what was not measured."""
+        lines = [self.columns, ("---",) * len(self.columns), *self.rows]
+        cells = [[_shown(cell) for cell in line] for line in lines]
+        return "\n".join(
+            [self.title, "", *(f"| {' | '.join(line)} |" for line in cells), "", *self.notes]
+        )
+
+
+def _shown(cell: str | float | None) -> str:
+    if cell is None or isinstance(cell, str):
+        return cell or "-"
+    return f"{cell:,.0f}" if abs(cell) >= 1000 else f"{cell:.3g}"

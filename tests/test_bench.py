@@ -3,19 +3,16 @@
 No time is tested here.
 """
 
-import json
-
 import numpy as np
 import pytest
 
 import sunspin as ss
-from bench.__main__ import NAMES, benchmark, main
-from bench.baselines import DormandPrince, TaylorBatch, TaylorScalar, fixed_body_stop_s
-from bench.peak import TYPES, accumulators, burner, widths
-from bench.problem import AXES, grid_sample, philae
-from bench.scan import last_sun, reference_emd
-from bench.table import Table
-from bench.timing import Timing, medians
+from bench import emd
+from bench.__main__ import main
+from bench.baselines import DormandPrince, TaylorBatch, fixed_body_stop_s
+from bench.problem import grid_sample, philae
+from bench.scan import last_sun, reference_emd, scanned_emd
+from bench.timing import Table, Timing, medians
 
 PHILAE = philae()
 RATES = grid_sample(PHILAE.axes(51, 51, 21), 3)
@@ -28,23 +25,11 @@ def reference() -> list:
     return [ss.propagate(PHILAE.vehicle, omega, *args) for omega in PHILAE.rates(starts)]
 
 
-def test_the_cheap_ones_run_and_are_written_down(tmp_path, capsys):
-    path = main(["--quick", "--only", "sun,emd", "--json", str(tmp_path / "new" / "result.json")])
-    result = json.loads(path.read_text("utf-8"))
-    assert set(result) == {"machine", "quick", "seconds", "tables"}
-    assert (
-        result["quick"] is True
-        and result["machine"]["cores"] >= 1
-        and result["machine"]["libraries"]["numba"]
-    )
-    assert list(result["tables"]) == ["emd", "sun"]
-    for table in result["tables"].values():
-        assert table["rows"] and all(list(row) == table["columns"] for row in table["rows"])
-    differences = [row["largest difference"] for row in result["tables"]["emd"]["rows"]]
-    assert max(d for d in differences if d is not None) < 1e-9
-    assert all(row["samples/s"] > 0 for row in result["tables"]["sun"]["rows"])
-    out, err = capsys.readouterr()
-    assert "samples/s" in out and "bench: results" in err
+def test_a_cheap_one_runs(capsys):
+    main(["--quick", "--only", "emd"])
+    lines = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines() if "|" in line]
+    differences = [float(cells[2]) for cells in lines[2:] if cells[2].strip() != "-"]
+    assert len(differences) >= 2 and max(differences) < 1e-9
 
 
 @pytest.mark.parametrize("arguments", [["--only", "moon"], ["--fast"]])
@@ -52,10 +37,6 @@ def test_unknown_arguments_are_refused(arguments, capsys):
     with pytest.raises(SystemExit):
         main(arguments)
     assert "usage" in capsys.readouterr().err
-
-
-def test_every_benchmark_is_there():
-    assert all(callable(benchmark(name)) for name in NAMES)
 
 
 @pytest.mark.parametrize(
@@ -66,10 +47,9 @@ def test_every_benchmark_is_there():
             3,
             1e-4,
         ),  # two batches, the second not full
-        (lambda problem: TaylorScalar(problem, 1e-9), 3, 1e-4),
         (lambda problem: DormandPrince(problem, 1e-6), 1, 1e-2),
     ],
-    ids=["batch", "scalar", "scipy"],
+    ids=["batch", "scipy"],
 )
 def test_contestants_agree_with_the_reference(make, rows, error, reference):
     end = make(PHILAE)(PHILAE.starts(RATES)[:rows])
@@ -98,22 +78,7 @@ def test_states_go_back_to_their_rates():
 
 
 def test_the_distance_the_long_way_is_that_of_the_scan():
-    scanned = PHILAE.scan(dict(zip(AXES, RATES[0][:, None], strict=True)), workers=1)
-    assert abs(scanned.item() - reference_emd(PHILAE, RATES[0])) < 1e-3
-
-
-@pytest.mark.parametrize("kind", TYPES)
-def test_the_accumulators_compute_what_the_peak_counts(kind):
-    """x = a x + b from x = (k + 1) b, in every lane of every accumulator: one of each is checked through their sum."""
-    n, a, b = 7, 0.999, 0.001
-    for bits in widths():
-        burn, operations = burner(kind, bits)
-        count = accumulators(bits)
-        assert operations == 2 * count * bits // TYPES[kind][2]
-        x = b * np.arange(1.0, count + 1)
-        for _ in range(n):
-            x = a * x + b
-        assert burn(n) == pytest.approx(x.sum(), rel=1e-5)
+    assert abs(scanned_emd(PHILAE, RATES[0]) - reference_emd(PHILAE, RATES[0])) < 1e-3
 
 
 def test_medians_take_turns_and_leave_out_the_warm_round():
@@ -128,25 +93,22 @@ def test_ratios_are_taken_round_by_round():
     assert Timing([1.0, 3.0], [2.0, 4.0]).cores_used == 1.5
 
 
-def test_a_table_is_aligned_and_keeps_its_notes():
-    table = Table("name", "title", ("what", "s"), notes=["note"])
-    table.add("long word", 12345.6)
-    table.add("x", None)
+def test_a_table_shows_what_was_not_measured_and_its_notes():
+    table = Table("title", ("what", "s"), [("long word", 12345.6), ("x", None)], ["note"])
     assert table.text().splitlines() == [
-        "name: title",
+        "title",
         "",
-        "what            s",
-        "---------  ------",
-        "long word  12,346",
-        "x               -",
+        "| what | s |",
+        "| --- | --- |",
+        "| long word | 12,346 |",
+        "| x | - |",
         "",
         "note",
     ]
-    assert table.row("x") == {"what": "x", "s": None}
 
 
 def test_without_pot_its_rows_are_left_out_and_a_line_says_so(monkeypatch):
     monkeypatch.setattr("bench.emd._has_pot", lambda: False)
-    table = benchmark("emd")(True)
-    assert not any("POT" in row["by"] for row in table.rows)
+    table = emd.run(True)
+    assert not any("POT" in row[0] for row in table.rows)
     assert any("POT is not installed" in note for note in table.notes)

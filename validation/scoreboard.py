@@ -182,6 +182,23 @@ def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
     return sorted(found, key=lambda flip: (-flip[0], flip[1]))
 
 
+MOVED = {"contradiction_": "studies/contradictions.py"}
+"""Beginning of a case's name -> what judges it now instead of the scoreboard."""
+
+
+def lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """A sentence for each case of the earlier board that this one, of the same level and seeds, has not run; none that moved."""
+    if any(before[key] != now[key] for key in ("level", "seeds")):
+        return []
+    return [
+        f"{name}, case {case}: not run"
+        for name, each in before["sets"].items()
+        for case in each["cases"]
+        if name in now["sets"] and case not in now["sets"][name]["cases"]
+        if not case.startswith(tuple(MOVED))
+    ]
+
+
 def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
     """A line for each set: counts and figures; of two states counts over the cases of both, the rest over each one's."""
     heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "in 50", "in 90", "s"]

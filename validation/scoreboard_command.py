@@ -12,7 +12,7 @@ from sunspin.base import atomic_write
 from sunspin.compute.campaign import kept
 from validation import speed
 from validation.areas import AREAS
-from validation.scoreboard import ROOT, board, flips, rows_of, state_of_package, table, timed
+from validation.scoreboard import ROOT, board, flips, lost, rows_of, state_of_package, table, timed
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -95,4 +95,6 @@ def run(options: argparse.Namespace) -> int:
     turned = flips(before, now)
     print(f"{len(turned)} cases differ from {before['state']}")
     print("\n".join(sentence for _, sentence in turned))
-    return int(any(worse > 0 for worse, _ in turned))
+    missing = lost(before, now)
+    print("\n".join(missing))
+    return int(bool(missing) or any(worse > 0 for worse, _ in turned))

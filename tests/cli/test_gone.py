@@ -11,6 +11,7 @@ from sunspin.cli import gone
 NEEDED = {
     "--interpolate": ("scan",),
     "--device": ("scan", "posterior"),
+    "--data": ("reproduce",),
     "--best-delay": ("outcomes",),
     "--printed-lines": ("outcomes",),
 }
@@ -29,7 +30,8 @@ def run(folder, *arguments):
 @pytest.mark.parametrize("option", gone.OPTIONS)
 def test_an_option_that_is_gone_is_named(option, tmp_path):
     for command in NEEDED[option]:
-        done = run(tmp_path, command, "philae", "philae", option, "1", "--out", "results")
+        case = [] if command == "reproduce" else ["philae", "philae"]
+        done = run(tmp_path, command, *case, option, "1", "--out", "results")
         assert done.returncode == 2 and gone.OPTIONS[option] in done.stderr, done.stderr
         assert done.stderr.count("\n") == 1 and not list(tmp_path.iterdir())
 

@@ -18,7 +18,6 @@ from shared_folder import shared_folder
 from sunspin.output import figures
 from sunspin.philae import (
     carries,
-    contradictions_motion,
     motions,
     pictures,
     published_lines,
@@ -38,7 +37,6 @@ def small() -> Iterator[None]:
             (motions, "SPREAD_MOTIONS", 4),
             (motions, "COLLISIONS", 40),
             (published_lines, "LINE_POINTS", 3),
-            (contradictions_motion, "LINE_POINTS", 3),
             (rebound, "POOL_POINTS", 4),
             (threshold, "BLOCK", 64),
             (carries, "SHUFFLES", 1),

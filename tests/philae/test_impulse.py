@@ -1,16 +1,16 @@
 """The collision's impulse as evidence: angles and weights with known answers, sentences, and the kernel where it is present."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.environment.comet import comet_from_J2000
+from studies import impulse as im
+from studies.impulse import comet_from_J2000
 from sunspin.landing.flight import angle_about
-from sunspin.philae import impulse as im
-from sunspin.philae import study
 from sunspin.philae.collision import tdb_of
 
 CASE = ss.load_case("philae")
@@ -72,55 +72,49 @@ def test_the_kernel_is_read_in_space(tmp_path, monkeypatch):
         im.seen_in(CASE, tmp_path)
 
 
-def drawn(n=20_000):
+@pytest.fixture(scope="module")
+def drawn():
     """Collisions whose rate after grows with the size of the blow, and nothing else tells."""
-    rng = np.random.default_rng(0)
+    n, rng = 20_000, np.random.default_rng(0)
     runs = collisions(
         rng.uniform(0, 0.5, n), np.arccos(rng.uniform(-1, 1, n)), rng.uniform(-np.pi, np.pi, n)
     )
     rate = rng.uniform(0, 1, n)
+    runs["speed_touchdown"] = "run", rate
     for name, values in (("before", rate), ("after", 2 * runs["velocity_change"].values)):
         runs[f"omega_{name}_B"] = ("run", "axis"), np.outer(values, [0.6, 0.0, 0.8])
-    return im.Impulse(CASE, "scan", runs, rate, SEEN)
+    return runs
 
 
-def test_what_the_impulse_changes_is_said_and_what_it_does_not_is_uninformative():
-    found = drawn()
-    angle, touchdown, before, after = im.rows(found)
-    assert (
-        angle.published == pytest.approx(18.7)
-        and angle.ours == pytest.approx(90, abs=1)
-        and "sigma 5.5" in angle.note
-    )
-    assert (
-        after.informative
-        and after.ours == pytest.approx(2 * 0.2246, abs=0.01)
-        and after.prior_low < 0.5 < after.prior_high
-    )
-    assert (
-        not touchdown.informative
-        and not before.informative
-        and "0.22 m/s" not in im.told(found, [angle, touchdown])
-    )
-    assert "uninformative" in im.told(found, [angle, touchdown, before])
-    assert "just after the collision: 0.503 without, 0.449 rad/s" in im.told(
-        found, [angle, touchdown, before, after]
-    )
-    assert {one.kind for one in (angle, touchdown, before, after)} == {"not_comparable"}
-    nowhere = replace(found, seen=replace(SEEN, change_m_s=0.9))
-    assert all(
-        "not told what it changes" in one.note and not one.informative
-        for one in im.rows(nowhere)[1:]
-    )
+def cells(line):
+    return [cell.strip() for cell in line.strip("|\n ").split("|")]
 
 
-def test_without_the_data_the_part_is_off_and_says_so(tmp_path):
-    part = next(part for part in study.PARTS if part.name == "impulse")
-    off, on = (
-        part.off(study.Inputs(CASE, xr.Dataset(), study.Options(data=data)))
-        for data in (None, tmp_path)
-    )
-    assert off == im.OFF and "SUNSPIN_DATA" in off and on == ""
+def test_the_table_says_what_the_impulse_changes(drawn):
+    _, _, touchdown, before, after, count = map(cells, im.table_of("x", drawn, SEEN).splitlines())
+    means = {line[0]: [float(cell.split()[0]) for cell in line[1:4]] for line in (before, after)}
+    assert touchdown[1:] == before[1:]
+    assert means["just before the collision"] == pytest.approx([0.5] * 3, abs=0.05)
+    assert means["just after the collision"] == pytest.approx([0.5, 0.449, 0.449], abs=0.01)
+    assert count[1] == "20,000" and float(count[3]) < float(count[2].replace(",", ""))
+    nowhere = im.table_of("x", drawn, replace(SEEN, change_m_s=0.9)).splitlines()
+    assert all(cells(line)[3:] == ["not known"] * 2 for line in nowhere[2:5])
+
+
+def test_the_study_writes_table_and_picture(drawn, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(im, "seen_in", lambda case, folder: SEEN)
+    monkeypatch.setattr(im, "motions", lambda case, source, seed: SimpleNamespace())
+    monkeypatch.setattr(im, "collisions", lambda chain, n, seed: drawn)
+    assert im.main([str(tmp_path / "out"), "--data", str(tmp_path)]) == 0
+    assert (tmp_path / "out" / "impulse.png").stat().st_size > 10_000
+    text = (tmp_path / "out" / "impulse.md").read_text("utf-8")
+    assert text in capsys.readouterr().out and "0.2246 m/s, 18.7 deg from the Sun" in text
+
+
+def test_without_the_data_it_is_one_sentence(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("SUNSPIN_DATA", raising=False)
+    assert im.main([str(tmp_path / "out")]) == 2
+    assert "SUNSPIN_DATA" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 @pytest.mark.real_data

@@ -34,7 +34,6 @@ QUICK = (
     "mechanics",
     "published_lines",
     "inputs",
-    "contradictions",
 )
 """Parts that take seconds on a coarse grid; the others have tests of their own."""
 
@@ -226,14 +225,13 @@ def test_parts_end_in_any_order_and_see_what_they_name(monkeypatch):
         part("fast", fast),
         part("failing", failing, uses=("fast",)),
         part("lost", fast, needs=("failing",)),
-        part("off", fast, off=lambda _: "not asked for"),
         part("both", fast, needs=("slow",), uses=("failing", "nowhere")),
     )
     monkeypatch.setattr(rp, "PARTS", parts)
     found = rp.compute(CASE, workers=2, seen=seen)
     assert list(found.parts.items()) == [("slow", "slow"), ("fast", []), ("both", ["slow"])]
     assert told[-1] == ["fast", "slow", "both"]
-    assert list(found.missing) == ["failing", "lost"] and found.off == {"off": "not asked for"}
+    assert list(found.missing) == ["failing", "lost"]
 
 
 def test_a_part_that_is_needed_ends_the_study(monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 
 from validation import scoreboard
 from validation.areas import AREAS, _of_passes
-from validation.scoreboard import OUTCOMES, Task, board, figures, flips, rows_of, table
+from validation.scoreboard import OUTCOMES, Task, board, figures, flips, lost, rows_of, table
 
 
 def measured(outcome, off, sigma):
@@ -75,6 +75,20 @@ def test_a_case_that_got_worse_stands_first():
     ]
     text = table(now, before)
     assert "| rates: kind | 4 | 2 / 1 |" in text and "0: a | 0.5 / 0.5 |" in text
+
+
+def test_a_case_that_is_no_longer_run_is_named_unless_it_moved():
+    before, now = (
+        board(
+            {"study": {case: {"outcome": "open", "processor_s": 1.0} for case in cases}},
+            "abc",
+            level,
+            [0],
+        )
+        for level, cases in (("full", ("kept", "gone", "contradiction_x")), ("full", ("kept",)))
+    )
+    assert lost(before, now) == ["study, case gone: not run"]
+    assert lost(before, now | {"level": "quick"}) == [] == lost(before, now | {"sets": {}})
 
 
 def test_the_state_of_a_changed_tree_is_not_that_of_its_commit(monkeypatch):

@@ -9,5 +9,6 @@ OPTIONS: dict[str, str] = {
     "--interpolate": "--interpolate is gone, every motion of a scan is run; leave it out",
     "--device": "--device is gone, kernels run on processors only; leave it out",
     "--best-delay": "--best-delay is gone; compare delays by --strategy delay:SECONDS, given several times",
+    "--data": "--data of `sunspin reproduce` is gone, the impulse is a study: `python -m studies.impulse OUT --data FOLDER`",
     "--printed-lines": "--printed-lines is gone, these lines are of the paper's body alone; give --omega x,y,z or --scan scan.nc",
 }

@@ -47,13 +47,6 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
     show_default=True,
     help="Every n-th grid point only: a quick look.",
 )
-@click.option(
-    "--data",
-    envvar="SUNSPIN_DATA",
-    type=click.Path(path_type=Path),
-    help="Folder with philae_spk/, whose landing "
-    "kernel gives the collision's impulse: evidence beyond the paper (or set SUNSPIN_DATA).",
-)
 @set_options("study", "collision", short=tuple(SHORT))
 def reproduce(
     out: Path,
@@ -66,11 +59,10 @@ def reproduce(
     candidates: str,
     calibrate: int | None,
     coarser: int,
-    data: Path | None,
     sets: tuple[str, ...],
     **short: str | None,
 ) -> None:
-    """Run the whole Philae study: every figure and table of the paper, and where the paper contradicts itself.
+    """Run the whole Philae study: every figure and table of the paper beside what this run gives.
 
     Every conclusion follows from the telemetry given. That which comes with the package is synthetic (the flown one is not public)
     and is called so wherever it shows.
@@ -93,7 +85,6 @@ def reproduce(
         workers=workers,
         coarser=coarser,
         changes=asked(sets, ("study", "collision"), **short),
-        data=data,
         progress=on_terminal(quiet),
     )
     report(written.summary, written.lines, as_json, quiet)

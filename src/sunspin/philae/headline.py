@@ -85,21 +85,12 @@ def score(result: Reproduction) -> list[str]:
         name: sum(counts[name] for counts in found.values())
         for name in ("put_in", "arithmetic", "not_comparable")
     }
-    other["arithmetic"] -= len(result.rows_by_part["contradictions"])  # told in the last line
-    strong, weak = (
-        sum(
-            row.holds is False and row.weak is wanted
-            for row in result.rows_by_part["contradictions"]
-        )
-        for wanted in (False, True)
-    )
     return [
         f"Tests on this telemetry: {here['agree']} agree, {here['differ']} differ, {here['uninformative']} uninformative",
         f"Tests without telemetry (equations, printed lines): {lines['agree'] + paper['agree']} agree, "
         f"{lines['differ'] + paper['differ']} differ",
         f"No tests: {other['put_in']} figures put in, {other['arithmetic']} of the paper's own arithmetic, "
         f"{other['not_comparable']} not comparable",
-        f"{strong} statements of the paper contradict its own figures or public facts, {weak} more are weak",
     ]
 
 

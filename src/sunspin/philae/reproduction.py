@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import shlex
 import time
@@ -13,11 +14,11 @@ from typing import Any
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import version
 from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
-from sunspin.output.kind import Drawing
+from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
-from sunspin.philae import impulse, touchdown
 from sunspin.philae import rebound as rb
+from sunspin.philae import touchdown
 from sunspin.philae.files import datasets
 from sunspin.philae.headline import headline, score
 from sunspin.philae.pictures import Gallery
@@ -92,7 +93,6 @@ class Written:
             *told["headline"][:2],
             *told["score"],
             *told["missing"].values(),
-            *([] if "impulse" in told["missing"] else [told["impulse"]]),
             f"Report: {self.report} (in {told['seconds']:.0f} s)",
         ]
 
@@ -114,7 +114,6 @@ def reproduce(
     workers: int | None = None,
     coarser: int = 1,
     changes: Changes = None,
-    data: str | Path | None = None,
     progress: bool = False,
 ) -> Written:
     """Run the Philae study and write figures, `summary.json`, NetCDF files, the telemetry used and `report.html` to a folder.
@@ -144,21 +143,11 @@ def reproduce(
         Use every n-th point of the scan's grid, for a quick look.
     changes : dict or list of str, optional
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
-    data : path, optional
-        Folder with philae_spk/ (docs/data.md): the landing kernel's impulse then weights the collisions, in rows beyond the paper.
     """
     began = time.perf_counter()
     asked = changes_of(changes)
     case = _case(telemetry, vehicle, asked)
-    options = Options(
-        candidates,
-        calibrate,
-        seed,
-        coarser,
-        workers,
-        progress,
-        None if data is None else Path(data),
-    )
+    options = Options(candidates, calibrate, seed, coarser, workers, progress)
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         raise InputError(
@@ -197,7 +186,6 @@ def reproduce(
         else result.chain.calibration.told,
         "missing": result.missing,
         "stop": _no_conclusion(result),
-        "impulse": _impulse(result),
         "headline": headline(result),
         "conclusions": conclusions(result),
         "score": score(result),
@@ -215,7 +203,11 @@ def reproduce(
         ],
     }
     made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
-    contents = Contents(datasets(result), pictures, [], made_with, case.telemetry, result.synthetic)
+    unchanged = telemetry is None and vehicle is None and not asked
+    tables = [_contradictions(case)] if unchanged else []
+    contents = Contents(
+        datasets(result), pictures, tables, made_with, case.telemetry, result.synthetic
+    )
     write_contents(folder, summary, contents)
     return Written(folder, write_report(folder), summary)
 
@@ -230,6 +222,33 @@ def _no_conclusion(result: Reproduction) -> str:
     ]
     why = (reasons or texts)[0].rstrip(".")
     return f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
+
+
+def _contradictions(case: Case) -> Table:
+    """Statements of the paper that contradict its own figures or public facts, as a study computed them once."""
+    import pandas as pd
+
+    study = json.loads((case.folder / "contradictions.json").read_text("utf-8"))
+    shown = {
+        "what": "statement",
+        "sentence": "the paper says",
+        "published": "published",
+        "ours": "recomputed",
+        "unit": "unit",
+        "other_reading": "other reading",
+        "changes": "what it changes",
+        "strength": "strength",
+    }
+    rows = [
+        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in shown}
+        | {"strength": "weak" if row["weak"] else "strong"}
+        for row in study["statements"]
+    ]
+    title = (
+        "Where the paper contradicts itself (it judges the paper and not this run; weak: a matter of wording, or nearly explained "
+        f"by the other reading). Computed on {study['made']} by {study['command']}"
+    )
+    return Table("contradictions", pd.DataFrame(rows), title, shown)
 
 
 def _case(
@@ -260,13 +279,8 @@ def _command(
     changes: tuple[Change, ...],
 ) -> str:
     words = ["sunspin", "reproduce", "--seed", str(options.seed)]
-    given = (
-        ("telemetry", telemetry),
-        ("vehicle", vehicle),
-        ("calibrate", options.twins),
-        ("data", options.data),
-    )
-    for name, value in given:
+    given = {"telemetry": telemetry, "vehicle": vehicle, "calibrate": options.twins}
+    for name, value in given.items():
         words += [] if value is None else [f"--{name}", str(value)]
     words += [] if options.source == "scan" else ["--candidates", options.source]
     words += [word for change in changes for word in ("--set", str(change))]
@@ -330,8 +344,6 @@ def conclusions(result: Reproduction) -> list[str]:
     if result.chain is not None:
         found += touchdown.sentences(result.chain)
     found += _of_lines(result)
-    if "impulse" in result.parts:
-        found.append(_impulse(result))
     apart = [row for row in result.rows if row.agrees is False]
     if apart:
         found.append(
@@ -341,13 +353,6 @@ def conclusions(result: Reproduction) -> list[str]:
         )
     found += [f"{line}." for line in score(result)]
     return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
-
-
-def _impulse(result: Reproduction) -> str:
-    """What the collision's impulse changes, or why it does not."""
-    if "impulse" in result.parts:
-        return impulse.told(result.parts["impulse"], result.rows_by_part["impulse"])
-    return result.off.get("impulse") or result.missing["impulse"]
 
 
 def _of_scan(result: Reproduction) -> list[str]:

@@ -49,9 +49,7 @@ class Row:
     informative : False where the data leave nearly all that was possible
     chain : what made ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none"; where a row
         does not say, it is that of its part's section
-    holds : for the other kinds, whether the two figures agree (a figure put in comes back, a statement of the paper stands)
-    weak : of a statement: hardly more than a matter of wording
-    sentence, other_reading, changes : of a statement: what the paper says, how else it could be read, what it changes
+    holds : for the other kinds, whether the two figures agree (a figure put in comes back)
     """
 
     id: str
@@ -72,10 +70,6 @@ class Row:
     informative: bool = True
     chain: str = ""
     holds: bool | None = None
-    weak: bool = False
-    sentence: str = ""
-    other_reading: str = ""
-    changes: str = ""
 
     def __post_init__(self) -> None:
         assert self.kind in KINDS and self.depends in DEPENDS, (self.id, self.kind, self.depends)
@@ -177,7 +171,7 @@ def row(
         ) from None
     if made.tolerance is not None and not {"agrees", "holds"} & set(values):
         made = replace(made, agrees=_within(made, most))
-    return _statement(made) if template.is_statement else made
+    return made
 
 
 def _template_of(case: Case, name: str) -> Template:
@@ -193,19 +187,6 @@ def _within(row: Row, most: float | None) -> bool:
     ours = np.asarray(row.ours, float)
     off = ours if most is not None else np.abs(ours - np.asarray(row.published, float))
     return bool(np.all(off <= row.tolerance))
-
-
-def _statement(row: Row) -> Row:
-    """A row on a statement of the paper; it stands where both numbers differ by no more than the tolerance, if there is one."""
-    told = f"The paper: {row.sentence} Read otherwise: {row.other_reading} Changes: {row.changes}"
-    return replace(
-        row,
-        note=f"{row.note} {told}".strip(),
-        kind="arithmetic",
-        chain="none",
-        holds=row.agrees,
-        agrees=None,
-    )
 
 
 def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:

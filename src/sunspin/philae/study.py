@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import xarray as xr
@@ -25,9 +24,7 @@ from sunspin.philae import (
     candidates,
     carries,
     components,
-    contradictions,
     descent,
-    impulse,
     landing,
     level_set,
     mechanics,
@@ -97,7 +94,6 @@ class Options:
     coarser: int = 1
     workers: int | None = None
     progress: bool = False
-    data: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -127,7 +123,6 @@ class Part:
     needs : parts without which it cannot be computed
     uses : parts that it waits for and can do without
     needed : whether the study makes no sense without it
-    off : why it is not asked for, in a sentence; empty where it is
     """
 
     name: str
@@ -138,7 +133,6 @@ class Part:
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
     needed: bool = False
-    off: Callable[[Inputs], str] = lambda _: ""
 
     def of(self, inputs: Inputs) -> tuple[Any, list[Row]]:
         """Its result and rows; of the parts before it sees those that it names."""
@@ -160,14 +154,6 @@ def _candidates(i: Inputs) -> candidates.Chain:
         o.seed,
         workers=o.workers,
         progress=o.progress,
-    )
-
-
-def _impulse(i: Inputs) -> impulse.Impulse:
-    assert i.options.data is not None  # else the part is off
-    seen = impulse.seen_in(i.case, i.options.data)
-    return impulse.compute(
-        i.case, i.done["candidates"], seen, n=i.runs, seed=i.options.seed, workers=i.options.workers
     )
 
 
@@ -240,15 +226,6 @@ PARTS = (
         ("candidates",),
     ),
     Part(
-        "impulse",
-        "Beyond the paper: the collision's impulse",
-        "telemetry",
-        _impulse,
-        impulse.rows,
-        ("candidates",),
-        off=lambda i: impulse.OFF if i.options.data is None else "",
-    ),
-    Part(
         "components",
         "Section 2.3: r_x and r_y",
         "telemetry",
@@ -310,14 +287,6 @@ PARTS = (
         taken.rows,
         needed=True,
     ),
-    Part(
-        "contradictions",
-        "Where the paper is ambiguous or contradicts itself",
-        "paper",
-        lambda i: contradictions.compute(i.case),
-        contradictions.rows,
-        needed=True,
-    ),
 )
 """In the order of beginning."""
 
@@ -329,7 +298,7 @@ CHAIN_OF = {"telemetry": "telemetry", "no_telemetry": "none", "paper": "none"}
 class Reproduction:
     """All results of the Philae study: `parts` and `rows` by the part's name, `missing` name -> why it could not be computed.
 
-    `noise`: what the file's readings were taken for; `options`: how the study was run; `off`: name -> why a part was not asked for.
+    `noise`: what the file's readings were taken for; `options`: how the study was run.
     """
 
     case: Case
@@ -339,7 +308,6 @@ class Reproduction:
     parts: dict[str, Any]
     rows_by_part: dict[str, list[Row]]
     missing: dict[str, str]
-    off: dict[str, str]
 
     @property
     def seed(self) -> int:
@@ -388,8 +356,7 @@ def compute(
     options : Options, or its fields as keywords
         source : "scan", "posterior", "published" or a file: where candidates come from (:mod:`sunspin.philae.candidates`);
         twins : synthetic rebounds of a calibration (zero: none is made); seed : of all random choices;
-        coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid;
-        data : folder with philae_spk/, whose kernel gives the collision's impulse; without it that part is off.
+        coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid.
     seen : callable, optional
         Given what there is so far each time that a part is computed.
     """
@@ -400,10 +367,10 @@ def compute(
     rb.rebound_samples(case, sun)  # refused before the work
     inputs = Inputs(case, sun, options)
     k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
-    found = Reproduction(case, options, noise, sun, inputs.done, {}, {}, {})
+    found = Reproduction(case, options, noise, sun, inputs.done, {}, {})
     for part, ended in _computed(inputs):
         if isinstance(ended, str):
-            (found.off if part.off(inputs) else found.missing)[part.name] = ended
+            found.missing[part.name] = ended
             continue
         try:
             inputs.done[part.name], rows = ended.result()
@@ -430,7 +397,7 @@ def _computed(inputs: Inputs) -> Iterator[tuple[Part, Future | str]]:
     try:
         while waiting or running:
             for part in [part for part in waiting if over.issuperset((*part.needs, *part.uses))]:
-                if why := part.off(inputs) or _absent(part, inputs):
+                if why := _absent(part, inputs):
                     waiting.remove(part)
                     over.add(part.name)
                     yield part, why
@@ -460,12 +427,7 @@ def _in_order(found: Reproduction) -> Reproduction:
             replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None)
             for row in kept
         ]
-    by_name = {
-        "parts": found.parts,
-        "rows_by_part": rows,
-        "missing": found.missing,
-        "off": found.off,
-    }
+    by_name = {"parts": found.parts, "rows_by_part": rows, "missing": found.missing}
     return replace(
         found,
         **{

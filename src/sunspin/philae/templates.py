@@ -18,15 +18,13 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.toml import read_toml
 from sunspin.telemetry.case import Case
 
-TEXTS = ("what", "unit", "place", "note", "sentence", "other_reading", "changes")
-STATEMENT_TEXTS = ("sentence", "other_reading", "changes")
+TEXTS = ("what", "unit", "place", "note")
 VALUES = {
     "published": object,
     "kind": str,
     "chain": str,
     "tolerance": (int, float, list),
     "at_most": (int, float),
-    "weak": bool,
     "input": bool,
 }
 """Key of a table that is no text -> what it may be; `published` is a text to be filled if it is one."""
@@ -43,11 +41,6 @@ class Template:
     values: Mapping[str, Any]
     needs: frozenset[str]
     where: str
-
-    @property
-    def is_statement(self) -> bool:
-        """Whether it is about a statement of the paper."""
-        return "sentence" in self.texts
 
     def fill(self, key: str, fields: Mapping[str, Any]) -> str:
         """A text with its fields; an `InputError` names a field that is not given or does not take its format."""
@@ -97,11 +90,6 @@ def _template(table: Any, where: str) -> Template:
             raise InputError(
                 sentence(f"{key} is not of the kind that it has to be", got=value, where=where)
             )
-    absent = [key for key in STATEMENT_TEXTS if key not in texts]
-    if 0 < len(absent) < len(STATEMENT_TEXTS):
-        raise InputError(
-            sentence(f"a statement of the paper also needs {' and '.join(absent)}", where=where)
-        )
     return Template(texts, values, _fields(texts, where), where)
 
 

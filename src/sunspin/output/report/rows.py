@@ -10,9 +10,6 @@ import numpy as np
 
 from sunspin.output.text import number_text
 
-STATEMENT = "contradiction_"
-"""Rows that hold the paper against itself or public facts, rather than against this run, have ids that begin so."""
-
 VERDICTS = {
     "agrees": "✓ agrees",
     "differs": "✗ differs",
@@ -25,10 +22,6 @@ VERDICTS = {
     "arithmetic": "– paper's arithmetic, no verdict",
     "not-comparable": "– not comparable",
     "drawn": "– figure, side by side",
-    "contradicted": "✗ contradicted",
-    "weak": "✗ contradicted (weak)",
-    "stands": "✓ stands",
-    "open": "– statement, no verdict",
 }
 """What a row can be, in the order of the filters, and the words for it."""
 
@@ -84,7 +77,7 @@ def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def lead(rows: list[dict[str, str]]) -> list[str]:
-    """The counts in words: tests on the telemetry, tests without any, what is no test, statements of the paper."""
+    """The counts in words: tests on the telemetry, tests without any, what is no test."""
     here, lines = (
         Counter(r["verdict"] for r in rows if (WITHOUT in r["section"]) is apart)
         for apart in (False, True)
@@ -93,8 +86,7 @@ def lead(rows: list[dict[str, str]]) -> list[str]:
     if any(here[key] for key in TESTS):
         told.append(
             f"Tests on this telemetry: {here['agrees']} agree, {here['differs']} differ, {here['uninformative']} are "
-            "uninformative: there these data leave nearly all that was possible before them, so that the row neither agrees nor "
-            "differs."
+            "uninformative: these data leave nearly all that was possible before them."
         )
     elif any(lines[key] for key in TESTS):
         told.append("No row is a test on this telemetry.")
@@ -107,24 +99,15 @@ def lead(rows: list[dict[str, str]]) -> list[str]:
     back, missing = found["comes-back"], found["not-back"]
     if put := back + missing + found["put-in"]:
         told.append(
-            f"Put in: {put} figures from which the telemetry, or a record, was made. {back} come back, {missing} do not; that "
-            "tests the code and not the paper."
+            f"Put in: {put} figures; {back} come back, {missing} do not. This tests the code and not the paper."
         )
     holds, fails = found["holds"], found["holds-not"]
     if own := holds + fails + found["arithmetic"]:
         told.append(
-            f"The paper's own arithmetic and stored constants: {own} rows, of which {holds} hold and {fails} do not; no telemetry "
-            "enters."
+            f"The paper's own arithmetic and stored constants: {own} rows; {holds} hold, {fails} do not."
         )
-    if found["not-comparable"]:
-        told.append(
-            f"Not comparable: {found['not-comparable']} rows show two different things side by side; the note says which."
-        )
-    if found["contradicted"] + found["weak"]:
-        told.append(
-            f"Statements of the paper: {found['contradicted']} contradict its own figures or public facts, {found['weak']} more "
-            "are weak, hardly more than a matter of wording. They judge the paper and not this run."
-        )
+    if apart := found["not-comparable"]:
+        told.append(f"Not comparable: {apart} rows show two different things; the note says which.")
     return told
 
 
@@ -132,10 +115,6 @@ def verdict_of(row: dict[str, Any]) -> str:
     """The key of `VERDICTS` for a row of the summary. Only an informative test agrees or differs."""
     kind, agrees, holds = (row.get(key) for key in ("kind", "agrees", "holds"))
     agrees, holds = (value if isinstance(value, bool) else None for value in (agrees, holds))
-    if str(row.get("id", "")).startswith(STATEMENT):
-        if holds is False:
-            return "weak" if row.get("weak") is True else "contradicted"
-        return "stands" if holds else "open"
     if kind in OF_KIND:
         return OF_KIND[kind][holds]
     if kind in ("test", None):
@@ -148,11 +127,9 @@ def verdict_of(row: dict[str, Any]) -> str:
 
 def _shown(row: dict[str, Any]) -> dict[str, str]:
     verdict, tolerance = verdict_of(row), row.get("tolerance")
-    more = (
-        ""
-        if tolerance is None or verdict not in ("agrees", "differs")
-        else f"within {number_text(tolerance, 3)}"
-    )
+    more = ""
+    if tolerance is not None and verdict in ("agrees", "differs"):
+        more = f"within {number_text(tolerance, 3)}"
     if row.get("informative") is False and verdict == "not-comparable":
         more = "the data leave it open"
     chain = str(row.get("chain") or "")

@@ -1,0 +1,188 @@
+"""The numbers of `studies.contradictions`: what the paper's own figures, the equations and public facts give for its statements.
+
+Each number has a name that the texts in `contradictions.toml` use. Rates are in rad/s.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from studies.coverage import rows_of
+from sunspin.dynamics.friction import spin_down_time
+from sunspin.dynamics.propagate import propagate
+from sunspin.estimate.scan.lines import point_at
+from sunspin.estimate.scan.mask import allows, reconstructible_mask
+from sunspin.estimate.spin import error_of_rate, turned
+from sunspin.landing.strategies import settling
+from sunspin.philae import rebound as rb
+from sunspin.telemetry.case import Case
+
+LINE_POINTS = 13
+"""Motions on each of the published lines."""
+
+ENERGY_AT_MOST_J = 55.0
+"""What the published 50 J may stand for if they are rounded to tens."""
+
+SAMPLE_TIME_UNCERTAINTY_S = 30.0
+"""The time of the first sample after the touchdown follows from "45 min", so it is known to half a minute."""
+
+ALIASES = 100
+"""Regular samples on which three rates are shown to fit equally well."""
+
+HALF_DIGITS = (0.5e-5, 0.5e-11, 0.5e-15, 0.5e-20)
+"""Half a unit of the last printed digit of omega_0 to omega_3 (rad/s, rad/s2, rad/s3, rad/s4)."""
+
+
+class Lines(NamedTuple):
+    """Motions that begin on the published lines: angular speed (n) in rad/s just before the collision, by the rule by which points
+    are taken; angle (4, n) in degrees between the angular momentum and the z axis at points of each line, along `omega_z`."""
+
+    at_collision: dict[str, np.ndarray]
+    nutation_deg: np.ndarray
+    omega_z: np.ndarray
+
+
+def motions_on_lines(case: Case) -> Lines:
+    """Run points of the lines to the collision, even in omega_z over the compared range, or even along them in the box."""
+    box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
+    omega_z, even, inside = np.linspace(*rb.LINE_RANGE, LINE_POINTS), [], []
+    for point, along in rb.published_lines(case):
+        even.append(point_at(point, along, 2, omega_z))
+        ends = np.sort((box - point[:, None]) / along[:, None], axis=1)
+        steps = np.linspace(ends[:, 0].max(), ends[:, 1].min(), LINE_POINTS)
+        inside.append(point + steps[:, None] * along)
+    starts = {
+        f"evenly in omega_z over {list(rb.LINE_RANGE)}": np.concatenate(even),
+        "evenly along the lines within the scanned box": np.concatenate(inside),
+    }
+    at_collision = {
+        rule: np.array([speed_at_collision(case, omega) for omega in omegas])
+        for rule, omegas in starts.items()
+    }
+    nutation = rb.momentum_angles(case.vehicle, rows_of(case, np.concatenate(even)))[0]
+    return Lines(at_collision, np.degrees(nutation.reshape(len(even), -1)), omega_z)
+
+
+def speed_at_collision(case: Case, omega_B: np.ndarray) -> float:
+    """Angular speed (rad/s) just before the collision of a motion with this rate at the first sample."""
+    first, speeds = rb.first_sun(case), rb.nominal_speed(case.vehicle)
+    run = propagate(case.vehicle, omega_B, first, speeds, [0.0, rb.window_s(case)], rtol=1e-8)
+    return float(np.linalg.norm(run["omega_B"].values[-1]))
+
+
+def of_descent(case: Case, paper: dict[str, Any]) -> dict[str, Any]:
+    """Numbers on measured directions, times and the descent (sections 1, 2.1, 2.3 and 3.1)."""
+    between, (number, last) = case.require_timeline().seconds, paper["descent_samples"]
+    quoted, first = np.array(paper["first_sun_E_study"]), rb.first_sun(case)
+    length = np.linalg.norm(quoted)
+    other = np.array([*quoted[:2], np.sqrt(1 - quoted[:2] @ quoted[:2])])
+    cosines = np.array([first @ quoted / length, first @ other]) / np.linalg.norm(first)
+    apart, still = np.degrees(np.arccos(cosines))
+
+    span, interval = 3600.0 * paper["descent_span"], 60.0 * paper["sampling_interval"]
+    spacing, early = span / (last - number) / 60, between("descent_fit_begins", "unfolding_ends")
+    z = paper["nz_descent"]
+    start, axis = [np.sqrt(1 - z**2), 0.0, z], [0, 0, 1]
+    azimuth = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
+    share = np.mean(allows(reconstructible_mask(case.vehicle), turned(start, axis, azimuth)))
+    flight = between("first_touchdown", "collision") / 60
+
+    cubic, (low, high) = paper["descent_rate_cubic"], paper["descent_rate_range"]
+    t = np.linspace(0.0, span, 100_001)
+    rate = np.polynomial.polynomial.polyval(t, cubic)
+    half = HALF_DIGITS[0]
+    ratio = case.vehicle.require_inertia()[2, 2] / case.vehicle.wheels[0].inertia_kg_m2
+    tied = cubic[0] + 2 * np.pi / interval * np.array([-1, 0, 1])
+    regular = interval * np.arange(ALIASES)
+    seen = turned(start, axis, cubic[0] * regular)
+    return {
+        "length": length,
+        "apart_deg": apart,
+        "still_apart_deg": still,
+        "other_z": other[2],
+        "E_bound": (1 - length) / 2,
+        "rms_deg": np.degrees(2 * np.arcsin(np.sqrt(paper["descent_E"]))),
+        "delta_deg": np.degrees(paper["delta_mean"]),
+        "spacing_min": spacing,
+        "after_collision_min": paper["duration_after_collision"] / paper["samples_after_collision"],
+        "share_percent": 100 * share,
+        "seen_min": spacing * share,
+        "flight_min": flight,
+        "times": (flight / paper["window_before_collision"]) ** 2,
+        "smallest_rate": rate.min(),
+        "largest_rate": rate.max(),
+        "largest_at_s": t[np.argmax(rate)],
+        "mean_rate": rate.mean(),
+        "rounding": np.polynomial.polynomial.polyval(span, HALF_DIGITS),
+        "inside_percent": 100 * np.mean((rate >= low - half) & (rate <= high + half)),
+        "change": ratio * np.array([high - low, np.ptp(rate)]),
+        "early_min": -early / 60,
+        "first_at_min": (number - 1) * spacing,
+        "shadowed": early / 60 / spacing,
+        "interval_s": interval,
+        "slow": np.pi / interval,
+        "tied_rates": tied,
+        "worst_E": max(1e-15, *(error_of_rate([alias], regular, seen) for alias in tied)),
+    }
+
+
+def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]:
+    """Numbers on the wheel, the motion before the collision, the collision and rest (sections 2.2, 3.2, 3.3 and 4)."""
+    wheel, since = case.vehicle.wheels[0], rb.after_touchdown_s(case)
+    ratio = wheel.friction.coulomb_N_m / wheel.friction.viscous_N_m_s
+    decay = wheel.friction.viscous_N_m_s / wheel.inertia_kg_m2
+    # of a wheel that coasts on a body at rest
+    speed = wheel.speed_rad_s
+    ends = since + SAMPLE_TIME_UNCERTAINTY_S * np.array([-1, 1])
+    before, *later = (speed + ratio) * np.exp(-decay * np.array([-since, *ends])) - ratio
+    now, printed = rb.speed_at_first_sample(case), rb.published_lines(case)
+    _, c2, c3 = paper["spin_down_coefficients"]
+
+    points = rows_of(case, np.array([point for point, _ in printed]))
+    nutation, to_sun = np.degrees(rb.momentum_angles(case.vehicle, points)[:2])
+    wide, narrow = 2 * lines.nutation_deg[:2], 2 * lines.nutation_deg[2:]
+    left = case.vehicle.require_mass() * paper["trajectory_speed_after_touchdown"] ** 2 / 2
+    absorbed = 100 * (1 - left / np.array([paper["touchdown_energy_before"], ENERGY_AT_MOST_J]))
+
+    rate, speeds = paper["rate_at_collision"], list(lines.at_collision.values())
+    turn = 2 * np.pi / paper["romap_period_before"]
+    longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
+    means = np.array([each.mean() for each in speeds])
+    inertia_z = case.vehicle.require_inertia()[2, 2]
+    rest = next(way for way in settling(case.vehicle, paper["gravity"]) if way["way"] == "off")
+    return {
+        "since_s": since,
+        "speed_now": now,
+        "speed_before": before,
+        "losses": speed - np.array(later),
+        "stop_min": spin_down_time(wheel.friction, wheel.inertia_kg_m2, before) / 60,
+        "least_rates": [rb.smallest_on_lines(case, printed, start) for start in (speed, now)],
+        "wrong_sign": decay * (speed + ratio),
+        "slowing": c2 * (speed - c3),
+        "swing_deg": 2 * nutation,
+        "height_range_deg": [float(np.diff(paper["sun_height_range"])[0])] * len(printed),
+        "heights": ", ".join(f"{2 * angle:.0f}" for angle in np.minimum(nutation, to_sun)),
+        "wide": [wide.min(), wide.max()],
+        "narrow": [narrow.min(), narrow.max()],
+        "left_J": left,
+        "absorbed_percent": absorbed[0],
+        "at_most_J": ENERGY_AT_MOST_J,
+        "of_most_percent": absorbed[1],
+        "tip_slow": paper["landing_speed"] + longest * rate,
+        "tip_fast": paper["collision_speed"] + longest * rate,
+        "tip_kernel": paper["kernel_speed_before"] + longest * rate,
+        "tip_spun": paper["collision_speed"] + longest * turn,
+        "rates_at_collision": means,
+        "rules": "; ".join(lines.at_collision),
+        "slower_percent": [100 * np.mean(each < rate) for each in speeds],
+        "fastest": max(each.max() for each in speeds),
+        "from_rest": speed_at_collision(case, np.zeros(3)),
+        "passed": wheel.inertia_kg_m2 * speed / inertia_z,
+        "turn": turn,
+        "faster": [means.min() / rate, means.max() / rate],
+        "rest": rest,
+        "rest_torque": rest["torque_N_m"],
+        "rest_force": rest["foot_force_N"],
+    }
