@@ -197,7 +197,12 @@ def rate_space(results: Results) -> Iterator[View]:
         alt = (
             "A cloud of initial body rates whose misfit is near the smallest, and lines through it."
         )
-        yield View(f"rate-space-{k}", title, _rates(traces, "rad/s"), alt, caption)
+        figure = _rates(traces, "rad/s")
+        span = np.ptp(box, axis=1) / np.ptp(box, axis=1).max()
+        ratio = {a: max(float(part), 0.2) for a, part in zip("xyz", span, strict=True)}
+        ends = {f"{a}axis_range": ends for a, ends in zip("xyz", box, strict=True)}
+        figure.update_scenes({**ends, "aspectmode": "manual", "aspectratio": ratio})
+        yield View(f"rate-space-{k}", title, figure, alt, caption)
 
 
 def _rates(traces: list[Any], unit: str) -> go.Figure:
