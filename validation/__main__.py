@@ -6,18 +6,17 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import ModuleType
 
 CAMPAIGNS = {
     "fuzz": "hostile vehicle files, telemetry and options through the command line",
     "corrupt": "binary files damaged and opened: NetCDF, Parquet, stores of rows, SPICE kernels, zip",
-    "kill": "runs killed at random moments and resumed, compared bit by bit with undisturbed ones",
+    "kill": "runs killed at random moments and resumed, compared with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
     "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
     "scoreboard": "what must not get worse: outcomes of cases of every kind, beside an earlier state's",
     "size": "lines by folder, functions, names: how large the package is, and the ceilings",
-    "effort": "two files that once took an hour: what `rates` takes for them now",
-    "lowest": "the tests with the lowest versions of the dependencies",
 }
 
 
@@ -26,11 +25,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m validation", description=told)
     commands = parser.add_subparsers(dest="campaign", required=True)
     for name, told in CAMPAIGNS.items():
-        import_module(f"validation.{name}_command").options(
-            commands.add_parser(name, help=told, description=told)
-        )
+        campaign(name).options(commands.add_parser(name, help=told, description=told))
     options = parser.parse_args(arguments)
-    return import_module(f"validation.{options.campaign}_command").run(options)
+    return campaign(options.campaign).main(options)
+
+
+def campaign(name: str) -> ModuleType:
+    """The module with `options`, which adds those of the command line, and `main`, which gives the exit code."""
+    return import_module(f"validation.{name}")
 
 
 if __name__ == "__main__":

@@ -568,7 +568,7 @@ def _control(name: str) -> Row:
 
 def real(_: str, seed: int) -> Iterator[Task]:
     """`rates` of skCUBE against its gyro, where the data are."""
-    from validation.real_command import SIDES
+    from validation.real import SIDES
 
     if seed == 0:
         for side in SIDES:
@@ -577,7 +577,7 @@ def real(_: str, seed: int) -> Iterator[Task]:
 
 def _skcube(side: str) -> Row:
     import sunspin as ss
-    from validation.real_command import SIDES, compared, of_other_days
+    from validation.real import SIDES, compared, of_other_days
 
     path = Path(os.environ.get("SUNSPIN_DATA", "")) / "skcube" / "skcube_adcs.csv"
     if not os.environ.get("SUNSPIN_DATA") or not path.is_file():

@@ -1,7 +1,8 @@
-"""Runs killed with SIGKILL at random moments, resumed until they get through, and compared bit by bit with undisturbed ones."""
+"""Runs killed with SIGKILL at random moments, resumed until they get through, and compared with undisturbed ones."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import random
@@ -9,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,68 +26,27 @@ TELEMETRY = ROOT / "src" / "sunspin" / "cases" / "philae" / "telemetry.csv"
 UNALIKE = ("seconds", "processor_s", "command", "folder")
 """Keys of summaries that say how long a run took and where it stood."""
 
+SAME = 1e-9
+"""Numbers of a resumed run and of an undisturbed one differ by no more, relative to their size."""
 
-@dataclass(frozen=True)
-class Target:
-    """A command, its share of the kills, its arguments in full and small (for a quick look), the module that runs it."""
+STORE = "--store=STORE"
+"""The folder of the rows in the arguments of `TARGETS`."""
 
-    name: str
-    share: float
-    full: tuple[str, ...]
-    small: tuple[str, ...]
-    stored: bool = True
-    module: str = "sunspin.cli"
-
-    def command(self, folder: Path, small: bool) -> list[str]:
-        given = [*(self.small if small else self.full)]
-        if (
-            self.module != "sunspin.cli"
-        ):  # a program of its own, which goes on from what is in its folder
-            return [sys.executable, "-m", self.module, str(folder / "out"), *given]
-        store = ["--store", str(folder / "store")] if self.stored else []
-        return [
-            sys.executable,
-            "-m",
-            self.module,
-            self.name,
-            *given,
-            "--out",
-            str(folder / "out"),
-            *store,
-        ]
-
-
-SCAN = ("philae", str(TELEMETRY), "--from=90", "--to=2800", "--workers=2", "--lines=0")
-KNOWN = ("--prior=inertia=0", "--prior=friction=0", "--prior=wheel_speed=0")
-WINDOW = ("philae", *KNOWN, "--draws=1000", "--workers=2", "--from=100", "--to=1500")
-TARGETS = (
-    Target(
-        "scan",
-        0.3,
-        (*SCAN, "--omega-x=-0.5:1:0.02", "--omega-y=-0.5:1:0.02", "--omega-z=-0.3:0.3:0.03"),
-        (*SCAN, "--omega-x=-0.5:1:0.05", "--omega-y=-0.5:1:0.05", "--omega-z=-0.3:0.3:0.04"),
-    ),
-    Target(
-        "posterior",
-        0.2,
-        (*WINDOW, "--prior=max_rate_rad_s=0.1"),
-        (*WINDOW, "--prior=max_rate_rad_s=0.05"),
-    ),
-    Target(
-        "outcomes",
-        0.15,
-        ("philae", "--runs=16000", "--workers=2"),
-        ("philae", "--runs=5000", "--workers=2"),
-    ),
-    Target("reproduce", 0.1, ("--coarser=8",), ("--coarser=25",), stored=False),
-)
+TARGETS = {
+    "scan": "scan philae TELEMETRY --from=90 --to=2800 --workers=2 --lines=0 --omega-x=-0.5:1:0.05 --omega-y=-0.5:1:0.05 "
+    f"--omega-z=-0.3:0.3:0.04 {STORE}",
+    "posterior": "posterior philae --prior=inertia=0 --prior=friction=0 --prior=wheel_speed=0 --draws=1000 --workers=2 --from=100 "
+    f"--to=1500 --prior=max_rate_rad_s=0.05 {STORE}",
+    "outcomes": f"outcomes philae --runs=5000 --workers=2 {STORE}",
+    "reproduce": "reproduce --coarser=25",
+}
+"""Name -> arguments of a run of half a minute or less."""
 
 
 @dataclass
 class Told:
     """What became of one target."""
 
-    name: str
     seconds: float = 0.0
     kills: int = 0
     runs_through: int = 0
@@ -93,28 +54,19 @@ class Told:
     wrong: list[str] = field(default_factory=list)
 
 
+def command(name: str, folder: Path) -> list[str]:
+    """The command line of a target whose results and rows stand in a folder."""
+    given = TARGETS[name].replace("TELEMETRY", str(TELEMETRY)).replace("STORE", f"{folder}/store")
+    return [sys.executable, "-m", "sunspin.cli", *given.split(), "--out", f"{folder}/out"]
+
+
 def environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(ROOT / "src")}
 
 
-def start(command: list[str]) -> subprocess.Popen:
-    return subprocess.Popen(
-        command,
-        env=environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
-
-
-def halves(folder: Path) -> list[str]:
-    """Files under their final names that are not whole; a store's lock is empty."""
-    files = [
-        path
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.startswith(".") and path.name != LOCK
-    ]
-    return [path.name for path in files if not is_whole(path)]
+def start(arguments: list[str]) -> subprocess.Popen:
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    return subprocess.Popen(arguments, env=environment(), start_new_session=True, **quiet)
 
 
 def is_whole(path: Path) -> bool:
@@ -127,108 +79,124 @@ def is_whole(path: Path) -> bool:
     }
     try:
         if path.suffix == ".nc":
-            content(path)
-            return True
-        return (
-            ends[path.suffix](path.read_bytes()) if path.suffix in ends else path.stat().st_size > 0
-        )
+            return bool(content(path))
+        data = path.read_bytes()
+        return ends[path.suffix](data) if path.suffix in ends else bool(data)
     except (OSError, ValueError, KeyError):
         return False
 
 
 def content(path: Path) -> dict[str, Any]:
-    """What a results file holds, to be compared: arrays as bytes; durations and the places of the run left out."""
+    """What a results file holds, durations and the places of the run left out."""
     import xarray as xr
 
-    if path.suffix == ".nc":
-        groups = xr.open_groups(path, engine="h5netcdf", decode_timedelta=False)
-        held: dict[str, Any] = {}
-        for group, data in groups.items():
-            held |= {
-                f"{group}:{name}": (v.dims, v.shape, str(v.dtype), _bits(v.values))
-                for name, v in data.variables.items()
-            }
-            held[f"{group}:attrs"] = {
-                key: str(value) for key, value in data.attrs.items() if key not in UNALIKE
-            }
-            data.close()
-        return held
-    told = json.loads(path.read_text("utf-8"))
-    return (
-        {key: value for key, value in told.items() if key not in UNALIKE}
-        if isinstance(told, dict)
-        else {"": told}
+    if path.suffix == ".json":
+        summary = json.loads(path.read_text("utf-8"))
+        return summary if isinstance(summary, dict) else {"": summary}
+    held: dict[str, Any] = {"": ""}
+    for group, data in xr.open_groups(path, engine="h5netcdf", decode_timedelta=False).items():
+        held |= {f"{group}:{name}": variable.values for name, variable in data.variables.items()}
+        held |= {f"{group}:{name}": str(value) for name, value in data.attrs.items()}
+        data.close()
+    return held
+
+
+def differences(folder: Path, other: Path) -> list[str]:
+    """Names of what differs between the results of two folders."""
+    files, others = (
+        {
+            str(path.relative_to(at)): path
+            for path in at.rglob("*")
+            if path.suffix in (".nc", ".json")
+        }
+        for at in (folder, other)
     )
+    different = sorted(set(files) ^ set(others))
+    for name in set(files) & set(others):
+        ours, theirs = content(files[name]), content(others[name])
+        keys = [key for key in {**ours, **theirs} if key.split(":")[-1] not in UNALIKE]
+        if not all(same(ours.get(key), theirs.get(key)) for key in keys):
+            different.append(name)
+    return different
 
 
-def _bits(values: np.ndarray) -> bytes:
-    return repr(values.tolist()).encode() if values.dtype == object else values.tobytes()
-
-
-def results(folder: Path) -> dict[str, Any]:
-    files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".nc", ".json")]
-    return {str(path.relative_to(folder)): content(path) for path in files}
+def same(ours: Any, theirs: Any) -> bool:
+    """Equal, numbers to `SAME`."""
+    if isinstance(ours, dict) and isinstance(theirs, dict):
+        return ours.keys() == theirs.keys() and all(
+            same(ours[key], theirs[key]) for key in ours if key not in UNALIKE
+        )
+    if isinstance(ours, list) and isinstance(theirs, list):
+        return len(ours) == len(theirs) and all(map(same, ours, theirs))
+    ours, theirs = np.asarray(ours), np.asarray(theirs)
+    if ours.dtype.kind != "f":
+        return bool(np.array_equal(ours, theirs))
+    alike = ours.shape == theirs.shape and theirs.dtype.kind in "fi"
+    return alike and np.allclose(ours, theirs, rtol=SAME, atol=SAME, equal_nan=True)
 
 
 def campaign(
-    target: Target,
-    kills: int,
-    folder: Path,
-    seed: int,
-    small: bool = False,
-    say: Callable[[str], None] = print,
+    name: str, kills: int, folder: Path, seed: int, say: Callable[[str], None] = print
 ) -> Told:
     """Kill one target so many times; what was wrong."""
-    told, draw = Told(target.name), random.Random(f"{seed} {target.name}")
-    calm = folder / "calm"
+    told, draw, calm = Told(), random.Random(f"{seed} {name}"), folder / "calm"
     for _ in range(2):  # the first compiles
-        told.seconds = _undisturbed(target.command(calm, small), calm)
-    wanted = results(calm / "out")
-    say(f"{target.name}: undisturbed in {told.seconds:.1f} s")
-    number = 0
+        shutil.rmtree(calm, ignore_errors=True)
+        calm.mkdir(parents=True)
+        begun, process = time.monotonic(), start(command(name, calm))
+        _, complaint = process.communicate()
+        if process.returncode:
+            raise RuntimeError(f"{name}: {complaint.decode()}")
+        told.seconds = time.monotonic() - begun
+    say(f"{name}: undisturbed in {told.seconds:.1f} s")
     while told.kills < kills:
-        place = folder / f"round{number}"
-        number += 1
-        while not _once(target, place, draw, told, small):
+        place = folder / f"round{told.runs_through}"
+        while not _gets_through(name, place, draw, told):
             if told.kills > 3 * kills + 20:
                 told.wrong.append("no run gets through")
                 return told
         told.runs_through += 1
-        found = results(place / "out")
-        if found != wanted:
-            names = [name for name in {*found, *wanted} if found.get(name) != wanted.get(name)]
-            told.wrong.append(f"other results after kills: {', '.join(sorted(names))}")
+        if different := differences(place / "out", calm / "out"):
+            told.wrong.append(f"other results after kills: {', '.join(different)}")
         if left := [path.name for path in place.rglob("*.part")]:
             told.wrong.append(f"left behind: {', '.join(left[:3])}")
     return told
 
 
-def _undisturbed(command: list[str], folder: Path) -> float:
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    begun = time.monotonic()
-    process = start(command)
-    _, complaint = process.communicate()
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(command)}: {complaint.decode()}")
-    return time.monotonic() - begun
-
-
-def _once(target: Target, place: Path, draw: random.Random, told: Told, small: bool) -> bool:
+def _gets_through(name: str, place: Path, draw: random.Random, told: Told) -> bool:
     """Start and kill at a random moment; whether it got through before."""
     place.mkdir(parents=True, exist_ok=True)
-    process = start(target.command(place, small))
+    process = start(command(name, place))
     try:
         process.communicate(timeout=draw.uniform(0.2, 1.4 * told.seconds))
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         told.kills += 1
-        told.after_files += any((place / "out").glob("[!.]*")) if (place / "out").exists() else 0
-        if half := halves(place / "out"):
+        files = [path for path in (place / "out").rglob("[!.]*") if path.is_file()]
+        told.after_files += bool(files)
+        half = [path.name for path in files if path.name != LOCK and not is_whole(path)]
+        if half:
             told.wrong.append(f"half written: {', '.join(half)}")
         return False
     if process.returncode:
         told.wrong.append(f"a resumed run ended with {process.returncode}")
-        return True
     return True
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--n", type=int, default=12, help="kills of each target")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=list(TARGETS))
+
+
+def main(given: argparse.Namespace) -> int:
+    """Print what became of each target; one if anything was wrong."""
+    wrong = 0
+    for name in TARGETS if given.only is None else (given.only,):
+        with tempfile.TemporaryDirectory(prefix="validation-") as folder:
+            told = campaign(name, given.n, Path(folder), given.seed)
+        ended = f"{told.kills} kills, {told.after_files} of them with results in place; {told.runs_through} runs got through"
+        print(f"{name}: {ended}; {'; '.join(told.wrong) or 'the undisturbed result'}", flush=True)
+        wrong += bool(told.wrong)
+    return int(bool(wrong))

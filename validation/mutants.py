@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import copy
 import os
@@ -9,8 +10,10 @@ import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -75,35 +78,23 @@ def mutants(file: str, text: str) -> Iterator[Mutant]:
         )
 
 
-def _places(tree: ast.Module):
+def _places(tree: ast.Module) -> Iterator[tuple[ast.AST, Callable[[], object]]]:
     """What can be changed, with the function that changes it in place."""
     for node in _computing(tree):
-        if isinstance(node, ast.BinOp | ast.AugAssign) and type(node.op) in ARITHMETIC:
-            yield node, lambda node=node: setattr(node, "op", ARITHMETIC[type(node.op)]())
-        elif isinstance(node, ast.Compare) and type(node.ops[0]) in COMPARED:
-            yield node, lambda node=node: node.ops.__setitem__(0, COMPARED[type(node.ops[0])]())
-        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-            yield node, lambda node=node: setattr(node, "op", ast.UAdd())
-        elif isinstance(node, ast.UnaryOp) and isinstance(
-            node.op, ast.Invert
-        ):  # what was left out is taken instead
-            yield (
-                node,
-                lambda node=node: setattr(node, "operand", ast.UnaryOp(ast.Invert(), node.operand)),
-            )
-        elif isinstance(node, ast.BoolOp):
-            yield (
-                node,
-                lambda node=node: setattr(
-                    node, "op", ast.Or() if isinstance(node.op, ast.And) else ast.And()
-                ),
-            )
-        elif (
-            isinstance(node, ast.Constant)
-            and isinstance(node.value, int | float)
-            and not isinstance(node.value, bool)
-        ):
-            yield node, lambda node=node: setattr(node, "value", node.value + 1)
+        match node:
+            case ast.BinOp(op=op) | ast.AugAssign(op=op) if type(op) in ARITHMETIC:
+                yield node, partial(setattr, node, "op", ARITHMETIC[type(op)]())
+            case ast.Compare(ops=[op, *others]) if type(op) in COMPARED:
+                yield node, partial(setattr, node, "ops", [COMPARED[type(op)](), *others])
+            case ast.UnaryOp(op=ast.USub()):
+                yield node, partial(setattr, node, "op", ast.UAdd())
+            case ast.UnaryOp(op=ast.Invert(), operand=inside):  # what was left out is taken
+                yield node, partial(setattr, node, "operand", ast.UnaryOp(ast.Invert(), inside))
+            case ast.BoolOp(op=op):
+                other = ast.Or() if isinstance(op, ast.And) else ast.And()
+                yield node, partial(setattr, node, "op", other)
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                yield node, partial(setattr, node, "value", value + 1)
 
 
 def _computing(tree: ast.AST) -> Iterator[ast.AST]:
@@ -130,18 +121,8 @@ def is_seen(mutant: Mutant, home: Path) -> bool:
         "SUNSPIN_CACHE": str(home / "kernels"),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-x",
-        "-m",
-        "not slow",
-        "-p",
-        "no:cacheprovider",
-        *MODULES[mutant.file],
-    ]
+    options = ["-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", *options, *MODULES[mutant.file]]
     try:
         done = subprocess.run(
             command, cwd=ROOT, env=environment, capture_output=True, timeout=LIMIT_S
@@ -158,3 +139,23 @@ def drawn(file: str, count: int, seed: int) -> list[Mutant]:
     every = list(mutants(file, (ROOT / "src" / "sunspin" / file).read_text("utf-8")))
     chosen = random.Random(f"{seed} {file}").sample(every, min(count, len(every)))
     return sorted(chosen, key=lambda mutant: mutant.number)
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--n", type=int, default=25, help="mutants of each file")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=list(MODULES))
+
+
+def main(given: argparse.Namespace) -> int:
+    """Print each mutant that no test sees; one if there is any."""
+    survivors = 0
+    for file in MODULES if given.only is None else (given.only,):
+        chosen = drawn(file, given.n, given.seed)
+        with tempfile.TemporaryDirectory(prefix="validation-") as home:
+            unseen = [mutant for mutant in chosen if not is_seen(mutant, Path(home))]
+        for mutant in unseen:
+            print(f"{file}, line {mutant.line}: {mutant.before}  ->  {mutant.after}")
+        print(f"{file}: {len(chosen)} mutants, {len(unseen)} survived", flush=True)
+        survivors += len(unseen)
+    return int(bool(survivors))

@@ -1,29 +1,35 @@
-"""Cases in other processes under limits of time and memory, watched from here: one that hangs or crashes is a finding.
+"""Cases in other processes under limits of time and memory: one that hangs or crashes is a finding, and the others go on.
 
-A suite is a class whose instances turn a case number into a finding or None. It is built in the worker, so that what it opens,
-compiles and limits stays there; the number alone decides what the case is, and the seed.
+A suite turns a case number into a verdict; the number and the seed alone decide what the case is. It is built in the process that
+runs its cases, so that what it opens, compiles and limits stays there.
 """
 
 from __future__ import annotations
 
+import argparse
 import multiprocessing as mp
 import os
 import resource
 import signal
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple, Self
 
 CPU_S = 5.0
 """A case that computes for longer hangs."""
 
 WALL_S = 60.0
-"""A case that waits for longer hangs: wall time alone would blame the case for a busy machine."""
+"""A case that waits for longer hangs: a shorter time would blame the case for a busy machine."""
 
-POLL_S = 0.2
-TICKS = os.sysconf("SC_CLK_TCK")
+MORE_MEMORY = 2 * 1024**3
+"""Bytes of address space that a case may take beyond what the imports took."""
 
 
 class Verdict(NamedTuple):
@@ -32,6 +38,40 @@ class Verdict(NamedTuple):
     what: str
     bad: bool = False
     shown: str = ""
+
+
+class Suite:
+    """Case number -> verdict. A context, as it makes files; `last` says what the last case was."""
+
+    last: object = ""
+
+    def __init__(
+        self, seed: int = 0, memory: int | None = MORE_MEMORY, only: str | None = None
+    ) -> None:
+        self.seed, self.memory, self.only = seed, memory, only
+
+    def __enter__(self) -> Self:
+        self.stack = ExitStack()
+        home = tempfile.TemporaryDirectory(prefix="validation-")
+        self.home = Path(self.stack.enter_context(home))
+        self.stack.callback(os.chdir, os.getcwd())
+        self.prepare()
+        if self.memory is not None:
+            pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
+            most = pages * resource.getpagesize() + self.memory
+            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.stack.close()
+
+    def prepare(self) -> None:
+        """Make what all cases share; undone by `stack`."""
+        raise NotImplementedError
+
+    def __call__(self, index: int) -> Verdict:
+        """Run one case."""
+        raise NotImplementedError
 
 
 @dataclass
@@ -46,77 +86,70 @@ class Report:
     peak_MB: float = 0.0
     seconds: float = 0.0
 
-    def take(self, index: int, verdict: Verdict, cpu_s: float) -> None:
+    def take(self, index: int, verdict: Verdict, cpu_s: float, peak_MB: float) -> None:
         self.counts[verdict.what] += 1
         if verdict.bad:
             self.findings.append((index, verdict))
         if cpu_s > self.slowest_s:
             self.slowest_s, self.slowest = cpu_s, index
+        self.peak_MB = max(self.peak_MB, peak_MB)
 
 
-def limit_memory(more_bytes: int) -> None:
-    """Let this process take so much address space beyond what it has."""
-    with open("/proc/self/statm", encoding="ascii") as file:
-        now = int(file.read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (now + more_bytes, now + more_bytes))
-
-
-def _cpu_s(pid: int) -> float:
-    try:
-        with open(f"/proc/{pid}/stat", encoding="ascii") as file:
-            fields = file.read().rsplit(")", 1)[1].split()
-    except (OSError, IndexError):
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / TICKS
-
-
-def _serve(suite: Callable[..., Any], options: dict[str, Any], numbers: Any, pipe: Any) -> None:
+def _serve(suite: Callable[..., Any], options: dict[str, Any], pipe: Any, cpu_s: float) -> None:
+    """Run the cases whose numbers come through the pipe; the kernel ends this process if one computes for too long."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.setsid()  # what it starts is ended with it
-    try:
-        with suite(**options) as case:
-            pipe.send(("ready", None, 0.0, 0.0))
-            while (index := numbers.recv()) is not None:
-                begun = time.process_time()
-                verdict = case(index)
-                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-                pipe.send((index, tuple(verdict), time.process_time() - begun, peak))
-    except (EOFError, BrokenPipeError):
-        pass
+    with suite(**options) as case:
+        pipe.send("ready")
+        while (index := pipe.recv()) is not None:
+            begun = time.process_time()
+            most = resource.getrlimit(resource.RLIMIT_CPU)[1]
+            resource.setrlimit(resource.RLIMIT_CPU, (int(begun + cpu_s) + 1, most))
+            verdict = case(index)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            pipe.send((tuple(verdict), time.process_time() - begun, peak))
 
 
 class _Worker:
-    def __init__(self, suite: Callable[..., Any], options: dict[str, Any]) -> None:
+    """A process with a suite in it."""
+
+    def __init__(self, suite: Callable[..., Any], options: dict[str, Any], cpu_s: float) -> None:
         context = mp.get_context("spawn")
-        theirs, self.numbers = context.Pipe(duplex=False)
-        self.pipe, back = context.Pipe(duplex=False)
-        self.process = context.Process(
-            target=_serve, args=(suite, options, theirs, back), daemon=False
-        )
+        self.pipe, there = context.Pipe()
+        given = suite, options, there, cpu_s
+        self.process = context.Process(target=_serve, args=given, daemon=False)
         self.process.start()
-        theirs.close()
-        back.close()
-        self.index: int | None = None
-        self.ready = False
-
-    def give(self, index: int | None) -> None:
-        self.index, self.cpu, self.since = index, _cpu_s(self.process.pid), time.monotonic()
-        self.numbers.send(index)
-
-    def overdue(self, cpu_s: float) -> str | None:
-        if self.index is None:
-            return None
-        used, waited = _cpu_s(self.process.pid) - self.cpu, time.monotonic() - self.since
-        if used > cpu_s:
-            return f"still computing after {used:.0f} s"
-        return f"still waiting after {waited:.0f} s" if waited > WALL_S + cpu_s else None
-
-    def kill(self) -> None:
+        there.close()
         try:
+            self.pipe.recv()
+        except EOFError:
+            self.process.join()
+            raise RuntimeError(
+                f"a worker could not begin (exit code {self.process.exitcode})"
+            ) from None
+
+    def run(self, index: int) -> tuple[Verdict, float, float] | None:
+        """Verdict, processor time (s) and peak (MB) of a case; None if the process did not survive it, see `end`."""
+        try:
+            self.pipe.send(index)
+            if self.pipe.poll(WALL_S):
+                verdict, cpu_s, peak = self.pipe.recv()
+                return Verdict(*verdict), cpu_s, peak
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            pass
+        return None
+
+    def end(self) -> Verdict:
+        """Kill the process, and what became of it before."""
+        self.process.join(0.5)
+        code = self.process.exitcode
+        if code is None:
             os.killpg(self.process.pid, signal.SIGKILL)
-        except (ProcessLookupError, PermissionError):
-            self.process.kill()
-        self.process.join()
+            self.process.join()
+            return Verdict("hang", True, f"still waiting after {WALL_S:.0f} s")
+        if code == -signal.SIGXCPU:
+            return Verdict("hang", True, "computes for too long")
+        return Verdict("crash", True, f"the process ended with {code}")
 
 
 def run(
@@ -126,66 +159,65 @@ def run(
     first: int = 0,
     workers: int = 2,
     cpu_s: float = CPU_S,
-    say: Any = None,
+    say: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Report:
-    """All cases first .. first + n - 1 of a suite; `say` (a function of text) hears of findings as they come."""
-    report, todo, begun = Report(n), iter(range(first, first + n)), time.monotonic()
-    crew = [_Worker(suite, options) for _ in range(min(workers, n))]
-    try:
-        while crew:
-            mp.connection.wait([worker.pipe for worker in crew], timeout=POLL_S)
-            for worker in list(crew):
-                heard = _heard(worker, cpu_s)
-                if heard is None:
-                    continue
-                index, verdict, cpu, peak = heard
-                if index is not None:
-                    report.take(index, verdict, cpu)
-                    report.peak_MB = max(report.peak_MB, peak)
-                    if verdict.bad and say is not None:
-                        say(f"case {index}: {verdict.what}: {verdict.shown}")
-                if not worker.process.is_alive():
-                    crew.remove(worker)
-                    worker = _Worker(suite, options)
-                    crew.append(worker)
-                    continue
-                if worker.ready and worker.index is None:
-                    if (number := next(todo, None)) is None:
-                        worker.give(None)
-                        worker.process.join()
-                        crew.remove(worker)
-                    else:
-                        worker.give(number)
-    finally:
-        for worker in crew:
-            worker.kill()
+    """All cases first .. first + n - 1 of a suite; `say` hears of findings as they come."""
+    report, numbers, begun = Report(n), SimpleQueue[int](), time.monotonic()
+    for index in range(first, first + n):
+        numbers.put(index)
+
+    def work() -> None:
+        worker = None
+        try:
+            while True:
+                index = numbers.get_nowait()
+                worker = worker or _Worker(suite, options, cpu_s)
+                if (ended := worker.run(index)) is None:
+                    ended, worker = (worker.end(), cpu_s, 0.0), None
+                report.take(index, *ended)
+                if ended[0].bad and say is not None:
+                    say(f"case {index}: {ended[0].what}: {ended[0].shown}")
+        except Empty:
+            pass
+        finally:
+            if worker is not None:
+                worker.pipe.send(None)
+                worker.process.join()
+
+    with ThreadPoolExecutor(workers) as threads:
+        for done in [threads.submit(work) for _ in range(min(workers, n))]:
+            done.result()
     report.seconds = time.monotonic() - begun
     return report
 
 
-def _heard(worker: _Worker, cpu_s: float) -> tuple[int | None, Verdict, float, float] | None:
-    """News of a worker: (case, verdict, CPU time in s, peak in MB), case None when it has only begun; None: no news."""
-    if worker.pipe.poll():
-        try:
-            index, verdict, cpu, peak = worker.pipe.recv()
-        except EOFError:
-            return _died(worker)
-        if index == "ready":
-            worker.ready = True
-            return None, Verdict("ready"), 0.0, 0.0
-        worker.index = None
-        return index, Verdict(*verdict), cpu, peak
-    if (late := worker.overdue(cpu_s)) is not None:
-        index = worker.index
-        worker.kill()
-        return index, Verdict("hang", True, late), cpu_s, 0.0
-    return None if worker.process.is_alive() else _died(worker)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Options that campaigns of cases share."""
+    parser.add_argument("--n", type=int, default=1000, help="cases")
+    parser.add_argument("--seed", type=int, default=0)
+    first = "number of the first case: --first I --n 1 repeats one"
+    parser.add_argument("--first", type=int, default=0, help=first)
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    here = "in this process, without limits, and say what each case is"
+    parser.add_argument("--here", action="store_true", help=here)
 
 
-def _died(worker: _Worker) -> tuple[int | None, Verdict, float, float]:
-    worker.process.join()
-    index, code = worker.index, worker.process.exitcode
-    if not worker.ready:
-        raise RuntimeError(f"a worker could not begin (exit code {code})")
-    return index, Verdict("crash", True, f"the process ended with {code}"), 0.0, 0.0
+def main(suite: type[Suite], given: argparse.Namespace) -> int:
+    """The cases that were asked for, in other processes or here; 1 if anything was found."""
+    about = {"seed": given.seed, "only": given.only}
+    if given.here:
+        with suite(memory=None, **about) as case:
+            for index in range(given.first, given.first + given.n):
+                begun, verdict = time.process_time(), case(index)
+                shown = verdict.shown or getattr(getattr(case, "told", None), "err", "")
+                took = time.process_time() - begun
+                print(f"case {index}: {verdict.what}, {took:.1f} s: {case.last}\n{shown}")
+        return 0
+    about |= {"first": given.first, "workers": given.workers, "say": print}
+    report = run(suite, given.n, **about)
+    counts = ", ".join(f"{n} {what}" for what, n in report.counts.most_common())
+    print(f"{report.n} cases in {report.seconds:.0f} s: {counts}")
+    slowest = f"slowest {report.slowest_s:.1f} s of CPU (case {report.slowest})"
+    print(f"{slowest}, largest process {report.peak_MB:.0f} MB; {len(report.findings)} findings")
+    return int(bool(report.findings))

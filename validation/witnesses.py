@@ -5,6 +5,7 @@ Each witness is a function that returns rows of (what, ours minus theirs, the si
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -290,3 +291,18 @@ def table(rows: list[Row]) -> str:
     return "\n".join(
         lines + [f"| {r.witness} | {r.what} | {r.error:.1e} | {r.digits:.1f} |" for r in rows]
     )
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--only", choices=[witness.__name__ for witness in WITNESSES])
+
+
+def main(given: argparse.Namespace) -> int:
+    """Print the table; one if any witness does not agree."""
+    chosen = [witness for witness in WITNESSES if given.only in (None, witness.__name__)]
+    rows = [row for witness in chosen for row in witness()]
+    print(table(rows))
+    failed = [row for row in rows if not row.holds]
+    for row in failed:
+        print(f"MISSED: {row.witness}, {row.what}: {row.error:.2e}, wanted {row.wanted:.0e}")
+    return int(bool(failed))

@@ -40,7 +40,7 @@ def refused(*arguments, words=()):
 LONG = [pytest.param(suite, 30, marks=pytest.mark.long) for suite in (Fuzz, Corrupt)]
 
 
-@pytest.mark.parametrize(("suite", "n"), [(Fuzz, 15), *LONG])
+@pytest.mark.parametrize(("suite", "n"), [(Fuzz, 20), *LONG])
 def test_hostile_input_is_a_result_or_a_sentence(suite, n, monkeypatch):
     monkeypatch.setattr("validation.fuzz.SEARCH_S", 0.5)
     with suite(seed=20, memory=None) as case:
@@ -86,16 +86,10 @@ def test_the_judge_would_notice(told, what):
     assert judge(told).what == what and judge(told).bad == (what not in ("fine", "refused"))
 
 
-class Broken:
+class Broken(pool.Suite):
     """A suite that does what no case may do."""
 
-    def __init__(self, **_):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
+    def prepare(self):
         pass
 
     def __call__(self, index):

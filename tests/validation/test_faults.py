@@ -9,11 +9,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sources import nodes_if
 from sunspin.output.folder import results_folder, write_whole
-from validation.kill import TARGETS, campaign, environment, is_whole
+from validation import kill
+from validation.kill import environment, is_whole, same
 
 START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
 SOURCES = Path(__file__).parents[2] / "src"
@@ -213,6 +215,22 @@ def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
         assert is_whole(path)
 
 
+@pytest.mark.parametrize(
+    ("ours", "theirs", "alike"),
+    [
+        ({"a": [1.0, None, "x"]}, {"a": [1.0 + 1e-12, None, "x"]}, True),
+        ({"a": 1.0, "seconds": 2.0}, {"a": 1.0, "seconds": 3.0}, True),
+        ({"a": 1.0}, {"a": 1.0 + 1e-6}, False),
+        (np.array([np.nan, 1.0]), np.array([np.nan, 1.0]), True),
+        (np.array([1, 2]), np.array([1, 3]), False),
+        ([1.0], [1.0, 2.0], False),
+        (None, "x", False),
+    ],
+)
+def test_results_are_the_same_to_nine_digits(ours, theirs, alike):
+    assert same(ours, theirs) is alike
+
+
 @pytest.mark.long
 def test_the_campaign_would_notice_other_results(tmp_path, monkeypatch):
     """A command whose result hangs on whether it was killed."""
@@ -221,20 +239,17 @@ def test_the_campaign_would_notice_other_results(tmp_path, monkeypatch):
         "out.mkdir(parents=True, exist_ok=True); n = len(list(out.glob('.try*'))); (out / f'.try{n}').touch(); "
         "time.sleep(0.5); (out / 'a.json').write_text(json.dumps({'tries': n}))"
     )
-    target = TARGETS[0]
     monkeypatch.setattr(
-        type(target),
-        "command",
-        lambda self, folder, small: [sys.executable, "-c", code, "--out", f"{folder}/out"],
+        kill, "command", lambda name, folder: [sys.executable, "-c", code, "--out", f"{folder}/out"]
     )
-    told = campaign(target, 3, tmp_path, 0, say=lambda text: None)
+    told = kill.campaign("scan", 3, tmp_path, 0, say=lambda text: None)
     assert told.kills >= 3 and any("other results" in what for what in told.wrong)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-def test_killed_runs_end_with_the_same_bits(target, tmp_path):
-    told = campaign(target, 6, tmp_path, 1, small=True)
+@pytest.mark.parametrize("name", kill.TARGETS)
+def test_killed_runs_end_with_the_same_results(name, tmp_path):
+    told = kill.campaign(name, 6, tmp_path, 1)
     assert told.kills >= 6 and told.wrong == []
 
 

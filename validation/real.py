@@ -57,7 +57,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--page", type=Path, default=PAGE, help="where the page is written")
 
 
-def run(options: Any) -> int:
+def main(options: Any) -> int:
     """Write the page; one if the data are not there."""
     if options.data is None or not (Path(options.data) / "skcube" / "skcube_adcs.csv").is_file():
         print(
