@@ -22,7 +22,7 @@ from sunspin.cli.common import claim, deliver, output_options, report
 @click.option("--epoch", help="With kernels: UTC of time zero, where the results have none.")
 @output_options()
 def compare(folder, others, frame, base, epoch, out, as_json, quiet) -> None:
-    """What moved between two results folders of `reproduce`, `rates`, `posterior` or `outcomes`: row by row, against each error.
+    """What changed between two results folders of `reproduce`, `rates`, `posterior` or `outcomes`: row by row, against each error.
 
     With SPICE attitude kernels (C-kernel, frames, clock, leap seconds) in the place of B: the rates of A against theirs. With
     --out, writes comparison.csv, comparison.nc and a figure.

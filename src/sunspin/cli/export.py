@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -24,10 +23,10 @@ FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
 )
 @click.option(
     "--frame",
-    help="Frame to write; a celestial one is refused where the turn about the Sun line is not known.",
+    help="Frame to write; a celestial one is refused if the rotation about the Sun direction is not known.",
 )
 @click.option(
-    "--epoch", help="UTC of time zero, where the results have none (those of `sunspin simulate`)."
+    "--epoch", help="UTC of time zero, if the results have none (those of `sunspin simulate`)."
 )
 @click.option(
     "--step",
@@ -46,45 +45,30 @@ def export(folder, form, frame, epoch, step, out, as_json, quiet) -> None:
       sunspin simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 600 --out run
       sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
-    from sunspin.output.export import (
-        attitude_of,
-        between_samples,
-        read_results,
-        write_cf,
-        write_parquet,
-    )
+    from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
     from sunspin.output.folder import results_folder
     from sunspin.output.text import counted
 
     data, source = read_results(folder)
-    attitude = attitude_of(data, frame, epoch)
-    if step is not None:
-        attitude = between_samples(attitude, data, step)
+    attitude = attitude_of(data, frame, epoch, step)
     target = results_folder(out, "export")
     if form == "ck":
         from sunspin.output.export.ck import write_ck
 
         paths = write_ck(target, attitude)
-    elif form.startswith("aem"):
-        from sunspin.output.export.aem import write_aem
-
-        kind = "xml" if form == "aem-xml" else "kvn"
-        paths = [
-            write_aem(
-                target / ("sunspin.aem" if kind == "kvn" else "sunspin-aem.xml"), attitude, kind
-            )
-        ]
     elif form == "netcdf":
         paths = [write_cf(target / "attitude.nc", data, attitude)]
-    else:
+    elif form == "parquet":
         paths = [write_parquet(target / "attitude.parquet", attitude)]
-    summary: dict[str, Any] = {
-        "from": str(source),
-        "frame": attitude.frame,
-        "samples": len(attitude.t_s),
-        "segments": len(attitude.parts()),
-        "files": [str(path) for path in paths],
-    }
-    frame = attitude.frame + (f"; {attitude.stands}" if attitude.stands else "")
-    line = f"{counted(len(attitude.t_s), 'attitude')} in {counted(len(attitude.parts()), 'segment')}, frame {frame}"
-    report(summary, [line, *(f"  {path}" for path in paths)], as_json, quiet)
+    else:
+        from sunspin.output.export.aem import write_aem
+
+        kind, name = ("kvn", "sunspin.aem") if form == "aem" else ("xml", "sunspin-aem.xml")
+        paths = [write_aem(target / name, attitude, kind)]
+    samples, segments = len(attitude.t_s), len(attitude.passes())
+    files = [str(path) for path in paths]
+    about = {"from": str(source), "frame": attitude.frame, "samples": samples}
+    frame = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
+    line = f"{counted(samples, 'attitude')} in {counted(segments, 'segment')}, frame {frame}"
+    summary = about | {"segments": segments, "files": files}
+    report(summary, [line, *(f"  {path}" for path in files)], as_json, quiet)

@@ -1,17 +1,21 @@
-"""The rates of a results folder against those of SPICE attitude kernels."""
+"""The rates of a results folder compared with those of SPICE attitude kernels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
+from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import attitude_of, read_results
-from sunspin.output.export.ck import ephemeris_time, kernel_rates
+from sunspin.output.export.ck import ephemeris_time, spice
+
+KERNEL_S = 20
+"""CPU time in which rates are read from kernels, in another process: damaged ones end SPICE."""
 
 
 def against_kernels(
@@ -27,35 +31,40 @@ def against_kernels(
     Raises
     ------
     InputError
-        The kernels cover none of the times.
+        Kernels that cannot be read, or that cover none of the times.
     """
-    data, _ = read_results(folder)
-    attitude = attitude_of(data, None, epoch)
-    et = np.array(
-        [ephemeris_time(attitude.epoch + timedelta(seconds=float(t))) for t in attitude.t_s]
-    )
-    theirs = kernel_rates([str(path) for path in kernels], frame, base, et)
-    covered = np.isfinite(theirs).all(axis=1)
+    spice()
+    attitude = attitude_of(read_results(folder)[0], None, epoch)
+    paths = [str(path) for path in kernels]
+    for path in paths:
+        if not (path.isprintable() and is_plain(Path(path))):
+            what = "the kernels cannot be used, as there is no such file"
+            raise InputError(sentence(what, got=path, do="give the paths of SPICE kernels"))
+    script, et = Path(__file__).with_name("spice_rates.py"), ephemeris_time(attitude.utc)
+    try:
+        read = elsewhere(script, frame, base, *paths, seconds=KERNEL_S, content=et.tobytes())
+    except Elsewhere as error:
+        what = f"the kernels cannot be used ({error})"
+        raise InputError(sentence(what, got=", ".join(paths))) from None
+    rates = np.frombuffer(read, dtype=np.float64).reshape(-1, 3)
+    if np.any(np.abs(rates) > MAX_RATE):
+        what = f"the kernels hold rates beyond {MAX_RATE:g} rad/s"
+        raise InputError(sentence(what, do="check them: they may be damaged"))
+    covered = np.isfinite(rates).all(axis=1)
     if not covered.any():
-        raise InputError(
-            sentence(
-                "the kernels do not cover any of these times",
-                got=f"{attitude.utc(0)} to {attitude.utc(-1)}",
-            )
-        )
-    difference = np.degrees(attitude.omega_B[covered] - theirs[covered])
-    speed = np.degrees(
-        np.linalg.norm(attitude.omega_B[covered], axis=1) - np.linalg.norm(theirs[covered], axis=1)
-    )
+        got = f"{attitude.utc[0]} to {attitude.utc[-1]}"
+        raise InputError(sentence("the kernels do not cover any of these times", got=got))
+    ours, theirs = np.degrees(attitude.omega_B[covered]), np.degrees(rates[covered])
+    speed = np.linalg.norm(ours, axis=1) - np.linalg.norm(theirs, axis=1)
     summary = {
-        "samples": len(et),
+        "samples": len(rates),
         "covered": int(covered.sum()),
-        "rms_deg_s": np.sqrt((difference**2).mean(axis=0)).tolist(),
+        "rms_deg_s": np.sqrt(((ours - theirs) ** 2).mean(axis=0)).tolist(),
         "rms_speed_deg_s": float(np.sqrt((speed**2).mean())),
     }
     shown = ", ".join(f"{value:.4g}" for value in summary["rms_deg_s"])
     line = (
-        f"{summary['covered']} of {len(et)} times covered; rms difference of the rates ({shown}) deg/s in body axes, "
+        f"{summary['covered']} of {len(rates)} times covered; rms difference of the rates ({shown}) deg/s in body axes, "
         f"of their size {summary['rms_speed_deg_s']:.4g} deg/s"
     )
     return summary, line

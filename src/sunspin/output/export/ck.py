@@ -1,4 +1,4 @@
-"""SPICE C-kernel with the clock and frame kernels that it needs, and the comparison with somebody else's attitude kernels.
+"""SPICE C-kernel with the clock and frame kernels that it needs.
 
 The clock kernel makes one tick a microsecond from the epoch of the result; the frame kernel names the body's frame, which the
 C-kernel orients, and the local frame N, which is not related to any other: SPICE refuses to go from it to J2000, as it should.
@@ -6,15 +6,12 @@ C-kernel orients, and the local frame N, which is not related to any other: SPIC
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sunspin.base.errors import InputError, OutputError, sentence
-from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
-from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
@@ -25,54 +22,23 @@ BODY_ID, LOCAL_ID = SPACECRAFT * 1000, SPACECRAFT * 1000 - 1
 BODY_NAME = "SUNSPIN_BODY"
 TICKS_PER_S = 1_000_000
 
-KERNEL_S = 20
-"""CPU time in which rates are read from kernels: they are read in another process, as damaged ones end SPICE."""
-
-LEAP_SECONDS = (
-    (1972, 1, 10),
-    (1972, 7, 11),
-    (1973, 1, 12),
-    (1974, 1, 13),
-    (1975, 1, 14),
-    (1976, 1, 15),
-    (1977, 1, 16),
-    (1978, 1, 17),
-    (1979, 1, 18),
-    (1980, 1, 19),
-    (1981, 7, 20),
-    (1982, 7, 21),
-    (1983, 7, 22),
-    (1985, 7, 23),
-    (1988, 1, 24),
-    (1990, 1, 25),
-    (1991, 1, 26),
-    (1992, 7, 27),
-    (1993, 7, 28),
-    (1994, 7, 29),
-    (1996, 1, 30),
-    (1997, 7, 31),
-    (1999, 1, 32),
-    (2006, 1, 33),
-    (2009, 1, 34),
-    (2012, 7, 35),
-    (2015, 7, 36),
-    (2017, 1, 37),
+LEAP_SECONDS = np.array(
+    "1972-01 1972-07 1973-01 1974-01 1975-01 1976-01 1977-01 1978-01 1979-01 1980-01 1981-07 1982-07 1983-07 1985-07 "
+    "1988-01 1990-01 1991-01 1992-07 1993-07 1994-07 1996-01 1997-07 1999-01 2006-01 2009-01 2012-07 2015-07 2017-01".split(),
+    dtype="datetime64[us]",
 )
-"""TAI - UTC in s from the first of (year, month) on; IERS Bulletin C, no further one announced until 2026."""
+"""From these instants on TAI - UTC is 10 s, 11 s and so on; IERS Bulletin C, no further one announced until 2026."""
 
 
-def ephemeris_time(moment: datetime) -> float:
-    """SPICE's ephemeris time (TDB seconds past J2000) of a UTC moment, to 0.05 ms (NAIF time-kernel formula)."""
-    offsets = [
-        seconds
-        for year, month, seconds in LEAP_SECONDS
-        if moment >= datetime(year, month, 1, tzinfo=UTC)
-    ]
-    if not offsets:
-        raise InputError(sentence("UTC before 1972 has no leap seconds", got=moment.isoformat()))
-    since = (moment - datetime(2000, 1, 1, 12, tzinfo=UTC)).total_seconds() + offsets[-1] + 32.184
+def ephemeris_time(utc: Any) -> np.ndarray:
+    """SPICE's ephemeris time (TDB seconds past J2000) of UTC instants, to 0.05 ms (NAIF time-kernel formula)."""
+    utc = np.asarray(utc, dtype="datetime64[us]")
+    if np.any(utc < LEAP_SECONDS[0]):
+        raise InputError(sentence("UTC before 1972 has no leap seconds", got=str(utc.min())))
+    tai = utc - np.datetime64("2000-01-01T12:00") + np.timedelta64(9, "s")
+    since = tai / np.timedelta64(1, "s") + np.searchsorted(LEAP_SECONDS, utc, side="right") + 32.184
     anomaly = 6.239996 + 1.99096871e-7 * since
-    return since + 1.657e-3 * float(np.sin(anomaly + 1.671e-2 * np.sin(anomaly)))
+    return since + 1.657e-3 * np.sin(anomaly + 1.671e-2 * np.sin(anomaly))
 
 
 def spice() -> Any:
@@ -80,53 +46,38 @@ def spice() -> Any:
     try:
         import spiceypy
     except ImportError:
-        raise OutputError(
-            sentence("SPICE kernels need spiceypy", do='pip install "sunspin[spice]"')
-        ) from None
+        what, do = "SPICE kernels need spiceypy", 'pip install "sunspin[spice]"'
+        raise OutputError(sentence(what, do=do)) from None
     return spiceypy
 
 
 def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into `folder`; one interpolation interval per pass."""
+    from scipy.spatial.transform import Rotation
+
     sp = spice()
     if not str(folder).isprintable():
-        raise OutputError(
-            sentence(
-                "SPICE takes no such folder name", got=str(folder), do="give one of plain letters"
-            )
-        )
-    clock = write_whole(
-        folder / "sunspin.tsc", lambda part: part.write_text(_clock_kernel(attitude), "ascii")
-    )
-    frames = write_whole(
-        folder / "sunspin.tf", lambda part: part.write_text(_frame_kernel(attitude), "ascii")
-    )
-    ticks = np.round((attitude.t_s - min(0.0, attitude.t_s.min())) * TICKS_PER_S)
+        what, do = "SPICE takes no such folder name", "give one of plain letters"
+        raise OutputError(sentence(what, got=str(folder), do=do))
+    first_s = min(0.0, float(attitude.t_s[0]))  # tick 0: the epoch, or an earlier first sample
+    ticks = np.round((attitude.t_s - first_s) * TICKS_PER_S)
     if np.any(np.diff(ticks) <= 0):
         raise InputError(sentence("a C-kernel needs times that increase by a microsecond or more"))
-    matrix = body_from_local(attitude)
-    quaternion = np.array([sp.m2q(m) for m in matrix])
-    rate = np.einsum("nji,nj->ni", matrix, attitude.omega_B)  # SPICE wants it in the base frame
-    starts = np.array([ticks[part[0]] for part in attitude.parts()])
+    start = float(ephemeris_time(attitude.epoch)) + first_s
+    clock, frames = (
+        write_whole(folder / name, lambda path, text=text: path.write_text(text, "ascii"))
+        for name, text in _text_kernels(start, attitude.frame).items()
+    )
+    quaternion = np.roll(attitude.quaternion, 1, axis=1)  # scalar first
+    rate_N = Rotation.from_quat(attitude.quaternion).inv().apply(attitude.omega_B)
+    starts = np.array([ticks[samples[0]] for samples in attitude.passes()])
+    span, about = (ticks[0], ticks[-1]), (BODY_ID, attitude.frame, True, "sunspin")
+    records = len(ticks), ticks, quaternion, rate_N, len(starts), starts
 
     def write(path: Path) -> None:
         handle = sp.ckopn(str(path), "sunspin attitude", 0)
         try:
-            sp.ckw03(
-                handle,
-                ticks[0],
-                ticks[-1],
-                BODY_ID,
-                attitude.frame,
-                True,
-                "sunspin",
-                len(ticks),
-                ticks,
-                quaternion,
-                rate,
-                len(starts),
-                starts,
-            )
+            sp.ckw03(handle, *span, *about, *records)
         finally:
             sp.ckcls(handle)
 
@@ -134,25 +85,17 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     try:
         return [write_whole(folder / "sunspin.bc", write), clock, frames]
     except sp.exceptions.SpiceyError as error:
-        raise OutputError(
-            sentence(f"SPICE refused the kernel ({_short(error)})", where=str(folder))
-        ) from None
+        what = f"SPICE refused the kernel ({' '.join(str(error).split())[:200]})"
+        raise OutputError(sentence(what, where=str(folder))) from None
     finally:
         sp.unload([str(clock), str(frames)])
 
 
-def body_from_local(attitude: Attitude) -> np.ndarray:
-    """Matrices B_from_N (n, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat(attitude.quaternion).as_matrix()
-
-
-def _clock_kernel(attitude: Attitude) -> str:
-    """Ticks count microseconds from the epoch (or the first sample, if that is earlier), parallel to TDB."""
-    start = ephemeris_time(attitude.epoch) + min(0.0, float(attitude.t_s.min()))
+def _text_kernels(start: float, frame: str) -> dict[str, str]:
+    """The clock, whose ticks are microseconds parallel to TDB from `start` on, and the frames: the body's and a local one, which is
+    a CK frame that no kernel orients."""
     number = -SPACECRAFT
-    return f"""KPL/SCLK
+    clock = f"""KPL/SCLK
 Clock made up by sunspin: one tick is a microsecond, tick 0 is TDB {start:.9f} s past J2000.
 \\begindata
 SCLK_KERNEL_ID = ( @2026-01-01/00:00:00 )
@@ -167,60 +110,15 @@ SCLK_PARTITION_END_{number} = ( 1.0E16 )
 SCLK01_COEFFICIENTS_{number} = ( 0.0 {start:.9f} 1.0 )
 \\begintext
 """
-
-
-def _frame_kernel(attitude: Attitude) -> str:
-    """The body's frame, and the local frame as one without a relation to any other (a CK frame that no kernel orients)."""
-    local = [] if "LOCAL" not in attitude.frame.upper() else [(attitude.frame.upper(), LOCAL_ID)]
-    lines = []
-    for name, number in [(BODY_NAME, BODY_ID), *local]:
-        lines += [
-            f"FRAME_{name} = {number}",
-            f"FRAME_{number}_NAME = '{name}'",
-            f"FRAME_{number}_CLASS = 3",
-            f"FRAME_{number}_CLASS_ID = {number}",
-            f"FRAME_{number}_CENTER = {SPACECRAFT}",
-            f"CK_{number}_SCLK = {SPACECRAFT}",
-            f"CK_{number}_SPK = {SPACECRAFT}",
-        ]
-    return (
-        "KPL/FK\nFrames of sunspin's attitude kernel.\n\\begindata\n"
-        + "\n".join(lines)
-        + "\n\\begintext\n"
-    )
-
-
-def kernel_rates(kernels: list[str], frame: str, base: str, et: np.ndarray) -> np.ndarray:
-    """Angular velocity (n, 3) rad/s of `frame` against `base`, in axes of `frame`, from SPICE kernels; NaN where none covers."""
-    spice()
-    pool = [str(path) for path in kernels]
-    for path in pool:
-        if not (path.isprintable() and is_plain(Path(path))):
-            what = "the kernels cannot be used, as there is no such file"
-            raise InputError(sentence(what, got=path, do="give the paths of SPICE kernels"))
-    try:
-        printed = elsewhere(
-            Path(__file__).with_name("spice_rates.py"),
-            frame,
-            base,
-            *pool,
-            seconds=KERNEL_S,
-            content=np.asarray(et, dtype=np.float64).tobytes(),
-        )
-    except Elsewhere as error:
-        raise InputError(
-            sentence(f"the kernels cannot be used ({error})", got=", ".join(pool))
-        ) from None
-    rates = np.frombuffer(printed, dtype=np.float64).reshape(-1, 3)
-    if np.any(np.abs(rates) > MAX_RATE):
-        raise InputError(
-            sentence(
-                f"the kernels hold rates beyond {MAX_RATE:g} rad/s",
-                do="check them: they may be damaged",
-            )
-        )
-    return rates
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+    frames = "KPL/FK\nFrames of sunspin's attitude kernel.\n\\begindata\n"
+    local = {frame.upper(): LOCAL_ID} if "LOCAL" in frame.upper() else {}
+    for name, number in ({BODY_NAME: BODY_ID} | local).items():
+        frames += f"""FRAME_{name} = {number}
+FRAME_{number}_NAME = '{name}'
+FRAME_{number}_CLASS = 3
+FRAME_{number}_CLASS_ID = {number}
+FRAME_{number}_CENTER = {SPACECRAFT}
+CK_{number}_SCLK = {SPACECRAFT}
+CK_{number}_SPK = {SPACECRAFT}
+"""
+    return {"sunspin.tsc": clock, "sunspin.tf": frames + "\\begintext\n"}

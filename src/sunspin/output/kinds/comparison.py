@@ -3,114 +3,130 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sunspin.output.compare import INTERVAL, SIGMA, TOLERANCE
 from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_LINES = 20
 """Rows that are printed; the table has all."""
 
-OF = {
-    "half of the wider interval": "half widths",
-    "tolerance of the row": "tolerances",
-    "one sigma of both together": "sigmas",
-}
-"""What a change is held against -> how it is counted."""
+MOST_DRAWN = 30
+"""Rows that are drawn."""
+
+LONGEST = 72
+"""Characters of a row's label in the figure."""
+
+LEAST = 1e-2
+"""Changes of less than this part of their errors are drawn at the edge."""
+
+UNITS = {INTERVAL: "half widths", TOLERANCE: "tolerances", SIGMA: "sigmas"}
+"""What a change is compared with -> in what its size is counted."""
 
 COLUMNS = ("what", "a", "b", "unit", "change", "error", "of", "size", "beyond", "words")
 
 
-def comparison_summary(found: Any) -> Summary:
-    """How many rows moved, beyond their errors, and which."""
-    beyond, known = found["beyond"].values, np.isfinite(found["error"].values)
+def comparison_summary(data: Any) -> Summary:
+    """How many rows changed by more than their errors, and which."""
+    attrs, table = data.attrs, _table(data)
+    known = table["error"].notna()
+    changed = table[table["beyond"] | (table["words"] != "")]
     numbers: dict[str, Any] = {
-        "command": str(found.attrs["command"]),
-        "a": str(found.attrs["folder_a"]),
-        "b": str(found.attrs["folder_b"]),
-        "rows": int(beyond.size),
-        "beyond": int(np.count_nonzero(beyond & known)),
-        "changed_without_error": int(np.count_nonzero(beyond & ~known)),
-        "same_telemetry": bool(found.attrs["same_telemetry"]),
-        "synthetic_telemetry": bool(found.attrs.get("synthetic", 0)),
-        **{
-            f"{what}_{letter}": str(found.attrs.get(f"{what}_{letter}", ""))
-            for what in ("only", "said")
-            for letter in "ab"
-        },
-        "moved": [
-            _plain(found, i) for i in range(beyond.size) if beyond[i] or found["words"].values[i]
-        ],
+        "command": attrs["command"],
+        "a": attrs["folder_a"],
+        "b": attrs["folder_b"],
+        "rows": len(table),
+        "beyond": int((table["beyond"] & known).sum()),
+        "changed_without_error": int((table["beyond"] & ~known).sum()),
+        "same_telemetry": bool(attrs["same_telemetry"]),
+        "synthetic_telemetry": bool(attrs["synthetic"]),
+        **{name: attrs[name].splitlines() for name in ("only_a", "only_b", "said_a", "said_b")},
+        "moved": changed.to_dict("records"),
     }
     lines = []
     for letter in "ab":
-        lines.append(f"{letter.upper()}: {found.attrs[f'folder_{letter}']}")
-        lines += [
-            f"   {line}" for line in str(found.attrs.get(f"changes_{letter}", "")).splitlines()
-        ]
-        lines += [
-            f"   concludes: {line}"
-            for line in str(found.attrs.get(f"said_{letter}", "")).splitlines()
-        ]
-        if only := str(found.attrs.get(f"only_{letter}", "")):
-            lines.append(f"   alone has {only.count(', ') + 1} rows: {only}")
+        lines.append(f"{letter.upper()}: {attrs[f'folder_{letter}']}")
+        lines += [f"   {line}" for line in attrs[f"changes_{letter}"].splitlines()]
+        lines += [f"   concludes: {line}" for line in numbers[f"said_{letter}"]]
+        if only := numbers[f"only_{letter}"]:
+            more = ", ..." if len(only) > MOST_LINES else ""
+            names = ", ".join(only[:MOST_LINES]) + more
+            lines.append(f"   {len(only)} rows are in this result alone: {names}")
+    telemetry = "both are of the same" if numbers["same_telemetry"] else "not of the same"
     lines.append(
-        f"{numbers['beyond']} of {int(known.sum())} rows with a known error moved beyond it; of {int((~known).sum())} without one "
+        f"{numbers['beyond']} of {known.sum()} rows with a known error changed by more than it; of {(~known).sum()} without one "
         f"{numbers['changed_without_error']} changed"
-        + (
-            "; both are of the same telemetry"
-            if numbers["same_telemetry"]
-            else ""
-            if found.attrs["command"] == "outcomes"
-            else "; the telemetry is not the same"
+        + ("" if attrs["command"] == "outcomes" else f"; {telemetry} telemetry")
+    )
+    for row in changed[:MOST_LINES].itertuples():
+        sizes = (
+            f"{row.size:7.2g} {UNITS[row.of]}" if row.of in UNITS else f"{100 * row.size:7.2g} %"
         )
-    )
-    chosen = [i for i in range(beyond.size) if beyond[i] or found["words"].values[i]]
-    lines += [_line(found, i) for i in chosen[:MOST_LINES]]
-    rest = len(chosen) - MOST_LINES
-    return Summary(
-        numbers, lines, [f"  and {rest} more: give --out for the whole table"] if rest > 0 else []
-    )
+        unit, words = row.unit and f" {row.unit}", row.words and f"; {row.words}"
+        lines.append(f"  {sizes:22}{row.row}: {row.a}, now {row.b}{unit}{words}")
+    rest = len(changed) - MOST_LINES
+    notes = [f"  and {rest} more: give --out for the whole table"] if rest > 0 else []
+    return Summary(numbers, lines, notes)
 
 
-def _line(found: Any, i: int) -> str:
-    row = {name: found[name].values[i] for name in COLUMNS}
-    unit = f" {row['unit']}" if row["unit"] else ""
-    size = (
-        f"{row['size']:7.2g} {OF[str(row['of'])]}"
-        if np.isfinite(row["error"])
-        else f"{100 * row['size']:7.2g} %"
-    )
-    words = f"; {row['words']}" if row["words"] else ""
-    return f"  {size:22}{found['row'].values[i]}: {row['a']}, now {row['b']}{unit}{words}"
-
-
-def _plain(found: Any, i: int) -> dict[str, Any]:
-    return {"row": str(found["row"].values[i])} | {
-        name: found[name].values[i].item() for name in COLUMNS
-    }
-
-
-def comparison_drawings(found: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.comparison import comparison_figure
-
-    others = int(np.count_nonzero(~np.isfinite(found["error"].values) & found["beyond"].values))
-    yield Drawing(
-        "comparison",
-        lambda: comparison_figure(found),
-        "The rows that moved most between the two results, each in its own errors.",
-        f"What moved from A ({found.attrs['folder_a']}) to B ({found.attrs['folder_b']}), in errors of each row: half of the wider "
-        f"interval, or one sigma. Beyond the dashed line a row moved by more than its error. {others} more changed of which no "
-        "error is known; the table has them." + synthetic_note(found),
-    )
-
-
-def comparison_tables(found: Any) -> Iterator[Table]:
+def _table(data: Any) -> Any:
+    """The rows as a pandas table."""
     import pandas as pd
 
-    frame = pd.DataFrame(
-        {"row": found["row"].values} | {name: found[name].values for name in COLUMNS}
+    return pd.DataFrame({name: data[name].values for name in ("row", *COLUMNS)})
+
+
+def comparison_drawings(data: Any, _: Context) -> Iterator[Drawing]:
+    """The rows that changed most."""
+    unknown = int(np.count_nonzero(np.isnan(data["error"].values) & data["beyond"].values))
+    yield Drawing(
+        "comparison",
+        lambda: comparison_figure(data),
+        "The rows that changed most between the two results, each in units of its error.",
+        f"Changes from A ({data.attrs['folder_a']}) to B ({data.attrs['folder_b']}), each over its error: half of the wider "
+        "interval, one sigma, or the tolerance. To the right of the dashed line the change exceeds the error. The table also lists "
+        f"{unknown} changed rows without a known error." + synthetic_note(data),
     )
+
+
+def comparison_figure(data: Any) -> Figure:
+    """The rows with a known error that changed most, in errors."""
+    from matplotlib.figure import Figure
+
+    from sunspin.output.figures import COLOURS, named, titled
+
+    table = _table(data)
+    table = table[table["error"].notna() & (table["change"] != 0)][:MOST_DRAWN]
+    size, place = np.maximum(table["size"].to_numpy(), LEAST), np.arange(len(table))[::-1]
+    figure = Figure(figsize=(10, 1.5 + 0.27 * max(len(table), 4)), layout="constrained")
+    axes = figure.subplots()
+    axes.hlines(place, LEAST, size, color="0.8", lw=1)
+    axes.axvline(1.0, color="0.3", lw=1, ls="--")
+    for sign, marker, label in ((1, ">", "larger in B"), (-1, "<", "smaller in B")):
+        use = np.sign(table["change"].to_numpy()) == sign
+        color = COLOURS[1 if sign > 0 else 0]
+        axes.plot(size[use], place[use], marker, ms=7, color=color, label=label, zorder=3)
+    axes.set_xscale("log")
+    axes.set_xlim(LEAST * 0.8, max(10.0, 1.6 * float(size.max(initial=1.0))))
+    names = table["what" if data.attrs["command"] == "reproduce" else "row"]
+    short = [name if len(name) <= LONGEST else f"{name[: LONGEST - 3]}..." for name in names]
+    axes.set_yticks(place, [named(name) for name in short], fontsize=8)
+    axes.set_ylim(-0.8, max(len(table), 1) - 0.2)
+    axes.set_xlabel("change from A to B over its error (dashed: as large as the error)")
+    axes.set_title(titled("Changes from A to B", data.attrs.get("synthetic")), loc="left")
+    axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
+    if not len(table):
+        text = "no row with a known error changed"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="0.3")
+    return figure
+
+
+def comparison_tables(data: Any) -> Iterator[Table]:
+    """Every row."""
     shown = {name: name for name in ("row", "a", "b", "unit", "size", "words")}
-    yield Table("comparison", frame, "What moved, the largest first", shown)
+    yield Table("comparison", _table(data), "Changes, the largest first", shown)
