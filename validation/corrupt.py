@@ -259,11 +259,11 @@ class Corrupt(Suite):
 
     def prepare(self) -> None:
         """Good files, and shorter work."""
-        for change in fuzz.cut_short():
-            self.stack.enter_context(change)
         os.chdir(self.home)
         self.good = make_files(self.home)
-        self.kinds = make_kinds()
+        self.kinds = make_kinds()  # in full: its kernel may have to be compiled first
+        for change in fuzz.cut_short():
+            self.stack.enter_context(change)
 
     def __call__(self, index: int) -> Verdict:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))

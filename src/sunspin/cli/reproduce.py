@@ -92,7 +92,7 @@ def reproduce(
         seed=seed,
         workers=workers,
         coarser=coarser,
-        changes=asked(sets, ("study", "collision"), **short),
+        changes=asked(sets, short),
         data=data,
         progress=on_terminal(quiet),
     )
