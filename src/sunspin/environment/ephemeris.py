@@ -531,13 +531,10 @@ def _csv(path: Path) -> _Table:
         )
     fast = next((one for one in ("km_s", "m_s") if f"vx_{one}" in table.header), None)
     names = [*wanted, *(f"v{axis}_{fast}" for axis in "xyz" if fast)]
-    try:
-        at = [table.header.index(name) for name in names]
-    except ValueError as error:
-        raise InputError(
-            sentence(f"a column of velocity is missing ({error})", where=where)
-        ) from None
-    rows = [(row[at[0]], [row[k] for k in at[1:]]) for row in table.rows]
+    if absent := [name for name in names if name not in table.header]:
+        what = f"the column {absent[0]!r} of velocity is missing"
+        raise InputError(sentence(what, where=where))
+    rows = [(row[0], row[1:]) for row in table.cells[names].to_numpy().tolist()]
     return _table(
         rows, 1e3 if unit == "km" else 1.0, 1e3 if fast == "km_s" else 1.0, "UTC", frames[0], where
     )
