@@ -128,10 +128,10 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
         do = "docs/data.md says where they come from"
         raise InputError(sentence("the Sun's directions are not there", do=do, where=str(path)))
     try:
-        values = np.array([[float(x) for x in line[1:5]] for line in read_table(path).rows])
+        values = read_table(path).cells.iloc[:, 1:5].astype(float).to_numpy()
     except ValueError:
         values = np.zeros((0, 4))
-    if values.ndim != 2 or not len(values) or not values[0, 0] <= tdb_s <= values[-1, 0]:
+    if values.shape[1] < 4 or not len(values) or not values[0, 0] <= tdb_s <= values[-1, 0]:
         what = "the file has no direction of the Sun at the collision"
         raise InputError(sentence(what, do="download it again", where=str(path)))
     sun = np.array([np.interp(tdb_s, values[:, 0], values[:, k]) for k in (1, 2, 3)])

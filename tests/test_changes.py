@@ -1,7 +1,9 @@
 """Changing an assumption: by its key, within the file's ranges, said in the results, and followed by what depends on it."""
 
 import json
+import tomllib
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae.starts import starts
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
-from sunspin.vehicle.changes import Change, changed, changes_of, settings
+from sunspin.vehicle.changes import Change, apply, changes_of, settings
 from sunspin.vehicle.file import (
     ChangedFile,
     VehicleFile,
@@ -42,12 +44,10 @@ def test_numbers_factors_and_steps_by_key():
         "leg[2].tip_B_m[0]+=0.1",
         "panel[6].gain*=1.1",
     )
-    assert craft.wheels[0].speed_rad_s == 833 and craft.inertia_kg_m2[2, 2] == pytest.approx(
-        0.9 * 16.523
-    )
-    assert craft.legs[1].tip_B_m[0] == pytest.approx(-0.6784) and craft.panels[
-        5
-    ].gain == pytest.approx(253)
+    assert craft.wheels[0].speed_rad_s == 833
+    assert craft.inertia_kg_m2[2, 2] == pytest.approx(0.9 * 16.523)
+    assert craft.legs[1].tip_B_m[0] == pytest.approx(-0.6784)
+    assert craft.panels[5].gain == pytest.approx(253)
     assert [one.key for one in craft.changes] == [
         "wheel.speed_rad_s",
         "body.inertia_kg_m2[2][2]",
@@ -87,35 +87,40 @@ def test_what_changes_nothing_is_no_change():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ("wheel.sped_rad_s=3", "did you mean wheel.speed_rad_s?"),
-        ("speed=3", "`--set list` shows all"),
+        ("wheel.sped_rad_s=3", "did you mean speed_rad_s?"),
+        ("speed=3", "unknown key 'speed'"),
         ("panel.gain=3", "say which in brackets: 1, 2, 3, 4, 5, 6"),
         ("panel[9].gain=3", "known: 1, 2, 3, 4, 5, 6"),
-        ("panel[1].gian=3", "did you mean panel[1].gain?"),
+        ("panel[1].gian=3", "unknown key 'gian'"),
         ("body.mass_kg=-1", "body.mass_kg set: mass_kg must be positive"),
         ("body.inertia_kg_m2[2][2]*=3", "not that of any body"),
-        ("panel_response.grazing.loss=2", "nothing can be set by this name"),
-        ("wheel.friction=plain", "known: printed"),
+        ("panel_response.grazing.loss=2", "panel_response.grazing is gone"),
+        ("wheel.friction=plain", "should be a table"),
         ("wheel.speed_rad_s=fast", "a number is expected"),
         ("telemetry.scale*=2", "not set"),
         ("wheel.speed_rad_s", "write KEY=VALUE"),
-        ("body=3", "this is a table of values"),
-        ("study.lad_s=3", "did you mean study.lead_s?"),
-        ("stud.lead_s=3", "did you mean study.lead_s?"),
-        ("wheel.speed_rad_s=nan", "finite number"),
+        ("body=3", "should be a table"),
+        ("study.lad_s=3", "did you mean lead_s?"),
+        ("stud.lead_s=3", "unknown key 'stud'"),
+        ("wheel.speed_rad_s=nan", "a number is expected"),
+        ("wheel.speed_rad_s=NaN", "finite number"),
         ("wheel.speed_rad_s=1e400", "finite number"),
-        ("wheel.speed_rad_s*=inf", "finite number"),
+        ("wheel.speed_rad_s*=inf", "*= needs numbers"),
+        ("wheel.speed_rad_s*=1e400", "*= needs numbers"),
+        ("wheel.speed_rad_s*=true", "*= needs numbers"),
         ("wheel.speed_rad_s=1\nbody.mass_kg=2", "a number is expected"),
-        ("wheel.speed_rad_s-=5", "did you mean wheel.speed_rad_s?"),
-        (
-            "wheel.friction*=2",
-            "set one of wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s",
-        ),
-        ("wheel.name=x", "nothing can be set by this name"),
-        ("name*=2", "nothing can be set by this name"),
+        ("wheel.speed_rad_s-=5", "did you mean speed_rad_s?"),
+        ("wheel.friction*=2", "*= needs numbers"),
+        ("name*=2", "*= needs numbers"),
+        ("wheel..speed_rad_s=3", "write KEY=VALUE"),
+        ("wheel]speed_rad_s=3", "write KEY=VALUE"),
+        ("[0]=3", "write KEY=VALUE"),
+        ("wheel[0][0]=3", "nothing to set"),
+        ("body.mass_kg.x=3", "value, sigma, source"),
+        ("body.inertia_kg_m2.value.x=3", "which in brackets: 0 to 2"),
         ("body.inertia_kg_m2[][0]=1", "known: 0 to 2"),
         ("body.inertia_kg_m2[-1][0]=1", "known: 0 to 2"),
-        ("body.inertia_kg_m2[0][0][0]=1", "did you mean body.inertia_kg_m2?"),
+        ("body.inertia_kg_m2[0][0][0]=1", "nothing to set"),
         ("telemetry.time_column*=2", "*= needs numbers"),
         ("=5", "write KEY=VALUE"),
         ("collision.damper=2", "must be a share between 0 and 1"),
@@ -128,23 +133,59 @@ def test_anything_else_is_refused_with_the_nearest_name_or_the_files_own_sentenc
     assert words in str(refused.value) and "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["philae", "skcube"])
-def test_all_that_is_listed_can_be_set(name):
-    """Set to what it is, each is found and nothing changes; what the file leaves out is known by its key."""
-    table = vehicle_table(name)
-    for one in settings(table, VehicleFile):
-        if one.value == "as below":
-            continue
-        if one.value is not None:
-            assert changed(table, [Change(one.key, "=", one.value)], VehicleFile) == (table, ()), (
-                one.key
-            )
-        else:
-            assert changed(table, [Change(one.key, "=", "x")], VehicleFile)[1][0].was is None, (
-                one.key
-            )
-    listed = {one.key: one for one in settings(assumptions_table(), AssumptionsFile)}
-    assert all(one.source for one in listed.values()) and listed["study.lead_s"].unit == "s"
+TEMPLATE = str(resources.files("sunspin").joinpath("template", "vehicle.toml"))
+
+
+@pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
+def test_all_that_is_listed_can_be_set(source):
+    """Set to itself, times one or plus zero, a value stays and is no change; times two it is twice what it was."""
+    listed = {each.key: each.value for each in settings(vehicle_table(source), VehicleFile)}
+    own = {key: value for key, value in listed.items() if value not in (None, "as below")}
+    same = [Change(key, "=", value) for key, value in own.items()]
+    assert len(own) > 20 and ss.load_vehicle(source, same) == ss.load_vehicle(source)
+    numbers = {key: value for key, value in own.items() if is_numeric(value)}
+    assert len(numbers) > 20
+    for change, factor in (("*=1", 1), ("+=0", 1), ("*=2", 2)):
+        table = vehicle_table(source)
+        done = apply(table, changes_of(dict.fromkeys(numbers, change)))
+        after = {each.key: each.value for each in settings(table, VehicleFile)}
+        for key, value in numbers.items():
+            np.testing.assert_array_equal(after[key], factor * np.array(value), err_msg=key)
+        assert (len(done) > 20) == (factor == 2)
+        assert all(each.was == numbers[each.key] for each in done)
+    for key in listed.keys() - own.keys():  # what the file leaves out is known by its key
+        try:
+            ss.load_vehicle(source, {key: "x"})
+        except ss.VehicleError as error:
+            assert "unknown key" not in str(error), key
+    assumed = {each.key: each for each in settings(assumptions_table(), AssumptionsFile)}
+    assert all(each.source for each in assumed.values()) and assumed["study.lead_s"].unit == "s"
+
+
+def is_numeric(value):
+    return np.array(value).dtype.kind in "if" and np.size(value) > 0
+
+
+def test_an_element_changes_with_its_mirror_and_nothing_else():
+    for i, j in np.ndindex(3, 3):
+        changed = with_changes(f"body.inertia_kg_m2[{i}][{j}]*=1.01").inertia_kg_m2
+        ratio = np.ones((3, 3))
+        ratio[i, j] = ratio[j, i] = 1.01
+        np.testing.assert_allclose(changed, ratio * OWN.inertia_kg_m2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
+def test_the_changed_file_reads_as_the_changed_vehicle(source):
+    """Also with its comments, which stay."""
+    table = vehicle_table(source)
+    for each in settings(table, VehicleFile):
+        if is_numeric(each.value):
+            asked = changes_of([f"{each.key}*=1.0001"])
+            text = vehicle_text(ChangedFile(source, asked))
+            expected = vehicle_table(source)
+            apply(expected, asked)
+            assert tomllib.loads(text) == expected, each.key
+    assert sum(line.startswith("#") for line in text.splitlines()) > 5
 
 
 def test_the_changed_file_is_a_vehicle_file():
@@ -206,115 +247,44 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
         speed["value"] == 865 and speed["unit"] == "rad/s" and speed["source"].startswith("paper")
     )
     assert "study.lead_s" in command("reproduce", "--set", "list").output
-    for name in (
-        "scan",
-        "posterior",
-        "outcomes",
-        "simulate",
-    ):  # without the arguments that a run needs
+    for name in ("scan", "posterior", "outcomes", "simulate"):  # without a run's arguments
         assert "wheel.speed_rad_s" in command(name, "--set", "list").output, name
-    ran = command(
-        "simulate",
-        "philae",
-        "--omega",
-        "0.1,0,0",
-        "--sun",
-        "0,0,1",
-        "--duration",
-        "10",
-        "--out",
-        tmp_path / "run",
-        "--set",
-        "wheel.speed_rad_s=833",
-    )
-    assert (
-        ran.exit_code == 0 and "Changed for this run: wheel.speed_rad_s = 833 rad/s" in ran.output
-    )
-    told = json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert (
-        told["changes"][0].startswith("wheel.speed_rad_s = 833")
-        and "833" in (tmp_path / "run" / "vehicle.toml").read_text()
-    )
+    changes = ("--set", "wheel.speed_rad_s=833")
+    ran = command(*SIMULATE.split(), *changes, "--out", tmp_path / "run")
+    assert ran.exit_code == 0
+    assert "Changed for this run: wheel.speed_rad_s = 833 rad/s" in ran.output
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["changes"][0].startswith("wheel.speed_rad_s = 833")
+    assert "833" in (tmp_path / "run" / "vehicle.toml").read_text()
+
+
+SIMULATE = "simulate philae --omega 0,0,0 --sun 0,0,1 --duration 1"
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (f"{SIMULATE} --set study.mask=everywhere", "does not use that assumption"),
+        (f"{SIMULATE} --set study.leed_s=3", "did you mean lead_s?"),
+        ("outcomes philae --set wheel.speed_rad_s=833", "give --scan scan.nc, or give --omega"),
+        ("outcomes philae --scan scan.nc --omega 0,0,1", "give one of them"),
+        ("outcomes philae --lead 5 --set study.lead_s=30", "--lead and --set study.lead_s say"),
         (
-            (
-                "simulate",
-                "philae",
-                "--omega",
-                "0,0,0",
-                "--sun",
-                "0,0,1",
-                "--duration",
-                "1",
-                "--set",
-                "study.mask=everywhere",
-            ),
-            "does not use that assumption",
-        ),
-        (
-            (
-                "simulate",
-                "philae",
-                "--omega",
-                "0,0,0",
-                "--sun",
-                "0,0,1",
-                "--duration",
-                "1",
-                "--set",
-                "study.leed_s=3",
-            ),
-            "did you mean study.lead_s?",
-        ),
-        (
-            ("outcomes", "philae", "--set", "wheel.speed_rad_s=833"),
-            "give --scan scan.nc, or give --omega",
-        ),
-        (("outcomes", "philae", "--scan", "scan.nc", "--omega", "0,0,1"), "give one of them"),
-        (
-            ("outcomes", "philae", "--lead", "5", "--set", "study.lead_s=30"),
-            "--lead and --set study.lead_s say the same thing",
-        ),
-        (
-            (
-                "simulate",
-                "philae",
-                "--omega",
-                "0,0,0",
-                "--sun",
-                "0,0,1",
-                "--duration",
-                "1",
-                "--wheel-speed",
-                "800",
-                "--set",
-                "wheel.speed_rad_s=833",
-            ),
-            "--wheel-speed and --set wheel.speed_rad_s say the same thing",
+            f"{SIMULATE} --wheel-speed 800 --set wheel[wheel].speed_rad_s=833",
+            "--wheel-speed and --set wheel[wheel].speed_rad_s say the same thing",
         ),
     ],
 )
 def test_a_command_refuses_what_it_cannot_use(words, said):
-    result = command(*words)
+    result = command(*words.split())
     assert isinstance(result.exception, SunspinError) and said in str(result.exception)
 
 
 def test_what_a_command_does_not_use_is_said_and_not_listed():
     """A change without effect is no error, as one set of changes may go through several commands, but it is not silent."""
-    words = ("simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1")
-    ran = command(
-        *words,
-        "--set",
-        "panel[2].gain*=2",
-        "--set",
-        "body.mass_kg=90",
-        "--set",
-        "body.inertia_kg_m2[0][1]*=2",
-    )
+    words = SIMULATE.split()
+    changes = "--set panel[2].gain*=2 --set body.mass_kg=90 --set body.inertia_kg_m2[0][1]*=2"
+    ran = command(*words, *changes.split())
     said = [line for line in ran.stderr.splitlines() if "changes nothing here" in line]
     assert ran.exit_code == 0 and [line.split()[1] for line in said] == [
         "panel[2].gain",
@@ -331,31 +301,20 @@ def test_what_a_command_does_not_use_is_said_and_not_listed():
 
 def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
     """--friction wherever a wheel runs; --restitution and --damper where there may be a blow."""
-    usual = ("simulate", "philae", "--omega", "0.1,0,0", "--sun", "0,0,1", "--duration", "60")
+    usual = "simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 60".split()
     said = [command(*usual, *more).output.splitlines() for more in ((), ("--friction", "printed"))]
     assert (
         said[1][0].startswith("Changed for this run: wheel.friction = printed")
         and said[0][-1] != said[1][-1]
     )
-    words = (
-        "outcomes",
-        "philae",
-        "--omega",
-        "0.1,-0.2,0.1",
-        "--runs",
-        "50",
-        "--strategy",
-        "off",
-        "--friction",
-        "printed",
-    )
+    options = "--omega 0.1,-0.2,0.1 --runs 50 --strategy off --friction printed"
+    words = ("outcomes", "philae", *options.split())
     ran = [
         command(*words, *more)
         for more in ((), ("--restitution", "0.4"), ("--set", "collision.restitution=0.4"))
     ]
-    noisier = command(
-        "outcomes", "philae", "--runs", "50", "--strategy", "off", "--set", "telemetry.noise*=2"
-    )
+    options = "--runs 50 --strategy off --set telemetry.noise*=2"
+    noisier = command("outcomes", "philae", *options.split())
     assert (
         "telemetry.noise changes nothing here" in noisier.stderr
         and "a leg touches first" in noisier.output
@@ -401,7 +360,7 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
         (("wheel.speed_rad_s=833",), ""),
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
-        points, whose = starts(opened("philae", sets).craft, [], tmp_path / "scan.nc", 1.1)
+        points, whose = starts(opened("philae", sets, {}).craft, [], tmp_path / "scan.nc", 1.1)
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 

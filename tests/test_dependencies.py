@@ -29,7 +29,7 @@ NOT_IMPORTED = {
     "parquet": "xarray and pandas read by it",
 }
 
-BROUGHT = {"pandas": "xarray", "markupsafe": "jinja2", "llvmlite": "numba"}
+BROUGHT = {"markupsafe": "jinja2", "llvmlite": "numba"}
 """Imported here, and needed always by a declared one, which knows the version that it needs."""
 
 OWN = {"sunspin", "validation", "tests", "docs", "bench", "studies"}

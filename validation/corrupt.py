@@ -6,14 +6,20 @@ Their readers are other people's C; a case runs in a worker of :mod:`validation.
 from __future__ import annotations
 
 import argparse
+import io
 import os
+import runpy
 import shutil
+import sys
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
+from sunspin.base.untrusted import Elsewhere
 from tests.corrupted import BYTES
 from validation import fuzz, pool
 from validation.border import judge, sunspin
@@ -27,6 +33,7 @@ FORMATS = (
     "store",
     "kernel.bc",
     "orbit.bsp",
+    "earth.bsp",
     "frames.zip",
 )
 SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
@@ -121,6 +128,12 @@ class Corrupt(Suite):
         place.joinpath(*KERNEL).write_bytes(damaged(self.good["orbit.bsp"], rng))
         return _sentence(lambda: kernel_facts(load_case("philae"), place))
 
+    def try_earth_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
+        from sunspin.environment.ephemeris import read_ephemeris
+
+        bad = self._bad("earth.bsp", place, rng)
+        return _sentence(lambda: read_ephemeris(bad))
+
     def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
         return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
 
@@ -144,6 +157,34 @@ class Corrupt(Suite):
         ):
             return Verdict("wrong result", True, "damage passed unseen")
         return verdict
+
+
+class Unguarded(Corrupt):
+    """The same with everything read in this process, which counts what the processes apart are for."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        for place, read in (
+            ("base.netcdf._in_another_process", lambda *_, **__: None),
+            ("environment.ephemeris.elsewhere", run_here),
+            ("output.export.against.elsewhere", run_here),
+        ):
+            self.stack.enter_context(mock.patch(f"sunspin.{place}", read))
+
+
+def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:  # noqa: ARG001
+    """What `sunspin.base.untrusted.elsewhere` does, without another process."""
+    import spiceypy as sp
+
+    given, printed = (SimpleNamespace(buffer=io.BytesIO(text)) for text in (content, b""))
+    with mock.patch.multiple(sys, argv=[str(script), *arguments], stdin=given, stdout=printed):
+        try:
+            runpy.run_path(str(script), run_name="__main__")
+        except (Exception, SystemExit) as error:
+            raise Elsewhere(" ".join(str(error).split())[:200]) from None
+        finally:
+            sp.kclear()
+    return printed.buffer.getvalue()
 
 
 def _sentence(call: Any) -> Verdict:
@@ -194,12 +235,12 @@ def make_files(home: Path) -> dict[str, Any]:
     )
     if made.code != 0:
         raise RuntimeError(made.err)
-    write_orbit(home / "orbit.bsp")
+    write_orbits(home)
     function = Waves(n_rows=ROWS)
     result = ensemble(function, store="store", chunk=7, workers=1)
     content = {
         name: Path(name).read_bytes()
-        for name in ("telemetry.nc", "telemetry.parquet", "scan.nc", "orbit.bsp")
+        for name in ("telemetry.nc", "telemetry.parquet", "scan.nc", "orbit.bsp", "earth.bsp")
     }
     content["trajectory.nc"] = Path("stock/results/trajectory.nc").read_bytes()
     content["kernel.bc"] = Path("kernels/sunspin.bc").read_bytes()
@@ -214,8 +255,8 @@ def write_parquet(path: str, columns: dict[str, np.ndarray]) -> None:
     pq.write_table(pa.table(columns), path)
 
 
-def write_orbit(path: Path) -> None:
-    """A made-up trajectory of the lander where the case's kernel would be, with its ids and times."""
+def write_orbits(home: Path) -> None:
+    """A made-up trajectory of the lander where the case's kernel would be, with its ids and times, and an orbit of the Earth."""
     import spiceypy as sp
 
     from sunspin.philae import collision
@@ -228,16 +269,26 @@ def write_orbit(path: Path) -> None:
     states = np.column_stack(
         [1 + 1e-5 * (t - begin), 2 - 1e-5 * (t - begin), 0 * t, 1e-5 + 0 * t, -1e-5 + 0 * t, 0 * t]
     )
-    handle = sp.spkopn(str(path), "made up", 0)
-    sp.spkw09(handle, -226800, 1000012, "J2000", begin, end, "made up", 3, len(t), states, t)
-    sp.spkcls(handle)
+    angle = (t - begin) * 2 * np.pi / 5600
+    speed, still = 6900 * 2 * np.pi / 5600, 0 * t
+    circle = [np.cos(angle), np.sin(angle), still, -np.sin(angle), np.cos(angle), still]
+    orbit = np.column_stack(circle) * [6900, 6900, 0, speed, speed, 0]
+    for name, body, centre, table in (
+        ("orbit.bsp", -226800, 1000012, states),
+        ("earth.bsp", -99, 399, orbit),
+    ):
+        handle = sp.spkopn(str(home / name), "made up", 0)
+        sp.spkw09(handle, body, centre, "J2000", begin, end, "made up", 3, len(t), table, t)
+        sp.spkcls(handle)
 
 
 def options(parser: argparse.ArgumentParser) -> None:
     pool.options(parser)
     parser.add_argument("--only", choices=FORMATS)
+    about = "read in the same process what sunspin reads in another, and count crashes and hangs"
+    parser.add_argument("--unguarded", action="store_true", help=about)
 
 
 def main(given: argparse.Namespace) -> int:
     """The campaign's figures; 1 if anything was found."""
-    return pool.main(Corrupt, given)
+    return pool.main(Unguarded if given.unguarded else Corrupt, given)

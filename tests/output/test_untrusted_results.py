@@ -232,6 +232,15 @@ def test_an_attribute_of_another_kind_is_one_sentence(tmp_path, folder):
     assert "rates.nc: this file was changed" in told(folder)
 
 
+def test_an_attribute_that_is_no_text_of_utf_8_is_refused(tmp_path):
+    path = tmp_path / "file.nc"
+    xr.Dataset(attrs={"title": "abcd"}).to_netcdf(path, engine="h5netcdf")
+    assert read_netcdf(path, "file.nc", InputError).attrs["title"] == "abcd"
+    path.write_bytes(path.read_bytes().replace(b"abcd", b"ab\xefd"))
+    with pytest.raises(InputError, match="file.nc: a name or an attribute in it is not UTF-8 text"):
+        read_netcdf(path, "file.nc", InputError)
+
+
 def test_the_unit_of_a_variable_is_ours_and_what_is_said_of_it_a_text(tmp_path):
     """Every unit that is read back, missing, of another kind or another unit; in files of others they are nobody's business."""
     path = tmp_path / "file.nc"

@@ -9,6 +9,7 @@ from importlib import resources
 
 import numpy as np
 import pytest
+import tomlkit
 import xarray as xr
 
 import sunspin as ss
@@ -16,7 +17,6 @@ from sunspin.estimate.terms.panels import Instants
 from sunspin.estimate.wiring import signed_axes, to_write
 from sunspin.output.folder import write_netcdf
 from sunspin.telemetry.stored import stored_telemetry
-from sunspin.vehicle.changes import toml_text
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -246,9 +246,9 @@ def test_what_is_to_be_written_reads_a_sensor_so():
     )
     plain = VEHICLE.format(telemetry='time_column = "t"')
     for table in ("gyro", "magnetometer"):
-        old = parse_vehicle(plain + toml_text({table: base[table]}), "v.toml").sensors.with_columns[
-            table
-        ]
+        old = parse_vehicle(
+            plain + tomlkit.dumps({table: base[table]}), "v.toml"
+        ).sensors.with_columns[table]
         seen = old.seen(raw[:, [header.index(name) for name in old.names]])[1]
         for _, order, sign in signed_axes():
             told = (
@@ -258,7 +258,7 @@ def test_what_is_to_be_written_reads_a_sensor_so():
             )
             keys = tomllib.loads(told.replace(" and ", "\n"))
             new = parse_vehicle(
-                plain + toml_text({table: base[table] | keys}), "v.toml"
+                plain + tomlkit.dumps({table: base[table] | keys}), "v.toml"
             ).sensors.with_columns[table]
             got = new.seen(raw[:, [header.index(name) for name in new.names]])[1]
             np.testing.assert_allclose(got, seen[:, order] * sign, atol=1e-9)

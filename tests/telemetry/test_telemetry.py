@@ -1,6 +1,10 @@
 """The telemetry reader: clocks, columns, units; and one sentence for everything that can be wrong."""
 
+import csv
+import json
+
 import numpy as np
+import pandas as pd
 import pytest
 
 import sunspin as ss
@@ -33,6 +37,35 @@ def test_a_good_file(tmp_path):
     assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
     assert data.attrs["synthetic"] == 1
     assert np.all(data["flag"].values == 0)
+
+
+@pytest.mark.parametrize("kind", ["csv", "json", "parquet"])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_wrong_cell_is_named_with_its_line_and_column(tmp_path, kind, seed):
+    """Wherever it stands, among comments, blank lines, quoted cells and columns in any order."""
+    rng = np.random.default_rng(seed)
+    n, names = int(rng.integers(2, 40)), rng.permutation(["time", "a", "b", "other"]).tolist()
+    times = pd.date_range("2026-01-01", periods=n, freq="60s").strftime("%Y-%m-%dT%H:%M:%SZ")
+    cells = pd.DataFrame(dict.fromkeys(names, "1.5"), np.arange(n)).assign(time=times)
+    row, column = int(rng.integers(n)), str(rng.choice(["time", "a", "b"]))
+    cells.loc[row, column] = str(rng.choice(["x", "", "1_0", "\u0663"]))
+    comments, blank = int(rng.integers(3)), rng.random(n) < 0.3
+    line = {"csv": comments + 2, "json": 1, "parquet": 1}[kind] + row
+    path = tmp_path / "t"
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+        cells.to_parquet(path)
+    else:
+        lines = cells.apply(lambda each: json.dumps(each.to_dict()), axis=1).tolist()
+        if kind == "csv":
+            style = {"index": False, "header": False, "quoting": csv.QUOTE_ALL if seed % 2 else 0}
+            lines = cells.to_csv(**style).splitlines()
+        lines = [f"\n{text}" if empty else text for text, empty in zip(lines, blank, strict=True)]
+        line += int(blank[: row + 1].sum())
+        head = ["# a comment"] * comments + [",".join(names)] if kind == "csv" else []
+        path.write_text("\n".join(head + lines) + "\n", "utf-8")
+    with pytest.raises(TelemetryError, match=f"line {line}, column '{column}': .* expected"):
+        ss.read_telemetry(path, vehicle())
 
 
 def test_unix_seconds_scale_current_and_named_columns(tmp_path):

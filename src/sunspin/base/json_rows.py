@@ -10,6 +10,8 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+import pandas as pd
+
 from sunspin.base.errors import TelemetryError, sentence
 
 DEEPEST = 8
@@ -19,90 +21,65 @@ PAGE = "results"
 """Key under which a page of SatNOGS DB has its rows."""
 
 
-def json_rows(
-    text: str, where: str, most_columns: int, most_cells: int
-) -> tuple[list[str], list[list[str]], list[int]]:
-    """Names of the columns in the order in which they come, cells (empty where a row has no such key), the line of each row."""
+def json_rows(text: str, where: str, most_columns: int, most_cells: int) -> pd.DataFrame:
+    """Cells (empty where a row has no such key), indexed by the line of each row; columns in the order in which they come."""
     rows: list[dict[str, str]] = []
     lines: list[int] = []
-    names: dict[str, int] = {}
+    names: dict[str, None] = {}
     for line, item in _objects(text, where):
         at = f"{where}, line {line}"
         if not isinstance(item, dict):
-            raise TelemetryError(
-                sentence("a row of a JSON file must be an object", got=str(item)[:60], where=at)
-            )
-        row = dict(_cells(item, "", at, 0))
-        for name in row:
-            names.setdefault(name, len(names))
-        if len(names) > most_columns:
-            raise TelemetryError(
-                sentence(f"the file has more than {most_columns} columns", where=at)
-            )
-        rows.append(row)
+            what = "a row of a JSON file must be an object"
+            raise TelemetryError(sentence(what, got=str(item)[:60], where=at))
+        rows.append(dict(_cells(item, "", at, 0)))
         lines.append(line)
-    if not rows or not names:
-        raise TelemetryError(sentence("the file holds no samples", where=where))
-    if len(rows) * len(names) > most_cells:
-        what, got = (
-            f"the file has more than {most_cells:.0e} cells",
-            f"{len(rows)} rows of {len(names)}",
-        )
-        raise TelemetryError(sentence(what, got=got, do="cut it into parts", where=where))
-    return list(names), [[row.get(name, "") for name in names] for row in rows], lines
+        names.update(dict.fromkeys(rows[-1]))
+        if len(names) > most_columns:
+            what = f"the file has more than {most_columns} columns"
+            raise TelemetryError(sentence(what, where=at))
+        if len(rows) * len(names) > most_cells:
+            what = f"the file has more than {most_cells:.0e} cells"
+            raise TelemetryError(sentence(what, do="cut it into parts", where=at))
+    cells = [[row.get(name, "") for name in names] for row in rows]
+    return pd.DataFrame(cells, lines, list(names), dtype=object)
 
 
 def _objects(text: str, where: str) -> Iterator[tuple[int, Any]]:
     """The rows, each with its line: all lines of a file, or what one list or page holds, counted from one."""
-    begins = text.lstrip()
-    first = begins.splitlines()[0].strip()
-    if begins.startswith("{") and _whole(first):
-        for number, line in enumerate(text.splitlines(), 1):
-            if line.strip():
-                item = _parsed(line, f"{where}, line {number}")
-                rows = item.get(PAGE) if isinstance(item, dict) else None
-                yield from [(number, item)] if not isinstance(rows, list) else enumerate(rows, 1)
-        return
-    item = _parsed(text, where)
-    rows = item.get(PAGE) if isinstance(item, dict) else item
-    yield from enumerate(rows, 1) if isinstance(rows, list) else [(1, item)]
-
-
-def _whole(line: str) -> bool:
-    """Whether a line is an object by itself; what is damaged elsewhere shall be named with its line."""
-    return line.endswith("}")
-
-
-def _parsed(text: str, where: str) -> Any:
-    try:
-        return json.loads(text, object_pairs_hook=_once)
-    except json.JSONDecodeError as error:
-        place = where if ", line " in where else f"{where}, line {error.lineno}"
-        raise TelemetryError(
-            sentence(f"this is not valid JSON ({error.msg})", do="one object a line", where=place)
-        ) from None
-    except RecursionError:
-        raise TelemetryError(
-            sentence("the file is nested too deeply to be telemetry", where=where)
-        ) from None
-    except ValueError as error:  # a key twice, or a whole number of thousands of digits
-        raise TelemetryError(
-            sentence(f"this JSON cannot be read ({str(error)[:100]})", where=where)
-        ) from None
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    first = lines[0][1].strip()
+    whole = not (first[0] == "{" and first[-1] == "}")  # else each line is an object by itself
+    if whole:
+        lines = [(1, text)]
+    for number, line in lines:
+        try:
+            item = json.loads(line, object_pairs_hook=_once)
+        except json.JSONDecodeError as error:
+            what, at = (
+                f"this is not valid JSON ({error.msg})",
+                f"{where}, line {number + error.lineno - 1}",
+            )
+            raise TelemetryError(sentence(what, do="one object a line", where=at)) from None
+        except RecursionError:
+            what = "the file is nested too deeply to be telemetry"
+            raise TelemetryError(sentence(what, where=where)) from None
+        except ValueError as error:  # a key twice, or a whole number of thousands of digits
+            what, at = f"this JSON cannot be read ({str(error)[:100]})", f"{where}, line {number}"
+            raise TelemetryError(sentence(what, where=at)) from None
+        page = item.get(PAGE) if isinstance(item, dict) else item if whole else None
+        yield from enumerate(page, 1) if isinstance(page, list) else [(number, item)]
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    if len(dict(pairs)) < len(pairs):
         raise ValueError("a key stands twice in an object")
-    return found
+    return dict(pairs)
 
 
 def _cells(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, str]]:
     if depth > DEEPEST:
-        raise TelemetryError(
-            sentence(f"objects lie more than {DEEPEST} deep in each other", where=where)
-        )
+        what = f"objects lie more than {DEEPEST} deep in each other"
+        raise TelemetryError(sentence(what, where=where))
     if isinstance(item, str) and item[:1] == "{" and item[-1:] == "}":
         try:
             item = json.loads(item, object_pairs_hook=_once)
@@ -110,14 +87,7 @@ def _cells(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, 
             pass  # a text that only looks like an object stays a text
     if isinstance(item, dict | list):
         for key, value in item.items() if isinstance(item, dict) else enumerate(item):
-            yield from _cells(
-                value, f"{name}.{key}" if name else str(key).strip(), where, depth + 1
-            )
+            inner = f"{name}.{key}" if name else str(key).strip()
+            yield from _cells(value, inner, where, depth + 1)
     else:
-        yield name, _text(item)
-
-
-def _text(item: Any) -> str:
-    if item is None:
-        return ""
-    return str(int(item)) if isinstance(item, bool) else str(item)
+        yield name, "" if item is None else str(int(item) if isinstance(item, bool) else item)

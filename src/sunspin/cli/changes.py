@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -13,226 +14,168 @@ from sunspin.base.errors import InputError, sentence
 if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
     from sunspin.vehicle.assumptions import Assumptions
+    from sunspin.vehicle.changes import Change
 
 SHORT = {
-    "friction": (
-        "wheel.friction",
-        "NAME",
-        "Wheel friction by the name of another law in the vehicle file, such as printed.",
-    ),
+    "friction": ("wheel.friction", "Name of another law of friction in the vehicle file: printed."),
     "wheel_speed": (
         "wheel.speed_rad_s",
-        "RAD_S",
-        "Wheel speed at the first sample after the touchdown.",
+        "Wheel speed (rad/s) at the first sample after touchdown.",
     ),
-    "lead": ("study.lead_s", "S", "From the first touchdown to the first sample after it."),
+    "lead": ("study.lead_s", "From the first touchdown to the first sample after it, s."),
     "target_weights": (
         "study.target_weights",
-        "equal|interval",
-        "What each measured direction counts.",
+        "What each measured direction counts: equal, interval.",
     ),
-    "mask": ("study.mask", "reconstructible|everywhere", "Which simulated directions count."),
-    "factor": ("study.near_minimum_factor", "FACTOR", "Near-minimum factor of the paper's set."),
-    "confidence": ("study.confidence", "SHARE", "Of the calibrated set."),
-    "restitution": ("collision.restitution", "SHARE", "Of the collision: 0 sticks."),
-    "damper": (
-        "collision.damper",
-        "SHARE",
-        "Part of the blow that the landing gear takes along z.",
-    ),
+    "mask": ("study.mask", "Simulated directions that count: reconstructible, everywhere."),
+    "factor": ("study.near_minimum_factor", "Near-minimum factor of the paper's set."),
+    "confidence": ("study.confidence", "Of the calibrated set, as a share."),
+    "restitution": ("collision.restitution", "Of the collision, as a share: 0 sticks."),
+    "damper": ("collision.damper", "Share of the impact that the landing gear takes along z."),
 }
-"""Option -> key that it is a name for, its value, its help."""
-
-
-class Opened(NamedTuple):
-    """What a command works with: the vehicle file (with changes), the vehicle, the assumptions, in words what was changed."""
-
-    file: Any
-    craft: Vehicle
-    assumptions: Assumptions
-    said: tuple[str, ...]
-
-    def mark(self, result: Any) -> Any:
-        """The result, saying in its attributes all that was changed."""
-        if self.said:
-            result.attrs["changes"] = "\n".join(self.said)
-        return result
-
-
-class Changeable(click.Command):
-    """A command with --set: `--set list` needs nothing else but the vehicle."""
-
-    @property
-    def uses(self) -> tuple[str, ...]:
-        return getattr(self.callback, "uses", ())
-
-    @property
-    def idle(self) -> tuple[str, ...]:
-        return getattr(self.callback, "idle", ())
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if any(word in ("list", "--set=list") for word in args):
-            given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
-            if "list" in given.get("sets", ()):
-                vehicle = given.get(
-                    "vehicle"
-                )  # neither None nor a text where an argument is missing
-                _print_list(
-                    vehicle if isinstance(vehicle, str) else "philae",
-                    self.uses,
-                    self.idle,
-                    bool(given.get("as_json")),
-                )
-                ctx.exit()
-        return super().parse_args(ctx, args)
-
+"""Option -> key that it is a name for, its help."""
 
 LANDING = ("body.mass_kg", "leg", "hull", "antenna")
 """What only collisions and landings use of a vehicle file."""
 
-READING = (
-    "telemetry",
-    "channel",
-    "sun_sensor",
-    "sun_vector",
-    "gyro",
-    "attitude",
-    "magnetometer",
-    "clock",
-    "disturbance",
-    "orbit",
-)
+READING = ("telemetry", "channel", "sun_sensor", "sun_vector", "gyro", "attitude", "magnetometer")
+READING += ("clock", "disturbance", "orbit")
 """What only those use who read telemetry."""
 
 SEEING = ("panel", "panel_response", "sun_rule", *READING)
-"""The same with the panels, which also say for whom the printed lines were found."""
+"""The same with the panels, which also say for whom the published lines were estimated."""
+
+
+class Opened(NamedTuple):
+    """What a command works with: the vehicle file (with changes), the vehicle, the assumptions."""
+
+    file: Any
+    craft: Vehicle
+    assumptions: Assumptions
+
+    @property
+    def changes(self) -> tuple[Any, ...]:
+        return (*self.craft.changes, *self.assumptions.changes)
+
+    def mark(self, result: Any) -> Any:
+        """The result, whose attributes list all changes."""
+        if self.changes:
+            result.attrs["changes"] = "\n".join(map(str, self.changes))
+        return result
+
+
+class Changeable(click.Command):
+    """A command with --set; `--set list` needs no other argument."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        given = self.make_parser(ctx).parse_args(args=list(args))[0]
+        if "list" in given.get("sets", ()):
+            vehicle = given.get("vehicle")  # not a text where it is left out
+            vehicle = vehicle if isinstance(vehicle, str) else "philae"
+            print_list(vehicle, self.callback, bool(given.get("as_json")))
+            ctx.exit()
+        return super().parse_args(ctx, args)
 
 
 def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:
-    """--set and some of its short names; `uses`: keys of the assumptions, or tables of them, that the command uses; `idle`: keys or
-    tables of the vehicle file that it does not use, which is said where one of them is changed."""
+    """--set and some of its short names. `uses`: keys or tables of the assumptions that the command uses; `idle`: those of the
+    vehicle file that it does not use."""
+    about = (
+        "Change a value for this run by its key in the vehicle file: KEY=VALUE, KEY*=FACTOR or "
+        "KEY+=STEP; `--set list` shows what can be set. Repeatable."
+    )
 
     def decorate(command: Any) -> Callable:
         for name in reversed(short):
-            _, value, about = SHORT[name]
-            command = click.option(f"--{name.replace('_', '-')}", metavar=value, help=about)(
-                command
-            )
-        command = click.option(
-            "--set",
-            "sets",
-            multiple=True,
-            metavar="KEY=VALUE",
-            help="Change an assumption for this run, by its key in the "
-            "vehicle file: KEY=VALUE, KEY*=FACTOR or KEY+=STEP; `--set list` shows what can be set. Repeatable.",
-        )(command)
+            command = click.option(f"--{name.replace('_', '-')}", help=SHORT[name][1])(command)
         vars(command).update(uses=uses, idle=idle)
-        return command
+        return click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help=about)(
+            command
+        )
 
     return decorate
 
 
-def asked(sets: tuple[str, ...], uses: tuple[str, ...], **short: str | None) -> tuple[Any, ...]:
-    """All changes asked for; refused is one of an assumption that the command does not use."""
+def asked(
+    sets: tuple[str, ...], short: Mapping[str, Any], own: Mapping[str, Any] | None = None
+) -> tuple[Change, ...]:
+    """All changes asked for; refused is one that another option says too, or of an assumption that the command does not use.
+
+    `short`: values of short names, None where not given. `own`: those of options that the command takes for itself, which change
+    no file.
+    """
     from sunspin.vehicle.assumptions import TABLES, read_assumptions
     from sunspin.vehicle.changes import changes_of
 
-    given = {SHORT[name][0]: name for name, value in short.items() if value is not None}
-    changes = changes_of([*(f"{key}={short[name]}" for key, name in given.items()), *sets])
-    for change in changes[len(given) :]:
-        if change.key in given:
-            raise _twice(change.key, f"--{given[change.key].replace('_', '-')}")
+    given = {name: value for name, value in {**short, **(own or {})}.items() if value is not None}
+    options = {SHORT[name][0]: f"--{name.replace('_', '-')}" for name in given}
+    changes = changes_of(sets)
     for change in changes:
-        table = change.key.partition(".")[0]
-        if table in TABLES and table not in uses and change.key not in uses:
+        if option := options.get(re.sub(r"\[[^\]]*\]", "", change.key)):
+            what = f"{option} and --set {change.key} say the same thing"
+            raise InputError(sentence(what, do="give one of them"))
+        if _among(change.key, TABLES) and not _among(change.key, _of_command("uses")):
             read_assumptions([change])  # a misspelt one is refused with the nearest name
-            raise InputError(
-                sentence(
-                    "this command does not use that assumption",
-                    got=change.key,
-                    do=_instead(change.key),
-                )
-            )
-    return changes
-
-
-def _instead(key: str) -> str:
-    """The command's own option for an assumption, if it has one."""
-    context = click.get_current_context(silent=True)
-    options = [] if context is None else [parameter.name for parameter in context.command.params]
-    own = [name for name, (of, *_) in SHORT.items() if of == key and name in options]
-    return f"give --{own[0]}" if own else "`--set list` shows all"
-
-
-def _twice(key: str, option: str) -> InputError:
-    return InputError(
-        sentence(f"{option} and --set {key} say the same thing", do="give one of them")
+            what, do = "this command does not use that assumption", "`--set list` shows all"
+            raise InputError(sentence(what, got=change.key, do=do))
+    return (
+        changes_of([f"{SHORT[name][0]}={given[name]}" for name in short if name in given]) + changes
     )
 
 
-def once(made: Opened, **options: Any) -> None:
-    """Refuse an option, by its name, that says again what --set has changed: with the key that it stands for, if it was given."""
-    keys = {one.key for one in (*made.craft.changes, *made.assumptions.changes)}
-    for name, (key, given) in options.items():
-        same = [
-            one
-            for one in keys
-            if one == key or (one.startswith("wheel") and one.partition(".")[2] == key)
-        ]
-        if given is not None and same:
-            raise _twice(same[0], f"--{name.replace('_', '-')}")
-
-
-def say_idle(changes: Iterable[Any], idle: tuple[str, ...] | None = None) -> None:
-    """Say, beside the output, which changes have no effect: those of `idle` keys or tables, unless given the command's own."""
-    context = click.get_current_context(silent=True)
-    if context is None:
-        return
-    own = getattr(context.command, "idle", ())
-    for change in changes:
-        if _is_idle(change.key, own if idle is None else idle):
-            click.echo(
-                f"sunspin: {change.key} changes nothing here: `sunspin {context.command.name}` does not use it",
-                err=True,
-            )
-
-
-def _is_idle(key: str, idle: tuple[str, ...]) -> bool:
-    return key in idle or key.partition(".")[0].partition("[")[0] in idle
-
-
-def opened(vehicle: Any, sets: tuple[str, ...], *uses: str, **short: str | None) -> Opened:
-    """The vehicle and the assumptions with the changes; which of them the command does not use is said."""
+def opened(
+    vehicle: Any,
+    sets: tuple[str, ...],
+    short: Mapping[str, Any],
+    own: Mapping[str, Any] | None = None,
+) -> Opened:
+    """The vehicle and the assumptions with the changes; `short` and `own` as in `asked`."""
     from sunspin.vehicle import load_vehicle
     from sunspin.vehicle.assumptions import read_assumptions, split
     from sunspin.vehicle.file import changed_file
 
-    changes = asked(sets, uses, **short)
+    changes = asked(sets, short, own)
     of_vehicle, of_study = split(changes)
     file = changed_file(vehicle, of_vehicle)
     craft, assumptions = load_vehicle(file), read_assumptions(of_study)
-    say_idle(changes)
-    return Opened(file, craft, assumptions, tuple(map(str, (*craft.changes, *assumptions.changes))))
+    say_idle(changes, _of_command("idle"))
+    return Opened(file, craft, assumptions)
 
 
-def _print_list(vehicle: str, uses: tuple[str, ...], idle: tuple[str, ...], as_json: bool) -> None:
-    """Key, value, unit and source of all that the command can change."""
-    from sunspin.vehicle.assumptions import LEFT_OUT, AssumptionsFile, assumptions_table
+def say_idle(changes: Iterable[Any], idle: tuple[str, ...]) -> None:
+    """Name on standard error the changes that have no effect: those of `idle` keys or tables."""
+    for change in changes:
+        if _among(change.key, idle):
+            command = click.get_current_context().command.name
+            what = f"{change.key} changes nothing here: `sunspin {command}` does not use it"
+            click.echo(f"sunspin: {what}", err=True)
+
+
+def _of_command(what: str) -> tuple[str, ...]:
+    context = click.get_current_context(silent=True)
+    return getattr(context and context.command.callback, what, ())
+
+
+def _among(key: str, names: Iterable[str]) -> bool:
+    """Whether a key, or the table that it is in, is one of these."""
+    return key in names or re.split(r"[.\[]", key)[0] in names
+
+
+def print_list(vehicle: str, command: Any, as_json: bool) -> None:
+    """Key, value, unit and source of all that a command can change."""
+    from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
     from sunspin.vehicle.changes import settings, shown
     from sunspin.vehicle.file import VehicleFile, vehicle_table
 
-    found = [
-        one for one in settings(vehicle_table(vehicle), VehicleFile) if not _is_idle(one.key, idle)
-    ]
-    for one in settings(assumptions_table(), AssumptionsFile):
-        if one.key in uses or one.key.partition(".")[0] in uses:
-            found.append(one._replace(source=LEFT_OUT.get(one.key, one.source)))
+    of_vehicle = settings(vehicle_table(vehicle), VehicleFile)
+    of_study = settings(assumptions_table(), AssumptionsFile)
+    rows = [each for each in of_vehicle if not _among(each.key, command.idle)]
+    rows += [each for each in of_study if _among(each.key, command.uses)]
     if as_json:
-        click.echo(json.dumps([one._asdict() for one in found], indent=1))
-        return
-    width = max(len(one.key) for one in found)
-    for one in found:
-        about = f"({one.source})" if one.source else ""
-        click.echo(
-            f"{one.key:{width}}  {' '.join(filter(None, (shown(one.value), one.unit, about)))}"
-        )
+        names = ("key", "value", "unit", "source")
+        rows = [{name: getattr(each, name) for name in names} for each in rows]
+        return click.echo(json.dumps(rows, indent=1))
+    width = max(len(each.key) for each in rows)
+    for key, value, unit, source, _ in rows:
+        about = f"({source})" if source else ""
+        click.echo(f"{key:{width}}  {' '.join(filter(None, (shown(value), unit, about)))}")

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sunspin.cli.changes import READING, Changeable, once, opened, set_options
+from sunspin.cli.changes import READING, Changeable, opened, set_options
 from sunspin.cli.common import (
     claim,
     deliver,
@@ -126,8 +126,7 @@ def outcomes(
     from sunspin.landing.strategies import compare, compared
     from sunspin.philae.starts import against_kernel, starts
 
-    made = opened(vehicle, sets, "study.lead_s", "collision", **short)
-    once(made, wheel_speed=("speed_rad_s", wheel_speed), lead=("study.lead_s", lead))
+    made = opened(vehicle, sets, short, {"wheel_speed": wheel_speed, "lead": lead})
     craft, assumed = made.craft, made.assumptions
     wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
     given = {

@@ -130,10 +130,10 @@ def posterior(
 
     if quiet:
         logging.getLogger("sunspin").setLevel(logging.ERROR)
-    made = opened(vehicle, sets, "collision", **short)
-    craft, changes = made.craft, (*made.craft.changes, *made.assumptions.changes)
+    made = opened(vehicle, sets, short)
+    craft = made.craft
     if predict is None:
-        say_idle(changes, BLOW)
+        say_idle(made.changes, BLOW)
     samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
     seen = [observation("rate", text, 1) for text in rates] + [
         observation("gyro", text, 3) for text in gyros

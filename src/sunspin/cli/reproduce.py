@@ -84,7 +84,7 @@ def reproduce(
         seed=seed,
         workers=workers,
         coarser=coarser,
-        changes=asked(sets, ("study", "collision"), **short),
+        changes=asked(sets, short),
         progress=on_terminal(quiet),
     )
     report(written.summary, written.lines, as_json, quiet)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.changes import LANDING, Changeable, once, opened, say_idle, set_options
+from sunspin.cli.changes import LANDING, Changeable, opened, say_idle, set_options
 from sunspin.cli.common import (
     claim,
     data_option,
@@ -124,8 +124,7 @@ def scan(
     from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
 
-    made = opened(vehicle, sets, "study.mask", "study.target_weights", friction=friction)
-    once(made, wheel_speed=("speed_rad_s", wheel_speed))
+    made = opened(vehicle, sets, {"friction": friction}, {"wheel_speed": wheel_speed})
     craft, study = made.craft, made.assumptions.study
     if (
         craft.telemetry.lit_threshold and not craft.channels

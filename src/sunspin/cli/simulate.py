@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import LANDING, SEEING, Changeable, once, opened, set_options
+from sunspin.cli.changes import LANDING, SEEING, Changeable, opened, set_options
 from sunspin.cli.common import claim, deliver, output_options, wheel_mode_option
 from sunspin.cli.values import numbers
 
@@ -60,8 +60,7 @@ def simulate(
     from sunspin.dynamics.extent import check_work, output_times
     from sunspin.dynamics.propagate import propagate
 
-    made = opened(vehicle, sets, friction=friction)
-    once(made, wheel_speed=("speed_rad_s", wheel_speed))
+    made = opened(vehicle, sets, {"friction": friction}, {"wheel_speed": wheel_speed})
     vehicle, craft = made.file, made.craft
     speeds = (
         numbers(wheel_speed, "--wheel-speed")

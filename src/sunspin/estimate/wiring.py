@@ -14,6 +14,7 @@ from itertools import permutations, product
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
@@ -31,7 +32,6 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.changes import toml_text
 from sunspin.vehicle.response.protocol import sphere
 from sunspin.vehicle.sensors import VARIABLES, Attitude, ThreeAxes
 
@@ -144,7 +144,8 @@ def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
 
 def to_write(table: str, keys: Mapping[str, Any]) -> str:
     """What to do, in words: the keys of a table of the vehicle file that say how a sensor is read."""
-    return f"set {' and '.join(toml_text({table: dict(keys)}).splitlines()[1:])} under [{table}] of the vehicle file"
+    lines = " and ".join(tomlkit.dumps(keys).splitlines())
+    return f"set {lines} under [{table}] of the vehicle file"
 
 
 def axes_matrix(order: list[int], sign: tuple[float, ...]) -> np.ndarray:

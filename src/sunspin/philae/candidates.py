@@ -409,16 +409,12 @@ def _from_file(path: Path) -> np.ndarray:
             )
         )
     table = read_table(path)
-    try:
-        at = [table.header.index(name) for name in ("omega_x", "omega_y", "omega_z")]
-    except ValueError as error:
-        raise InputError(
-            sentence(
-                f"candidates need columns omega_x, omega_y, omega_z, rad/s ({error})",
-                where=str(path),
-            )
-        ) from None
-    omega = table.numbers(at)
+    names = ("omega_x", "omega_y", "omega_z")
+    if missing := [name for name in names if name not in table.header]:
+        what = "candidates need columns omega_x, omega_y, omega_z, rad/s"
+        got = f"no {', '.join(missing)}"
+        raise InputError(sentence(what, got=got, where=str(path)))
+    omega = table.numbers(names)
     if not len(omega) or not np.all(np.isfinite(omega)):
         raise InputError(
             sentence(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from difflib import get_close_matches
-from pathlib import Path
 
 from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.tables import Table
@@ -20,11 +19,10 @@ def column_of(
     table: Table,
     name: str,
     what: str,
-    path: Path,
     section: str = "telemetry",
     free: list[str] | None = None,
-) -> int:
-    """Where a column stands; `free`: columns that another name may mean, by default all."""
+) -> str:
+    """The name of a column that is there; `free`: columns that a misspelt name may mean, by default all."""
     if name not in table.header:
         near = _nearest(name, table.header if free is None else free)
         do = f"add it, or name the right column under [{section}] in the vehicle file"
@@ -33,10 +31,10 @@ def column_of(
                 f"column {name!r} ({what}) is missing",
                 got="columns " + ", ".join(table.header),
                 do=do if near is None else f"did you mean {near!r}? {do[0].upper()}{do[1:]}",
-                where=str(path),
+                where=table.where,
             )
         )
-    return table.header.index(name)
+    return name
 
 
 def _bare(name: str) -> str:
@@ -49,13 +47,13 @@ def _nearest(name: str, names: list[str]) -> str | None:
     return bare[found[0]] if found else None
 
 
-def unused_columns(vehicle: Vehicle, table: Table, columns: list[int]) -> list[str]:
+def unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
     used = {
         form.time_column,
         "phase",
-        *(table.header[at] for at in columns),
+        *columns,
         *sensor_columns(vehicle),
     }
     used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
@@ -63,14 +61,14 @@ def unused_columns(vehicle: Vehicle, table: Table, columns: list[int]) -> list[s
     return [name for name in table.header if name not in used]
 
 
-def missing_sensors(vehicle: Vehicle, table: Table, columns: list[int], path: Path) -> list[str]:
+def missing_sensors(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
     """Sensors of which the file has no column at all; where it has some, or some that are nearly called so, an error names one."""
     free, missing = unused_columns(vehicle, table, columns), []
     for section, what, names in _sensor_parts(vehicle):
         absent = [name for name in names if name not in table.header]
         near = [name for name in absent if _nearest(name, free)]
         if absent and (len(absent) < len(names) or near):
-            column_of(table, (near or absent)[0], what, path, section, free)
+            column_of(table, (near or absent)[0], what, section, free)
         if absent:
             missing.append(f"{what} ({', '.join(names)})")
     return missing

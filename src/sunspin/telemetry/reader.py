@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from sunspin.base.errors import TelemetryError, sentence
@@ -77,132 +78,102 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     form = vehicle.telemetry
     if path.suffix == ".toml":
         what = "this is a vehicle's file and not telemetry"
-        raise TelemetryError(
-            sentence(what, do="give the vehicle first and then a table of samples", where=str(path))
-        )
+        do = "give the vehicle first and then a table of samples"
+        raise TelemetryError(sentence(what, do=do, where=str(path)))
     table = read_table(path)
     if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
         return stored_telemetry(table.data, vehicle, path)
-    if (
-        "frame" in table.header
-        and form.time_column not in table.header
-        and set(table.header) & {"timestamp", "observer"}
-    ):
-        what, do = (
-            "the file holds raw frames and no readings",
-            "turn them into a table first, as `sunspin decode` does for skCUBE",
-        )
+    header = set(table.header)
+    if "frame" in header and form.time_column not in header and header & {"timestamp", "observer"}:
+        what = "the file holds raw frames and no readings"
+        do = "turn them into a table first, as `sunspin decode` does for skCUBE"
         raise TelemetryError(sentence(what, do=do, where=str(path)))
     sensors = read_sensors(vehicle, table)
-    columns = _panel_columns(vehicle, table, path, optional=bool(sensors))
-    time_at = column_of(table, form.time_column, "the time", path)
-    received = _received(form, table, path)
-    time, epoch = _times(form, [row[time_at] for row in table.rows], table, path, received)
-    mended: dict[str, int] = {}
+    columns = _panel_columns(vehicle, table, optional=bool(sensors))
+    received = _received(form, table)
+    time, epoch = _times(form, table, received)
+    unused = unused_columns(vehicle, table, columns)
+    counts: dict[str, int] = {}
     if form.bad_rows == "flag":
-        apart = {
-            form.time_column,
-            form.receive_time_column,
-            *unused_columns(vehicle, table, columns),
-        }
-        read = {at for at, name in enumerate(table.header) if name not in apart}
-        table, time, epoch, mended = _in_order(form, table, time, epoch, read)
-        if mended:
-            sensors, received = read_sensors(vehicle, table), _received(form, table, path)
-    volts = _volts(vehicle, table, path) if columns and form.has_voltages else None
-    values, flag = _values(form, table, columns, volts)
-    values, warmth = _at_reference(vehicle, table, values, path)
-    flag |= _order_flags(form, time, table, path)
-    unused, missing = (
-        unused_columns(vehicle, table, columns),
-        missing_sensors(vehicle, table, columns, path),
-    )
+        read = header - {form.time_column, form.receive_time_column, *unused}
+        table, time, epoch, counts = _in_order(form, table, time, epoch, read)
+        if counts:
+            sensors, received = read_sensors(vehicle, table), _received(form, table)
+    values, flag = _values(vehicle, table, columns)
+    values, warmth = _at_reference(vehicle, table, values)
+    flag |= _order_flags(form, time, table)
+    missing = missing_sensors(vehicle, table, columns)
     if received is not None:
-        about = {
-            "units": "s",
-            "long_name": "when the row was received, from the epoch of the times",
-        }
-        sensors["received_s"] = ("time", received - (epoch - UNIX_ZERO).total_seconds(), about)
-    return _dataset(vehicle, path, table, time, epoch, values, flag, sensors | warmth).assign_attrs(
-        unused_columns=", ".join(unused), missing_sensors="; ".join(missing), **mended
+        long_name = "when the row was received, from the epoch of the times"
+        seconds = received - (epoch - UNIX_ZERO).total_seconds()
+        sensors["received_s"] = ("time", seconds, {"units": "s", "long_name": long_name})
+    data = _dataset(vehicle, table, time, values, flag, sensors | warmth)
+    return data.assign_attrs(
+        epoch_utc=epoch.isoformat().replace("+00:00", "Z"),
+        file=path.name.encode("utf-8", "backslashreplace").decode("utf-8"),
+        unused_columns=", ".join(unused),
+        missing_sensors="; ".join(missing),
+        **counts,
     )
 
 
-def _panel_columns(vehicle: Vehicle, table: Table, path: Path, optional: bool = False) -> list[int]:
-    powers = vehicle.telemetry.quantity == "power_W" and not vehicle.telemetry.has_voltages
+def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
+    """The column of each input; none if all may be missing and are."""
+    form = vehicle.telemetry
+    powers = form.quantity == "power_W" and not form.has_voltages
     letter, unit = ("P", "W") if powers else ("I", "A")
-    known = {
-        panel: (vehicle.telemetry.columns.get(panel), panel, f"{letter}{panel}_{unit}")
-        for panel in vehicle.input_names
-    }
-    if optional and not any(name in table.header for names in known.values() for name in names):
+    names = {}
+    for panel in vehicle.input_names:
+        usual = [panel, f"{letter}{panel}_{unit}"]
+        present = [name for name in usual if name in table.header]
+        names[panel] = form.columns.get(panel) or (present or usual[1:])[0]
+    usual = {*vehicle.input_names, *(f"{letter}{panel}_{unit}" for panel in vehicle.input_names)}
+    if optional and not {*names.values(), *usual} & set(table.header):
         return []
-    found = []
-    for panel, names in known.items():
-        present = [name for name in names if name is not None and name in table.header]
-        if vehicle.telemetry.columns.get(panel) is not None or not present:
-            present = [names[0] or names[2]]
-        found.append(column_of(table, present[0], f"panel {panel}", path))
-    if twice := [at for at in found if found.count(at) > 1]:
+    columns = [column_of(table, name, f"panel {panel}") for panel, name in names.items()]
+    if twice := [name for name in columns if columns.count(name) > 1]:
         what = "two panels read one column"
         do = f"name the column of each under [telemetry.columns] in the vehicle file{OR_CHANNEL}"
-        raise TelemetryError(sentence(what, got=table.header[twice[0]], do=do, where=str(path)))
-    return found
+        raise TelemetryError(sentence(what, got=twice[0], do=do, where=table.where))
+    return columns
 
 
-def _volts(vehicle: Vehicle, table: Table, path: Path) -> np.ndarray:
-    """Voltage (n, n_panel) of each current."""
+def _refuse(
+    form: TelemetryForm, what: str, bad: np.ndarray, table: Table, names: list[str]
+) -> None:
+    """Raise the error for the first of the bad cells (rows, columns), if the vehicle file asks for it."""
+    if form.bad_rows == "refuse" and bad.any():
+        row, k = np.argwhere(bad)[0]
+        got = table.cells[names[k]].iat[row] or "an empty cell"
+        do = 'correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file'
+        raise TelemetryError(sentence(what, got=got, do=do, where=table.place(row, names[k])))
+
+
+def _values(vehicle: Vehicle, table: Table, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Readings (n, n_input) in W or A, NaN where none, and the flag (n) of each row."""
     form = vehicle.telemetry
-    names = [
-        form.voltage_columns.get(panel, form.voltage_column or "") for panel in vehicle.input_names
-    ]
-    at = [
-        column_of(table, name, f"voltage of panel {panel}", path)
-        for name, panel in zip(names, vehicle.input_names, strict=True)
-    ]
-    volts = form.voltage_scale * table.numbers(at)
-    volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
-    if form.bad_rows == "refuse" and not np.isfinite(volts).all():
-        i, k = np.argwhere(~np.isfinite(volts))[0]
-        raise _refused("a voltage is a number, zero or above", table, i, at[k])
-    return volts
-
-
-def _refused(what: str, table: Table, row: int, column: int) -> TelemetryError:
-    """The error for a cell that cannot be used."""
-    return TelemetryError(
-        sentence(
-            what,
-            got=table.rows[row][column] or "an empty cell",
-            do='correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file',
-            where=table.place(row, column),
-        )
-    )
-
-
-def _values(
-    form: TelemetryForm, table: Table, columns: list[int], volts: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
     values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
-    values = values if volts is None else values * volts
-    floor = _floor(form, values)
-    flag = np.zeros(len(values), dtype=np.uint8)
-    problems = (
-        (1, ~np.isfinite(values), "a finite number is expected"),
-        (2, np.isfinite(values) & (values < floor), "a panel cannot give a negative value"),
-    )
-    for bit, bad, what in problems:
-        if form.bad_rows == "refuse" and bad.any():
-            i, k = np.argwhere(bad)[0]
-            raise _refused(what, table, i, columns[k])
-        flag |= np.where(bad.any(axis=1), np.uint8(bit), np.uint8(0))
-    return values, flag
+    if columns and form.has_voltages:
+        common = form.voltage_column or ""
+        names = [
+            column_of(table, form.voltage_columns.get(panel, common), f"voltage of panel {panel}")
+            for panel in vehicle.input_names
+        ]
+        volts = form.voltage_scale * table.numbers(names)
+        volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
+        what = "a voltage is a number, zero or above"
+        _refuse(form, what, ~np.isfinite(volts), table, names)
+        values = values * volts
+    none, negative = ~np.isfinite(values), values < _floor(form, values)
+    _refuse(form, "a finite number is expected", none, table, columns)
+    _refuse(form, "a panel cannot give a negative value", negative, table, columns)
+    return values, (none.any(axis=1) + 2 * negative.any(axis=1)).astype(np.uint8)
 
 
 def _floor(form: TelemetryForm, values: np.ndarray) -> float:
-    """The lowest value that is still noise of a dark panel: of the stated noise, or of that which the file tells."""
+    """The lowest value that is still noise of a dark panel: of the stated noise, or of that of the file."""
     if form.noise is not None:
         return -NEGATIVE_SIGMAS * form.noise
     sigma = dark_noise(values, least=1)
@@ -213,25 +184,19 @@ def _floor(form: TelemetryForm, values: np.ndarray) -> float:
 
 
 def _at_reference(
-    vehicle: Vehicle, table: Table, values: np.ndarray, path: Path
+    vehicle: Vehicle, table: Table, values: np.ndarray
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Values at the panels' reference temperature, and the temperatures; a panel without a reading takes the others' mean."""
-    form = vehicle.telemetry
+    form, panels = vehicle.telemetry, vehicle.input_names
     if not form.temperature_columns or not values.shape[1]:
         return values, {}
-    strange = [name for name in form.temperature_columns if name not in vehicle.input_names]
-    if strange:
-        raise TelemetryError(
-            sentence(
-                "telemetry.temperature_columns names a panel that the vehicle has not",
-                got=strange[0],
-            )
-        )
+    if strange := [name for name in form.temperature_columns if name not in panels]:
+        what = "telemetry.temperature_columns names a panel that the vehicle has not"
+        raise TelemetryError(sentence(what, got=strange[0]))
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
-        at = column_of(table, name, f"temperature of panel {panel}", path)
-        warm[:, vehicle.input_names.index(panel)] = table.numbers([at])[:, 0]
-    warm *= form.temperature_scale
+        column = column_of(table, name, f"temperature of panel {panel}")
+        warm[:, panels.index(panel)] = form.temperature_scale * table.numbers([column])[:, 0]
     warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
     known = np.isfinite(warm)
     mean = np.where(known, warm, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
@@ -257,68 +222,54 @@ def parse_utc(text: str) -> datetime | None:
     return instant(text)
 
 
-def _received(form: TelemetryForm, table: Table, path: Path) -> np.ndarray | None:
+def _received(form: TelemetryForm, table: Table) -> np.ndarray | None:
     """When each row (n) was received, Unix seconds; NaN where it does not say; None if no column says."""
-    name = form.receive_time_column
-    if name is None:
+    if form.receive_time_column is None:
         return None
-    at = column_of(table, name, "the time of reception", path)
-    cells = [row[at] for row in table.rows]
+    cells = table.cells[column_of(table, form.receive_time_column, "the time of reception")]
     if form.receive_time_format == "unix":
         seconds = np.array([plain_number(cell) for cell in cells])
         return np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan)
     moments = [parse_utc(cell) for cell in cells]
-    return np.array(
-        [np.nan if moment is None else (moment - UNIX_ZERO).total_seconds() for moment in moments]
-    )
+    return np.array([(each - UNIX_ZERO).total_seconds() if each else np.nan for each in moments])
 
 
 def _times(
-    form: TelemetryForm, cells: list[str], table: Table, path: Path, received: np.ndarray | None
+    form: TelemetryForm, table: Table, received: np.ndarray | None
 ) -> tuple[np.ndarray, datetime]:
     """Seconds from the epoch, and the epoch: the vehicle's, else by when rows were received, else the first sample."""
+    cells = table.cells[column_of(table, form.time_column, "the time")].tolist()
     fixed = None if form.epoch_utc is None else parse_utc(form.epoch_utc)
     if form.epoch_utc is not None and fixed is None:
-        raise TelemetryError(
-            sentence(
-                "telemetry.epoch_utc of the vehicle is not an ISO-8601 time", got=form.epoch_utc
-            )
-        )
-    kind = {"utc": "an ISO-8601 UTC time", "unix": "Unix seconds", "elapsed": "seconds"}[
-        form.time_format
-    ]
-
-    def bad(i: int) -> TelemetryError:
-        return TelemetryError(
-            sentence(
-                f"{kind} is expected",
-                got=cells[i] or "an empty cell",
-                do=_how_to_write(cells[i]) if form.time_format == "utc" else OTHER_FORM,
-                where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
-            )
-        )
-
+        what = "telemetry.epoch_utc of the vehicle is not an ISO-8601 time"
+        raise TelemetryError(sentence(what, got=form.epoch_utc))
     if form.time_format == "utc":
-        parsed = [parse_utc(cell) for cell in cells]
-        moments = [moment for moment in parsed if moment is not None]
-        if len(moments) < len(parsed):
-            raise bad(parsed.index(None))
-        _one_clock(cells, table, path, form)
+        moments = [moment for cell in cells if (moment := parse_utc(cell)) is not None]
+        if len(moments) < len(cells):
+            i = next(k for k, cell in enumerate(cells) if parse_utc(cell) is None)
+            raise _no_time("an ISO-8601 UTC time", table, form, i, _how_to_write(cells[i]))
+        _one_clock(cells, table, form)
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
     numbers = np.array([plain_number(cell) for cell in cells]) * form.time_scale_s
-    if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > LATEST_UNIX_S:
-        raise bad(int(np.flatnonzero(~(np.abs(numbers) <= LATEST_UNIX_S))[0]))
+    if (bad := ~(np.abs(numbers) <= LATEST_UNIX_S)).any():
+        kind = "Unix seconds" if form.time_format == "unix" else "seconds"
+        raise _no_time(kind, table, form, int(bad.argmax()), OTHER_FORM)
     if form.time_format == "elapsed":
         if fixed is None and received is not None and np.isfinite(received).any():
             fixed = UNIX_ZERO + timedelta(seconds=round(float(np.nanmedian(received - numbers)), 3))
         if fixed is None:
-            raise TelemetryError(
-                sentence("elapsed times need telemetry.epoch_utc in the vehicle file")
-            )
+            what = "elapsed times need telemetry.epoch_utc in the vehicle file"
+            raise TelemetryError(sentence(what))
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
+
+
+def _no_time(kind: str, table: Table, form: TelemetryForm, row: int, do: str) -> TelemetryError:
+    got = table.cells[form.time_column].iat[row] or "an empty cell"
+    where = table.place(row, form.time_column)
+    return TelemetryError(sentence(f"{kind} is expected", got=got, do=do, where=where))
 
 
 OTHER_FORM = "correct it, or set time_format under [telemetry] in the vehicle file"
@@ -338,39 +289,35 @@ def _how_to_write(cell: str) -> str:
     )
 
 
-def _one_clock(cells: list[str], table: Table, path: Path, form: TelemetryForm) -> None:
+def _one_clock(cells: list[str], table: Table, form: TelemetryForm) -> None:
     """Refuse times with a zone other than UTC beside times without any: of the latter nobody knows whether they are UTC."""
     zones = [re.search(r":.*([+-]\d\d:?\d\d|Z|UTC|GMT)$", cell.strip()) for cell in cells]
     local = any(zone and zone[1].strip("+-:0") not in ("", "Z", "UTC", "GMT") for zone in zones)
     if local and None in zones:
         i = zones.index(None)
-        raise TelemetryError(
-            sentence(
-                "other times of this file have a time zone and this one has none",
-                got=cells[i],
-                do="give each its zone, or Z for UTC",
-                where=f"{path}, line {table.lines[i]}, column {form.time_column!r}",
-            )
-        )
+        what = "other times of this file have a time zone and this one has none"
+        do, where = "give each its zone, or Z for UTC", table.place(i, form.time_column)
+        raise TelemetryError(sentence(what, got=cells[i], do=do, where=where))
 
 
 def _in_order(
-    form: TelemetryForm, table: Table, time: np.ndarray, epoch: datetime, read: set[int]
+    form: TelemetryForm, table: Table, time: np.ndarray, epoch: datetime, read: set[str]
 ) -> tuple[Table, np.ndarray, datetime, dict[str, int]]:
     """Rows sorted by time, those of one instant that do not contradict each other in what is `read` merged (the station's name may
     differ, and when it heard them); and how many were moved and merged."""
-    rows: list[list[str]] = []
+    order = np.argsort(time, kind="stable")
+    rows = table.cells.to_numpy(copy=True)
+    compared = np.array([name in read for name in table.header])
     kept: list[int] = []
-    for i in np.argsort(time, kind="stable"):
-        if (
-            kept
-            and time[i] == time[kept[-1]]
-            and (both := _merged(rows[-1], table.rows[i], read)) is not None
-        ):
-            rows[-1] = both
-        else:
-            rows.append(table.rows[i])
-            kept.append(int(i))
+    for i in order:
+        if kept and time[i] == time[kept[-1]]:
+            first, second = rows[kept[-1]], rows[i]
+            empty = np.array([not cell.strip() for cell in first])
+            differ = (first != second) & ~empty & np.array([bool(cell.strip()) for cell in second])
+            if not (differ & compared).any():
+                rows[kept[-1]] = np.where(empty, second, first)
+                continue
+        kept.append(int(i))
     late = int(np.count_nonzero(time[1:] < np.maximum.accumulate(time)[:-1]))
     counts = {"rows_sorted": late, "rows_merged": len(time) - len(kept)}
     if not any(counts.values()):
@@ -378,74 +325,53 @@ def _in_order(
     time = time[kept]
     if form.epoch_utc is None and form.time_format != "elapsed":
         epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
-    return (
-        table._replace(rows=rows, lines=[table.lines[i] for i in kept]),
-        time,
-        epoch,
-        {k: n for k, n in counts.items() if n},
-    )
+    cells = pd.DataFrame(rows[kept], table.cells.index[kept], table.header)
+    return table._replace(cells=cells), time, epoch, {k: n for k, n in counts.items() if n}
 
 
-def _merged(first: list[str], second: list[str], read: set[int]) -> list[str] | None:
-    """Two rows of one instant as one, with each other's empty cells filled; None where they contradict each other."""
-    cells = enumerate(zip(first, second, strict=True))
-    if any(a != b and a.strip() and b.strip() for k, (a, b) in cells if k in read):
-        return None
-    return [a if a.strip() else b for a, b in zip(first, second, strict=True)]
-
-
-def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table, path: Path) -> np.ndarray:
-    latest = np.maximum.accumulate(time)
-    late = np.concatenate([[False], time[1:] <= latest[:-1]])
+def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table) -> np.ndarray:
+    """The flag (n) of rows that are not later than all before."""
+    late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
     if form.bad_rows == "refuse" and late.any():
-        i = int(np.flatnonzero(late)[0])
-        raise TelemetryError(
-            sentence(
-                "time does not increase",
-                got=table.rows[i][table.header.index(form.time_column)],
-                do='sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file',
-                where=f"{path}, line {table.lines[i]}",
-            )
+        i = int(late.argmax())
+        do = 'sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file'
+        where, got = (
+            f"{table.where}, line {table.cells.index[i]}",
+            table.cells[form.time_column].iat[i],
         )
+        raise TelemetryError(sentence("time does not increase", got=got, do=do, where=where))
     return np.where(late, np.uint8(4), np.uint8(0))
 
 
-def _dataset(vehicle, path, table, time, epoch, values, flag, sensors) -> xr.Dataset:
-    form = vehicle.telemetry
+def _dataset(
+    vehicle: Vehicle,
+    table: Table,
+    time: np.ndarray,
+    values: np.ndarray,
+    flag: np.ndarray,
+    sensors: dict[str, Any],
+) -> xr.Dataset:
+    quantity = vehicle.telemetry.quantity
     coords: dict[str, Any] = {
-        "time": ("time", time, {"units": "s", "long_name": "time since the epoch"}),
-        "panel": list(vehicle.input_names),
+        "time": ("time", time, {"units": "s", "long_name": "time since the epoch"})
     }
+    variables: dict[str, Any] = {}
+    if values.shape[1]:
+        coords["panel"] = list(vehicle.input_names)
+        variables[quantity] = (("time", "panel"), values, {"units": UNITS[quantity]})
     if "phase" in table.header:
-        at = table.header.index("phase")
-        coords["phase"] = ("time", np.array([row[at].strip() for row in table.rows], dtype=np.str_))
-    attrs = provenance("telemetry", **vehicle.said) | {
-        "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
-        "quantity": form.quantity,
-        "file": path.name.encode("utf-8", "backslashreplace").decode(
-            "utf-8"
-        ),  # attributes hold no half characters
-        "sha256": table.sha256,
-        "comments": "\n".join(table.comments),
-        "synthetic": int(
-            any(comment.lower().startswith("synthetic") for comment in table.comments)
-        ),
-    }
-    flags = {
-        "flag_masks": [k for k in FLAGS if k],
-        "flag_meanings": " ".join(v for k, v in FLAGS.items() if k),
-    }
-    panels = (
-        {form.quantity: (("time", "panel"), values, {"units": UNITS[form.quantity]})}
-        if values.shape[1]
-        else {}
-    )
-    if not panels:
-        del coords["panel"]
+        phase = [cell.strip() for cell in table.cells["phase"]]
+        coords["phase"] = ("time", np.array(phase, dtype=np.str_))
     if sensors:
         coords["axis"] = ["x", "y", "z"]
-    return xr.Dataset(
-        {**panels, "flag": ("time", flag, flags), **sensors},
-        coords=coords,
-        attrs=attrs,
-    )
+    masks = [bit for bit in FLAGS if bit]
+    about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
+    synthetic = any(comment.lower().startswith("synthetic") for comment in table.comments)
+    attrs = provenance("telemetry", **vehicle.said) | {
+        "quantity": quantity,
+        "sha256": table.sha256,
+        "comments": "\n".join(table.comments),
+        "synthetic": int(synthetic),
+    }
+    variables["flag"] = ("time", flag, about)
+    return xr.Dataset(variables | sensors, coords, attrs)

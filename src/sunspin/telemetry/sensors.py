@@ -111,7 +111,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
             found[variable] = (("time", along), value, about)
     speeds = [wheel.speed_column for wheel in vehicle.wheels]
     if speeds and all(name in table.header for name in speeds if name) and any(speeds):
-        nothing = np.full(len(table.rows), np.nan)
+        nothing = np.full(len(table.cells), np.nan)
         value = [
             nothing
             if w.speed_column is None
@@ -127,7 +127,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
 
 
 def _numbers(table: Table, names: Any) -> np.ndarray:
-    values = table.numbers([table.header.index(name) for name in names])
+    values = table.numbers(names)
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 
@@ -140,7 +140,7 @@ def _sun(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The Sun from all sensors that see it, each weighted by its information about each axis, and the angles (n, every, 2);
     `other`: where a y may be turned or not, read the less likely way."""
-    n = len(table.rows)
+    n = len(table.cells)
     angles = np.full((n, len(every), 2), np.nan)
     light = np.array([_light(sensor, table) for sensor in sensors]).reshape(len(sensors), n).T
     lit = light > [sensor.lit_above for sensor in sensors]
@@ -177,7 +177,7 @@ def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _light(sensor: SunSensor, table: Table) -> np.ndarray:
     if sensor.light_column is None:
-        return np.full(len(table.rows), np.inf)
+        return np.full(len(table.cells), np.inf)
     return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
 
 
@@ -202,7 +202,7 @@ def _angles(sensor: SunSensor, table: Table, other: bool) -> tuple[np.ndarray, n
 def _turned(sensor: SunSensor, table: Table) -> np.ndarray:
     """Whether the y of each row (n) runs the other way."""
     if sensor.y_turned_above is None or sensor.light_column not in table.header:
-        return np.zeros(len(table.rows), dtype=bool)
+        return np.zeros(len(table.cells), dtype=bool)
     return _light(sensor, table) > sensor.y_turned_above
 
 
@@ -213,7 +213,7 @@ def _unsure(sensor: SunSensor, table: Table) -> np.ndarray:
         or sensor.y_turned_sigma is None
         or sensor.light_column not in table.header
     ):
-        return np.zeros(len(table.rows), dtype=bool)
+        return np.zeros(len(table.cells), dtype=bool)
     return (
         np.abs(_light(sensor, table) - sensor.y_turned_above) < BOTH_SIGMAS * sensor.y_turned_sigma
     )

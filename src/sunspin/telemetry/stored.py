@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from sunspin.base.errors import TelemetryError, sentence
@@ -51,8 +52,8 @@ def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Datas
 
 def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
     """The variables that telemetry of a vehicle may have, of one sample."""
-    columns = sensor_columns(vehicle)
-    of_sensors = read_sensors(vehicle, Table(columns, [["0"] * len(columns)], [1], [], ""))
+    sample = pd.DataFrame(dict.fromkeys(sensor_columns(vehicle), "0"), index=[1])
+    of_sensors = read_sensors(vehicle, Table(sample, [], ""))
     for name in ("B", "cov_B"):  # this sample does not leave open how to read it, others may
         if f"sun_sensor_{name}" in of_sensors:
             of_sensors[f"sun_sensor_other_{name}"] = of_sensors[f"sun_sensor_{name}"]

@@ -5,8 +5,7 @@ The values of the paper, each with its source, stand in ``cases/philae/assumptio
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import lru_cache
+import re
 from importlib import resources
 from typing import Annotated, Any, Literal
 
@@ -82,34 +81,19 @@ class AssumptionsFile(Part):
     collision: Collision = Collision()
 
 
-LEFT_OUT = {"study.lead_s": "left out: as the times of the telemetry say"}
-"""Key of what has no value in the file -> what holds then."""
-
 TABLES = tuple(keys_of(AssumptionsFile))
-
-
-@lru_cache(maxsize=1)
-def _text_of_file() -> str:
-    return (
-        resources.files("sunspin")
-        .joinpath("cases", "philae", "assumptions.toml")
-        .read_text(encoding="utf-8")
-    )
 
 
 def assumptions_table() -> dict[str, Any]:
     """The parsed TOML of the assumptions."""
-    return read_toml(_text_of_file(), WHERE, InputError)
-
-
-def assumed_keys() -> Iterator[str]:
-    """Keys of all assumptions."""
-    yield from (one.key for one in ch.settings(assumptions_table(), AssumptionsFile))
+    path = resources.files("sunspin").joinpath("cases", "philae", "assumptions.toml")
+    return read_toml(path.read_text(encoding="utf-8"), WHERE, InputError)
 
 
 def read_assumptions(changes: ch.Changes = None) -> Assumptions:
     """The paper's assumptions with changes; `InputError` for one that is none or out of its range."""
-    table, made = ch.changed(assumptions_table(), ch.changes_of(changes), AssumptionsFile)
+    table = assumptions_table()
+    done = ch.apply(table, ch.changes_of(changes))
     try:
         file = TypeAdapter(AssumptionsFile).validate_python(
             table, context="file", by_alias=True, by_name=False
@@ -118,11 +102,11 @@ def read_assumptions(changes: ch.Changes = None) -> Assumptions:
         raise InputError(problem(error, AssumptionsFile, WHERE, table)) from None
     except VehicleError as error:
         raise InputError(f"{WHERE}: {error}") from None
-    return Assumptions(file.study, file.collision, made)
+    return Assumptions(file.study, file.collision, done)
 
 
 def split(changes: ch.Changes) -> tuple[tuple[ch.Change, ...], tuple[ch.Change, ...]]:
     """Changes of the vehicle, and those of the assumptions."""
     asked = ch.changes_of(changes)
-    mine = tuple(one for one in asked if one.key.partition(".")[0].partition("[")[0] in TABLES)
-    return tuple(one for one in asked if one not in mine), mine
+    mine = tuple(each for each in asked if re.split(r"[.\[]", each.key)[0] in TABLES)
+    return tuple(each for each in asked if each not in mine), mine

@@ -18,7 +18,6 @@ from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
-from sunspin.vehicle.assumptions import assumed_keys
 from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, problem
 from sunspin.vehicle.response.choice import ResponseForm
 
@@ -100,10 +99,13 @@ def where_of(source: object) -> str:
 def vehicle_text(source: object) -> str:
     """The text of a built-in vehicle's file, by name, or of a vehicle file, by path; with changes the changed one."""
     if isinstance(source, ChangedFile):
-        table = vehicle_table(source.source)
-        table, made = ch.changed(table, source.changes, VehicleFile)
-        said = [f"# {source.source} with changes for one run:", *(f"#   {one}" for one in made)]
-        return "\n".join(printable(line) for line in said) + "\n" + ch.toml_text(table)
+        import tomlkit
+
+        vehicle_table(source.source)  # refuses what would keep tomlkit busy
+        document = tomlkit.parse(vehicle_text(source.source))
+        done = ch.apply(document, source.changes)
+        said = [f"# {source.source} with changes for one run:", *(f"#   {each}" for each in done)]
+        return "\n".join(printable(line) for line in said) + "\n" + tomlkit.dumps(document)
     if isinstance(source, str) and source in builtin_names():
         return (
             resources.files("sunspin")
@@ -153,7 +155,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
-    table, made = ch.changed(table, changes, VehicleFile, assumed_keys())
+    made = ch.apply(table, changes)
     if made:
         where = f"{where} with {', '.join(one.key for one in made)} set"
     try:
@@ -168,7 +170,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
         raise VehicleError(f"{where}: {error}") from None
 
 
-def _vehicle(table: dict[str, Any], made: tuple[ch.Changed, ...]) -> craft.Vehicle:
+def _vehicle(table: dict[str, Any], made: tuple[ch.Setting, ...]) -> craft.Vehicle:
     for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
         what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
         raise VehicleError(sentence(what, do=f"leave out [panel_response.{law}]"))

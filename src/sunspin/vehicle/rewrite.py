@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from sunspin.base.errors import VehicleError, sentence
 
-OTHER_KEYS = {"relative_gain": ("cells",)}
+REPLACES = {"relative_gain": ("cells",)}
 """A key that takes the place of others: a number of cells is not a gain."""
 
 
@@ -33,42 +33,23 @@ def rewritten(text: str, values: Sequence[NewValue]) -> str:
 
     document = tomlkit.parse(text)
     for new in values:
-        table = _table(document, new)
+        table: Any = document.get(new.where[0])
+        for name in new.where[1:]:
+            table = next((each for each in table or () if each.get("name") == name), None)
+        if table is None:
+            what = f"the vehicle file has no table [{'.'.join(new.where)}]"
+            raise VehicleError(sentence(what, do="give the file of this vehicle"))
         certificate = tomlkit.inline_table()
         certificate.update({"value": new.value, "sigma": new.sigma, "source": new.source})
-        _put(table, new.key, certificate)
+        old = next((key for key in (new.key, *REPLACES.get(new.key, ())) if key in table), None)
+        if old is not None:
+            was = table.value.item(old).trivia
+            certificate.trivia.comment_ws, certificate.trivia.comment = was.comment_ws, was.comment
+        if old == new.key:
+            table[new.key] = certificate
+            continue
+        # a new key follows the last one, before the comments that end the table; tomlkit has no public way to do that
+        table.value._insert_after(old or list(table)[-1], new.key, certificate)
+        if old is not None:
+            table.remove(old)
     return tomlkit.dumps(document)
-
-
-def _put(table: Any, key: str, certificate: Any) -> None:
-    """A key's new value, with the comment of its line; a new key after the last one, before the comments that follow the table."""
-    container = table.value
-    old = next((one for one in (key, *OTHER_KEYS.get(key, ())) if one in table), None)
-    if old is not None:
-        trivia = container.item(old).trivia
-        certificate.trivia.comment_ws, certificate.trivia.comment = (
-            trivia.comment_ws,
-            trivia.comment,
-        )
-    if old == key:
-        table[key] = certificate
-        return
-    # tomlkit offers no public way to insert in the middle of a table
-    container._insert_after(old or list(table)[-1], key, certificate)
-    if old is not None:
-        table.remove(old)
-
-
-def _table(document: Any, new: NewValue) -> Any:
-    name, *part = new.where
-    found = document.get(name)
-    if part and found is not None:
-        found = next((one for one in found if one.get("name") == part[0]), None)
-    if found is None:
-        raise VehicleError(
-            sentence(
-                f"the vehicle file has no table [{'.'.join(new.where)}]",
-                do="give the file of this vehicle",
-            )
-        )
-    return found

@@ -108,12 +108,8 @@ def calibrate_sensors(
         keys += _gyro(vehicle, telemetry, notes, progress)
     if not keys and not notes:
         what = "the telemetry has nothing that can be calibrated"
-        raise InputError(
-            sentence(
-                what,
-                do="it needs columns of panels, Sun sensors, magnetometer or gyro that the vehicle names",
-            )
-        )
+        do = "it needs columns of panels, Sun sensors, magnetometer or gyro that the vehicle names"
+        raise InputError(sentence(what, do=do))
     return _dataset(vehicle, telemetry, keys, notes, attrs)
 
 

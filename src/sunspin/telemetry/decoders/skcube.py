@@ -223,16 +223,14 @@ def _of_satnogs(path: Path) -> Iterator[Frame]:
         raise TelemetryError(
             sentence(what, got="columns " + ", ".join(table.header)[:200], where=str(path))
         )
-    time_at, frame_at = table.header.index("timestamp"), table.header.index("frame")
-    observer_at = table.header.index("observer") if "observer" in table.header else None
-    for row, line in zip(table.rows[:MAX_FRAMES], table.lines, strict=False):
-        moment = parse_utc(row[time_at])
+    cells = table.cells.iloc[:MAX_FRAMES]
+    for line, row in zip(cells.index, cells.to_dict("records"), strict=True):
+        moment, frame = parse_utc(row["timestamp"]), row["frame"]
         try:
-            content = bytes.fromhex(row[frame_at][: 2 * MAX_FRAME_BYTES])
+            content = bytes.fromhex(frame[: 2 * MAX_FRAME_BYTES])
         except ValueError:
             what, where = "a frame is written in hexadecimal digits", f"{path}, line {line}"
-            raise TelemetryError(
-                sentence(what, got=row[frame_at][:60] or "an empty cell", where=where)
-            ) from None
-        station = "" if observer_at is None else row[observer_at]
+            got = frame[:60] or "an empty cell"
+            raise TelemetryError(sentence(what, got=got, where=where)) from None
+        station = row.get("observer", "")
         yield Frame(None if moment is None else moment.timestamp(), station, content[AX25_BYTES:])
