@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.compute.campaign import kept, rows_folder
+from validation.campaign import kept, rows_folder
 
 ROOT = Path(__file__).parents[1]
 

@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 
 from sunspin.base import atomic_write
-from sunspin.compute.campaign import kept
 from validation import speed
 from validation.areas import AREAS
+from validation.campaign import kept
 from validation.scoreboard import ROOT, board, flips, rows_of, state_of_package, table, timed
 
 

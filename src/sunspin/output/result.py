@@ -113,7 +113,6 @@ class Result:
         drawings : Drawings, optional
             More figures.
         """
-        from sunspin.compute.copies import at_once
         from sunspin.output.figures import save
         from sunspin.output.folder import Picture, results_folder, write_run
         from sunspin.output.kinds.kind import Beside
@@ -121,12 +120,9 @@ class Result:
         kind, beside = self._kind, Beside(telemetry, vehicle)
         path = results_folder(folder, kind.command)
         drawn = [*kind.drawings(self._data, beside), *drawings]
-        at_once(
-            [
-                lambda: kind.write(self._data, path, beside),
-                *(lambda one=one: save(one.make(), path, one.name) for one in drawn),
-            ]
-        )
+        kind.write(self._data, path, beside)
+        for drawing in drawn:
+            save(drawing.make(), path, drawing.name)
         pictures = [Picture(path / f"{one.name}.png", one.alt, one.caption) for one in drawn]
         said = {} if telemetry is None else telemetry.attrs
         inputs = (

@@ -21,9 +21,9 @@ from typing import IO
 
 import numpy as np
 
+from sunspin.base.atomic_write import hold
 from sunspin.base.cache import is_writable
 from sunspin.base.errors import OutputError, sentence
-from sunspin.compute.store import hold
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 from markupsafe import Markup
 
-from sunspin.compute.copies import at_once
 from sunspin.output.figures.inline import inline_svg
 from sunspin.output.kinds import KINDS
 from sunspin.output.kinds.kind import Beside, Drawing
@@ -61,28 +59,15 @@ def drawn(results: Results, *kinds: str) -> list[Drawn]:
             one.name: one for one in drawings(results, *kinds) if one.name not in results.drawn
         }.values()
     )
-    found = []
-    works = [partial(_tried, one, number) for number, one in enumerate(new, len(results.drawn))]
-    for drawing, (svg, why) in zip(new, at_once(works), strict=True):
-        if svg is None:
-            results.problems.append(f"A figure could not be drawn: {drawing.name} ({why}).")
-        else:
-            results.drawn.add(drawing.name)
-            found.append(_part(drawing, svg))
-    return found
-
-
-def _tried(drawing: Drawing, number: int) -> tuple[str | None, str]:
-    """The figure that comes after so many others on the page, as SVG; or None and why not."""
-    try:
-        return _svg(drawing, number), ""
-    # data of any origin: tables without a figure are worth more than no section
-    except Exception as error:
-        return None, f"{type(error).__name__}: {error}"
-
-
-def _svg(drawing: Drawing, number: int) -> str:
-    return inline_svg(drawing.make(), f"s{number}-")
+    items = []
+    for drawing in new:
+        try:
+            items.append(item(results, drawing))
+        # data of any origin: tables without a figure are worth more than no section
+        except Exception as error:
+            why = f"{drawing.name} ({type(error).__name__}: {error})"
+            results.problems.append(f"A figure could not be drawn: {why}.")
+    return items
 
 
 def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
@@ -106,10 +91,6 @@ def first(results: Results, names: tuple[str, ...] = FIRST) -> Drawn | None:
 
 def item(results: Results, drawing: Drawing) -> Drawn:
     """A figure as a part of the page."""
-    svg = _svg(drawing, len(results.drawn))
+    svg = inline_svg(drawing.make(), f"s{len(results.drawn)}-")
     results.drawn.add(drawing.name)
-    return _part(drawing, svg)
-
-
-def _part(drawing: Drawing, svg: str) -> Drawn:
     return Drawn(drawing.name, Markup(svg), drawing.alt, drawing.caption)
