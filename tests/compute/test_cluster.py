@@ -196,7 +196,9 @@ def test_an_address_that_does_not_answer_is_refused_soon(monkeypatch, client):
         worker = next(iter(client.scheduler_info()["workers"]))
         for address in (*(f"tcp://127.0.0.1:{port}" for port in ports), worker):
             begun = time.monotonic()
-            with pytest.raises(ss.InputError, match=f"no Dask scheduler with workers answers at {address}"):
+            with pytest.raises(
+                ss.InputError, match=f"no Dask scheduler with workers answers at {address}"
+            ):
                 ensemble(ROWS, scheduler=address)
             assert time.monotonic() - begun < 2
 
