@@ -41,9 +41,9 @@ def plain(value: Any) -> Any:
     raise TypeError(f"no identity is known for {type(value).__name__}")
 
 
-def fingerprint(identity: Mapping[str, Any]) -> str:
-    """SHA-256 of an identity, whatever the order of its keys."""
-    text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
+def fingerprint(value: Any) -> str:
+    """SHA-256 of data, whatever the order of keys."""
+    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

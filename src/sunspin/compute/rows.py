@@ -41,20 +41,15 @@ class RowFunction(Protocol):
     """A pure function of row numbers, called by several threads at once.
 
     A frozen dataclass of plain data, on whose fields its rows depend (:func:`sunspin.compute.identity.plain`). It is sent to
-    other processes and compiles there what it needs.
+    other processes and compiles there what it needs. `outputs`: name of each result -> its dtype (numbers or truth values)
+    and its shape beyond the rows. Called with row numbers (n), it returns each of them with shape (n, ...).
     """
 
     @property
     def n_rows(self) -> int: ...
-
     @property
-    def outputs(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
-        """Name of each result -> its dtype (numbers or truth values) and its shape beyond the rows."""
-        ...
-
-    def __call__(self, index: np.ndarray) -> Values:
-        """Results of the rows `index` (n): each of `outputs` with shape (n, ...)."""
-        ...
+    def outputs(self) -> Mapping[str, tuple[str, tuple[int, ...]]]: ...
+    def __call__(self, index: np.ndarray) -> Values: ...
 
 
 def ensemble(
@@ -71,15 +66,13 @@ def ensemble(
 
     Parameters
     ----------
-    function : RowFunction
     workers : int, optional
         Threads on this machine, or worker processes of a "local" cluster; default one per core.
     chunk : int
-        Rows per call of the function, at most; fewer where some workers would have none. An interruption costs the chunks in
-        flight.
+        Rows per call of the function, at most. An interruption costs the chunks in flight.
     store : path, optional
-        A folder in which finished chunks are kept. The same call resumes there after any interruption, be it kill -9 or a power
-        failure; once complete it is simply read. The folder must be new, empty or of the same inputs.
+        A folder, new or empty, in which finished chunks are kept: the same call resumes there after any interruption, be it
+        kill -9 or a power failure; once complete it is simply read.
     scheduler : "local", address or dask.distributed.Client, optional
         Run on a Dask cluster: "local" starts worker processes on this machine (the script that asks for it needs
         `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed.
@@ -89,7 +82,7 @@ def ensemble(
     Raises
     ------
     InputError
-        For arguments that make no sense, a store of other inputs, a cluster that does not answer.
+        Arguments that make no sense, a store of other inputs, a cluster that does not answer.
     Interrupted
         After Ctrl-C; its text says what was kept. Whatever the function raises comes through at once.
     """

@@ -17,7 +17,7 @@ import numpy as np
 
 from sunspin.base.atomic_write import PART, hold, make_folder, sweep, write_whole
 from sunspin.base.errors import InputError, OutputError, sentence
-from sunspin.compute.identity import code, fingerprint, plain
+from sunspin.compute.identity import code, fingerprint
 
 if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
@@ -44,7 +44,7 @@ def open_store(
     folder, chunk = Path(path), max(chunk, -(-function.n_rows // MAX_FILES))
     outputs = {name: f"{array.dtype.str} {array.shape}" for name, array in out.items()}
     kind = {"format": FORMAT, "function": type(function).__name__, "outputs": outputs}
-    digest = fingerprint({**kind, **code(), "inputs": plain(function)})[:16]
+    digest = fingerprint({**kind, **code(), "inputs": function})[:16]
 
     def cannot_write(error: OSError) -> OutputError:
         what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
@@ -88,13 +88,10 @@ def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
         if name is not None and name[1] == digest:
             rows = slice(int(name[2]), int(name[3]))
             done[rows] |= _read_chunk(path, {key: array[rows] for key, array in out.items()})
-        elif name is not None or path.name in ("store.json", "zarr.json"):
-            what = "the store was made with other inputs or by another version of sunspin"
-            do = "give the same inputs or choose another folder"
-            raise InputError(sentence(what, do=do, where=str(folder)))
         elif path.name != LOCK and not PART.fullmatch(path.name):
-            what, do = "the folder is not empty and not a store of sunspin", "choose another folder"
-            raise InputError(sentence(what, do=do, where=str(folder)))
+            what = "this is no store, or one of other inputs or of another version of sunspin"
+            do = "give the same inputs or choose another folder"
+            raise InputError(sentence(what, got=path.name, do=do, where=str(folder)))
     ends = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
     return [
         slice(k, min(k + chunk, stop)) for start, stop in ends for k in range(start, stop, chunk)
