@@ -1,7 +1,6 @@
 """Rows on a Dask cluster, through Dask's own client.
 
-A local cluster listens on 127.0.0.1 alone and without a dashboard. Dask does not ask who connects: other users of the same
-machine could reach its port while it runs.
+A local cluster listens on 127.0.0.1 alone, without a dashboard; Dask does not ask which user of this machine connects.
 """
 
 from __future__ import annotations
@@ -28,9 +27,6 @@ if TYPE_CHECKING:
 IN_FLIGHT = 4
 """Chunks in flight for each thread of the cluster: enough that none waits for the next, few enough for memory."""
 
-RETRIES = 1
-"""How often a chunk that fails is computed again: a machine may be short of memory or disk for a moment."""
-
 CONNECT_S, FIRST_WORKER_S, RESTART_S = 5, 60, 300
 """How long an address has to answer, a cluster to get its first worker, and a worker that died to be there again: Dask looks
 once, 15 s after each death, and a second death at that moment would end the worker for good."""
@@ -51,7 +47,8 @@ def on_cluster(
             while True:
                 for rows in islice(chunks, free):
                     index = np.arange(rows.start, rows.stop)
-                    task = client.submit(call, shared, index, retries=RETRIES, pure=False)
+                    # once more if it fails: a machine may be short of memory or disk for a moment
+                    task = client.submit(call, shared, index, retries=1, pure=False)
                     running[task] = rows
                     finished.add(task)
                 if not running:

@@ -88,11 +88,8 @@ def ensemble(
     """
     n_workers, chunk, n_rows = worker_count(workers), whole("chunk", chunk), function.n_rows
     if scheduler is not None and find_spec("distributed") is None:
-        what, do = (
-            "a scheduler needs Dask, which is not installed",
-            'pip install "sunspin[cluster]"',
-        )
-        raise InputError(sentence(what, do=do))
+        what = "a scheduler needs Dask, which is not installed"
+        raise InputError(sentence(what, do='pip install "sunspin[cluster]"'))
     outputs = function.outputs.items()
     size = n_rows * sum(np.dtype(kind).itemsize * int(np.prod(s)) for _, (kind, s) in outputs)
     if hasattr(os, "sysconf"):

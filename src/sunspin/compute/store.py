@@ -22,15 +22,9 @@ from sunspin.compute.identity import code, fingerprint
 if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
 
-FORMAT = 3
-"""Of the chunks: part of what their digest stands for."""
-
 LOCK = "lock"
 
 CHUNK_FILE = re.compile(r"rows-([0-9a-f]{16})-(\d{1,15})-(\d{1,15})\.npz")
-
-MAX_FILES = 10_000
-"""Chunks at most: beyond that a store is cut more coarsely."""
 
 
 @contextmanager
@@ -41,10 +35,8 @@ def open_store(
 
     Raises `InputError`, and changes nothing, where the path is something else, of other inputs or in use.
     """
-    folder, chunk = Path(path), max(chunk, -(-function.n_rows // MAX_FILES))
-    outputs = {name: f"{array.dtype.str} {array.shape}" for name, array in out.items()}
-    kind = {"format": FORMAT, "function": type(function).__name__, "outputs": outputs}
-    digest = fingerprint({**kind, **code(), "inputs": function})[:16]
+    folder = Path(path)
+    digest = fingerprint([code(), type(function).__name__, function])[:16]
 
     def cannot_write(error: OSError) -> OutputError:
         what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
@@ -71,9 +63,6 @@ def open_store(
                 missing = _read(folder, digest, chunk, out)  # what another run has written by now
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
-            raise InputError(sentence(what, do=do, where=str(folder))) from None
-        except (NotADirectoryError, FileExistsError):
-            what, do = "this is a file and cannot be a store", "give a new folder"
             raise InputError(sentence(what, do=do, where=str(folder))) from None
         except OSError as error:
             raise cannot_write(error) from None
@@ -105,8 +94,7 @@ def _read_chunk(path: Path, out: Values) -> bool:
             arrays = {name: chunk[name] for name in out}
     except Exception:  # NumPy raises errors of many kinds
         return False
-    if any((a.dtype, a.shape) != (out[name].dtype, out[name].shape) for name, a in arrays.items()):
-        return False
-    for name, array in arrays.items():
+    is_whole = all((a.dtype, a.shape) == (out[k].dtype, out[k].shape) for k, a in arrays.items())
+    for name, array in arrays.items() if is_whole else ():
         out[name][...] = array
-    return True
+    return is_whole

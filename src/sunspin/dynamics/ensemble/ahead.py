@@ -1,9 +1,7 @@
 """Kernels are compiled in processes of their own, before they are needed where that is known.
 
 Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process;
-the disk cache carries the machine code over. What a process has compiled itself differs from what is loaded: helpers that it
-has compiled singly take the place of those compiled into the kernel, with sums contracted otherwise. So kernels are always
-loaded, and give the same result in the first run as in the next.
+the disk cache carries the machine code over.
 """
 
 from __future__ import annotations
@@ -68,17 +66,17 @@ def _begin(paths: list[Path]) -> None:
             return
         nothing = subprocess.DEVNULL
         try:
-            process = subprocess.Popen(
-                _command(todo), stdin=nothing, stdout=nothing, stderr=nothing
-            )
+            command = [
+                sys.executable,
+                "-c",
+                f"from {__name__} import main; main()",
+                *map(str, todo),
+            ]
+            process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
         except OSError:
             return  # then they are compiled here, when they are needed
         _under_way.update(dict.fromkeys(todo, process))
         atexit.register(_stop, process)
-
-
-def _command(paths: Iterable[Path | str]) -> list[str]:
-    return [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, paths)]
 
 
 def _stop(process: subprocess.Popen) -> None:
@@ -109,18 +107,13 @@ def _path(module: ModuleType) -> Path:
 
 
 def main() -> None:
-    """In the other process: compile the generated module at the first path, then begin afresh with the rest.
-
-    What is compiled may hang, in its last bits, on what the process has compiled before. Of several processes that want the
-    same kernel one compiles it and the others wait for it.
-    """
-    path, *rest = sys.argv[1:]
-    with open(path, "rb") as file:
-        _wait_for_others(file)
-        if not is_kept(Path(path)):
-            compile_run(loaded(Path(path).stem, path))
-    if rest:
-        os.execv(sys.executable, _command(rest))
+    """In the other process: compile the generated modules at these paths. Of several processes that want the same kernel one
+    compiles it and the others wait for it."""
+    for path in map(Path, sys.argv[1:]):
+        with open(path, "rb") as file:
+            _wait_for_others(file)
+            if not is_kept(path):
+                compile_run(loaded(path.stem, path))
 
 
 def _wait_for_others(file: IO) -> None:
@@ -140,17 +133,5 @@ def _wait_for_others(file: IO) -> None:
 def compile_run(module: ModuleType) -> None:
     """Compile the entry of a generated module for the types of `run.launch`."""
     real, whole, single = (np.zeros(0, dtype) for dtype in (np.float64, np.int64, np.float32))
-    table = np.zeros((0, 0, 0))
-    module.run(
-        np.zeros((0, 0)),
-        whole,
-        table,
-        single,
-        whole,
-        real,
-        whole,
-        np.zeros((0, 0), np.float32),
-        table,
-        whole,
-        real,
-    )
+    plane, table, hist = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros((0, 0), np.float32)
+    module.run(plane, whole, table, single, whole, real, whole, hist, table, whole, real)

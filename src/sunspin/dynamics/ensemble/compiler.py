@@ -7,6 +7,8 @@ the user has chosen stays.
 
 from __future__ import annotations
 
+import sys
+from importlib import metadata
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -24,6 +26,7 @@ if _features.get("avx512f") and not (config.CPU_NAME or config.CPU_FEATURES):
     config.CPU_FEATURES = _features.flatten()
 
 
-def target() -> tuple[str, str, str]:
-    """What machine code is made for: architecture, processor, its features."""
-    return cpu_target.target_context.codegen().magic_tuple()
+def compiler() -> str:
+    """What machine code is made by and for: Python, numba, architecture, processor, its features."""
+    made_for = cpu_target.target_context.codegen().magic_tuple()
+    return " ".join((str(sys.implementation.cache_tag), metadata.version("numba"), *made_for))
