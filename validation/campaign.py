@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from sunspin.base.atomic_write import sweep, write_whole
-from sunspin.base.errors import OutputError, SunspinError, sentence
 
 
 def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
@@ -23,7 +22,7 @@ def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
         except KeyboardInterrupt:
             print("interrupted; the same command goes on where it stopped", file=sys.stderr)
             return 130
-        except SunspinError as error:
+        except (OSError, ValueError) as error:  # those of sunspin are values that make no sense
             print(error, file=sys.stderr)
             return 2
         return 0
@@ -33,12 +32,8 @@ def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
 
 def rows_folder(folder: Path) -> Path:
     """Make a folder of rows, without what killed runs had begun to write there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        sweep(folder)
-    except OSError as error:
-        what = f"results cannot be written here ({error.strerror or error})"
-        raise OutputError(sentence(what, do="choose another folder", where=str(folder))) from None
+    folder.mkdir(parents=True, exist_ok=True)
+    sweep(folder)
     return folder
 
 
@@ -46,15 +41,11 @@ def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A row from its JSON file; where there is none it is made, and the file written whole."""
     if not path.is_file():
         text = json.dumps(make())
-        try:
-            write_whole(path, lambda new: new.write_text(text, "utf-8"))
-        except OSError as error:
-            what = f"the row cannot be kept ({error.strerror or error})"
-            raise OutputError(sentence(what, do="choose another folder", where=str(path))) from None
+        write_whole(path, lambda new: new.write_text(text, "utf-8"))
     try:
         row = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+    except ValueError:
         row = None
     if not isinstance(row, dict):
-        raise OutputError(sentence("this is no row", do="delete the file", where=str(path)))
+        raise ValueError(f"{path}: this is no row of results; delete the file")
     return row

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sunspin.base.errors import InputError, OutputError
+from sunspin.base.errors import InputError
 from validation.campaign import command, kept, rows_folder
 
 
@@ -31,7 +31,7 @@ def test_a_row_is_made_once_and_a_failed_one_leaves_nothing(tmp_path):
 def test_a_damaged_row_is_named_and_not_used(tmp_path):
     for text in ('{"x": 1', "[1]", "\x00"):
         (tmp_path / "0.json").write_text(text, "utf-8")
-        with pytest.raises(OutputError, match=r"0\.json"):
+        with pytest.raises(ValueError, match=r"0\.json"):
             kept(tmp_path / "0.json", dict)
 
 
