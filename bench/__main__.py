@@ -13,7 +13,7 @@ from bench import machine
 from bench.table import Table
 from bench.timing import say
 
-NAMES = ("start", "scan", "peak", "emd", "sun", "accuracy")
+NAMES = ("start", "scan", "peak", "emd", "accuracy")
 """Fresh processes first, before this one has filled caches and warmed the processor."""
 
 RESULTS = Path(__file__).with_name("results")

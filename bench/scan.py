@@ -197,7 +197,7 @@ def _peak_note(problem: Problem, axes: dict[str, np.ndarray], per_row: float, qu
     )
     return (
         f"{operations:.3g} operations a row on one core: {reached:.0f} GFLOP/s, {100 * reached / roof:.0f} % of the measured peak "
-        f"of fused multiply-adds in float32 ({roof:.0f}); vectors of {k.vector_bits()} bits"
+        f"of fused multiply-adds in float32 ({roof:.0f})"
     )
 
 

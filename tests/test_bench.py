@@ -29,7 +29,7 @@ def reference() -> list:
 
 
 def test_the_cheap_ones_run_and_are_written_down(tmp_path, capsys):
-    path = main(["--quick", "--only", "sun,emd", "--json", str(tmp_path / "new" / "result.json")])
+    path = main(["--quick", "--only", "emd", "--json", str(tmp_path / "new" / "result.json")])
     result = json.loads(path.read_text("utf-8"))
     assert set(result) == {"machine", "quick", "seconds", "tables"}
     assert (
@@ -37,14 +37,13 @@ def test_the_cheap_ones_run_and_are_written_down(tmp_path, capsys):
         and result["machine"]["cores"] >= 1
         and result["machine"]["libraries"]["numba"]
     )
-    assert list(result["tables"]) == ["emd", "sun"]
+    assert list(result["tables"]) == ["emd"]
     for table in result["tables"].values():
         assert table["rows"] and all(list(row) == table["columns"] for row in table["rows"])
     differences = [row["largest difference"] for row in result["tables"]["emd"]["rows"]]
     assert max(d for d in differences if d is not None) < 1e-9
-    assert all(row["samples/s"] > 0 for row in result["tables"]["sun"]["rows"])
     out, err = capsys.readouterr()
-    assert "samples/s" in out and "bench: results" in err
+    assert "largest difference" in out and "bench: results" in err
 
 
 @pytest.mark.parametrize("arguments", [["--only", "moon"], ["--fast"]])

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,10 +31,7 @@ CHUNK_FILE = re.compile(r"rows-([0-9a-f]{16})-(\d{1,15})-(\d{1,15})\.npz")
 def open_store(
     path: str | Path, function: RowFunction, chunk: int, out: Values
 ) -> Generator[tuple[Callable[[slice], None], list[slice]]]:
-    """Read what a store has of a function's rows into `out`; gives what keeps rows of `out`, and the chunks to be computed.
-
-    Raises `InputError`, and changes nothing, where the path is something else, of other inputs or in use.
-    """
+    """Read what a store has of a function's rows into `out`; gives what keeps rows of `out`, and the chunks to be computed."""
     folder = Path(path)
     digest = fingerprint([code(), type(function).__name__, function])[:16]
 
@@ -44,9 +41,11 @@ def open_store(
         return OutputError(sentence(what, do=do, where=str(folder)))
 
     def save(rows: slice) -> None:
+        arrays: dict[str, Any] = {name: array[rows] for name, array in out.items()}
+
         def write(part: Path) -> None:
             with open(part, "wb") as file:  # NumPy would change the ending of a name
-                np.savez(file, **{name: array[rows] for name, array in out.items()})
+                np.savez(file, **arrays)
 
         try:
             write_whole(folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write)
