@@ -26,6 +26,7 @@ from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
 
 _lock = threading.Lock()
+_over = threading.Event()
 _under_way: dict[Path, subprocess.Popen] = {}
 _ready: set[Path] = set()
 """Modules known to be on disk with their machine code: a kernel is asked for before every piece of a run."""
@@ -64,24 +65,24 @@ def _begin(paths: list[Path]) -> None:
         todo = [path for path in paths if path not in _under_way and not is_kept(path)]
         if not todo or not sys.executable:
             return
+        if not _under_way:  # called before Python waits for threads, which may wait for a kernel
+            getattr(threading, "_register_atexit", atexit.register)(_stop)
         nothing = subprocess.DEVNULL
         try:
-            command = [
-                sys.executable,
-                "-c",
-                f"from {__name__} import main; main()",
-                *map(str, todo),
-            ]
+            code = f"from {__name__} import main; main()"
+            command = [sys.executable, "-c", code, *map(str, todo)]
             process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
         except OSError:
             return  # then they are compiled here, when they are needed
         _under_way.update(dict.fromkeys(todo, process))
-        atexit.register(_stop, process)
 
 
-def _stop(process: subprocess.Popen) -> None:
-    process.kill()
-    process.wait()
+def _stop() -> None:
+    """As this process ends, after Ctrl-C perhaps: the kernels are not wanted any more."""
+    _over.set()
+    for process in set(_under_way.values()):
+        process.kill()
+        process.wait()
 
 
 def ready_kernel(structure: c.Structure) -> ModuleType:
@@ -93,6 +94,8 @@ def ready_kernel(structure: c.Structure) -> ModuleType:
         process = _under_way.get(path)
         while process is not None and process.poll() is None and not is_kept(path):
             time.sleep(POLL_S)
+        if _over.is_set():
+            raise RuntimeError("the process ends")
         _ready.add(path)
     return module
 
@@ -107,8 +110,7 @@ def _path(module: ModuleType) -> Path:
 
 
 def main() -> None:
-    """In the other process: compile the generated modules at these paths. Of several processes that want the same kernel one
-    compiles it and the others wait for it."""
+    """In the other process: compile the generated modules at these paths, each unless another process does so by now."""
     for path in map(Path, sys.argv[1:]):
         with open(path, "rb") as file:
             _wait_for_others(file)
@@ -117,8 +119,7 @@ def main() -> None:
 
 
 def _wait_for_others(file: IO) -> None:
-    """Lock a generated module until the file is closed. On a file system without locks, and after a while, go on: the kernel is
-    then compiled twice, which costs time and nothing else."""
+    """Lock a generated module until its file is closed, or go on after a while: a second compilation costs time only."""
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         try:

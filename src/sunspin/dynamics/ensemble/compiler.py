@@ -16,8 +16,7 @@ from numba import njit as njit
 from numba.core import config as numba_config
 from numba.core import registry
 
-config: Any = numba_config  # its settings are made at run time: no type checker sees them
-cpu_target: Any = registry.cpu_target
+config: Any = numba_config  # made at run time: no type checker sees its settings
 
 _features = llvm.get_host_cpu_features()
 if _features.get("avx512f") and not (config.CPU_NAME or config.CPU_FEATURES):
@@ -28,5 +27,6 @@ if _features.get("avx512f") and not (config.CPU_NAME or config.CPU_FEATURES):
 
 def compiler() -> str:
     """What machine code is made by and for: Python, numba, architecture, processor, its features."""
+    cpu_target: Any = registry.cpu_target
     made_for = cpu_target.target_context.codegen().magic_tuple()
     return " ".join((str(sys.implementation.cache_tag), metadata.version("numba"), *made_for))
