@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import binomtest
 
-from sunspin.compute.campaign import command, kept, rows_folder
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Outcome, Rows
 from sunspin.dynamics.propagate import propagate
@@ -34,6 +33,7 @@ from sunspin.philae.twin_philae import CELL_W, drawn_panels, keep_direction, reb
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.telemetry.synthetic import noisy_power
+from validation.campaign import command, kept, rows_folder
 
 FACTOR = 1.1
 """Of the near-minimum set (paper, eq. 14)."""

@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.tables import read_table
-from sunspin.compute.campaign import command, rows_folder
 from sunspin.landing.flight import angle_about
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
@@ -34,6 +33,7 @@ from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
 from sunspin.philae.reading_noise import with_own_noise
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
+from validation.campaign import command, rows_folder
 
 SUN = ("philae_spk", "sun_from_67p_20141112.csv")
 

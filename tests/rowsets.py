@@ -27,15 +27,12 @@ def heed_interrupts() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Waves:
     """Cheap rows with results of several kinds and shapes; some are minus zero, infinite or not a number."""
 
-    n_rows: int = 1000
-    pitch: float = 0.37
-    seconds_per_row: float = 0.0
-    bad_row: int = -1
-    log: str | None = None
+    n_rows: int
+    pitch: float
 
     outputs: ClassVar = {
         "height": ("float64", ()),
@@ -43,8 +40,10 @@ class Waves:
         "path": ("float32", (2, 3)),
     }
 
-    def identity(self):
-        return {"pitch": self.pitch}
+    def __init__(self, n_rows=1000, pitch=0.37, seconds_per_row=0.0, bad_row=-1, log=None):
+        """The last three change no row and are no fields."""
+        self.__dict__.update(n_rows=n_rows, pitch=pitch, bad_row=bad_row, log=log)
+        self.__dict__.update(seconds_per_row=seconds_per_row)
 
     def __call__(self, index):
         if self.bad_row in index:
@@ -59,3 +58,12 @@ class Waves:
         height[index % 13 == 5] = np.inf
         path = (index[:, None, None] * np.ones((2, 3)) * self.pitch).astype(np.float32)
         return {"height": height, "kind": (index % 5).astype(np.int8), "path": path}
+
+
+def same(values, wanted) -> bool:
+    """Whether results are the wanted ones, to 1e-9 and of the same types."""
+    return set(values) == set(wanted) and all(
+        values[name].dtype == array.dtype
+        and np.allclose(values[name], array, rtol=1e-9, atol=0, equal_nan=True)
+        for name, array in wanted.items()
+    )

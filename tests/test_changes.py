@@ -81,7 +81,6 @@ def test_an_element_beside_the_diagonal_sets_its_mirror_and_a_law_of_friction_go
 
 def test_what_changes_nothing_is_no_change():
     assert with_changes("wheel.speed_rad_s=865", "wheel.speed_rad_s*=1") == OWN
-    assert "changes" not in plain(with_changes("wheel.speed_rad_s=833"))
 
 
 @pytest.mark.parametrize(
@@ -201,7 +200,7 @@ def test_the_changed_file_is_a_vehicle_file():
         mine = asked if name == "philae" else ()
         written = parse_vehicle(vehicle_text(ChangedFile(name, mine)), "here")
         direct = ss.load_vehicle(name, mine)
-        assert plain(written) == plain(direct)
+        assert plain(written) == plain(replace(direct, changes=()))
 
 
 def test_assumptions_follow_into_the_study():

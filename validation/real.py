@@ -12,7 +12,7 @@ import xarray as xr
 
 import sunspin as ss
 from docs.skcube_gyro import FREE_S, fit, pairs
-from sunspin.compute.rows import worker_count
+from sunspin.compute.pool import worker_count
 
 PAGE = Path(__file__).parents[1] / "docs" / "real-data.md"
 

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base import atomic_write
-from sunspin.compute.campaign import kept, rows_folder
+from validation.campaign import kept, rows_folder
 
 ROOT = Path(__file__).parents[1]
 

@@ -5,30 +5,23 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 import sunspin as ss
-from rowsets import ELSEWHERE, Waves, heed_interrupts
+from rowsets import ELSEWHERE, Waves, heed_interrupts, same
 from sunspin import cli
 from sunspin.base.errors import Interrupted
+from sunspin.compute.identity import plain
 from sunspin.compute.rows import ensemble
 
 ROWS = Waves()
 
 
-def same(a, b) -> bool:
-    return set(a) == set(b) and all(
-        a[name].tobytes() == b[name].tobytes() and a[name].dtype == b[name].dtype for name in a
-    )
-
-
 @pytest.mark.evidence("scan", "verified", "all rows at once, for any chunk and number of threads")
-@pytest.mark.parametrize("workers", [1, 2, 5])
-@pytest.mark.parametrize("chunk", [1, 7, 333, 5000])
-def test_the_cut_changes_no_bit(workers, chunk):
+@pytest.mark.parametrize(("workers", "chunk"), [(1, 1), (1, 5000), (2, 7), (5, 333)])
+def test_neither_chunks_nor_workers_change_a_result(workers, chunk):
     assert same(ensemble(ROWS, workers=workers, chunk=chunk), ROWS(np.arange(1000)))
 
 
@@ -48,16 +41,6 @@ def test_no_worker_is_left_without_work_for_want_of_chunks(rows, workers, chunk,
     assert max(sizes) == most and sum(sizes) == rows
 
 
-def test_rows_alone_are_the_rows_of_the_whole():
-    whole = ensemble(ROWS)
-    for index in (999, [3], [17, 5, 5, 998], np.arange(0, 1000, 3, dtype=np.uint16), []):
-        wanted = {
-            name: values[np.atleast_1d(np.asarray(index, dtype=int))]
-            for name, values in whole.items()
-        }
-        assert same(ensemble(ROWS, index=index, chunk=2), wanted)
-
-
 def test_no_rows_give_empty_arrays(tmp_path):
     for store in (None, tmp_path / "store"):
         out = ensemble(Waves(n_rows=0), store=store)
@@ -71,11 +54,6 @@ def test_no_rows_give_empty_arrays(tmp_path):
         ({"workers": 1.5}, "workers"),
         ({"chunk": 0}, "chunk"),
         ({"chunk": True}, "chunk"),
-        ({"index": [1000]}, "0 to 999"),
-        ({"index": [-1]}, "0 to 999"),
-        ({"index": [0.5]}, "0 to 999"),
-        ({"index": [[1], [2, 3]]}, "0 to 999"),
-        ({"index": [1], "store": "never"}, "either index or store"),
     ],
 )
 def test_bad_arguments_are_named(change, message):
@@ -94,25 +72,21 @@ def test_what_the_function_raises_comes_at_once_and_stops_the_rest(tmp_path):
     assert len(log.read_text().splitlines()) <= 30
 
 
-@dataclass(frozen=True)
-class Wrong(Waves):
-    """Rows whose results are not what they promised."""
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda values: values | {"path": values["path"][:, 0]},
+        lambda values: values | {"kind": values["kind"].astype(float)},
+        lambda values: {"height": values["height"]},
+    ],
+)
+def test_results_that_are_not_as_promised_are_refused(wrong):
+    class Wrong(Waves):
+        def __call__(self, index):
+            return wrong(super().__call__(index))
 
-    what: str = ""
-
-    def __call__(self, index):
-        values = super().__call__(index)
-        return {
-            "shape": values | {"path": values["path"][:, 0]},
-            "dtype": values | {"kind": values["kind"].astype(float)},
-            "names": {"height": values["height"]},
-        }[self.what]
-
-
-@pytest.mark.parametrize("what", ["shape", "dtype", "names"])
-def test_results_that_are_not_as_promised_are_refused(what):
     with pytest.raises(ss.InputError, match="the row function must return"):
-        ensemble(Wrong(what=what))
+        ensemble(Wrong())
 
 
 def test_progress_counts_rows(capsys, monkeypatch):
@@ -156,11 +130,11 @@ def test_an_interruption_says_what_is_kept_and_how_to_go_on(kept, tmp_path):
         assert "nothing is kept" in said
         return
     done = int(said.split("interrupted, ")[1].split()[0])
-    assert done >= 80 and "run the same command again" in said and str(store) in said
+    assert done >= 40 and "run the same command again" in said and str(store) in said
     log.unlink()
     rows = Waves(n_rows=2000, log=str(log))
     assert same(ensemble(rows, store=store), rows(np.arange(0, 2000)))
-    assert log.read_text().count("\n") == 2000 - done + 2000
+    assert log.read_text().count("\n") == 2000 - done + 2000  # and those that are compared with
 
 
 def test_the_command_line_passes_the_sentence_on(monkeypatch, capsys):
@@ -176,21 +150,10 @@ def test_the_command_line_passes_the_sentence_on(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("name", ["philae", "skcube"])
-def test_a_vehicle_travels_bit_by_bit(name):
+def test_a_vehicle_travels_to_another_process(name):
     vehicle = ss.load_vehicle(name)
     other = pickle.loads(pickle.dumps(vehicle))
-    assert other.panel_normals_B.tobytes() == vehicle.panel_normals_B.tobytes()
-    assert (other.facts, other.telemetry, other.sun_rules) == (
-        vehicle.facts,
-        vehicle.telemetry,
-        vehicle.sun_rules,
-    )
-    for mine, theirs in zip(vehicle.wheels, other.wheels, strict=True):
-        assert mine.axis_B.tobytes() == theirs.axis_B.tobytes()
-        assert (mine.friction, mine.alternative_frictions) == (
-            theirs.friction,
-            theirs.alternative_frictions,
-        )
+    assert plain(other) == plain(vehicle)
     with pytest.raises(ValueError, match="read-only"):
         other.panels[0].normal_B[0] = 1.0
     with pytest.raises(TypeError):

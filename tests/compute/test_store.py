@@ -15,15 +15,12 @@ import pytest
 
 import sunspin as ss
 import sunspin.compute.store as disk
-from rowsets import ELSEWHERE, Waves
+from rowsets import ELSEWHERE, Waves, same
+from sunspin.base.atomic_write import hold
 from sunspin.compute.rows import ensemble
 
 ROWS = Waves()
 WHOLE = ROWS(np.arange(1000))
-
-
-def same(a, b=WHOLE) -> bool:
-    return all(a[name].tobytes() == b[name].tobytes() for name in b)
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -38,7 +35,7 @@ def tree(folder: Path) -> dict[str, str]:
 def refused(folder: Path, *words: str, rows: Waves = ROWS) -> None:
     """One sentence that names the folder and says the words, and nothing touched."""
     before = tree(folder) if folder.is_dir() else folder.read_bytes()
-    with pytest.raises(ss.InputError) as said:
+    with pytest.raises(ss.SunspinError) as said:
         ensemble(rows, store=folder)
     text = str(said.value)
     assert "\n" not in text and all(word in text for word in (str(folder), *words)), text
@@ -55,17 +52,24 @@ def computed(tmp_path, folder, **arguments) -> int:
     """Rows that a run on this store computes; its result is checked."""
     log = tmp_path / "log"
     log.write_text("")
-    assert same(ensemble(Waves(log=str(log)), store=folder, **arguments))
+    assert same(ensemble(Waves(log=str(log)), store=folder, **arguments), WHOLE)
     return log.read_text().count("\n")
 
 
-def test_a_store_changes_no_bit_and_a_complete_one_is_read(tmp_path):
+def test_a_store_changes_no_result_and_a_complete_one_is_read(tmp_path):
     for chunk in (1000, 64, 9):
         folder = tmp_path / str(chunk)
         assert computed(tmp_path, folder, chunk=chunk, workers=3) == 1000
         before = tree(folder)
         assert computed(tmp_path, folder, chunk=50) == 0
         assert tree(folder) == before
+
+
+def test_a_store_goes_on_in_chunks_of_another_size(tmp_path, complete):
+    for path in sorted(complete.glob("rows-*"))[2:7:2]:
+        path.unlink()
+    assert computed(tmp_path, complete, chunk=7) == 3 * 90
+    assert computed(tmp_path, complete) == 0
 
 
 class Crash(Exception):
@@ -78,7 +82,6 @@ def crash_at(monkeypatch, step: int) -> None:
 
     def write(target, fill):
         part = target.with_name(f".sunspin-999999999-{'a' * 16}.part")
-        part.with_suffix(".parts").write_text(f"{part.name}\n")
         fill(part)
         content = part.read_bytes()
         for some in (content[: len(content) // 2], content):
@@ -93,10 +96,10 @@ def crash_at(monkeypatch, step: int) -> None:
 
 
 def test_a_run_that_ends_at_any_step_of_writing_is_resumed(tmp_path):
-    """Four files make the store, of three chunks: 12 steps."""
+    """Three files make the store, of three chunks: 9 steps."""
     rows = Waves(n_rows=30)
     wanted = rows(np.arange(30))
-    for step in range(12):
+    for step in range(9):
         folder = tmp_path / str(step)
         with pytest.MonkeyPatch.context() as patch:
             crash_at(patch, step)
@@ -104,7 +107,7 @@ def test_a_run_that_ends_at_any_step_of_writing_is_resumed(tmp_path):
                 ensemble(rows, store=folder, chunk=12, workers=1)
         assert same(ensemble(rows, store=folder, chunk=7), wanted), step
         assert same(ensemble(rows, store=folder), wanted), step
-        assert not list(folder.glob(".sunspin-*")) or step == 11, step
+        assert not list(folder.glob(".sunspin-*")) or step == 8, step
 
 
 KILLED = """
@@ -119,7 +122,7 @@ ensemble(Waves(n_rows=int(sys.argv[2]), seconds_per_row=0.004), store=sys.argv[1
 @pytest.mark.parametrize(
     ("n_rows", "least"), [(350, 2), pytest.param(900, 4, marks=pytest.mark.long)]
 )
-def test_a_run_killed_again_and_again_ends_with_the_same_bits(n_rows, least, tmp_path):
+def test_a_run_killed_again_and_again_ends_with_the_same_result(n_rows, least, tmp_path):
     """SIGKILL at random moments, a little later when the run got nowhere, until a run gets through."""
     draw, kills, folder = random.Random(4), 0, tmp_path / "store"
     while True:
@@ -150,71 +153,44 @@ def test_a_damaged_chunk_is_computed_again(tmp_path, complete):
     chunk = sorted(complete.glob("rows-*.npz"))[3]
     data = chunk.read_bytes()
     flipped = data[:200] + bytes([data[200] ^ 1]) + data[201:]
-    packed = io.BytesIO()  # what unpacks to any size is not unpacked
-    np.savez_compressed(packed, **{name: array[270:360] for name, array in WHOLE.items()})
     other = io.BytesIO()
     np.savez(other, **{name: array[270:360].astype("float16") for name, array in WHOLE.items()})
-    some = (flipped, data[:-8], data[:100], b"", packed.getvalue(), other.getvalue(), None)
-    for damage in some:
+    for damage in (flipped, data[:-8], data[:100], b"", b"\x00" * 99, other.getvalue(), None):
         chunk.unlink() if damage is None else chunk.write_bytes(damage)
         assert computed(tmp_path, complete) == 90
-        assert chunk.read_bytes() == data
+        assert computed(tmp_path, complete) == 0
 
 
-def test_no_chunk_of_another_state_of_the_package_is_used(tmp_path, complete, monkeypatch):
-    """Were a chunk of another state put into a store by hand, its name would not be asked for."""
-    names = {path.name for path in complete.glob("rows-*")}
-    ensemble(Waves(pitch=0.38), store=tmp_path / "other", chunk=90)
-    assert not names & {path.name for path in (tmp_path / "other").glob("rows-*")}
+def test_chunks_of_other_inputs_or_another_state_of_the_package_are_refused(complete, monkeypatch):
+    refused(complete, "other inputs", rows=Waves(pitch=0.38))
+    refused(complete, "other inputs", rows=Waves(n_rows=999))
+    monkeypatch.setattr(disk, "code", lambda: {"code_sha256": "another"})
+    refused(complete, "another version")
 
 
-def test_other_inputs_are_named_and_refused(complete):
-    refused(complete, "other inputs", "pitch", rows=Waves(pitch=0.38))
-    refused(complete, "other inputs", "pitch, rows", rows=Waves(pitch=0.38, n_rows=999))
+@pytest.mark.parametrize("content", ["cat.jpg", "zarr.json", "store.json"])
+def test_what_is_no_store_or_of_an_earlier_version_is_refused(content, tmp_path):
+    (tmp_path / content).write_text("{}")
+    refused(tmp_path, "no store", "another version", content)
 
 
-def test_damaged_metadata_are_refused(complete):
-    about = complete / "store.json"
-    text = about.read_bytes()
-    cut = [text[:size] for size in (0, 1, len(text) // 2, len(text) - 1)]
-    for damage in (*cut, b"[]", b"{}", b"null", b"\xff\xfe", text.replace(b"<f8", b"<f4")):
-        about.write_bytes(damage)
-        refused(complete, "damaged")
-
-
-def test_an_identity_that_was_edited_is_refused(complete):
-    about = complete / "store.json"
-    about.write_text(about.read_text().replace("0.37", "0.38"))
-    refused(complete, "damaged", rows=Waves(pitch=0.38))
-
-
-def test_what_is_no_store_is_refused(tmp_path):
+def test_a_file_is_no_store(tmp_path):
     (tmp_path / "file").write_text("mine")
-    refused(tmp_path / "file", "cannot be a store")
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "cat.jpg").write_text("meow")
-    refused(tmp_path / "photos", "not a store")
-    (tmp_path / "former").mkdir()
-    (tmp_path / "former" / "zarr.json").write_text("{}")
-    refused(tmp_path / "former", "a store of an earlier version")
-    ensemble(ROWS, store=tmp_path / "later")
-    about = tmp_path / "later" / "store.json"
-    about.write_text(about.read_text().replace('"format": 2', '"format": 3'))
-    refused(tmp_path / "later", "does not know")
+    refused(tmp_path / "file", "cannot be written (Not a directory)")
     with pytest.raises(ss.OutputError, match="cannot be written"):
         ensemble(ROWS, store=tmp_path / "file" / "below")
 
 
 def test_an_empty_folder_will_do_and_missing_ones_are_made(tmp_path):
     (tmp_path / "empty").mkdir()
-    assert same(ensemble(ROWS, store=tmp_path / "empty"))
-    assert same(ensemble(ROWS, store=str(tmp_path / "a" / "b" / "c")))
+    assert same(ensemble(ROWS, store=tmp_path / "empty"), WHOLE)
+    assert same(ensemble(ROWS, store=str(tmp_path / "a" / "b" / "c")), WHOLE)
 
 
 def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, complete):
     with open(complete / "lock") as other:
-        disk.hold(other)
-        assert same(ensemble(ROWS, store=complete))
+        hold(other)
+        assert same(ensemble(ROWS, store=complete), WHOLE)
         sorted(complete.glob("rows-*.npz"))[0].unlink()
         refused(complete, "another run")
     assert computed(tmp_path, complete) == 90
@@ -222,7 +198,7 @@ def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, 
 
 def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monkeypatch):
     def full(target, fill, write=disk.write_whole):
-        if target.name.endswith("00004.npz"):
+        if "-0000000400-" in target.name:
             with monkeypatch.context() as inner:
                 inner.setattr(os, "fsync", refuse)  # as a disk without room does
                 return write(target, fill)
@@ -237,17 +213,3 @@ def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monke
             ensemble(ROWS, store=tmp_path / "store", chunk=100, workers=1)
     assert not list((tmp_path / "store").glob("*.part"))
     assert computed(tmp_path, tmp_path / "store") == 600
-
-
-def test_chunks_on_disk_are_not_more_than_a_folder_bears(tmp_path, monkeypatch):
-    monkeypatch.setattr(disk, "MAX_FILES", 10)
-    assert same(ensemble(ROWS, store=tmp_path / "store", chunk=3))
-    assert len(list((tmp_path / "store").glob("rows-*"))) == 10
-
-
-@pytest.mark.parametrize("name", ["a/b", "file", ".x", "a b"])
-def test_outputs_whose_names_would_collide_are_refused(name, tmp_path):
-    rows = type("Rows", (Waves,), {"outputs": {name: ("float64", ())}})()
-    with pytest.raises(ss.InputError, match="no store keeps"):
-        ensemble(rows, store=tmp_path / "store")
-    assert not (tmp_path / "store").exists()

@@ -65,18 +65,6 @@ def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
 
 
 @pytest.mark.long
-def test_a_kernel_is_never_compiled_where_it_runs(short_kernels):
-    """What was compiled in the process would give other last bits than what is loaded: the first run unlike the next."""
-    vehicle = random_vehicle(
-        np.random.default_rng(10), 1
-    )  # of a kind that no other test of this file has loaded
-    rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 1)))
-    k.run_rows(vehicle, rows, 1.0, direction_error=1e-2)
-    stats = ahead.ready_kernel(k.structure_of(vehicle, None, 0)).run.stats
-    assert sum(stats.cache_hits.values()) == 1 and not stats.cache_misses
-
-
-@pytest.mark.long
 def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, monkeypatch):
     monkeypatch.setattr(ahead.sys, "executable", str(short_kernels / "nowhere"))
     vehicle = random_vehicle(np.random.default_rng(9), 0)
@@ -91,7 +79,9 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
 )
 def test_the_compiler_is_the_same_whatever_is_imported_first(first):
     """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
-    assert target_after(f"sunspin.{first}") == target_after("sunspin.compute.compiler") != ""
+    assert (
+        target_after(f"sunspin.{first}") == target_after("sunspin.dynamics.ensemble.compiler") != ""
+    )
 
 
 @lru_cache

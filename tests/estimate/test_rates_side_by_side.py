@@ -1,8 +1,6 @@
-"""Passes estimated in one process or in several: the same result, the same effort, and an end at once when it is asked for."""
+"""Passes estimated in one process or in several: the same result and the same effort."""
 
-import time
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import active_children
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.effort import BATCH, Effort, may_go_on, spend
-from sunspin.estimate.rates.side_by_side import begun, each, processes
+from sunspin.estimate.rates.side_by_side import begun, each
 from validation.passes import FACES, seen, spin
 
 
@@ -45,21 +43,6 @@ def test_tasks_that_are_begun_are_done_before_they_are_taken_and_counted_then():
         with here:
             assert list(taken(here)) == [(2, False), (3, True)]
     assert here.spent == 5 * (1 + BATCH)
-
-
-def test_processes_end_with_an_error_at_once():
-    others, begin = set(active_children()), time.monotonic()
-    with pytest.raises(KeyboardInterrupt), processes(2) as pool, Effort(1.0) as spent:
-        running = pool.submit(time.sleep, 1000.0)
-        while not running.running():
-            time.sleep(0.05)
-        raise KeyboardInterrupt
-    assert time.monotonic() - begin < 60 and not set(active_children()) - others and not spent.cut
-
-
-def test_one_process_is_this_one():
-    with processes(1) as pool:
-        assert pool is None
 
 
 @pytest.mark.long

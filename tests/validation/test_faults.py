@@ -3,7 +3,6 @@
 import ast
 import json
 import os
-import random
 import resource
 import subprocess
 import sys
@@ -77,12 +76,11 @@ def test_a_folder_that_may_not_be_written_is_said(tmp_path):
     said(limited(resource.RLIMIT_CPU, 60, *given), "Permission denied")
 
 
-def begun(folder, process, token="0123456789abcdef"):
+def begun(folder, process):
     """What a process leaves that is killed while it writes a file."""
-    part = folder / f".sunspin-{process}-{token}.part"
+    part = folder / f".sunspin-{process}-0123456789abcdef.part"
     part.write_bytes(b"half")
-    (folder / f".sunspin-{process}.parts").write_text(f"{part.name}\n")
-    return {part, folder / f".sunspin-{process}.parts"}
+    return part
 
 
 def process_that_ended():
@@ -98,8 +96,7 @@ def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
     living = begun(folder, os.getppid())
     with pytest.raises(Exception, match="not empty"):
         results_folder(folder, "sun")
-    for path in living:
-        path.unlink()
+    living.unlink()
     results_folder(folder, "sun")
     assert [path.name for path in folder.iterdir()] == [".sunspin-results"]
 
@@ -114,51 +111,23 @@ def test_a_process_killed_while_it_writes_is_swept(tmp_path):
         subprocess.run([sys.executable, "-c", code, tmp_path / "out"], env=environment()).returncode
         == -9
     )
-    assert len(list((tmp_path / "out").iterdir())) == 3
+    assert len(list((tmp_path / "out").iterdir())) == 2
     results_folder(tmp_path / "out", "sun")
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".sunspin-results"]
 
 
 def test_only_our_own_files_are_removed(tmp_path):
-    """What is not listed stays, whatever it is called; a list of somebody else's cannot name other files."""
-    folder, rng, ended = (
-        results_folder(tmp_path / "out", "sun"),
-        random.Random(3),
-        process_that_ended(),
-    )
-    stems = (
-        ".thesis",
-        ".sun.nc",
-        "sun",
-        f".sunspin-{ended}",
-        f".sunspin-{ended}-{'0' * 16}",
-        ".sunspin",
-        ".sunspin-results",
-    )
-    theirs = [
-        folder / f"{rng.choice(stems)}.{rng.choice(['4000000', str(ended), '1', 'x'])}.part"
-        for _ in range(200)
-    ]
-    theirs += [
-        folder / f".sunspin-{ended}-{'f' * 16}.part",
-        tmp_path / "thesis.tex",
-        folder / "thesis.tex",
-    ]
+    """What has not our temporary name stays, and so does a link that has it."""
+    folder, ended = results_folder(tmp_path / "out", "sun"), process_that_ended()
+    stems = (".thesis", "sun", f".sunspin-{ended}", f".sunspin-{ended}-{'0' * 15}", ".sunspin")
+    theirs = [folder / f"{stem}.{end}part" for stem in stems for end in ("", "1.", f"{ended}.")]
+    theirs += [tmp_path / "thesis.tex", folder / "thesis.tex"]
     for path in theirs:
         path.write_bytes(b"mine")
-    listed = "\n".join(
-        ["../thesis.tex", "thesis.tex", *(path.name for path in theirs[:200]), str(theirs[-2])]
-    )
-    ours = begun(folder, ended)
-    with open(folder / f".sunspin-{ended}.parts", "a") as file:
-        file.write(listed)
+    link, ours = folder / f".sunspin-{ended}-{'f' * 16}.part", begun(folder, ended)
+    link.symlink_to(tmp_path / "thesis.tex")
     results_folder(folder, "sun")
-    assert all(path.read_bytes() == b"mine" for path in theirs) and not any(
-        path.exists() for path in ours
-    )
-    (folder / f".sunspin-{ended}.parts").symlink_to(tmp_path / "thesis.tex")
-    results_folder(folder, "sun")
-    assert (tmp_path / "thesis.tex").exists() and (folder / f".sunspin-{ended}.parts").is_symlink()
+    assert all(path.read_bytes() == b"mine" for path in (*theirs, link)) and not ours.exists()
 
 
 def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):

@@ -1,8 +1,4 @@
-"""Files that appear whole or not at all: written under a temporary name beside their place, then renamed.
-
-The temporary names of a process are listed in a file beside them before they come into being, so that a later run removes what a
-killed one left, and nothing else.
-"""
+"""Files that appear whole or not at all: written under a temporary name beside their place, then renamed; and locks."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ import os
 import re
 import secrets
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +15,6 @@ from sunspin.base.untrusted import is_own
 
 PART = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
 """A temporary name: the process that writes there, and what nobody guesses."""
-
-LIST = re.compile(r"\.sunspin-(\d{1,9})(?:-[0-9a-f]{16})?\.parts")
-"""A list of temporary names of a process; it is there while the process writes there."""
-
-MAX_LIST_BYTES = 1_000_000
 
 
 def make_folder(folder: Path) -> None:
@@ -36,37 +28,20 @@ def make_folder(folder: Path) -> None:
 def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file, then give it its name. Raises what `write` raises, and OSError."""
     part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
-    listed = part.with_suffix(
-        ".parts"
-    )  # one for each file: another thread's must stay listed while it is written
     try:
-        listed.write_text(f"{part.name}\n", "ascii")
         write(part)
-        with open(part, "rb") as file:
-            os.fsync(
-                file.fileno()
-            )  # or a power failure may leave an empty file under the final name
+        with open(part, "rb") as file:  # or a power failure may leave an empty file
+            os.fsync(file.fileno())
         os.replace(part, target)
     finally:
         part.unlink(missing_ok=True)
-        listed.unlink(missing_ok=True)
     return target
 
 
 def left(folder: Path) -> set[Path]:
-    """What killed runs had begun to write in a folder, with their lists: only what is listed, by a process that is no more."""
-    found: set[Path] = set()
-    for entry in folder.iterdir():
-        named = LIST.fullmatch(entry.name)
-        if named is not None and is_own(entry) and _is_over(int(named[1])):
-            with open(entry, "rb") as file:
-                names = file.read(MAX_LIST_BYTES).decode("ascii", "replace").splitlines()
-            ours = (PART.fullmatch(name) for name in names)
-            found |= {
-                entry,
-                *(folder / part[0] for part in ours if part is not None and part[1] == named[1]),
-            }
-    return found
+    """What killed runs had begun to write in a folder: files with a temporary name of a process that is no more."""
+    names = ((entry, PART.fullmatch(entry.name)) for entry in folder.iterdir())
+    return {entry for entry, name in names if name and is_own(entry) and _is_over(int(name[1]))}
 
 
 def _is_over(process: int) -> bool:
@@ -83,3 +58,20 @@ def sweep(folder: Path) -> None:
     """Remove what killed runs had begun to write in a folder."""
     for entry in left(folder):
         entry.unlink(missing_ok=True)
+
+
+def hold(file: Any) -> None:
+    """Hold an open file alone until it is closed; `BlockingIOError` where another process holds it.
+
+    The system lets go of it when the process ends, however it ends.
+    """
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # Windows
+        msvcrt: Any = import_module("msvcrt")
+        try:
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError as error:
+            raise BlockingIOError(*error.args) from None
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -134,7 +134,7 @@ def rates(
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """
-    from sunspin.compute.rows import worker_count
+    from sunspin.compute.pool import worker_count
     from sunspin.estimate.orbit.judged import elements_of
     from sunspin.estimate.rates.estimate import rates as run
     from sunspin.output.check.orbit import orbit_used

@@ -19,30 +19,19 @@ SMALL = 16
 
 
 def plain(value: Any) -> Any:
-    """Data as JSON knows it: large arrays become their shape, type and SHA-256, small ones lists, data classes objects, without
-    their fields `unsaid` where those say nothing: newer ones, whose absence keeps the identity that stored results have."""
+    """Data as JSON knows it: large arrays as their shape, type and SHA-256, data classes as the fields that they are made from."""
     if is_dataclass(value) and not isinstance(value, type):
-        beside, unsaid = (getattr(value, name, ()) for name in ("beside", "unsaid"))
-        said = {
-            field.name: getattr(value, field.name)
-            for field in fields(value)
-            if field.name not in beside
-        }
-        return {
-            name: plain(item)
-            for name, item in said.items()
-            if name not in unsaid or isinstance(item, np.ndarray) or item
-        }
+        return {x.name: plain(getattr(value, x.name)) for x in fields(value) if x.init}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, np.ndarray) and value.size <= SMALL:
-        return plain(value.tolist())
-    if isinstance(value, np.ndarray):
-        return {"dtype": str(value.dtype), "shape": list(value.shape), "sha256": bits(value)}
-    if isinstance(value, np.generic):
-        return plain(value.item())
+    if hasattr(value, "__array__"):
+        array = np.asarray(value)
+        if array.size <= SMALL:
+            return plain(array.tolist())
+        digest = hashlib.sha256(np.ascontiguousarray(array).view(np.uint8).data).hexdigest()
+        return {"dtype": str(array.dtype), "shape": list(array.shape), "sha256": digest}
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, float) and not np.isfinite(value):
@@ -52,19 +41,10 @@ def plain(value: Any) -> Any:
     raise TypeError(f"no identity is known for {type(value).__name__}")
 
 
-def bits(*arrays: np.ndarray) -> str:
-    """SHA-256 over the bytes of arrays, as hexadecimal digits."""
-    found = hashlib.sha256()
-    for array in arrays:
-        found.update(np.ascontiguousarray(array).view(np.uint8).data if array.size else b"")
-    return found.hexdigest()
-
-
-def fingerprint(identity: Mapping[str, Any]) -> str:
-    """SHA-256 of an identity, whatever the order of its keys."""
-    return hashlib.sha256(
-        json.dumps(identity, sort_keys=True, separators=(",", ":")).encode()
-    ).hexdigest()
+def fingerprint(value: Any) -> str:
+    """SHA-256 of data, whatever the order of keys."""
+    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
@@ -73,8 +53,5 @@ def code() -> dict[str, str]:
     digest, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return {
-        "sunspin": metadata.version("sunspin"),
-        "code_sha256": digest.hexdigest(),
-        "numba": metadata.version("numba"),
-    }
+    versions = {name: metadata.version(name) for name in ("sunspin", "numba")}
+    return {**versions, "code_sha256": digest.hexdigest()}

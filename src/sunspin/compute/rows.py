@@ -1,26 +1,28 @@
-"""Many rows: a pure function of row numbers, run in chunks by any executor of concurrent.futures, kept on disk if wanted.
+"""Many rows: a pure function of row numbers, computed in chunks by threads or a cluster, kept on disk if wanted.
 
-The kernels release the GIL, so threads are enough on one machine; a Dask cluster is reached through Dask's own executor. Only
-the calling thread writes the result: memory is the result plus the chunks in flight. What a row gives does not depend on how
-rows are cut into chunks, on the number of workers, on where they run (as long as the machines compute alike) or on how often
-the run was killed and resumed.
+The kernels release Python's lock, so that threads are enough on one machine. Only the calling thread writes the result: memory
+is the result and the chunks in flight. A row is the same to 1e-9 for any chunks, workers and machines, resumed or not.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack, closing
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError, Interrupted, sentence
-from sunspin.compute.pieces import Piece, Place, RowFunction, Values, run_piece
+from sunspin.compute.pool import whole, worker_count
+from sunspin.compute.store import open_store
+
+Values = dict[str, np.ndarray]
 
 CHUNK = 8192
 """Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
@@ -28,28 +30,26 @@ CHUNK = 8192
 LEAST_CHUNK = 64
 """Chunks are not made smaller than this so that all workers have one: two blocks of lanes."""
 
-SLOTS = 2
-"""Pieces in flight for each worker: the next one is there when one ends."""
+IN_FLIGHT = 2
+"""Chunks in flight for each thread: the next one is there when one ends."""
 
 MEMORY_SHARE = 0.5
 """Of the machine's memory that results may take."""
 
 
-def worker_count(workers: int | None) -> int:
-    """The number of threads to use: as asked, else one per core that this process may use."""
-    if workers is None:
-        return (
-            len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else os.cpu_count() or 1
-        )
-    return _whole("workers", workers)
+class RowFunction(Protocol):
+    """A pure function of row numbers, called by several threads at once.
 
+    A frozen dataclass of plain data, on whose fields its rows depend (:func:`sunspin.compute.identity.plain`). It is sent to
+    other processes and compiles there what it needs. `outputs`: name of each result -> its dtype (numbers or truth values)
+    and its shape beyond the rows. Called with row numbers (n), it returns each of them with shape (n, ...).
+    """
 
-def _whole(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(sentence(f"{name} must be a positive whole number", got=value))
-    return int(value)
+    @property
+    def n_rows(self) -> int: ...
+    @property
+    def outputs(self) -> Mapping[str, tuple[str, tuple[int, ...]]]: ...
+    def __call__(self, index: np.ndarray) -> Values: ...
 
 
 def ensemble(
@@ -61,220 +61,95 @@ def ensemble(
     scheduler: Any = None,
     progress: bool = False,
     label: str = "rows",
-    index: npt.ArrayLike | None = None,
 ) -> Values:
-    """All rows of a function, or some.
+    """All rows of a function: a dict of arrays, each (n_rows, ...).
 
     Parameters
     ----------
-    function : RowFunction
     workers : int, optional
-        Threads on this machine, worker processes of a "local" cluster, or workers that an executor has; default one per core.
+        Threads on this machine, or worker processes of a "local" cluster; default one per core.
     chunk : int
-        Rows per call of the function, at most: fewer where some workers would have none. A new store is cut into pieces of this
-        size too, and keeps that size: it is what an interruption can cost, per worker.
+        Rows per call of the function, at most. An interruption costs the chunks in flight.
     store : path, optional
-        A folder in which finished chunks are kept. The same call resumes there after any interruption, be it
-        kill -9 or a power failure; once complete it is simply read. The folder must be new, empty or of the same
-        inputs.
-    scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
+        A folder, new or empty, in which finished chunks are kept: the same call resumes there after any interruption, be it
+        kill -9 or a power failure; once complete it is simply read.
+    scheduler : "local", address or dask.distributed.Client, optional
         Run on a Dask cluster: "local" starts worker processes on this machine (the script that asks for it needs
-        `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed. An
-        executor runs the rows as it runs anything else and is not shut down.
+        `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed.
     progress : bool
         Show a progress bar on a terminal, called `label`.
-    index : list of row numbers, optional
-        Run only these rows, alone.
-
-    Returns
-    -------
-    dict of arrays, each (n_rows, ...) or (len(index), ...).
 
     Raises
     ------
     InputError
-        For arguments that make no sense, a store of other inputs, a cluster that does not answer.
+        Arguments that make no sense, a store of other inputs, a cluster that does not answer.
     Interrupted
         After Ctrl-C; its text says what was kept. Whatever the function raises comes through at once.
     """
-    n_workers, chunk = worker_count(workers), _whole("chunk", chunk)
-    rows = None if index is None else _row_numbers(index, function.n_rows)
-    if rows is not None and store is not None:
-        raise InputError(
-            sentence("single rows are not kept in a store", do="leave out either index or store")
-        )
-    n = function.n_rows if rows is None else len(rows)
-    _check_memory(n, function.outputs)
-    chunk = min(chunk, max(LEAST_CHUNK, -(-n // n_workers)))
-    out = {name: np.zeros((n, *shape), dtype) for name, (dtype, shape) in function.outputs.items()}
-    taker = _Taker(function, out, store)
+    n_workers, chunk, n_rows = worker_count(workers), whole("chunk", chunk), function.n_rows
+    if scheduler is not None and find_spec("distributed") is None:
+        what = "a scheduler needs Dask, which is not installed"
+        raise InputError(sentence(what, do='pip install "sunspin[cluster]"'))
+    outputs = function.outputs.items()
+    size = n_rows * sum(np.dtype(kind).itemsize * int(np.prod(s)) for _, (kind, s) in outputs)
+    if hasattr(os, "sysconf"):
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if size > MEMORY_SHARE * memory:
+            what = f"the results of {n_rows:.3g} rows would take {size / 1e9:.2g} GB of memory"
+            got = f"a machine with {memory / 1e9:.2g} GB"
+            raise InputError(sentence(what, got=got, do="ask for fewer rows"))
+    out = {name: np.zeros((n_rows, *shape), kind) for name, (kind, shape) in outputs}
+    chunk = min(chunk, max(LEAST_CHUNK, -(-n_rows // n_workers)))
+    chunks = (slice(k, min(k + chunk, n_rows)) for k in range(0, n_rows, chunk))
+    save, done = None, 0
+    bar: dict[str, Any] = {"desc": label, "unit": "row", "unit_scale": True, "leave": False}
+    bar["disable"] = None if progress else True  # None: shown on a terminal only
     try:
         with ExitStack() as stack:
-            missing = [(0, n)] if n else []
-            if store is not None and n:
-                from sunspin.compute.store import open_store
+            if store is not None and n_rows:
+                save, missing = stack.enter_context(open_store(store, function, chunk, out))
+                chunks, done = iter(missing), n_rows - sum(c.stop - c.start for c in missing)
+            shown = stack.enter_context(tqdm(total=n_rows, initial=done, **bar))
+            if scheduler is None or done == n_rows:
+                computed = _on_threads(function, chunks, n_workers)
+            else:
+                from sunspin.compute.cluster import on_cluster
 
-                taker.kept, missing = stack.enter_context(open_store(store, function, chunk, out))
-            taker.rows = n - sum(stop - start for start, stop in missing)
-            hidden = None if progress else True  # None: shown on a terminal only
-            taker.bar = stack.enter_context(
-                tqdm(
-                    total=n,
-                    initial=taker.rows,
-                    unit="row",
-                    unit_scale=True,
-                    desc=label,
-                    disable=hidden,
-                    leave=False,
-                )
-            )
-            if missing:
-                place = stack.enter_context(_place(function, scheduler, n_workers))
-                _run(place, rows, _pieces(missing, chunk), taker)
+                computed = on_cluster(function, chunks, scheduler, n_workers)
+            for rows, values in stack.enter_context(closing(computed)):
+                given = {name: (v.dtype.str, v.shape) for name, v in values.items()}
+                wanted = {name: (v.dtype.str, v[rows].shape) for name, v in out.items()}
+                if given != wanted:
+                    what = f"the row function must return {wanted}"
+                    raise InputError(sentence(what, got=str(given)))
+                for name, array in values.items():
+                    out[name][rows] = array
+                if save is not None:
+                    save(rows)
+                done += rows.stop - rows.start
+                shown.update(rows.stop - rows.start)
     except KeyboardInterrupt:
-        raise Interrupted(taker.interrupt_message()) from None
+        what = f"interrupted, {done} of {n_rows} rows are done and kept in {store}"
+        do = "run the same command again to resume"
+        if store is None:
+            what = f"interrupted after {done} of {n_rows} rows, of which nothing is kept without a store"
+            do = "give one to be able to resume"
+        raise Interrupted(sentence(what, do=do)) from None
     return out
 
 
-def _check_memory(n_rows: int, outputs: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
-    """Refuse results that this machine cannot hold, with an estimate, rather than have it end for lack of memory."""
-    row = sum(
-        np.dtype(dtype).itemsize * int(np.prod(shape, dtype=int))
-        for dtype, shape in outputs.values()
-    )
-    there = (
-        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if hasattr(os, "sysconf")
-        else np.inf
-    )
-    if n_rows * row > MEMORY_SHARE * there:
-        raise InputError(
-            sentence(
-                f"the results of {n_rows:.3g} rows would take {n_rows * row / 1e9:.2g} GB of memory",
-                got=f"a machine with {there / 1e9:.2g} GB",
-                do="ask for fewer rows",
-            )
-        )
-
-
-def _row_numbers(index: npt.ArrayLike, n_rows: int) -> np.ndarray:
-    try:
-        rows = np.atleast_1d(np.asarray(index))
-    except ValueError:  # lists of unequal length
-        rows = np.empty((0, 0))
-    whole = rows.ndim == 1 and (rows.size == 0 or rows.dtype.kind in "iu")
-    if not whole or np.any((rows < 0) | (rows >= n_rows)):
-        raise InputError(
-            sentence(f"index must be a list of row numbers from 0 to {n_rows - 1}", got=str(index))
-        )
-    return rows.astype(np.int64)
-
-
-def _pieces(missing: list[Piece], chunk: int) -> Iterator[Piece]:
-    for start, stop in missing:
-        for low in range(start, stop, chunk):
-            yield low, min(low + chunk, stop)
-
-
-class _Taker:
-    """Puts results in their places, in memory and on disk, and knows how many rows are done."""
-
-    def __init__(self, function: RowFunction, out: Values, store: Any) -> None:
-        self.n_rows, self.outputs, self.out, self.store = (
-            function.n_rows,
-            function.outputs,
-            out,
-            store,
-        )
-        self.kept: Any = None
-        self.bar: Any = None
-        self.rows = 0
-
-    def __call__(self, piece: Piece, values: Values) -> None:
-        start, stop = piece
-        if set(values) != set(self.outputs):
-            raise InputError(
-                sentence(
-                    f"the row function must return {sorted(self.outputs)}", got=str(sorted(values))
-                )
-            )
-        for name, array in values.items():
-            target, given = self.out[name][start:stop], np.asarray(array)
-            if given.shape != target.shape or given.dtype != target.dtype:
-                wanted = f"{target.dtype} of shape {target.shape}"
-                raise InputError(
-                    sentence(
-                        f"the row function must return {name} as {wanted}",
-                        got=f"{given.dtype} of shape {given.shape}",
-                    )
-                )
-            target[...] = given
-        if self.kept is not None:
-            self.kept.filled(start, stop, self.out)
-        self.rows += stop - start
-        self.bar.update(stop - start)
-
-    def interrupt_message(self) -> str:
-        """What an interrupted run leaves behind, and how to go on."""
-        if self.store is None:
-            done = f"interrupted after {self.rows} of {self.n_rows} rows, of which nothing is kept without a store"
-            return sentence(done, do="give one to be able to resume")
-        rows = 0 if self.kept is None else self.kept.rows_kept
-        done = f"interrupted, {rows} of {self.n_rows} rows are done and kept in {self.store}"
-        return sentence(done, do="run the same command again to resume")
-
-
-def _run(place: Place, rows: np.ndarray | None, pieces: Iterator[Piece], take: _Taker) -> None:
-    """Keep `place.slots` pieces in flight until all are taken. Ctrl-C keeps what this machine finishes soon."""
-    pending: dict[Future, Piece] = {}
+def _on_threads(
+    function: RowFunction, chunks: Iterator[slice], n_workers: int
+) -> Generator[tuple[slice, Values]]:
+    """Each chunk of rows with its results, as threads of this process finish them."""
+    pool, running = ThreadPoolExecutor(n_workers, "sunspin"), dict[Future[Values], slice]()
     try:
         while True:
-            while len(pending) < place.slots and (piece := next(pieces, None)) is not None:
-                some, span = (
-                    (None, piece)
-                    if rows is None
-                    else (rows[slice(*piece)], (0, piece[1] - piece[0]))
-                )
-                pending[place.executor.submit(run_piece, place.function, some, span)] = piece
-            if not pending:
+            for rows in islice(chunks, IN_FLIGHT * n_workers - len(running)):
+                running[pool.submit(function, np.arange(rows.start, rows.stop))] = rows
+            if not running:
                 return
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                take(pending.pop(future), future.result())
-    except KeyboardInterrupt:
-        running = place.abandon(pending)
-        for future in wait(running).done:
-            if future.exception() is None:
-                take(pending[future], future.result())
-        raise
-    except BaseException:
-        place.abandon(
-            pending
-        )  # what is running ends unheard: waiting for it would hold back the error
-        raise
-
-
-@contextmanager
-def _place(function: RowFunction, scheduler: Any, n_workers: int) -> Generator[Place]:
-    """Where the pieces run; what is opened for it here is closed with it."""
-    if isinstance(scheduler, Executor):
-        yield Place(scheduler, SLOTS * n_workers, function)
-    elif scheduler is None:
-        pool = ThreadPoolExecutor(n_workers, thread_name_prefix="sunspin")
-        try:
-            yield Place(pool, SLOTS * n_workers, function)
-        finally:
-            pool.shutdown(wait=False)
-    else:
-        try:
-            from sunspin.compute.cluster import on_cluster
-        except ModuleNotFoundError as error:
-            if error.name not in ("dask", "distributed"):
-                raise
-            raise InputError(
-                sentence(
-                    "a scheduler needs Dask, which is not installed",
-                    do='pip install "sunspin[cluster]"',
-                )
-            ) from None
-        with on_cluster(function, scheduler, n_workers) as place:
-            yield place
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()
+    finally:  # what still runs ends unheard: to wait for it would hold back an error
+        pool.shutdown(wait=False, cancel_futures=True)

@@ -24,7 +24,7 @@ the template, skCUBE and four faces: of smoothing and shooting, of few and of ma
 
 
 class _Bar(tqdm):
-    """Without a thread that watches it: beside another thread no process is copied (:mod:`sunspin.compute.copies`)."""
+    """Without a thread that watches it: beside another thread no process is copied (:mod:`sunspin.compute.pool`)."""
 
     monitor_interval = 0
 

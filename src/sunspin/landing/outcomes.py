@@ -15,7 +15,6 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
@@ -183,10 +182,6 @@ class OutcomeRows:
         """From where the flattest landing's farthest point could touch to where its centre would, in s."""
         reach = 0.0 if self.shape is None else self.shape.reach_m
         return 1.02 * reach / (sc.STEEPEST_SINE * self.scenario.landing_speed_m_s) + 1.0
-
-    def identity(self) -> dict[str, Any]:
-        parts = ("vehicle", "scenario", "strategy", "candidates", "n", "seed")
-        return {**code(), **{name: plain(getattr(self, name)) for name in parts}}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         draw = sc.draws(self.seed, index)

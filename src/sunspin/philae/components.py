@@ -7,11 +7,9 @@ calibrated on the same synthetic rebounds. What a component says is what its set
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.mask import allows
@@ -63,15 +61,6 @@ class ComponentRows:
     @property
     def n_rows(self) -> int:
         return len(self.states)
-
-    def identity(self) -> dict[str, Any]:
-        return {
-            **code(),
-            "rows": "histograms of all components",
-            "vehicle": plain(self.vehicle),
-            "duration_s": self.duration_s,
-            "mask": plain(self.mask),
-        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         t = np.arange(STEP_S, self.duration_s + STEP_S / 2, STEP_S)

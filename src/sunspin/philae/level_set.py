@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.compute.rows import worker_count
+from sunspin.compute.pool import worker_count
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.compute.rows import worker_count
+from sunspin.compute.pool import worker_count
 from sunspin.estimate.scan.lines import point_at
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.landing.outcomes import outcomes

@@ -16,7 +16,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, MotionError, TelemetryError, sentence
-from sunspin.compute.rows import worker_count
+from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
 from sunspin.landing.outcomes import BINS as OUTCOME_BINS

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -249,9 +249,6 @@ class TargetRows:
     @property
     def n_rows(self) -> int:
         return len(self.targets)
-
-    def identity(self) -> dict[str, Any]:
-        return {**self.table.rows.identity(), "targets": plain(self.targets)}
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         fine = self.table.outcome == k.Outcome.FINE

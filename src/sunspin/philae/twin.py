@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError, SunspinError, sentence
 from sunspin.base.provenance import version
-from sunspin.compute.campaign import command
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.philae.twin_philae import philae_twin
 from sunspin.telemetry.case import Case, case_names, load_case
@@ -69,8 +68,7 @@ def twin(
     return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
 
 
-@command
-def main(arguments: list[str] | None = None) -> None:
+def main(arguments: list[str] | None = None) -> int:
     """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
     parser.add_argument(
@@ -96,34 +94,41 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--case", default="philae", choices=case_names())
     parser.add_argument("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
-    case = load_case(given.case)
-    turns = {
-        name: value
-        for name, value in (("tilt", given.tilt), ("turn", given.turn))
-        if value is not None
-    }
-    asked = "".join(f" --{name} {value:g}" for name, value in turns.items()) + " --no-rest-seen" * (
-        not given.rest_seen
-    )
-    keys = {"tilt": "tilt_rad", "turn": "turned_rad"}
-    radians: dict[str, Any] = {
-        keys[name]: float(np.radians(value)) for name, value in turns.items()
-    }
-    telemetry = twin(case, seed=given.seed, rest_seen=given.rest_seen, **radians)
-    comments = [
-        f"synthetic: not measured; made by sunspin {version()} from published facts",
-        f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",
-    ]
-    more = [
-        "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
-    ]
-    write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
-    about = [
-        f"The truth behind {given.out.name}; see sunspin.philae.twin_philae for how each part was chosen."
-    ]
-    write_new(
-        given.out.parent / "twin_truth.toml", truth_text(telemetry, comments + about), given.force
-    )
+    try:
+        case = load_case(given.case)
+        turns = {
+            name: value
+            for name, value in (("tilt", given.tilt), ("turn", given.turn))
+            if value is not None
+        }
+        asked = "".join(
+            f" --{name} {value:g}" for name, value in turns.items()
+        ) + " --no-rest-seen" * (not given.rest_seen)
+        keys = {"tilt": "tilt_rad", "turn": "turned_rad"}
+        radians: dict[str, Any] = {
+            keys[name]: float(np.radians(value)) for name, value in turns.items()
+        }
+        telemetry = twin(case, seed=given.seed, rest_seen=given.rest_seen, **radians)
+        comments = [
+            f"synthetic: not measured; made by sunspin {version()} from published facts",
+            f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",
+        ]
+        more = [
+            "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
+        ]
+        write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
+        about = [
+            f"The truth behind {given.out.name}; see sunspin.philae.twin_philae for how each part was chosen."
+        ]
+        write_new(
+            given.out.parent / "twin_truth.toml",
+            truth_text(telemetry, comments + about),
+            given.force,
+        )
+    except SunspinError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":

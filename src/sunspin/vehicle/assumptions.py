@@ -70,8 +70,6 @@ class Assumptions(Part):
     collision: Collision = Collision()
     changes: tuple[Any, ...] = ()
 
-    beside = ("changes",)
-
 
 @part
 class AssumptionsFile(Part):

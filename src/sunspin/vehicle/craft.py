@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field, replace
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, PlainValidator, StrictBool, ValidationInfo
@@ -80,13 +80,6 @@ class TelemetryForm(Part):
     and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept beside its own time.
     `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
     """
-
-    unsaid: ClassVar[tuple[str, ...]] = (
-        "throttled",
-        "offset_s",
-        "averaged_s",
-        "receive_time_column",
-    )
 
     quantity: Literal["power_W", "current_A"] = "power_W"
     time_column: Name = "time"
@@ -204,8 +197,6 @@ class Vehicle(Part):
     them says so. `changes`: what was set for this run beside the file (:mod:`sunspin.vehicle.changes`), for results to say.
     """
 
-    unsaid: ClassVar[tuple[str, ...]] = ("channels",)
-
     name: Name
     inertia_kg_m2: Inertia | None = None
     mass_kg: Mass | None = None
@@ -223,8 +214,6 @@ class Vehicle(Part):
     channels: tuple[Channel, ...] = ()
     facts: Facts = field(default_factory=no_entries)
     changes: tuple[Any, ...] = ()
-
-    beside: ClassVar[tuple[str, ...]] = ("changes",)
 
     def __post_init__(self) -> None:
         for key, most in LIMITS.items():

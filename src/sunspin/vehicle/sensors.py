@@ -7,7 +7,7 @@ A minus before a column of three (`"-wx"`) says that the sensor's axis points ag
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
@@ -332,8 +332,6 @@ class Clock(Part):
 @part
 class Sensors(Part):
     """All of these; what is absent is empty or None."""
-
-    unsaid: ClassVar[tuple[str, ...]] = ("sun_vector",)
 
     sun_sensors: tuple[SunSensor, ...] = ()
     sun_vector: SunVector | None = None

@@ -7,7 +7,6 @@ numbers of principal.py for distributions (deposit.py). compiled.py puts it into
 files and has it compiled, once for each structure.
 """
 
-from sunspin.compute.compiler import vector_bits
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble.ahead import compile_all
 from sunspin.dynamics.ensemble.codegen import RowLayout
@@ -42,6 +41,5 @@ __all__ = [
     "run_rows",
     "structure_of",
     "structures",
-    "vector_bits",
     "work_array",
 ]

@@ -1,9 +1,7 @@
 """Kernels are compiled in processes of their own, before they are needed where that is known.
 
 Compilation takes ten to twenty seconds of one core for each structure, and numba compiles one function at a time in a process;
-the disk cache carries the machine code over. What a process has compiled itself differs from what is loaded: helpers that it
-has compiled singly take the place of those compiled into the kernel, with sums contracted otherwise. So kernels are always
-loaded, and give the same result in the first run as in the next.
+the disk cache carries the machine code over.
 """
 
 from __future__ import annotations
@@ -21,13 +19,14 @@ from typing import IO
 
 import numpy as np
 
+from sunspin.base.atomic_write import hold
 from sunspin.base.cache import is_writable
 from sunspin.base.errors import OutputError, sentence
-from sunspin.compute.store import hold
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
 
 _lock = threading.Lock()
+_over = threading.Event()
 _under_way: dict[Path, subprocess.Popen] = {}
 _ready: set[Path] = set()
 """Modules known to be on disk with their machine code: a kernel is asked for before every piece of a run."""
@@ -66,24 +65,24 @@ def _begin(paths: list[Path]) -> None:
         todo = [path for path in paths if path not in _under_way and not is_kept(path)]
         if not todo or not sys.executable:
             return
+        if not _under_way:  # called before Python waits for threads, which may wait for a kernel
+            getattr(threading, "_register_atexit", atexit.register)(_stop)
         nothing = subprocess.DEVNULL
         try:
-            process = subprocess.Popen(
-                _command(todo), stdin=nothing, stdout=nothing, stderr=nothing
-            )
+            code = f"from {__name__} import main; main()"
+            command = [sys.executable, "-c", code, *map(str, todo)]
+            process = subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing)
         except OSError:
             return  # then they are compiled here, when they are needed
         _under_way.update(dict.fromkeys(todo, process))
-        atexit.register(_stop, process)
 
 
-def _command(paths: Iterable[Path | str]) -> list[str]:
-    return [sys.executable, "-c", f"from {__name__} import main; main()", *map(str, paths)]
-
-
-def _stop(process: subprocess.Popen) -> None:
-    process.kill()
-    process.wait()
+def _stop() -> None:
+    """As this process ends, after Ctrl-C perhaps: the kernels are not wanted any more."""
+    _over.set()
+    for process in set(_under_way.values()):
+        process.kill()
+        process.wait()
 
 
 def ready_kernel(structure: c.Structure) -> ModuleType:
@@ -95,6 +94,8 @@ def ready_kernel(structure: c.Structure) -> ModuleType:
         process = _under_way.get(path)
         while process is not None and process.poll() is None and not is_kept(path):
             time.sleep(POLL_S)
+        if _over.is_set():
+            raise RuntimeError("the process ends")
         _ready.add(path)
     return module
 
@@ -109,23 +110,16 @@ def _path(module: ModuleType) -> Path:
 
 
 def main() -> None:
-    """In the other process: compile the generated module at the first path, then begin afresh with the rest.
-
-    What is compiled may hang, in its last bits, on what the process has compiled before. Of several processes that want the
-    same kernel one compiles it and the others wait for it.
-    """
-    path, *rest = sys.argv[1:]
-    with open(path, "rb") as file:
-        _wait_for_others(file)
-        if not is_kept(Path(path)):
-            compile_run(loaded(Path(path).stem, path))
-    if rest:
-        os.execv(sys.executable, _command(rest))
+    """In the other process: compile the generated modules at these paths, each unless another process does so by now."""
+    for path in map(Path, sys.argv[1:]):
+        with open(path, "rb") as file:
+            _wait_for_others(file)
+            if not is_kept(path):
+                compile_run(loaded(path.stem, path))
 
 
 def _wait_for_others(file: IO) -> None:
-    """Lock a generated module until the file is closed. On a file system without locks, and after a while, go on: the kernel is
-    then compiled twice, which costs time and nothing else."""
+    """Lock a generated module until its file is closed, or go on after a while: a second compilation costs time only."""
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         try:
@@ -140,17 +134,5 @@ def _wait_for_others(file: IO) -> None:
 def compile_run(module: ModuleType) -> None:
     """Compile the entry of a generated module for the types of `run.launch`."""
     real, whole, single = (np.zeros(0, dtype) for dtype in (np.float64, np.int64, np.float32))
-    table = np.zeros((0, 0, 0))
-    module.run(
-        np.zeros((0, 0)),
-        whole,
-        table,
-        single,
-        whole,
-        real,
-        whole,
-        np.zeros((0, 0), np.float32),
-        table,
-        whole,
-        real,
-    )
+    plane, table, hist = np.zeros((0, 0)), np.zeros((0, 0, 0)), np.zeros((0, 0), np.float32)
+    module.run(plane, whole, table, single, whole, real, whole, hist, table, whole, real)

@@ -15,7 +15,8 @@ import numpy as np
 from sunspin.base.lazy import lazy
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.ensemble.codegen import assignments
-from sunspin.dynamics.ensemble.compiled import compiler, kept_text, module_of, template
+from sunspin.dynamics.ensemble.compiled import kept_text, module_of, template
+from sunspin.dynamics.ensemble.compiler import compiler
 from sunspin.dynamics.torques.acting import Torque, directions_of, n_carried, n_parameters, outside
 from sunspin.solve.linear import symmetric_inverse
 

@@ -6,7 +6,7 @@
 
 import numpy as np
 
-from sunspin.compute.compiler import njit
+from sunspin.dynamics.ensemble.compiler import njit
 
 N_STATE = "N_STATE"
 

@@ -23,10 +23,10 @@ from typing import Any
 
 from sunspin.base.atomic_write import write_whole
 from sunspin.base.cache import is_writable
-from sunspin.compute.compiler import target
 from sunspin.compute.identity import code
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import series_lanes
+from sunspin.dynamics.ensemble.compiler import compiler
 from sunspin.dynamics.ensemble.deposit import deposit_body, signed_body
 from sunspin.dynamics.ensemble.lanes import LANE_WHEEL_ROWS, NODE_ROWS, Lanes
 from sunspin.dynamics.ensemble.series_lanes import ORDER, SeriesLanes
@@ -51,18 +51,7 @@ OUTCOME_TEXT = {
     Outcome.NOT_FINITE: "the motion left the range of numbers",
 }
 
-
-NOT_IN_ALL = (
-    "S_SPIN",
-    "S_INVERSE",
-    "S_DIFFERENCE",
-    "S_HELD",
-    "S_AXES",
-    "S_LOW",
-    "S_WEAR",
-    "S_SPEEDS",
-    "S_SIZE",
-)
+NOT_IN_ALL = "S_SPIN S_INVERSE S_DIFFERENCE S_HELD S_AXES S_LOW S_WEAR S_SPEEDS S_SIZE".split()
 """Rows that only one of the methods has."""
 
 METHODS: dict[str, type[Lanes]] = {"series": SeriesLanes, "split": SplitLanes}
@@ -208,11 +197,6 @@ def kept_text(made_from: tuple[Any, ...], make: Callable[[], str]) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-def compiler() -> str:
-    """What machine code is made by and for."""
-    return " ".join((str(sys.implementation.cache_tag), metadata.version("numba"), *target()))
 
 
 def module_of(text: str, made_by: str) -> ModuleType:

@@ -8,7 +8,7 @@
 import math
 
 import numpy as np
-from sunspin.compute.compiler import njit
+from sunspin.dynamics.ensemble.compiler import njit
 
 FLOAT = "FLOAT"
 LANES = "LANES"

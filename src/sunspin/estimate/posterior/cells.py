@@ -14,23 +14,32 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from inspect import getsource
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.compute.compiler import compiled_with
 from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics.ensemble.compiler import njit
 from sunspin.estimate.posterior import light
 from sunspin.estimate.posterior.data import Readings
-from sunspin.estimate.posterior.fit import asked
 from sunspin.estimate.posterior.light import between, light_of, nearest_node, nodes, seen
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
 
-jit = compiled_with(light)
+
+def jit(function: Any) -> Any:
+    """Compile a function and keep it until this file or that of the compiled functions it calls (`light`) changes: of itself numba
+    looks at a function's own file only."""
+    compiled: Any = njit(nogil=True, cache=True)(function)
+    if hasattr(compiled, "_cache"):  # numba may be told not to compile
+        file = compiled._cache._cache_file
+        file._source_stamp = (file._source_stamp, getsource(light))
+    return compiled
+
 
 TURN = 1.6
 """rad by which neighbours of the grid differ at the farthest of the samples tried; interpolated rotations then err by 0.05."""
@@ -166,9 +175,6 @@ class Attitudes:
     @property
     def n_rows(self) -> int:
         return len(self.places)
-
-    def identity(self) -> dict[str, Any]:
-        return asked(self)
 
     def rates(self, places: np.ndarray) -> np.ndarray:
         """Rates (n, 3) at places of the cube; halves and quarters between points are made by the caller."""

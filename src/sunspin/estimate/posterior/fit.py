@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.compute.identity import code, plain
 from sunspin.estimate.posterior.family import apart
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State
@@ -41,14 +40,6 @@ def chunk_rows(likelihood: Likelihood) -> int:
     return int(np.clip(READINGS_AT_ONCE // max(size, 1), 8, 1024))
 
 
-def asked(function: Any) -> dict[str, Any]:
-    """The identity of a function of rows: code, and all that it is made of."""
-    return {
-        **code(),
-        type(function).__name__.lower(): plain(function),
-    }
-
-
 class Begun(NamedTuple):
     """States near those that a fit begins with, a state for each, their derivatives (n, 5 + moving, seen, 3), and what is seen."""
 
@@ -67,9 +58,6 @@ class OfStates:
     @property
     def n_rows(self) -> int:
         return len(self.state)
-
-    def identity(self) -> dict[str, Any]:
-        return asked(self)
 
 
 @dataclass(frozen=True)
@@ -132,9 +120,6 @@ class Fit:
             if self.curved
             else out
         )
-
-    def identity(self) -> dict[str, Any]:
-        return asked(self)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         search = _Search(

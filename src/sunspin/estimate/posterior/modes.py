@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.rows import ensemble, worker_count
+from sunspin.compute.pool import worker_count
+from sunspin.compute.rows import ensemble
 from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt

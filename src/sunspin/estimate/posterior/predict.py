@@ -13,7 +13,6 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
-from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
@@ -98,13 +97,6 @@ class AtTimes:
     @property
     def n_rows(self) -> int:
         return len(self.rows)
-
-    def identity(self) -> dict[str, Any]:
-        parts = ("vehicle", "rows", "ends_s", "wheel_mode", "acting")
-        return {
-            **code(),
-            **{name: plain(getattr(self, name)) for name in parts},
-        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         run = k.run_rows(

@@ -13,8 +13,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.copies import may_copy
-from sunspin.compute.rows import worker_count
+from sunspin.compute.pool import may_fork, processes, worker_count
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
@@ -62,7 +61,7 @@ from sunspin.estimate.rates.result import (
     verdict,
 )
 from sunspin.estimate.rates.rough import roughly
-from sunspin.estimate.rates.side_by_side import begun, each, processes
+from sunspin.estimate.rates.side_by_side import begun, each
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion, Observations, Track
@@ -499,7 +498,7 @@ def _useful(
     """Processes of use, as the signs of wheels are asked in them; none where torques bring an environment: it stays in this one."""
     tasks = (
         max(len(parts), len(momenta), 2 * bool(vehicle.wheels))
-        if may_copy()
+        if may_fork()
         else len(parts) // PASSES_EACH
     )
     return 1 if torques else min(worker_count(workers), tasks)

@@ -5,43 +5,18 @@ Each may spend so much, counted by itself; what was spent is added up in the ord
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
-from functools import partial
-from multiprocessing import active_children, get_context
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from typing import Any
 
-from sunspin.base.errors import InputError, sentence
-from sunspin.compute.copies import copying, deaf, may_copy
 from sunspin.estimate.effort import Effort
 
-
-@contextmanager
-def processes(workers: int) -> Generator[Executor | None]:
-    """So many processes, which end with this, at once if it is left by an error; none where one suffices."""
-    if workers < 2:
-        yield None
-        return
-    others = set(active_children())
-    pool = ProcessPoolExecutor(
-        workers, mp_context=get_context("fork" if may_copy() else "spawn"), initializer=deaf
-    )
-    try:
-        with copying():  # before this process has threads of its own
-            pool.submit(int)
-        yield pool
-    except BaseException:
-        for child in set(active_children()) - others:
-            child.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
+Task = tuple[Any, ...]
 
 
 def each(
     work: Callable[..., Any],
-    tasks: Sequence[tuple[Any, ...]],
+    tasks: Sequence[Task],
     share: float,
     spent: Effort,
     pool: Executor | None,
@@ -51,49 +26,25 @@ def each(
 
 
 def begun(
-    work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, pool: Executor | None
+    work: Callable[..., Any], tasks: Sequence[Task], share: float, pool: Executor | None
 ) -> Callable[[Effort], Iterator[tuple[Any, bool]]]:
-    """The same of tasks that other processes, where there are some, begin with now: taken later, by the effort that counts them."""
-    if pool is None:
-        return partial(_here, work, tasks, share)
-    with _whole():
-        return partial(_taken, [pool.submit(_counted, work, task, share) for task in tasks])
+    """The same, begun now in other processes if there are some, and taken later by the effort that counts it."""
+    futures = [pool.submit(_counted, work, task, share) for task in tasks] if pool else []
 
-
-def _here(
-    work: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], share: float, spent: Effort
-) -> Iterator[tuple[Any, bool]]:
-    for task in tasks:
-        with spent.part(share, alone=True) as own:
-            made = work(*task)
-        yield made, own.cut
-
-
-def _taken(futures: Sequence[Future], spent: Effort) -> Iterator[tuple[Any, bool]]:
-    with _whole():
+    def results(spent: Effort) -> Iterator[tuple[Any, bool]]:
         for future in futures:
-            made, count, cut = future.result()
+            result, count, cut = future.result()
             spent.spend(count)
-            yield made, cut
+            yield result, cut
+        for task in () if pool else tasks:
+            with spent.part(share, alone=True) as own:
+                result = work(*task)
+            yield result, own.cut
+
+    return results
 
 
-@contextmanager
-def _whole() -> Generator[None]:
-    """While processes are asked: a sentence where one is no more."""
-    try:
-        yield
-    except BrokenExecutor:
-        raise InputError(
-            sentence(
-                "a process that estimated a pass was ended from outside, for lack of memory perhaps",
-                do="give a smaller number of workers, 1 say",
-            )
-        ) from None
-
-
-def _counted(
-    work: Callable[..., Any], task: tuple[Any, ...], share: float
-) -> tuple[Any, float, bool]:
+def _counted(work: Callable[..., Any], task: Task, share: float) -> tuple[Any, float, bool]:
     with Effort(share) as own:
-        made = work(*task)
-    return made, own.spent, own.cut
+        result = work(*task)
+    return result, own.spent, own.cut

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from sunspin.base.errors import MotionError, sentence
-from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import Start
 from sunspin.vehicle import Vehicle
@@ -63,17 +61,6 @@ class EndSpeedRows:
     @property
     def n_rows(self) -> int:
         return len(self.start)
-
-    def identity(self) -> dict[str, Any]:
-        return {
-            **code(),
-            "rows": "angular speed at the end",
-            "vehicle": plain(self.vehicle),
-            "start": plain(self.start),
-            "duration_s": float(self.duration_s),
-            "direction_error": self.direction_error,
-            "wheel_mode": self.wheel_mode,
-        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         omega = end_rates(

@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.metrics import direction_error
@@ -105,18 +104,6 @@ class ParameterRows:
     @property
     def n_rows(self) -> int:
         return len(self.values[0]) * len(self.values[1])
-
-    def identity(self) -> dict[str, Any]:
-        return code() | {
-            "study": "sensitivity of E to parameters",
-            "vehicle": plain(self.vehicle),
-            "names": list(self.names),
-            "values": plain(list(self.values)),
-            "start": plain(self.start),
-            "measured": plain(self.measured),
-            "times": plain(self.times),
-            "direction_error": TRACK_DIRECTION_ERROR,
-        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         bodies = self.bodies(*np.unravel_index(index, self.shape))

@@ -6,14 +6,13 @@ Frozen plain data, so that they can be sent to other processes; compiled kernels
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.compute.identity import code, plain
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.dynamics.torques import NOTHING, Acting
@@ -138,19 +137,6 @@ class EmdRows:
     def n_rows(self) -> int:
         return len(self.start)
 
-    def identity(self) -> dict[str, Any]:
-        return _identity(self) | {
-            "target_z": plain(np.asarray(self.target_z, dtype=np.float64)),
-            "weights": None
-            if self.weights is None
-            else plain(np.asarray(self.weights, dtype=np.float64)),
-            "mask": [self.mask, plain(self.condition)],
-            "duration_s": float(self.duration_s),
-            "bins": BINS,
-            "emd_error": plain(self.emd_error),
-            "direction_error": plain(self.direction_error),
-        }
-
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         emd, seen, outcome = self._distances(self.start.take(index))
         return {"emd": np.where(seen == 0, 1.0, emd), "outcome": outcome.astype(np.int8)}
@@ -243,13 +229,6 @@ class TrackRows:
     def n_rows(self) -> int:
         return len(self.start)
 
-    def identity(self) -> dict[str, Any]:
-        return _identity(self) | {
-            "measured": plain(self.measured),
-            "times": plain(self.times),
-            "direction_error": float(self.direction_error),
-        }
-
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         result = k.run_rows(
             self.vehicle,
@@ -264,19 +243,6 @@ class TrackRows:
             "E": direction_error(simulated, self.measured),
             "outcome": result.outcome.astype(np.int8),
         }
-
-
-def _identity(rows: EmdRows | TrackRows) -> dict[str, Any]:
-    """What both kinds of rows depend on."""
-    used = replace(
-        rows.vehicle, mass_kg=None, legs=(), hull=(), antenna=None, facts={}
-    )  # those are for landings, and sources
-    return {
-        **code(),
-        "vehicle": plain(used),
-        **plain(rows.start),
-        "wheel_mode": list(k.check_commands(rows.vehicle, rows.wheel_mode)),
-    }
 
 
 def target_segments(

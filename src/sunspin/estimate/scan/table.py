@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.compute.identity import code, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.mask import reconstructible_mask
@@ -44,18 +43,6 @@ class HistogramRows:
     @property
     def n_rows(self) -> int:
         return len(self.start)
-
-    def identity(self) -> dict[str, Any]:
-        return {
-            **code(),
-            "table": "histograms of r_z",
-            "vehicle": plain(self.vehicle),
-            "start": plain(self.start),
-            "duration_s": float(self.duration_s),
-            "mask": plain(self.condition),
-            "bins": BINS,
-            "emd_error": k.EMD_ERROR,
-        }
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         hist, outcome = histograms(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,20 +119,23 @@ def scan(
     n_rows = math.prod(len(axis) for axis in axes)
     check_size(*(len(axis) for axis in axes))
     forces = acting(torques, environment, start_s)
+    # what free motion and light do not depend on: a store stays good if it changes
+    landing = {"mass_kg": None, "legs": (), "hull": (), "antenna": None}
+    body = replace(vehicle, **landing, facts={}, changes=())
     start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s, forces, B_from_N)
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     rows: EmdRows | TrackRows
     if isinstance(target_z, xr.Dataset):
         name, rows = (
             "E",
-            _track_rows(vehicle, start, target_z, mode, emd_error, direction_error),
+            _track_rows(body, start, target_z, mode, emd_error, direction_error),
         )
     else:
         length = np.nan if duration_s is None else duration_s  # refused there
         name, rows = (
             "emd",
             EmdRows(
-                vehicle,
+                body,
                 start,
                 target_z,
                 weights,
@@ -194,7 +198,6 @@ def volume(
             "units": "1",
             "mask": str(mask),
             "wheel_mode": str(wheel_mode),
-            "vector_bits": k.vector_bits(),
             "directions": directions,
         },
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 
@@ -28,8 +27,6 @@ class ResponseForm(Part):
 
     tilted: Tilted | None = None
     turned_B_rad: Vector | None = None
-
-    unsaid: ClassVar[tuple[str, ...]] = ("turned_B_rad",)
 
 
 Triples = tuple[tuple[float, ...], ...]

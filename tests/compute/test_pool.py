@@ -1,0 +1,45 @@
+"""Processes on this machine: copies where that is safe, and an end at once when it is asked for."""
+
+import os
+import threading
+import time
+from multiprocessing import active_children
+
+import pytest
+
+from sunspin.base.errors import InputError
+from sunspin.compute.pool import may_fork, processes
+
+
+def test_one_process_is_this_one():
+    with processes(1) as pool:
+        assert pool is None
+
+
+def test_processes_end_with_an_error_at_once():
+    before, begin = set(active_children()), time.monotonic()
+    with pytest.raises(KeyboardInterrupt), processes(2) as pool:
+        running = pool.submit(time.sleep, 1000.0)
+        while not running.running():
+            time.sleep(0.05)
+        raise KeyboardInterrupt
+    assert time.monotonic() - begin < 60 and not set(active_children()) - before
+
+
+def test_a_process_that_is_ended_from_outside_is_one_sentence():
+    with (
+        pytest.raises(InputError, match=r"ended from outside.*fewer workers"),
+        processes(2) as pool,
+    ):
+        pool.submit(os.abort).result()
+
+
+def test_no_copy_beside_other_threads():
+    wait = threading.Event()
+    other = threading.Thread(target=wait.wait)
+    other.start()
+    try:
+        assert not may_fork()
+    finally:
+        wait.set()
+        other.join()
