@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -39,6 +40,16 @@ def test_no_worker_is_left_without_work_for_want_of_chunks(rows, workers, chunk,
 
     ensemble(Counted(n_rows=rows), workers=workers, chunk=chunk)
     assert max(sizes) == most and sum(sizes) == rows
+
+
+def test_an_executor_of_the_user_computes_the_rows_and_stays_open():
+    function = Waves(n_rows=150)
+    with ThreadPoolExecutor(2) as executor:
+        result = ensemble(function, scheduler=executor, chunk=40)
+        assert executor.submit(int).result() == 0
+    expected = ensemble(function, workers=1)
+    for name, value in expected.items():
+        np.testing.assert_allclose(result[name], value, rtol=1e-9)
 
 
 def test_no_rows_give_empty_arrays(tmp_path):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, closing
 from importlib.util import find_spec
 from itertools import islice
@@ -73,8 +73,8 @@ def ensemble(
     store : path, optional
         A folder, new or empty, in which finished chunks are kept: the same call resumes there after any interruption, be it
         kill -9 or a power failure; once complete it is simply read.
-    scheduler : "local", address or dask.distributed.Client, optional
-        Run on a Dask cluster: "local" starts worker processes on this machine (the script that asks for it needs
+    scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
+        An executor computes the rows and is not shut down. Otherwise run on a Dask cluster: "local" starts worker processes on this machine (the script that asks for it needs
         `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed.
     progress : bool
         Show a progress bar on a terminal, called `label`.
@@ -87,7 +87,8 @@ def ensemble(
         After Ctrl-C; its text says what was kept. Whatever the function raises comes through at once.
     """
     n_workers, chunk, n_rows = worker_count(workers), whole("chunk", chunk), function.n_rows
-    if scheduler is not None and find_spec("distributed") is None:
+    cluster = scheduler is not None and not isinstance(scheduler, Executor)
+    if cluster and find_spec("distributed") is None:
         what = "a scheduler needs Dask, which is not installed"
         raise InputError(sentence(what, do='pip install "sunspin[cluster]"'))
     outputs = function.outputs.items()
@@ -110,8 +111,9 @@ def ensemble(
                 save, missing = stack.enter_context(open_store(store, function, chunk, out))
                 chunks, done = iter(missing), n_rows - sum(c.stop - c.start for c in missing)
             shown = stack.enter_context(tqdm(total=n_rows, initial=done, **bar))
-            if scheduler is None or done == n_rows:
-                computed = _on_threads(function, chunks, n_workers)
+            if not cluster or done == n_rows:
+                executor = None if cluster else scheduler
+                computed = _on_executor(function, chunks, executor, n_workers)
             else:
                 from sunspin.compute.cluster import on_cluster
 
@@ -138,11 +140,12 @@ def ensemble(
     return out
 
 
-def _on_threads(
-    function: RowFunction, chunks: Iterator[slice], n_workers: int
+def _on_executor(
+    function: RowFunction, chunks: Iterator[slice], executor: Executor | None, n_workers: int
 ) -> Generator[tuple[slice, Values]]:
-    """Each chunk of rows with its results, as threads of this process finish them."""
-    pool, running = ThreadPoolExecutor(n_workers, "sunspin"), dict[Future[Values], slice]()
+    """Each chunk of rows with its results, as an executor finishes them; without one threads of this process do."""
+    pool = executor or ThreadPoolExecutor(n_workers, "sunspin")
+    running = dict[Future[Values], slice]()
     try:
         while True:
             for rows in islice(chunks, IN_FLIGHT * n_workers - len(running)):
@@ -152,4 +155,7 @@ def _on_threads(
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(future), future.result()
     finally:  # what still runs ends unheard: to wait for it would hold back an error
-        pool.shutdown(wait=False, cancel_futures=True)
+        for future in running:
+            future.cancel()
+        if executor is None:
+            pool.shutdown(wait=False)

@@ -97,8 +97,8 @@ def scan(
         Threads, or worker processes of the scheduler "local"; default one per core.
     store : path, optional
         Folder in which rows are kept as they are computed; the same call resumes there after any interruption.
-    scheduler : "local", address or dask.distributed.Client, optional
-        Run on a Dask cluster. Both as in :func:`sunspin.compute.rows.ensemble`.
+    scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
+        Compute the rows on a Dask cluster or an executor. Both as in :func:`sunspin.compute.rows.ensemble`.
     progress : bool
         Show a progress bar on a terminal.
     environment, torques, B_from_N
