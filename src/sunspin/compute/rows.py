@@ -74,8 +74,9 @@ def ensemble(
         A folder, new or empty, in which finished chunks are kept: the same call resumes there after any interruption, be it
         kill -9 or a power failure; once complete it is simply read.
     scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
-        An executor computes the rows and is not shut down. Otherwise run on a Dask cluster: "local" starts worker processes on this machine (the script that asks for it needs
-        `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have sunspin installed.
+        An executor computes the rows and is not shut down. Else run on a Dask cluster: "local" starts worker processes on this
+        machine (the script that asks for it needs `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster
+        whose workers have sunspin installed.
     progress : bool
         Show a progress bar on a terminal, called `label`.
 
