@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Generator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -49,7 +50,11 @@ def processes(workers: int) -> Generator[Executor | None]:
     before, method = set(active_children()), "fork" if may_fork() else "spawn"
     pool = ProcessPoolExecutor(workers, get_context(method), _begin)
     try:
-        pool.submit(int)  # copies are made now, before the pool has a thread here
+        with (
+            warnings.catch_warnings()
+        ):  # the linear algebra's threads stand still and are made again in a copy
+            warnings.filterwarnings("ignore", "This process .* is multi-threaded")
+            pool.submit(int)  # copies are made now, before the pool has a thread here
         yield pool
     except BaseException as error:
         for process in set(active_children()) - before:
