@@ -153,7 +153,8 @@ class Corrupt(Suite):
             )
         )
         if verdict.what == "fine" and any(
-            found[k].tobytes() != v.tobytes() for k, v in self.good["result"].items()
+            not np.allclose(found[k], v, rtol=1e-9, equal_nan=True)
+            for k, v in self.good["result"].items()
         ):
             return Verdict("wrong result", True, "damage passed unseen")
         return verdict

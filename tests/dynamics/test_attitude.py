@@ -1,9 +1,5 @@
 """The compiled steps of attitude and momentum, against SciPy on equations of these tests' own."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -78,16 +74,3 @@ def test_a_motion_takes_its_own_steps_whatever_stands_beside_it():
             body, omega[i], dt[i], Ends(*(part if part is None else part[i] for part in ends))
         )
         assert np.array_equal(alone[1], together[1][i]) and np.array_equal(alone[0], together[0][i])
-
-
-BITS = "from tests.dynamics.test_attitude import *; print(step(Body(INERTIA, DIPOLE, False), *drawn(12))[1].tobytes().hex())"
-
-
-@pytest.mark.long
-def test_compiled_and_loaded_steps_have_the_same_bits(tmp_path):
-    env = os.environ | {"SUNSPIN_CACHE": str(tmp_path)}
-    first, again = (
-        subprocess.run([sys.executable, "-c", BITS], env=env, capture_output=True, text=True)
-        for _ in range(2)
-    )
-    assert first.stdout == again.stdout != "", first.stderr

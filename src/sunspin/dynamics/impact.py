@@ -26,7 +26,6 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.dynamics.gyrostat import free_inertia
 from sunspin.dynamics.wheel_modes import COMMANDS
-from sunspin.solve.linear import each_row
 from sunspin.solve.rotations import cross_matrix
 from sunspin.vehicle import Vehicle
 
@@ -93,12 +92,12 @@ def impact(
             raise InputError(sentence(f"{name} must be a share between 0 and 1", got=value))
     impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip, damper)
     impulse = impulse if restitution == 0 else (1 + restitution) * impulse
-    kick = each_row(np.cross(tip, impulse), inverse)
+    kick = np.cross(tip, impulse) @ inverse
     turned = [
         np.zeros(3) if h else -np.asarray(w.axis_B)
         for w, h in zip(vehicle.wheels, held, strict=True)
     ]
-    speeds_after = speeds + (each_row(kick, np.stack(turned, axis=-1)) if turned else 0.0)
+    speeds_after = speeds + (kick @ np.stack(turned, axis=-1) if turned else 0.0)
     return _dataset(
         vehicle,
         batch,

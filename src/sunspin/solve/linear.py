@@ -12,11 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-def each_row(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Rows (..., m) times a matrix (m, n), one by one: the sums of one product of all rows hang on how many there are."""
-    return (rows[..., None, :] @ matrix)[..., 0, :]
-
-
 class Dense(NamedTuple):
     """K problems of D unknowns: `cost` (K), `matrix` (K, D, D), `slope` (K, D); `scale` (K, D) is what one unit of damping adds to
     the diagonal (None: the diagonal itself); `kept`: arrays (K, ...) of the same state that the caller wants back."""

@@ -1,6 +1,5 @@
 # Attitude and momentum of many bodies, each over its own interval, by classical Runge-Kutta steps (attitude.py). Text that a
 # kernel is made of; it is not imported as it stands.
-# One function: helpers would be compiled by themselves too, and then the last bits hang on the order in which things are compiled.
 # ruff: noqa
 # pyright: basic
 

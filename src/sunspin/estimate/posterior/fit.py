@@ -12,7 +12,7 @@ from sunspin.estimate.posterior.family import apart
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State
 from sunspin.solve.least_squares import least_squares, shortened, take
-from sunspin.solve.linear import Dense, dense, each_row
+from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import moved, tangents
 
 FLOOR = 1e-9
@@ -307,7 +307,7 @@ class _Search:
         gradient[:, 5:] += self._prior[5:] * u
         if self.free is not None:
             normal = np.einsum("ai,nij,jb->nab", self.free.T, normal, self.free)
-            gradient = each_row(gradient, self.free)
+            gradient = gradient @ self.free
         scale = np.einsum("nii->ni", normal).copy()
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal = normal + floor[:, None, None] * np.eye(normal.shape[1])
@@ -315,7 +315,7 @@ class _Search:
         return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine, *motion))
 
     def _whole(self, step: np.ndarray) -> np.ndarray:
-        return step if self.free is None else each_row(step, self.free.T)
+        return step if self.free is None else step @ self.free.T
 
     def _longest(self, state: _Point, step: np.ndarray) -> np.ndarray:
         move, window = self._whole(step), self.likelihood.data.reach_s

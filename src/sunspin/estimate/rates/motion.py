@@ -21,7 +21,7 @@ from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.solve.linear import each_row, symmetric_inverse
+from sunspin.solve.linear import symmetric_inverse
 from sunspin.solve.rotations import cross, matrix_of, turn, turn_between
 from sunspin.vehicle import Vehicle
 
@@ -220,7 +220,7 @@ def _runge_kutta(
     )
     seen = np.zeros(0) if ends.directions is None else ends.directions
     start = (
-        flat(each_row(omega, body.inertia), 3) + held,
+        flat(omega @ body.inertia, 3) + held,
         flat(seen, seen.shape[-1]),
         flat((0.0, 0.0, 0.0, 1.0), 4),
     )
