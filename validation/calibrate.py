@@ -16,7 +16,7 @@ from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import group, readings
 from sunspin.estimate.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import Model, State, model, rate_and_direction
+from sunspin.estimate.posterior.model import Model, State, model
 from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Vehicle
@@ -34,6 +34,13 @@ JITTER_S = 6.0
 
 NEAR_SIGMAS = 4.5
 """A mode counts as the true one within this many sigmas of its rates."""
+
+
+def rate_and_direction(max_rate: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A draw of the prior of rates, (1, 3), uniform in the ball of `max_rate`, and of directions, (1, 3), uniform on the sphere."""
+    direction = rng.standard_normal((2, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return max_rate * rng.random() ** (1 / 3) * direction[:1], direction[1:]
 
 
 def prior_truth(unknown: Model, rng: np.random.Generator) -> State:

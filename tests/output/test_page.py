@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from sunspin.output.report.body import body_in_motion
 from sunspin.output.report.page import _json, _script
 from sunspin.output.report.read import Results, read_results
 from sunspin.output.report.views import sun_on_sphere
-from sunspin.vehicle import Panel, Vehicle
+from sunspin.vehicle import Channel, Panel, Vehicle
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +152,21 @@ def test_faster_motions_are_shown_in_part_and_standing_ones_whole():
         assert 2 <= len(corners) <= 300
         size = np.linalg.norm(corners[0], axis=1).max()
         assert max(np.abs(np.diff(corners, axis=0)).max(axis=(1, 2))) < 0.5 * size
+
+
+def test_panels_on_one_input_are_lit_one_by_one():
+    """The view colours panels, not inputs: a pair of opposite panels on one channel is lit on one side at a time."""
+    cube = replace(
+        Vehicle(
+            "cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0), Panel("b", [-1, 0, 0], 1.0))
+        ),
+        channels=(Channel("x", ("a", "b"), "sum"),),
+    )
+    run = ss.propagate(cube, [0, 0, 0.5], [1, 0, 0], None, np.arange(0.0, 12.0, 0.1))
+    (view,) = body_in_motion(Results(Path("."), "simulate", data={"t": run}, vehicle=cube))
+    colours = np.array([frame.data[0].facecolor for frame in view.figure.frames])
+    assert {colours[0][0], colours[0][2]} == {"#facd3c", "#283c6e"}
+    assert len(set(colours[:, 0])) > 5
 
 
 def test_panels_of_one_side_have_one_label_on_the_sphere():

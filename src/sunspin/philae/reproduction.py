@@ -209,7 +209,7 @@ def reproduce(
         datasets(result), pictures, tables, made_with, case.telemetry, result.synthetic
     )
     write_contents(folder, summary, contents)
-    return Written(folder, write_report(folder), summary)
+    return Written(folder, write_report(folder, own=True), summary)
 
 
 def _no_conclusion(result: Reproduction) -> str:

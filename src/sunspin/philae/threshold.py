@@ -81,10 +81,6 @@ class Calibration:
         """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval."""
         return holding(self.ratio, self.confidence if confidence is None else confidence)
 
-    def share_as_large(self, emd_min: float) -> float:
-        """Share of the synthetic rebounds whose smallest EMD is as large or larger."""
-        return float(np.mean(self.emd_min >= emd_min))
-
     def unusual(self, emd_min: float) -> bool:
         """Whether so large a smallest EMD speaks against the model, or against the readings."""
         log = np.log(self.emd_min)

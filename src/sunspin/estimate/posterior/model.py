@@ -263,13 +263,6 @@ class Model:
         return np.where(allowed, out, -np.inf)
 
 
-def rate_and_direction(max_rate: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """A draw of the prior of rates, (1, 3), uniform in the ball of `max_rate`, and of directions, (1, 3), uniform on the sphere."""
-    direction = rng.standard_normal((2, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return max_rate * rng.random() ** (1 / 3) * direction[:1], direction[1:]
-
-
 def model(
     vehicle: Vehicle, priors: Mapping[str, Any] | None, brightness: float, wheel_mode: Any = "coast"
 ) -> tuple[Model, dict[str, str]]:

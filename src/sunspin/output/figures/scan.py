@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from sunspin.output.figures import COLOURS, named
+from sunspin.output.figures import COLOURS
 
 LEAST = 1e-6
 """Smaller misfits are drawn as this: the colours go with the logarithm."""
@@ -21,25 +21,6 @@ AXES = {
     "theta_xx": (r"moment of inertia $\theta_{xx}$ (kg m$^2$)", 1.0),
 }
 """Dimension of a map -> title of its axis, factor from SI."""
-
-
-def map_figure(field: xr.DataArray) -> Figure:
-    """E over the two dimensions of a map; darker is worse."""
-    figure = Figure(figsize=(7.5, 4.8), layout="constrained")
-    axes = figure.subplots()
-    (x, y), titles = field.dims, [AXES.get(str(d), (named(d), 1.0)) for d in field.dims]
-    image = axes.pcolormesh(
-        field[x].values * titles[0][1],
-        field[y].values * titles[1][1],
-        field.values.T,
-        shading="nearest",
-        cmap="cividis_r",
-        rasterized=True,
-    )
-    figure.colorbar(image, ax=axes, label="E")
-    axes.set_xlabel(titles[0][0])
-    axes.set_ylabel(titles[1][0])
-    return figure
 
 
 def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Figure:

@@ -25,7 +25,6 @@ from sunspin.output.report.views import (
 )
 from sunspin.output.text import capital
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.timeline import utc_after
 
 MOST_FRAMES = 300
@@ -93,8 +92,8 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
         _scene(attitude[0], sun[0], omega[0] if momentum is None else momentum[0]) * attitude.inv()
     )
     vertices, faces, owner, size = _shape(vehicle)
-    light = panel_power(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True))
-    light = light / np.maximum(light.max(axis=0, initial=0.0), 1e-30)
+    toward_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
+    light = vehicle.panels_in().power(toward_sun) / vehicle.panel_gains
     wheels = (
         run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)
         if "wheel_speed_rad_s" in run

@@ -18,7 +18,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, SunspinError, printable, sentence
-from sunspin.base.netcdf import read_groups
+from sunspin.base.netcdf import read_elsewhere, read_groups
 from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.folder import MANIFEST, MARKER, maker
 from sunspin.vehicle import Vehicle
@@ -116,8 +116,8 @@ class Results:
             return None
 
 
-def read_results(folder: str | Path) -> Results:
-    """Read a folder that a `sunspin` command wrote.
+def read_results(folder: str | Path, own: bool = False) -> Results:
+    """Read a folder that a `sunspin` command wrote; `own`: this process did just now, so that its data need no trial.
 
     Raises
     ------
@@ -142,9 +142,13 @@ def read_results(folder: str | Path) -> Results:
         raise InputError(sentence(what, do="run the command again", where=str(path)))
     manifest = results.attempt(MANIFEST, lambda: _object(path / MANIFEST)) or {}
     results.summary = results.attempt("summary.json", lambda: _object(path / "summary.json")) or {}
-    damaged = 0
-    for entry in _entries(results, manifest, "data"):
-        read = results.attempt(_name(entry), lambda entry=entry: _data(results, _own(path, entry)))
+    damaged, entries = 0, _entries(results, manifest, "data")
+    files = [path / entry for entry in entries if isinstance(entry, str) and is_own(path / entry)]
+    tried = own or read_elsewhere(files)  # one trial for all; where it fails, one for each
+    for entry in entries:
+        read = results.attempt(
+            _name(entry), lambda entry=entry: _data(results, _own(path, entry), tried)
+        )
         damaged += read is None
         size = sum(data.nbytes for data in results.data.values())
         if damaged == MAX_DAMAGED or size > MAX_TOTAL_BYTES:
@@ -215,11 +219,11 @@ def _object(path: Path) -> dict[str, Any]:
     return value
 
 
-def _data(results: Results, path: Path) -> bool:
+def _data(results: Results, path: Path, tried: bool) -> bool:
     if path.stat().st_size > MAX_DATA_BYTES:
         size = f"{MAX_DATA_BYTES / 1e6:.0f} MB"
         raise InputError(sentence(f"the file is larger than {size}", do="look into it with xarray"))
-    groups = read_groups(path, path.name, InputError)
+    groups = read_groups(path, path.name, InputError, probe=not tried)
     root = dict(groups["/"].attrs) if "/" in groups else {}
     for name, data in groups.items():
         if data.variables or len(groups) == 1:
