@@ -13,12 +13,12 @@ from scipy.stats import genpareto
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.estimate.posterior import estimate, hypotheses
+from sunspin.estimate.posterior import estimate, hypotheses, importance
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes, within
-from sunspin.estimate.posterior.verdict import Found, dark_stretch, sigmas, verdict
+from sunspin.estimate.posterior.verdict import Found, believed, dark_stretch, sigmas, verdict
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.solve.rotations import moved
@@ -104,8 +104,29 @@ def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkey
         assert sigmas(estimate._modes(drawn, 0.5))[0] == pytest.approx([sigma] * 3, rel=0.5)
     few = tree.copy(deep=True)
     few["modes"]["effective_draws"][:] = 3.0
+    few["posterior"]["omega_B"][:] = RATE  # one draw, again and again
+    low, _, high = believed(_found(), few, 0.1, False, "").speed[0]
+    assert high - low > 0.5 * sigmas(few["modes"]).min()
     assert "which is rough: few draws have weight" in str(posterior_summary(few))
     assert "+- (" in str(posterior_summary(tree)) and "rough" not in str(posterior_summary(tree))
+
+
+@pytest.mark.parametrize(("most", "rounds"), [(1.0, 2), (1e12, 5)])
+def test_draws_end_at_the_computing_budget_and_say_so(most, rounds, cube, telemetry, monkeypatch):
+    """Spent by the search: a round that learns and the last follow, where draws that are never good would have five."""
+    monkeypatch.setattr(importance, "ROUNDS", 2)
+    monkeypatch.setattr(importance, "GOOD_SHARE", 2.0)
+    monkeypatch.setattr(estimate, "MOST_EFFORT", most)
+    found = ss.posterior(
+        cube, telemetry.isel(time=slice(0, 9)), SMALL, seed=0, draws=300, workers=1
+    )
+    verdict, row = found.attrs["verdict"], found["passes"].isel(pass_id=0)
+    cut, effective = most == 1.0, found.attrs["effective_draws"]
+    said = f"the draws stopped at the computing budget of 1e-06 million motions, with an effective sample size of {effective:.0f}"
+    assert len(found["sampling"]["pareto_k"]) == rounds
+    assert (said in verdict) is cut
+    assert (found.attrs["verdict_word"] == "not sure") is cut
+    assert bool(row["search_complete"]) is not cut and bool(row["decided"]) is not cut
 
 
 def test_groups_and_names(tree, telemetry):
@@ -221,11 +242,16 @@ def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, teleme
     assert not found["passes"]["decided"].values.any()
 
 
-def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(cube, telemetry):
-    """Rates far below the true one; how good draws about such a motion are is nothing to learn for."""
+@pytest.mark.parametrize(("most", "word"), [(1e12, "not explained"), (1.0, "not sure")])
+def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(
+    most, word, cube, telemetry, monkeypatch
+):
+    """Rates far below the true one; how good draws about such a motion are is nothing to learn for. Draws that the computing budget
+    ends refuse nothing."""
+    monkeypatch.setattr(estimate, "MOST_EFFORT", most)
     began = SMALL | {"max_rate_rad_s": 0.03}
-    found = ss.posterior(cube, telemetry, began, seed=0, draws=500, workers=2)
-    assert found.attrs["verdict_word"] == "not explained", found.attrs["verdict"]
+    found = ss.posterior(cube, telemetry, began, seed=0, draws=500, workers=1)
+    assert found.attrs["verdict_word"] == word, found.attrs["verdict"]
     assert len(found["sampling"]["pareto_k"]) == 2
 
 
@@ -444,6 +470,7 @@ def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, tele
         ({"priors": {"inertai": 0.1}}, "priors know"),
         ({"priors": {"wheel_off_s": 40.0}}, "(found wheel_off_s); leave it out"),
         ({"priors": {"inertia": -1}}, "zero (known) or positive"),
+        *(({"priors": {"time_s": x}}, "time_s, the sigma") for x in (-1.0, np.nan, "two", True)),
         ({"phase": "descent"}, "no such phase"),
         ({"begin_s": 1e6}, "three samples"),
         (

@@ -16,27 +16,17 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # ArviZ's own
 
 def summary(path):
     """The table of ArviZ for a file, by the old package or by the parts of the new one."""
+    options = {"var_names": ["omega_B", "inertia_xx"], "kind": "stats"}
     if importlib.util.find_spec("arviz") is not None:
         import arviz
 
         if int(arviz.__version__.split(".")[0]) < 1:
-            return arviz.summary(
-                arviz.from_netcdf(str(path), engine="h5netcdf"),
-                var_names=["omega_B", "inertia_xx"],
-                kind="stats",
-            )
-        return arviz.summary(
-            xr.open_datatree(path),
-            var_names=["omega_B", "inertia_xx"],
-            kind="stats",
-            round_to="none",
-        )
+            return arviz.summary(arviz.from_netcdf(str(path), engine="h5netcdf"), **options)
+        return arviz.summary(xr.open_datatree(path), round_to="none", **options)
     stats = pytest.importorskip("arviz_stats", reason="neither arviz nor arviz-stats is installed")
     if not hasattr(stats, "summary"):
         pytest.skip("arviz-stats without its extra [xarray]")
-    return stats.summary(
-        xr.open_datatree(path), var_names=["omega_B", "inertia_xx"], kind="stats", round_to="none"
-    )
+    return stats.summary(xr.open_datatree(path), round_to="none", **options)
 
 
 @pytest.mark.evidence("posterior", "validated", "ArviZ reads the file and computes the same means")

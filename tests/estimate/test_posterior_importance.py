@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.estimate.posterior import importance
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, pooled, regions, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes
+from sunspin.estimate.posterior.verdict import LEAST_WEIGHT
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -86,20 +88,6 @@ def test_components_in_common_coordinates_have_the_densities_that_each_has_alone
     assert sorted(len(alike) for alike, _ in made.charts(state, np.arange(6))) == [2, 2, 2]
 
 
-def test_a_bend_of_nothing_is_no_bend():
-    """Components without products in their bend go a shorter way to the same coordinates."""
-    straight = mixture(4, 2)
-    bend = np.array(straight.bend)
-    bend[:, -1] = 1e-200
-    state = straight.draw(50, np.random.default_rng(5))
-    for m in range(2):
-        np.testing.assert_allclose(
-            straight.coordinates(state, m),
-            replace(straight, bend=bend).coordinates(state, m),
-            rtol=1e-9,
-        )
-
-
 def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
     """Every coordinate is stiff or along the sheet; what is bent comes back, and densities are those of the straight sheet."""
     assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(
@@ -157,8 +145,11 @@ def test_components_that_share_draws_are_one_region():
     assert np.all(region[: n // 3] == 1) and np.all(region[n // 3 :] == 0)
 
 
-def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
-    """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
+RATE, SUN = np.array([0.05, -0.08, 0.11]), np.array([0.36, 0.48, 0.8])
+
+
+def cube_and_modes(max_rate: float, objective: list[float]) -> tuple[Likelihood, Modes]:
+    """Readings of a cube, and modes at a radian per second from each other, the first the true motion."""
     panels = [
         Panel("xyzXYZ"[k], normal, 1.0)
         for k, normal in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))
@@ -169,22 +160,36 @@ def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
         panels=panels,
         telemetry=TelemetryForm(noise=0.005),
     )
-    rate, sun = np.array([0.05, -0.08, 0.11]), np.array([0.36, 0.48, 0.8])
     data, _, _ = readings(
-        cube, ss.twin(cube, {"omega_B": rate, "sun_B": sun, "t_s": 20.0 * np.arange(6)})
+        cube, ss.twin(cube, {"omega_B": RATE, "sun_B": SUN, "t_s": 20.0 * np.arange(6)})
     )
-    unknown, _ = model(cube, {"max_rate_rad_s": 0.05, "inertia": 0.0, "steady_torque": 0.0}, 0.5)
-    state = State(rate[None], sun[None], np.zeros((1, len(unknown.unknowns))))
-    modes = Modes(
-        state, np.zeros(1), 1e6 * np.eye(5 + len(unknown.unknowns))[None], np.ones(1), (), ()
+    priors = {"max_rate_rad_s": max_rate, "inertia": 0.0, "steady_torque": 0.0}
+    unknown, _ = model(cube, priors, 0.5)
+    n, k = len(objective), len(unknown.unknowns)
+    state = State(
+        RATE + np.arange(n)[:, None] * [1.0, 0.0, 0.0], np.tile(SUN, (n, 1)), np.zeros((n, k))
     )
-    assert (
-        sample(
-            Likelihood(unknown, data, 1e-8),
-            modes,
-            0,
-            lambda rows, *_: rows(np.arange(rows.n_rows)),
-            1000,
-        )
-        is None
-    )
+    hessian = np.tile(1e6 * np.eye(5 + k), (n, 1, 1))
+    likelihood = Likelihood(unknown, data, 1e-8)
+    return likelihood, Modes(state, np.array(objective), hessian, np.ones(n), (), ())
+
+
+def all_rows(rows, *_):
+    return rows(np.arange(rows.n_rows))
+
+
+def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
+    """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
+    assert sample(*cube_and_modes(0.05, [0.0]), 0, all_rows, 1000) is None
+
+
+def test_modes_without_mass_get_no_component_and_no_ridge(monkeypatch):
+    """The second in the list is the likeliest; the negligible stay ridges of their own, from which other models begin."""
+    followed = []
+    monkeypatch.setattr(importance, "_follow_ridge", lambda *given: followed.append(given[2]))
+    most = -np.log(LEAST_WEIGHT / 2)
+    likelihood, modes = cube_and_modes(10.0, [1.0, 0.0, most - 0.1, most + 0.1, 30.0])
+    first, ridge, component = importance._first(likelihood, modes, 1, 0, all_rows, 1000)
+    assert followed == [1, 0, 2] and ridge.tolist() == [0, 1, 2, 3, 4]
+    assert component.tolist() == [0, 1, 2, -1, -1] and len(first.weight) == 3
+    np.testing.assert_allclose(first.centre.omega, modes.state.omega[:3])

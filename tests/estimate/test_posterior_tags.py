@@ -7,7 +7,6 @@ import pytest
 from scipy.special import logsumexp
 
 import sunspin as ss
-from sunspin.base.errors import InputError
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
@@ -120,11 +119,3 @@ def test_exact_tags_are_left_alone(cube):
     assert found.attrs["time_sigma_s"] == 0.0 and found.attrs["verdict_word"] == "unique", (
         found.attrs["verdict"]
     )
-
-
-@pytest.mark.parametrize("value", [-1.0, float("nan"), "two", True])
-def test_a_sigma_of_time_that_makes_no_sense_is_refused(cube, value):
-    with pytest.raises(
-        InputError, match="time_s, the sigma of the samples' times, must be zero or positive"
-    ):
-        model(cube, {"time_s": value}, 1.0)

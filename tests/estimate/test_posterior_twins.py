@@ -153,31 +153,6 @@ def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
         assert (i in kept) == (same_mode(cloud, normal, i, better, JOINED) is None)
 
 
-@pytest.mark.parametrize("along", [False, True])
-def test_a_fit_does_not_hang_on_its_company(along):
-    """Rows that have arrived wait while others go on: each gives the same result alone, all unknowns free or some directions."""
-    vehicle = craft(6)
-    data, _, _ = readings(vehicle, samples(vehicle, 6))
-    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
-    far = np.random.default_rng(2).standard_normal((4, 3)) * np.array(
-        [[0.0], [1e-4], [2e-3], [1e-2]]
-    )
-    start = State(RATE + far, np.tile(SUN, (4, 1)), np.zeros((4, len(unknown.unknowns))))
-    some = np.linalg.qr(np.random.default_rng(3).standard_normal((unknown.dimension, 6)))[0]
-    fit = Fit(
-        Likelihood(unknown, data),
-        start,
-        ((2.0, 3), (1.0, 8)),
-        curved=True,
-        free=some if along else None,
-    )
-    every = fit(np.arange(4))
-    for i in range(4):
-        alone = fit(np.array([i]))
-        assert all(np.array_equal(every[name][i], alone[name][0]) for name in every)
-    assert along or np.ptp(every["cost"][:3]) < 0.01
-
-
 def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
     """And ends where one ends that had its own found; what does not fit then is left as it is."""
     vehicle = craft(6)
@@ -233,34 +208,19 @@ def test_more_hypotheses_than_are_followed_are_thinned_evenly_and_told(most, cou
     assert len(some) == most and (some[0], some[-1]) == (0, count - 1) and (note == MORE) == told
 
 
-def test_brightness_is_guessed_where_no_sample_gives_a_direction():
-    vehicle = craft(4)
-    data, _, _ = readings(vehicle, samples(vehicle, 20))
-    assert brightness(vehicle, data) == pytest.approx(
-        0.5, abs=0.06
-    )  # the truth; the largest reading alone is 0.45
-
-
-def test_brightness_is_guessed_though_most_samples_are_dark():
+@pytest.mark.parametrize("lit", [20, 7])
+def test_brightness_is_guessed_where_no_sample_gives_a_direction_and_most_are_dark(lit):
     vehicle = craft(4)
     telemetry = samples(vehicle, 20)
-    telemetry["current_A"].values[7:] = 0.0
+    telemetry["current_A"].values[lit:] = 0.0
     data, _, _ = readings(vehicle, telemetry)
-    assert 0.4 < brightness(vehicle, data) < 0.56
-
-
-def test_noise_on_dark_panels_does_not_brighten_the_sun():
-    """Four panels that look all ways: three that read nothing but noise are no direction of a Sun six times as bright."""
-    twin = strange_twins.make(0, 149, TURNS)
-    data, _, _ = readings(twin.vehicle, twin.telemetry)
-    assert brightness(twin.vehicle, data) == pytest.approx(
-        float(twin.telemetry.attrs["truth_scale"]), rel=0.1
-    )
+    assert 0.44 < brightness(vehicle, data) < 0.56  # 0.5 is true; the largest reading is 0.45
 
 
 @pytest.mark.parametrize("i", [pytest.param(8, marks=pytest.mark.long), 149])
 def test_motions_once_lost_are_found(i):
-    """8: of a family that the first three samples leave, one member seemed to fit to a tenth of the noise; 149: see above."""
+    """8: of a family that the first three samples leave, one member seemed to fit to a tenth of the noise; 149: noise on three dark
+    panels was taken for light of a Sun six times as bright."""
     found = strange_twins.judge(strange_twins.make(0, i, TURNS), 1)
     assert found["word"] == "unique" and found["sigmas"] < NEAR_SIGMAS, found["verdict"]
 

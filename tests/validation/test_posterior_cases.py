@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.posterior import cells
+from sunspin.estimate.posterior import cells, modes
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.model import State, model
@@ -56,6 +57,27 @@ def test_the_speed_at_the_first_sample_is_that_with_which_a_motion_began():
     assert speed[0] == pytest.approx(np.linalg.norm(RATE), rel=2e-3)
 
 
+def test_a_long_search_for_starts_is_announced_with_a_rate_that_takes_a_minute(caplog, monkeypatch):
+    """The advice followed: nothing is announced, as a minute needs no announcement."""
+    case = list(posterior_cases.cases(0))[1]
+    data, _, _ = readings(PHILAE, posterior_cases.simulated(case)[0])
+    scale = brightness(PHILAE, data)
+    monkeypatch.setattr(Search, "run", lambda *_: 1 / 0)  # it ends where it begins
+
+    def announced(rate: float) -> list[str]:
+        unknown, _ = model(PHILAE, {"max_rate_rad_s": rate}, scale)
+        there, chosen = modes.at_reference(unknown, modes.plan(unknown, data, scale), data)
+        caplog.clear()
+        with pytest.raises(ZeroDivisionError):
+            Search(1, None, False).starts(there, data.since(chosen.anchor), chosen, scale)
+        return [record.getMessage() for record in caplog.records]
+
+    (line,) = announced(case.max_rate)
+    minutes, rate = re.findall(r"takes about ([\d.]+) min; .*max_rate_rad_s=([\d.]+)", line)[0]
+    assert 1 < float(minutes) < 3 and float(rate) < case.max_rate
+    assert announced(float(rate)) == []
+
+
 def test_more_motions_than_can_be_fitted_are_announced_with_a_rate_that_needs_no_more(caplog):
     """The advice followed: motions grow with the cube of the largest rate."""
     search, most = Search(1, None, False), MOST_WORK // 5
@@ -74,7 +96,7 @@ def test_more_motions_than_can_be_fitted_are_announced_with_a_rate_that_needs_no
         and len(caplog.records) == 2
         and "following them takes about" in caplog.records[-1].getMessage()
     )
-    modes = Modes(
+    whole = Modes(
         State(RATE[None], SUN[None], np.zeros((1, 0))),
         np.zeros(1),
         np.zeros((1, 5, 5)),
@@ -82,4 +104,4 @@ def test_more_motions_than_can_be_fitted_are_announced_with_a_rate_that_needs_no
         (),
         (),
     )
-    assert modes.complete and not replace(modes, notes=(f"{MORE} (5 samples)",)).complete
+    assert whole.complete and not replace(whole, notes=(f"{MORE} (5 samples)",)).complete

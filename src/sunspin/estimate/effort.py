@@ -121,6 +121,12 @@ def may_go_on() -> bool:
     return False
 
 
+def share_of_left(share: float) -> Effort:
+    """An effort within the present one, of a share of what is left there; without bound where nobody counts."""
+    effort = _now.get()
+    return Effort(np.inf if effort is None else share * effort.left)
+
+
 def allowed(effort: float) -> float:
     """Motions for an effort as a caller gives it, in units of the usual one."""
     if (

@@ -24,6 +24,9 @@ FAR = 8.0
 LARGEST_TURN = 0.5
 """rad by which one step may turn the Sun within the window."""
 
+FITTED = 40
+"""Runs of its motion that a fit takes as long as: each unknown and each step needs one. Measured on Philae, 25 to 50."""
+
 READINGS_AT_ONCE = 2_500_000
 """Derivatives held in memory at once by one worker."""
 

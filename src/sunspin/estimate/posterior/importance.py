@@ -15,13 +15,14 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
+from sunspin.estimate.effort import may_go_on, spend
 from sunspin.estimate.posterior.fit import Fit, OfStates
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Blend, Mixture, Sheet, monomials
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.modes import Modes, standing
 from sunspin.estimate.posterior.turns import drawn_turns, rest_of, with_turns, without_turns
-from sunspin.estimate.posterior.verdict import EFFECTIVE_LIMIT, TAIL_LIMIT
+from sunspin.estimate.posterior.verdict import EFFECTIVE_LIMIT, LEAST_WEIGHT, TAIL_LIMIT
 from sunspin.solve.weights import effective_draws, pareto_tail
 
 ROUNDS, DRAWS, LAST_DRAWS, MOST_DRAWS = 6, 10_000, 12_000, 40_000
@@ -37,9 +38,9 @@ WANTED = 3_000.0
 GOOD_SHARE = 0.25
 """Learning ends when the draws are worth this part of as many of the posterior's own."""
 
-LENT, LENT_ROUNDS, LENT_SHARE = 0, 3, 0.1
-"""In the place of soft directions where bends are another model's; rounds in which such a mixture learns, and the share that is
-good enough: its hypothesis seldom has the most weight, and to find bends costs more than draws."""
+LENT_SHARE = 0.1
+"""The share that is good enough for a mixture with the bends of another model, which learns in half as many rounds: its hypothesis
+seldom has the most weight, and to find bends costs more than draws."""
 
 WIDER = 1.3
 """Factor on the covariances of Laplace's method at first."""
@@ -56,9 +57,6 @@ MOST_BENT = 12
 RIDGE_POINTS, RIDGE_WIDTHS = 4, (0.3, 0.7, 1.3)
 """Fits for each coefficient of a bend, and how far about the centre they are, in sigmas, one after the other."""
 
-NO_MASS = 7.0
-"""Log mass by which a size of a steady torque may be less likely than the likeliest of its mode to be given a component."""
-
 FAR_TORQUE = 3.0
 """How many times a size linear theory may put a torque at, where the fit was under a smaller size. A torque in space that turns the
 angular momentum about the Sun is hardly seen: from a fit under a hundredth of the size it was put whole turns away, with a mass
@@ -69,6 +67,9 @@ ON_RIDGE = 9.0
 
 BLOCK = 2_000
 """Draws whose densities under all components are worked on at once."""
+
+DENSITIES = 25
+"""Densities of one draw under one component that take as long as a motion carried over one interval."""
 
 CONNECTED = 0.02
 """Components that share this part of the draws of one of them belong to one region."""
@@ -100,7 +101,7 @@ class Sample:
     `region` (n) counts from 0 by falling weight; `of_mode` (modes) is that of each mode; `effective`: as many draws of the
     posterior itself; `tail`: Pareto's k of the largest weights, above 0.7 not to be trusted; `evidence` (log);
     `trace` (rounds, 3): log evidence, effective share, k; `ridge` (modes): modes of one number lie on one ridge. `bent`: the
-    components about modes, bent along their ridges, where the sampler has such.
+    components about modes, bent along their ridges, where the sampler has such. `cut`: the computing budget ended the draws.
     """
 
     state: State
@@ -115,6 +116,7 @@ class Sample:
     trace: np.ndarray
     ridge: np.ndarray
     bent: Mixture | None = None
+    cut: bool = False
 
 
 class Known(NamedTuple):
@@ -142,6 +144,9 @@ def sample(
     found; where these do not become good enough, sheets are learnt as otherwise, unless the draws that are `known` are not to be
     trusted themselves: twelve rounds more for each hypothesis would not make the verdict sure. `least`: the log evidence below
     which nobody asks how good the draws are.
+
+    Where the computing budget (:mod:`sunspin.estimate.effort`) is spent, ridges are no longer followed and no further round begins
+    but the last, of `LAST_DRAWS`.
     """
     bent = None
     if known is not None and known.drawn.bent is not None:
@@ -151,11 +156,12 @@ def sample(
     rough = known is not None and (
         known.drawn.effective < EFFECTIVE_LIMIT or known.drawn.tail > TAIL_LIMIT
     )
-    kinds = SOFTS if modes.complete else SOFTS[:1]
+    kinds = [(softs, None) for softs in (SOFTS if modes.complete else SOFTS[:1])]
     if bent is not None:
-        kinds = (LENT,) if rough else (LENT, *kinds)
-    for softs in kinds:
-        lent = bent if softs == LENT else None
+        kinds = [(bent.sheet.softs, bent), *([] if rough else kinds)]
+    for softs, lent in kinds:
+        if tracks and not may_go_on():
+            break
         tracks.append(_taught(likelihood, modes, softs, seed, run, chunk, part, lent, least))
         if tracks[-1].good is not None:
             break
@@ -166,10 +172,12 @@ def sample(
         return None
     if last is None:
         blend = Blend(tuple(track.mixture for track in tracks), worth / worth.sum())
-        count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, MOST_DRAWS))
+        most = MOST_DRAWS if may_go_on() else LAST_DRAWS
+        count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, most))
         last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
         trace.append([last.evidence, last.effective / count, last.tail])
     label, of_component = regions(last.log_weight, last.parts, last.density)
+    of_mode = tracks[0].of_mode
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))
     return Sample(
         last.state,
@@ -177,22 +185,23 @@ def sample(
         last.log_likelihood,
         label,
         share,
-        of_component[tracks[0].of_mode],
+        np.where(of_mode >= 0, of_component[of_mode], -1),
         last.effective,
         last.tail,
         last.evidence,
         np.array(trace),
-        tracks[best].of_mode,
+        tracks[best].ridge,
         tracks[best].first,
     )
 
 
 @dataclass(frozen=True)
 class _Track:
-    """What was learnt with sheets of one kind: a mixture, the component of each mode, the best share of draws, the trace, the
-    components that it began with, and the last round, if its draws are good."""
+    """What was learnt with sheets of one kind: a mixture, the ridge and the component of each mode, the best share of draws, the
+    trace, the components that it began with, and the last round, if its draws are good."""
 
     mixture: Mixture
+    ridge: np.ndarray
     of_mode: np.ndarray
     share: float
     trace: list[list[float]]
@@ -213,12 +222,14 @@ def _taught(
 ) -> _Track:
     """Rounds of draws from which a mixture learns; its first components stand first in it. `bent`: components whose bends
     are taken instead of found; `least` as in `sample`."""
-    first, of_mode = _first(likelihood, modes, softs, seed, run, chunk, bent)
+    first, ridge, of_mode = _first(likelihood, modes, softs, seed, run, chunk, bent)
     mixture, tried, trace = first, [], []
     count, good = int(part * DRAWS), None
     begin = (SOFTS.index(softs) if bent is None else len(SOFTS) + 1) * ROUNDS
-    rounds, wanted = (ROUNDS, GOOD_SHARE) if bent is None else (LENT_ROUNDS, LENT_SHARE)
+    rounds, wanted = (ROUNDS, GOOD_SHARE) if bent is None else (ROUNDS // 2, LENT_SHARE)
     for turn in range(rounds):
+        if turn and not may_go_on():
+            break
         made = _round(likelihood, mixture, count, seed, begin + turn, run, chunk)
         trace.append([made.evidence, made.effective / count, made.tail])
         tried.append((made.effective / count, mixture))
@@ -229,13 +240,14 @@ def _taught(
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, begin + turn)))
             mixture = _learnt(made, first, mixture, local=turn >= 2, rng=rng)
     share = max(share for share, _ in tried)
-    return _Track(
-        pooled(tried) if good is None and share else mixture, of_mode, share, trace, first, good
-    )
+    mixture = pooled(tried) if good is None and share else mixture
+    return _Track(mixture, ridge, of_mode, share, trace, first, good)
 
 
 def pooled(tried: list[tuple[float, Mixture]]) -> Mixture:
     """The mixtures of all rounds, by what their draws were worth: none of them may be trusted to cover the posterior alone."""
+    if len(tried) == 1:
+        return tried[0][1]
     total = sum(share for share, _ in tried)
     weights = [share / total * m.weight / m.weight.sum() for share, m in tried]
     n, first, second = len(weights[0]), tried[0][1], tried[1][1]
@@ -286,6 +298,7 @@ def _round(
             found["u"],
         )
     parts = mixture.log_densities(proposed)
+    spend(parts.size / DENSITIES)
     density = np.concatenate([np.asarray(logsumexp(parts[rows], axis=1)) for rows in _blocks(n)])
     weight = model.log_prior(state) + known - density - of_turns
     weight = np.where(np.isnan(weight), -np.inf, weight)
@@ -311,10 +324,12 @@ def _first(
     run: Any,
     chunk: int,
     bent: Mixture | None = None,
-) -> tuple[Mixture, np.ndarray]:
-    """Components by Laplace's method, bent along their ridges; and the component that each mode belongs to.
+) -> tuple[Mixture, np.ndarray, np.ndarray]:
+    """Components by Laplace's method, bent along their ridges; of each mode, the one on whose ridge it lies and its component (-1:
+    it has none).
 
-    Modes on the ridge of a better one are not given a component of their own. `bent` as in `_taught`.
+    Modes on the ridge of a likelier one are not given a component of their own, nor are those that are negligible. `bent` as in
+    `_taught`.
     """
     model, reach = standing(likelihood.model)[0], likelihood.data.reach_s
     d, kept = model.dimension, np.concatenate([np.arange(5), 5 + rest_of(likelihood.model)])
@@ -323,13 +338,13 @@ def _first(
     volume = 0.5 * np.linalg.slogdet(laplace)[1]
     laplace = (0.5 * (laplace + np.swapaxes(laplace, 1, 2)))[:, kept[:, None], kept]
     centres = without_turns(likelihood.model, modes.state)
-    sheet = Sheet.of(
-        d, softs if bent is None else bent.sheet.softs, model.moving, model.where("scale")
-    )
+    sheet = Sheet.of(d, softs, model.moving, model.where("scale"))
     if bent is None:
         parts = [_straight(c, _basis(c, reach), sheet) for c in laplace]
     else:
-        near = [_nearest(bent.centre, centres.take([m]), reach) for m in range(len(laplace))]
+        # by what they turn within reach, and by direction
+        off = reach * (centres.omega[:, None] - bent.centre.omega)
+        near = np.argmin((off**2).sum(2) - 2 * centres.sun @ bent.centre.sun.T, axis=1)
         parts = [
             _straight(c, bent.basis[k], sheet, bent, k) for c, k in zip(laplace, near, strict=True)
         ]
@@ -339,13 +354,17 @@ def _first(
     mixture = Mixture(
         centres, basis, bend, np.zeros((len(covariance), d)), covariance, alike, sheet
     )
-    for m in range(min(len(covariance), MOST_BENT)):
-        for k in np.flatnonzero(owner[:m] == np.arange(m)):
+    mass = volume - modes.objective
+    order, least_mass = np.argsort(-mass, kind="stable"), mass.max() + np.log(LEAST_WEIGHT / 2)
+    for i, m in enumerate(order[:MOST_BENT]):
+        if mass[m] < least_mass:
+            break
+        for k in order[:i][owner[order[:i]] == order[:i]]:
             off = mixture.coordinates(centres.take(np.array([m])), int(k))[0]
             if off @ np.linalg.solve(covariance[k], off) < ON_RIDGE * d:
                 owner[m] = k
                 break
-        if owner[m] == m and bent is None:
+        if owner[m] == m and bent is None and may_go_on():
             rng = np.random.default_rng(
                 np.random.SeedSequence(
                     seed, spawn_key=(2, SOFTS.index(softs) * len(modes.objective) + m)
@@ -354,20 +373,25 @@ def _first(
             turns = np.delete(modes.state.u[[m]], rest_of(likelihood.model), axis=1)
             _follow_ridge(likelihood, mixture, m, turns, rng, run, chunk)
     kept = np.flatnonzero(owner == np.arange(len(owner)))
-    mass = (volume - modes.objective)[kept]
-    first, of_kept = mixture.take(kept), np.arange(len(kept))
+    first, mass = mixture.take(kept), mass[kept]
     if model.frame:
         first, mass, of_kept = _over_sizes(model, first, mass, modes.share[kept])
+        kept = kept[of_kept]
+    heavy = np.flatnonzero(mass > mass.max() + np.log(LEAST_WEIGHT / 2))
+    first, mass = first.take(heavy), mass[heavy]
+    modes_of, component = np.unique(kept[heavy], return_index=True)
+    of_mode = np.full(len(owner), -1)
+    of_mode[modes_of] = component
     weight = np.exp(np.maximum(0.7 * (mass - mass.max()), -8.0))
     first = replace(first, covariance=WIDER * first.covariance, weight=weight / weight.sum())
-    return first, np.searchsorted(of_kept, np.searchsorted(kept, owner))
+    return first, owner, of_mode[owner]
 
 
 def _over_sizes(
     model: Model, mixture: Mixture, mass: np.ndarray, fitted: np.ndarray
 ) -> tuple[Mixture, np.ndarray, np.ndarray]:
-    """Components under each sigma that a steady torque may have instead of the one (m) of their fit, by linear theory, those of
-    no mass and those beyond its reach (`FAR_TORQUE`) left out; their log masses, and which component each was made of, in order."""
+    """Components under each sigma that a steady torque may have instead of the one (m) of their fit, by linear theory, those beyond
+    its reach (`FAR_TORQUE`) left out; their log masses, and which component each was made of, in order."""
     places = 5 + np.array(model.where("steady_torque"))
     made: list[tuple[int, float, np.ndarray, np.ndarray]] = []
     for m, share in enumerate(fitted):
@@ -386,22 +410,9 @@ def _over_sizes(
                 np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(mixture.covariance[m])[1]
             )
             made.append((m, mass[m] + gain + size - 3 * np.log(other / share), mean, covariance))
-    every = np.array([one[1] for one in made])
-    best = np.array([max(one[1] for one in made if one[0] == m) for m in range(len(fitted))])
-    kept = [one for one, value in zip(made, every, strict=True) if value > best[one[0]] - NO_MASS]
-    index = np.array([one[0] for one in kept])
-    found = replace(
-        mixture.take(index),
-        mean=np.array([one[2] for one in kept]),
-        covariance=np.array([one[3] for one in kept]),
-    )
-    return found, np.array([one[1] for one in kept]), index
-
-
-def _nearest(centre: State, one: State, reach_s: float) -> int:
-    """Which of the states (m) is the nearest to one by what they turn in `reach_s` and by direction."""
-    turn = np.linalg.norm(centre.omega - one.omega, axis=1) * reach_s
-    return int(np.argmin(turn**2 + np.sum((centre.sun - one.sun) ** 2, axis=1)))
+    index, masses, means, covariances = (np.array(every) for every in zip(*made, strict=True))
+    sized = replace(mixture.take(index), mean=means, covariance=covariances)
+    return sized, masses, index
 
 
 def _basis(laplace: np.ndarray, reach_s: float) -> np.ndarray:
@@ -523,14 +534,16 @@ def regions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The region of each draw (n) and of each component (m; -1: none of weight); arguments as in `_Round`."""
     weight = np.exp(log_weight - logsumexp(log_weight))
-    count = parts.shape[1]
-    mass, overlap = np.zeros(count), np.zeros((count, count))
-    for rows in _blocks(len(weight)):
-        share = np.exp(parts[rows] - density[rows, None])
-        mass += weight[rows] @ share
+    blocks = _blocks(len(weight))
+    mass = sum(weight[rows] @ np.exp(parts[rows] - density[rows, None]) for rows in blocks)
+    heavy = np.flatnonzero(mass >= 1e-12)  # of thousands of components few are: the product costs
+    overlap = np.zeros((len(heavy), len(heavy)))
+    for rows in blocks:
+        share = np.exp(parts[rows][:, heavy] - density[rows, None])
         overlap += (weight[rows, None] * share).T @ share
-    alike = overlap > CONNECTED * np.maximum(np.minimum(mass[:, None], mass[None, :]), 1e-300)
-    alike &= (mass[:, None] >= 1e-12) & (mass >= 1e-12)
+    least = np.minimum(mass[heavy, None], mass[heavy])
+    alike = np.zeros((len(mass), len(mass)), dtype=bool)
+    alike[np.ix_(heavy, heavy)] = overlap > CONNECTED * least
     label = connected_components(alike, directed=False)[1]
     of_draw = label[np.argmax(parts, axis=1)]
     names, inverse = np.unique(of_draw, return_inverse=True)

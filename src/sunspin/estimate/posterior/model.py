@@ -293,7 +293,10 @@ def model(
             _scale_sigma(vehicle, priors, told),
         )
     ]
-    made.append(Unknown("log_noise", "noise", "1", 0.0, _noise_sigma(vehicle, priors, told)))
+    noise = _sigma(
+        priors, "noise", None, NOISE_SIGMA if vehicle.telemetry.noise else NOISE_UNKNOWN, told
+    )
+    made.append(Unknown("log_noise", "noise", "1", 0.0, noise))
     made += _wheels(vehicle, priors, commands, told)
     made += _inertia(vehicle, priors, told)
     gain = _sigma(priors, "gain", None, 0.0, told)
@@ -414,12 +417,6 @@ def _scale_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, st
         told["scale"] = "free in each sample (throttled)"
         return 0.0
     return _sigma(priors, "scale", None, SCALE_SIGMA[vehicle.gain_unit is not None], told)
-
-
-def _noise_sigma(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> float:
-    return _sigma(
-        priors, "noise", None, NOISE_SIGMA if vehicle.telemetry.noise else NOISE_UNKNOWN, told
-    )
 
 
 def _wheels(

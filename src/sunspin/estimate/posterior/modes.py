@@ -14,13 +14,14 @@ from sunspin.base.errors import InputError, sentence
 from sunspin.compute.pool import worker_count
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.torques import NOTHING
+from sunspin.estimate.effort import spend
 from sunspin.estimate.posterior import cells as c
 from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.family import boxes, denser, joined, same_mode
-from sunspin.estimate.posterior.fit import Begun, Fit, Levels, OfStates, Slopes, chunk_rows
+from sunspin.estimate.posterior.fit import FITTED, Begun, Fit, Levels, OfStates, Slopes, chunk_rows
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
-from sunspin.estimate.posterior.model import STANDING, Model, State, Unknown
+from sunspin.estimate.posterior.model import STANDING, Model, State
 from sunspin.estimate.posterior.turns import rest_of
 from sunspin.solve.least_squares import shortened
 
@@ -358,6 +359,9 @@ class Search:
             else self.store / f"{self.stage:02d}-{label.replace(' ', '-')}"
         )
         self.stage += 1
+        if isinstance(function, OfStates | Fit):
+            runs = FITTED if isinstance(function, Fit) else 1
+            spend(runs * function.n_rows * len(function.likelihood.data))
         return ensemble(
             function,
             workers=self.workers,
@@ -379,9 +383,9 @@ class Search:
         near = data.take(chosen.tried)
         tried = replace(near, others=())
         # torques hardly move a body in three samples, and the frame of H in which the grid's motions are kept would move too
-        free = replace(
-            model, max_rate=chosen.limit, acting=NOTHING, unknowns=_of_the_vehicle(model)
-        )
+        # and without unknowns all motions are of the vehicle's own body: one for all runs faster than one for each
+        own = tuple(x for x in model.unknowns if x.kind == "wheel_speed")
+        free = replace(model, max_rate=chosen.limit, acting=NOTHING, unknowns=own)
         grid = c.Attitudes(free, tried.t_s, chosen.edge)
         turn = self.run(grid, "grid of rates", 8192)["turn"]
         here = data.value[chosen.anchor], data.used[chosen.anchor]
@@ -426,7 +430,8 @@ class Search:
             replace(data, sigma=tilt.spread(data.sigma, model.vehicle, model.unknowns, scale)),
         )
         model, kept = standing(model, (tilt.KIND,))
-        few, held = _of_the_motion(model)
+        # few samples tell nothing of the body's own constants, and motions of one body run faster than one body for each
+        few, held = standing(model, tuple({x.kind for x in model.unknowns} - {*STANDING, "turn"}))
         state, hits = self.starts(few, data, chosen, scale)
         notes: list[str] = []
         if chosen.limit < model.max_rate * (1 - 1e-9):
@@ -569,10 +574,13 @@ class Search:
 
     def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
         """The modes and their images under what changes no reading of panels on shared inputs: the search may miss some."""
-        images = likelihood.response.images
+        images, state = likelihood.response.images, found.state
         if len(images) == 1:
             return found
-        every = State.joined([_imaged(found.state, image) for image in images])
+        turned = [  # rates are axial vectors
+            State(np.linalg.det(x) * (state.omega @ x.T), state.sun @ x.T, state.u) for x in images
+        ]
+        every = State.joined(turned)
         return self._last(
             likelihood,
             every,
@@ -678,13 +686,6 @@ def distinct(
     )
 
 
-def _imaged(state: State, image: np.ndarray) -> State:
-    """Motions as a mirror or a turn of the body (3, 3) shows them: rates are axial vectors."""
-    return replace(
-        state, omega=np.linalg.det(image) * (state.omega @ image.T), sun=state.sun @ image.T
-    )
-
-
 def _turned(model: Model, state: State) -> list[State]:
     """The states with each of the turns about the Sun to be tried; as they are where nothing depends on it."""
     if not model.turned:
@@ -704,15 +705,6 @@ def standing(model: Model, kinds: tuple[str, ...] = tilt.KINDS) -> tuple[Model, 
     ), kept
 
 
-def _of_the_motion(model: Model) -> tuple[Model, np.ndarray]:
-    """The model with the body's own constants known, and the places (k) in u of the unknowns that are left. A few samples tell
-    nothing of these, and motions of one body run faster than one body for each."""
-    kept = np.array(
-        [i for i, x in enumerate(model.unknowns) if x.kind in (*STANDING, "turn")], dtype=np.int64
-    )
-    return replace(model, unknowns=tuple(model.unknowns[i] for i in kept)), kept
-
-
 def _among(state: State, model: Model, places: np.ndarray) -> State:
     """States with u (n, k) as those of a model that has their unknowns at `places` (k), the others at their centres."""
     u = np.zeros((len(state), len(model.unknowns)))
@@ -727,11 +719,6 @@ def _widened(state: State, model: Model, kept: np.ndarray) -> State:
     made = _among(state, model, kept)
     made.u[:, model.where("noise")] = 0.0
     return made
-
-
-def _of_the_vehicle(model: Model) -> tuple[Unknown, ...]:
-    """Unknowns without which all motions are of the vehicle's own body: one for all runs faster than one for each."""
-    return tuple(x for x in model.unknowns if x.kind == "wheel_speed")
 
 
 def _anything(model: Model, chosen: Plan) -> State:
