@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,13 +14,19 @@ from sunspin.estimate.orbit.check import Verdict, check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST, MOST_SAMPLES, seen_in
 from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
-from sunspin.estimate.rates.observe import thinned
+from sunspin.estimate.rates.finish import leading
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations, passes, thinned, usable
+from sunspin.estimate.rates.residuals import panels_as_read
+from sunspin.estimate.rates.state import Motion
 from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms
 from validation.spinners import AS_MOUNTED, Case, make
 
 ROTATED = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 THREE, LARGE_ZERO = ("-X", "-Y", "-Z"), (3.0, -3.0, 2.0)
+FOUR = ("-X", "+Y", "-Z", "+X")
 
 
 @cache
@@ -120,6 +127,57 @@ def test_the_readings_show_the_zero_across_the_axis_of_the_spin(folder):
     assert (
         read.forgiving().sigma < 4000
     )  # the zero along the axis is open, and moves no neighbours apart
+
+
+@pytest.fixture(scope="module")
+def searched(folder):
+    """Of a pass of 15 minutes at 6 deg/s: vehicle, telemetry, all samples, those kept, the best modes and how it moves."""
+    zero, where = (0.2, -0.3, 0.25), folder / "searched"
+    case = Case(5, 2, -6.0, 1, 1.0, FOUR, AS_MOUNTED, zero, True, 1.3, True, 0.1, 2.0, 450)
+    make(case, where)
+    vehicle = ss.load_vehicle(where / "vehicle.toml")
+    telemetry = ss.read_telemetry(where / "telemetry.csv", vehicle)
+    o, why, _ = observations(vehicle, telemetry)
+    (kept,) = passes(o, why)
+    motion = Motion(Body.of(vehicle), 2e-5, 0.1)
+    return vehicle, telemetry, usable(o, why), kept, leading(o.take(kept), motion, 0.2), motion
+
+
+def scale(searched, telemetry):
+    """By what the sigmas of panels are smaller than presumed."""
+    vehicle, _, whole, kept, track, motion = searched
+    o = observations(vehicle, telemetry)[0]
+    before, after = (
+        next(term for term in each.terms if isinstance(term, Panels))
+        for each in (o, panels_as_read(o, [(whole, kept, track)], motion))
+    )
+    read = np.isfinite(before.sigma)
+    return np.unique((after.sigma[read] / before.sigma[read]).round(9))
+
+
+def test_panels_are_taken_for_as_good_as_their_readings_scatter(searched):
+    telemetry = searched[1]
+    (as_read,) = scale(searched, telemetry)
+    assert 0.2 <= as_read < 0.8  # 1 % of noise, where 2 to 3 % are presumed
+    noisy = telemetry.copy()
+    rng = np.random.default_rng(3)
+    noisy["current_A"] = noisy["current_A"] + 0.02 * 0.1 * rng.normal(size=noisy["current_A"].shape)
+    assert (scale(searched, noisy) == 1.0).all()
+
+
+def test_without_a_magnetometer_panels_keep_what_is_presumed(searched):
+    assert (scale(searched, searched[1].drop_vars("field_B")) == 1.0).all()
+
+
+def test_passes_with_a_magnetometer_keep_every_tenth_sample_at_least(searched):
+    vehicle, telemetry, *_ = searched
+    o, why, _ = observations(vehicle, telemetry)
+    read = next(term for term in o.terms if isinstance(term, Magnetometer))
+    o = o.swapped(read, replace(read, sigma=np.inf))  # no pairs, as in an orbit
+    for factor, longest in ((1.0, 1000.0), (2.0, 1600.0), (8.0, 3000.0)):
+        spread = replace(o, t_s=factor * o.t_s)
+        spans = [np.ptp(spread.t_s[part]) for part in passes(spread, why)]
+        assert longest / 2 < max(spans) <= longest
 
 
 def test_a_pass_that_begins_in_the_shadow_is_dense_where_it_shows_the_sun():
