@@ -14,14 +14,17 @@ from sunspin.estimate.orbit.check import Verdict, check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST, MOST_SAMPLES, seen_in
 from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
+from sunspin.estimate.rates.common_errors import with_common
+from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.finish import leading
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes, thinned, usable
-from sunspin.estimate.rates.residuals import panels_as_read
+from sunspin.estimate.rates.residuals import Fitted, panels_as_read, residuals
 from sunspin.estimate.rates.state import Motion
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms
+from sunspin.solve.rotations import turn
 from validation.spinners import AS_MOUNTED, Case, make
 
 ROTATED = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
@@ -167,6 +170,26 @@ def test_panels_are_taken_for_as_good_as_their_readings_scatter(searched):
 
 def test_without_a_magnetometer_panels_keep_what_is_presumed(searched):
     assert (scale(searched, searched[1].drop_vars("field_B")) == 1.0).all()
+
+
+def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between(searched):
+    vehicle, telemetry, index, kept, track, motion = searched
+    o = observations(vehicle, telemetry)[0]
+    part, place, best = o.take(kept).freed(), np.searchsorted(index, kept), track.take(slice(1))
+    fit = with_common(part, best, motion, None)
+    every = o.take(index).freed()
+    dense = Dense.of(o.take(index), np.arange(len(index)), place, fit.track, motion)
+    seen = dense.filled(fit.track)
+    time = np.interp(every.t_s, every.t_s[place], np.arange(len(place)))
+    angle = 2 * np.pi * (time - np.floor(time))[:, None] * [0, 1, 0]  # about the axis of the spin
+    more = replace(seen, attitude=turn(seen.attitude, angle[None]))
+    right, turned_once_more = (
+        residuals(every, place, each, Fitted(part, fit.track, fit.error, motion, None))
+        for each in (seen, more)
+    )
+    assert np.nanmean(np.abs(right["magnetometer"]) > 3) < 0.05
+    assert np.nanmean(np.abs(turned_once_more["magnetometer"]) > 3) > 0.5
+    assert np.isfinite(right["magnetometer"]).sum() > 10 * len(kept)
 
 
 def test_passes_with_a_magnetometer_keep_every_tenth_sample_at_least(searched):

@@ -50,16 +50,16 @@ def residuals(
                 fit.clock is not None
             )  # carried to the Sun's instants, which are not its own
             found[term.called] = np.where(unknown, np.nan, left)
-    relative = fit.track.attitude[:, 1:] @ np.swapaxes(fit.track.attitude[:, :-1], -1, -2)
-    for term, place in places.pairs:
-        value = term.between(fit.o.t_s, relative)[0]
+    relative = whole.attitude[:, 1:] @ np.swapaxes(whole.attitude[:, :-1], -1, -2)
+    turned = spread[:, 1:, 3:, 3:] * np.diff(every.t_s)[:, None, None] ** 2
+    for term, (_, place) in zip(every.of_pairs, places.pairs, strict=True):
+        value, _, second = term.between(every.t_s, relative)
         value = value + np.einsum(
-            "knim,km->kni", term.gained(fit.o.t_s, fit.track), fit.error[:, place]
+            "knim,km->kni", term.gained(every.t_s, whole), fit.error[:, place]
         )
+        left = in_sigma(_whitened(value, second[..., :3], turned), 3)
         found[term.called] = np.full(omega.shape[:2], np.nan)
-        found[term.called][:, kept[1:]] = np.where(
-            term.pairs(), in_sigma((value**2).sum(axis=-1), 3), np.nan
-        )
+        found[term.called][:, 1:] = np.where(term.pairs(), left, np.nan)
     return found
 
 
@@ -77,10 +77,14 @@ def _square(
     """Their squares (K, n), summed over the numbers of a reading."""
     square = np.zeros(seen.omega.shape[:2])
     for value, slope in term.residuals(seen, error):
-        to_state = slope[..., : spread.shape[-1]]
-        both = np.eye(value.shape[-1]) + to_state @ spread @ np.swapaxes(to_state, -1, -2)
-        square += (value * np.linalg.solve(both, value[..., None])[..., 0]).sum(axis=-1)
+        square += _whitened(value, slope[..., : spread.shape[-1]], spread)
     return square
+
+
+def _whitened(value: np.ndarray, slope: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Squares (K, n) of residuals (K, n, m) that answer by a slope (K, n, m, d) to what is known to a covariance (K, n, d, d)."""
+    both = np.eye(value.shape[-1]) + slope @ spread @ np.swapaxes(slope, -1, -2)
+    return (value * np.linalg.solve(both, value[..., None])[..., 0]).sum(axis=-1)
 
 
 FINEST = 0.2
