@@ -23,12 +23,10 @@ MAX_PASS_S = 3000.0
 """Longer passes are cut: half an orbit, over which a rate's wandering is still small against a turn."""
 
 MAX_FIELD_S = 1000.0
-"""The same if a magnetometer is read and no orbit is known: that the field turns ever faster or slower holds for a sixth of an
-orbit. Over half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
-
-SPARSEST = 10
-"""Intervals of the file between two kept samples, at most, if a magnetometer is read in an orbit and a pass is longer than that.
-At 70 s, four turns at 21 deg/s, one of two passes fitted badly: the fit of the nutation had ended beside its minimum."""
+"""The same if a magnetometer is read. Without an orbit, that the field turns ever faster or slower holds for a sixth of one: over
+half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014. With one, kept samples of half an orbit
+are 70 s apart, four turns at 21 deg/s, and the fit of the nutation ended beside its minimum in two of four passes; of passes of
+1900 s one was decided with a turn more between samples 5 s apart."""
 
 MAX_DARK_S = 300.0
 """A pass goes on if the panels show no Sun for less than this and a magnetometer reads on; the shadow of the Earth lasts longer. A
@@ -115,10 +113,8 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
         for term in o.terms
         if isinstance(term, Magnetometer) and term.known is None and term.pairs().any()
     ]
-    longest = MAX_FIELD_S if fields else MAX_PASS_S
-    if not fields and any(isinstance(x, Magnetometer) and x.present().any() for x in o.terms):
-        dense = SPARSEST * MAX_SAMPLES * float(np.median(np.diff(times)))
-        longest = min(max(dense, MAX_FIELD_S), MAX_PASS_S)
+    reads_field = any(isinstance(x, Magnetometer) and x.present().any() for x in o.terms)
+    longest = MAX_FIELD_S if reads_field else MAX_PASS_S
     ends = np.flatnonzero(np.diff(times) > gap)
     if fields and gap_s is None:
         read = o.t_s[fields[0].present()]
