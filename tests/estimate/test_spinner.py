@@ -192,15 +192,21 @@ def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between
     assert np.isfinite(right["magnetometer"]).sum() > 10 * len(kept)
 
 
-def test_passes_with_a_magnetometer_are_short_in_an_orbit_too(searched):
+def test_dense_passes_with_a_magnetometer_are_short_in_an_orbit_too(searched):
     vehicle, telemetry, *_ = searched
     o, why, _ = observations(vehicle, telemetry)
     read = next(term for term in o.terms if isinstance(term, Magnetometer))
-    spread = replace(o, t_s=3 * o.t_s)
-    in_orbit = spread.swapped(read, replace(read, sigma=np.inf))  # no pairs, as in an orbit
-    alone = replace(spread, terms=tuple(term for term in spread.terms if term is not read))
-    for each, longest in ((spread, 1000.0), (in_orbit, 1000.0), (alone, 3000.0)):
-        spans = [np.ptp(each.t_s[part]) for part in passes(each, why, 300.0)]
+    in_orbit = o.swapped(read, replace(read, sigma=np.inf))  # no pairs, as in an orbit
+    alone = replace(o, terms=tuple(term for term in o.terms if term is not read))
+    for each, factor, longest in (
+        (o, 2, 1000.0),
+        (o, 8, 1000.0),
+        (in_orbit, 2, 1000.0),
+        (in_orbit, 8, 3000.0),
+        (alone, 2, 3000.0),
+    ):
+        spread = replace(each, t_s=factor * o.t_s)
+        spans = [np.ptp(spread.t_s[part]) for part in passes(spread, why, 300.0)]
         assert longest / 2 < max(spans) <= longest
 
 
