@@ -103,6 +103,32 @@ def test_a_dipole_in_a_known_field_pulls_across_both():
     np.testing.assert_allclose(pushed[:3], 15 * pushed[3:], atol=1e-18)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])
+@pytest.mark.parametrize("known", [False, True])
+def test_a_magnetic_torque_is_averaged_over_the_turns_between_two_samples(size, known):
+    """Against the sum over 4000 instants of each interval, up to 20 turns of it."""
+    rng = np.random.default_rng(11)
+    track = seen(rng)
+    track = replace(track, omega=np.repeat(size * track.omega[:, :1], 12, axis=1))
+    term = MagneticTorque.beside(1e-4, np.tile([0.3, -0.4, 1.2], (12, 1)) if known else None)
+    dt = np.diff(TIMES)
+    pushed = term.pushes(track, dt)[0, 3]
+    share = (np.arange(4000) + 0.5) / 4000
+    attitude = turn(track.attitude[0, 3], share[:, None] * track.omega[0, 3] * dt[3])
+    if known:
+        unit = [0.3, -0.4, 1.2] / np.linalg.norm([0.3, -0.4, 1.2])
+        each = np.cross(np.eye(3), (attitude @ unit)[:, None]) / np.sqrt(2)
+    else:
+        columns = np.swapaxes(attitude, 1, 2)
+        each = np.cross(np.eye(3)[:, None], columns[:, None]).reshape(-1, 9, 3) / np.sqrt(6)
+    acceleration = term.sigma * np.swapaxes(each, 1, 2)
+    left = (1 - share)[:, None, None]
+    np.testing.assert_allclose(pushed[3:], dt[3] * acceleration.mean(axis=0), atol=1e-8)
+    np.testing.assert_allclose(
+        pushed[:3], dt[3] ** 2 * (left * acceleration).mean(axis=0), atol=1e-7
+    )
+
+
 def test_a_beam_that_is_known_has_its_brightness_as_an_unknown_and_turns_the_start_to_the_sun():
     light = np.tile([0.2, 0.0, 0.05], (12, 1))
     earth = EarthLight.prior(TIMES, 0.1, np.ones(6), light)

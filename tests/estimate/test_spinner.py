@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,13 +14,22 @@ from sunspin.estimate.orbit.check import Verdict, check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST, MOST_SAMPLES, seen_in
 from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
-from sunspin.estimate.rates.observe import thinned
+from sunspin.estimate.rates.common_errors import with_common
+from sunspin.estimate.rates.dense import Dense
+from sunspin.estimate.rates.finish import leading
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations, passes, thinned, usable
+from sunspin.estimate.rates.residuals import Fitted, panels_as_read, residuals
+from sunspin.estimate.rates.state import Motion
 from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms
+from sunspin.solve.rotations import turn
 from validation.spinners import AS_MOUNTED, Case, make
 
 ROTATED = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
 THREE, LARGE_ZERO = ("-X", "-Y", "-Z"), (3.0, -3.0, 2.0)
+FOUR = ("-X", "+Y", "-Z", "+X")
 
 
 @cache
@@ -120,6 +130,84 @@ def test_the_readings_show_the_zero_across_the_axis_of_the_spin(folder):
     assert (
         read.forgiving().sigma < 4000
     )  # the zero along the axis is open, and moves no neighbours apart
+
+
+@pytest.fixture(scope="module")
+def searched(folder):
+    """Of a pass of 15 minutes at 6 deg/s: vehicle, telemetry, all samples, those kept, the best modes and how it moves."""
+    zero, where = (0.2, -0.3, 0.25), folder / "searched"
+    case = Case(5, 2, -6.0, 1, 1.0, FOUR, AS_MOUNTED, zero, True, 1.3, True, 0.1, 2.0, 450)
+    make(case, where)
+    vehicle = ss.load_vehicle(where / "vehicle.toml")
+    telemetry = ss.read_telemetry(where / "telemetry.csv", vehicle)
+    o, why, _ = observations(vehicle, telemetry)
+    (kept,) = passes(o, why)
+    motion = Motion(Body.of(vehicle), 2e-5, 0.1)
+    return vehicle, telemetry, usable(o, why), kept, leading(o.take(kept), motion, 0.2), motion
+
+
+def scale(searched, telemetry):
+    """By what the sigmas of panels are smaller than presumed."""
+    vehicle, _, whole, kept, track, motion = searched
+    o = observations(vehicle, telemetry)[0]
+    before, after = (
+        next(term for term in each.terms if isinstance(term, Panels))
+        for each in (o, panels_as_read(o, [(whole, kept, track)], motion))
+    )
+    read = np.isfinite(before.sigma)
+    return np.unique((after.sigma[read] / before.sigma[read]).round(9))
+
+
+def test_panels_are_taken_for_as_good_as_their_readings_scatter(searched):
+    telemetry = searched[1]
+    (as_read,) = scale(searched, telemetry)
+    assert 0.2 <= as_read < 0.8  # 1 % of noise, where 2 to 3 % are presumed
+    noisy = telemetry.copy()
+    rng = np.random.default_rng(3)
+    noisy["current_A"] = noisy["current_A"] + 0.02 * 0.1 * rng.normal(size=noisy["current_A"].shape)
+    assert (scale(searched, noisy) == 1.0).all()
+
+
+def test_without_a_magnetometer_panels_keep_what_is_presumed(searched):
+    assert (scale(searched, searched[1].drop_vars("field_B")) == 1.0).all()
+
+
+def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between(searched):
+    vehicle, telemetry, index, kept, track, motion = searched
+    o = observations(vehicle, telemetry)[0]
+    part, place, best = o.take(kept).freed(), np.searchsorted(index, kept), track.take(slice(1))
+    fit = with_common(part, best, motion, None)
+    every = o.take(index).freed()
+    dense = Dense.of(o.take(index), np.arange(len(index)), place, fit.track, motion)
+    seen = dense.filled(fit.track)
+    time = np.interp(every.t_s, every.t_s[place], np.arange(len(place)))
+    angle = 2 * np.pi * (time - np.floor(time))[:, None] * [0, 1, 0]  # about the axis of the spin
+    more = replace(seen, attitude=turn(seen.attitude, angle[None]))
+    right, turned_once_more = (
+        residuals(every, place, each, Fitted(part, fit.track, fit.error, motion, None))
+        for each in (seen, more)
+    )
+    assert np.nanmean(np.abs(right["magnetometer"]) > 3) < 0.05
+    assert np.nanmean(np.abs(turned_once_more["magnetometer"]) > 3) > 0.5
+    assert np.isfinite(right["magnetometer"]).sum() > 10 * len(kept)
+
+
+def test_dense_passes_with_a_magnetometer_are_short_in_an_orbit_too(searched):
+    vehicle, telemetry, *_ = searched
+    o, why, _ = observations(vehicle, telemetry)
+    read = next(term for term in o.terms if isinstance(term, Magnetometer))
+    in_orbit = o.swapped(read, replace(read, sigma=np.inf))  # no pairs, as in an orbit
+    alone = replace(o, terms=tuple(term for term in o.terms if term is not read))
+    for each, factor, longest in (
+        (o, 2, 1000.0),
+        (o, 8, 1000.0),
+        (in_orbit, 2, 1000.0),
+        (in_orbit, 8, 3000.0),
+        (alone, 2, 3000.0),
+    ):
+        spread = replace(each, t_s=factor * o.t_s)
+        spans = [np.ptp(spread.t_s[part]) for part in passes(spread, why, 300.0)]
+        assert longest / 2 < max(spans) <= longest
 
 
 def test_a_pass_that_begins_in_the_shadow_is_dense_where_it_shows_the_sun():

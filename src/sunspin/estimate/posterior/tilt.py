@@ -22,9 +22,6 @@ KIND, COMMON = "tilt", "tilt_common"
 
 KINDS = (KIND, COMMON)
 
-AS_DRAWN = {KIND: 0.0, COMMON: 0.0}
-"""Priors of panels that stand as drawn, whatever the vehicle's file says."""
-
 LIT_SINE = 2 / 3
 """Mean square of the sine of the angle between a normal and the Suns that light its panel."""
 

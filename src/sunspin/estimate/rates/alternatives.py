@@ -39,6 +39,13 @@ MODES, LIGHTEST, MORE_MODES = 2, 0.02, 5
 STRONGER = (3.0, 10.0, 30.0)
 """How much stronger unknown torques may be than elsewhere in the file."""
 
+CALMER = (0.3, 0.1, 0.03)
+"""How much weaker unknown torques along the axis of a spin may be than across it: what passes for torques there, other light and
+soft iron and moments, hardly changes the spin."""
+
+SPIN_RAD = 2 * np.pi * 10
+"""A body spins if its mean rate turns it so far in a pass."""
+
 COARSER = (1.5, 2.5, 5.0)
 """How much worse a sensor may be than stated."""
 
@@ -143,6 +150,7 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
     order = np.argsort(-weight, kind="stable")[:MODES]
     start = stated.take(order[weight[order] > LIGHTEST * weight.max()])
     noises = [stated, *_stronger(start)]
+    calmer = list(_steady_spin(start))
     loosest = max(
         [start, *noises[1:]], key=lambda trial: trial.best
     )  # where torques and steps that the noise holds down can grow
@@ -150,7 +158,8 @@ def alternatives(stated: Trial, how: Others) -> list[Trial]:
         loosest.hypothesis.motion.noise, 0.0 if how.free else stated.hypothesis.motion.noise
     )[1:]
     shared = [
-        one._replace(log_evidence=one.log_evidence - np.log(1 + len(STRONGER))) for one in noises
+        trial._replace(log_evidence=trial.log_evidence - np.log(1 + len(STRONGER) + len(calmer)))
+        for trial in (*noises, *calmer)
     ]
     found = [
         *shared,
@@ -338,6 +347,22 @@ def _stronger(start: Trial) -> Iterator[Trial]:
         begin = _tried(replace(one, what=TORQUES_STRONGER, motion=motion), begin)
         yield begin
         if begin.best < start.best - HOPELESS:
+            return
+
+
+def _steady_spin(start: Trial) -> Iterator[Trial]:
+    """Torques along the axis about which the best mode spins are steady, as large as the white ones over the pass, of which less is
+    left."""
+    stated, begin = start.hypothesis, start
+    mean = start.fit.track.omega[np.argmax(start.log_evidence)].mean(axis=0)
+    speed, duration_s = np.linalg.norm(mean), np.ptp(stated.o.t_s)
+    sigma = stated.motion.noise / np.sqrt(duration_s)
+    steady = stated.beside(stated.what, SteadyTorque(sigma, "B", stated.motion.body.inertia))
+    for factor in CALMER if speed * duration_s > SPIN_RAD else ():
+        shares = np.eye(3) - (1 - factor**2) * np.outer(mean, mean) / speed**2
+        begin = _tried(replace(steady, motion=replace(steady.motion, shares=shares)), begin)
+        yield begin
+        if begin.best < start.best - WORSE:
             return
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sunspin.estimate.rates.motion import Ends, angle_turned, step_with_answer
-from sunspin.estimate.rates.smooth import noises
+from sunspin.estimate.rates.smooth import EVEN, noises
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.rotations import turn, turn_between
 
@@ -61,7 +61,8 @@ class Way:
 @dataclass(frozen=True)
 class Dense:
     """How the samples of a pass (n) follow from those kept (n_kept, at the places `there`): the others (at `new`) carried `on` and
-    `back`, `share` (m) of an interval of `span_s` (m) behind its first, under `noise` (m), rad/s^1.5, and `rate_noise`."""
+    `back`, `share` (m) of an interval of `span_s` (m) behind its first, under `noise` (m), rad/s^1.5, with `shares` (3, 3) of the
+    body's axes, and `rate_noise`."""
 
     count: int
     there: np.ndarray
@@ -72,6 +73,7 @@ class Dense:
     span_s: np.ndarray
     noise: np.ndarray
     rate_noise: float
+    shares: np.ndarray
 
     @classmethod
     def of(
@@ -102,10 +104,9 @@ class Dense:
         )  # level at both ends, so that the attitude's rate of change there is the rate
         on = _carried(o, track, before, acts, motion, 1 - weight)
         back = _carried(o, track, before + 1, acts, motion, weight)
-        noise, rate_noise = noises(o, motion)
-        return cls(
-            len(there) + len(new), there, new, on, back, share, span, noise[before], rate_noise
-        )
+        noise, rate_noise, shares = noises(o, motion)
+        count, noise = len(there) + len(new), noise[before]
+        return cls(count, there, new, on, back, share, span, noise, rate_noise, shares)
 
     def mean_map(self) -> np.ndarray:
         """What the mean rate over all samples answers to turn and rate at the kept ones, (K, n_kept, 3, 6)."""
@@ -133,7 +134,7 @@ class Dense:
             self.on.attitude, weight * turn_between(self.on.attitude, self.back.attitude)
         )
         omega[:, self.new] = self.on.omega + weight * (self.back.omega - self.on.omega)
-        spread = bridge(self.share, self.span_s, self.noise, self.rate_noise)
+        spread = bridge(self.share, self.span_s, self.noise, self.rate_noise, self.shares)
         for way in (self.on, self.back):
             start = track.covariance[:, way.number]
             spread = spread + way.weight[:, None, None] * (
@@ -219,14 +220,17 @@ def curve(o: Observations, track: Track, motion: Motion) -> tuple[np.ndarray, Tr
 
 
 def bridge(
-    share: np.ndarray, span_s: np.ndarray, noise: npt.ArrayLike, rate_noise: float = 0.0
+    share: np.ndarray,
+    span_s: np.ndarray,
+    noise: npt.ArrayLike,
+    rate_noise: float = 0.0,
+    shares: np.ndarray = EVEN,
 ) -> np.ndarray:
     """Covariance (m, 6, 6) of turn and rate at a part `share` of an interval whose ends are held, under white angular
     acceleration: the variance of a bridge of its integral and twofold integral; and of the turn under white noise of the rate."""
-    s, square = share * (1 - share), np.square(noise)
+    s, span = (share * (1 - share))[:, None, None], span_s[:, None, None]
+    square = np.square(noise)[..., None, None] * shares
     made = np.zeros((len(share), 6, 6))
-    made[:, :3, :3] = (square * span_s**3 * s**3 / 3 + rate_noise**2 * span_s * s)[
-        :, None, None
-    ] * np.eye(3)
-    made[:, 3:, 3:] = (square * span_s * s * (1 - 3 * s))[:, None, None] * np.eye(3)
+    made[:, :3, :3] = square * span**3 * s**3 / 3 + rate_noise**2 * span * s * EVEN
+    made[:, 3:, 3:] = square * span * s * (1 - 3 * s)
     return made

@@ -51,6 +51,7 @@ from sunspin.estimate.rates.noise import (
 )
 from sunspin.estimate.rates.observe import observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
+from sunspin.estimate.rates.residuals import panels_as_read
 from sunspin.estimate.rates.result import (
     SUSPECTED,
     believed,
@@ -269,11 +270,13 @@ def rates(
         ]
         tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
         o, more = _with_magnetic_torque(vehicle, o, noise)
-        ready = [
-            (o.take(part).freed(), track) for part, (_, track) in zip(parts, tracks, strict=True)
-        ]
         with spent:
             spent.doing("errors in common")
+            leads = [track for _, track in tracks]
+            o = panels_as_read(o, zip(wholes, parts, leads, strict=True), motion)
+            ready = [
+                (o.take(part).freed(), track) for part, track in zip(parts, leads, strict=True)
+            ]
             if given is None:
                 motion = replace(motion, noise=refined(ready, motion))
             clock, late = _clock(vehicle.sensors.clock, ready, motion)

@@ -22,9 +22,11 @@ from sunspin.vehicle import Vehicle
 MAX_PASS_S = 3000.0
 """Longer passes are cut: half an orbit, over which a rate's wandering is still small against a turn."""
 
-MAX_FIELD_S = 1000.0
-"""The same if a magnetometer is read and no orbit is known: that the field turns ever faster or slower holds for a sixth of an
-orbit. Over half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
+MAX_FIELD_S, MANY = 1000.0, 500
+"""The same if a magnetometer is read. Without an orbit, that the field turns ever faster or slower holds for a sixth of one: over
+half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014. With one, if a long pass would have
+more samples than the second number: kept samples 70 s apart, four turns at 21 deg/s left two of four undecided; of passes of
+1900 s one was decided with a turn more between samples 5 s apart. Slow ones, read every 10 s, need the longer pass."""
 
 MAX_DARK_S = 300.0
 """A pass goes on if the panels show no Sun for less than this and a magnetometer reads on; the shadow of the Earth lasts longer. A
@@ -111,7 +113,9 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
         for term in o.terms
         if isinstance(term, Magnetometer) and term.known is None and term.pairs().any()
     ]
-    longest = MAX_FIELD_S if fields else MAX_PASS_S
+    reads_field = any(isinstance(x, Magnetometer) and x.present().any() for x in o.terms)
+    many = MAX_PASS_S / float(np.median(np.diff(times))) > MANY
+    longest = MAX_FIELD_S if fields or (reads_field and many) else MAX_PASS_S
     ends = np.flatnonzero(np.diff(times) > gap)
     if fields and gap_s is None:
         read = o.t_s[fields[0].present()]

@@ -6,12 +6,16 @@ There the attitude was carried, and its own covariance counts beside the noise o
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common_errors import Clock, places_of
+from sunspin.estimate.rates.common_errors import Clock, places_of, with_common
+from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.state import Motion, Observations, Track
+from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Seen, StateTerm, SunTerm
 from sunspin.estimate.verdict import in_sigma
 
@@ -46,16 +50,16 @@ def residuals(
                 fit.clock is not None
             )  # carried to the Sun's instants, which are not its own
             found[term.called] = np.where(unknown, np.nan, left)
-    relative = fit.track.attitude[:, 1:] @ np.swapaxes(fit.track.attitude[:, :-1], -1, -2)
-    for term, place in places.pairs:
-        value = term.between(fit.o.t_s, relative)[0]
+    relative = whole.attitude[:, 1:] @ np.swapaxes(whole.attitude[:, :-1], -1, -2)
+    turned = spread[:, 1:, 3:, 3:] * np.diff(every.t_s)[:, None, None] ** 2
+    for term, (_, place) in zip(every.of_pairs, places.pairs, strict=True):
+        value, _, second = term.between(every.t_s, relative)
         value = value + np.einsum(
-            "knim,km->kni", term.gained(fit.o.t_s, fit.track), fit.error[:, place]
+            "knim,km->kni", term.gained(every.t_s, whole), fit.error[:, place]
         )
+        left = in_sigma(_whitened(value, second[..., :3], turned), 3)
         found[term.called] = np.full(omega.shape[:2], np.nan)
-        found[term.called][:, kept[1:]] = np.where(
-            term.pairs(), in_sigma((value**2).sum(axis=-1), 3), np.nan
-        )
+        found[term.called][:, 1:] = np.where(term.pairs(), left, np.nan)
     return found
 
 
@@ -63,10 +67,53 @@ def _at_samples(
     term: SunTerm | StateTerm, seen: Seen, error: np.ndarray, spread: np.ndarray
 ) -> np.ndarray:
     """Residuals (K, n) of a term under the covariance (K, n, 3 or 6, 3 or 6) of its readings and of the states together."""
+    freedom = term.freedom()
+    return np.where(freedom > 0, in_sigma(_square(term, seen, error, spread), freedom), np.nan)
+
+
+def _square(
+    term: SunTerm | StateTerm, seen: Seen, error: np.ndarray, spread: np.ndarray
+) -> np.ndarray:
+    """Their squares (K, n), summed over the numbers of a reading."""
     square = np.zeros(seen.omega.shape[:2])
     for value, slope in term.residuals(seen, error):
-        to_state = slope[..., : spread.shape[-1]]
-        both = np.eye(value.shape[-1]) + to_state @ spread @ np.swapaxes(to_state, -1, -2)
-        square += (value * np.linalg.solve(both, value[..., None])[..., 0]).sum(axis=-1)
-    freedom = term.freedom()
-    return np.where(freedom > 0, in_sigma(square, freedom), np.nan)
+        square += _whitened(value, slope[..., : spread.shape[-1]], spread)
+    return square
+
+
+def _whitened(value: np.ndarray, slope: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Squares (K, n) of residuals (K, n, m) that answer by a slope (K, n, m, d) to what is known to a covariance (K, n, d, d)."""
+    both = np.eye(value.shape[-1]) + slope @ spread @ np.swapaxes(slope, -1, -2)
+    return (value * np.linalg.solve(both, value[..., None])[..., 0]).sum(axis=-1)
+
+
+FINEST = 0.2
+"""No panel's readings are taken for better than this part of their sigma."""
+
+
+def panels_as_read(
+    o: Observations, passes: Iterable[tuple[np.ndarray, np.ndarray, Track]], motion: Motion
+) -> Observations:
+    """What is observed, with the sigmas of panels in `passes` (all samples, those kept, modes) no larger than readings scatter
+    about the best motion, if a magnetometer says how the body turns: other light, temperature and shadows, which are presumed in
+    addition to the noise, may be less. Only samples that no fit has used count, and the quarter of a pass that scatters most."""
+    panels = next((term for term in o.terms if isinstance(term, Panels)), None)
+    read = any(term.present().any() for term in o.terms if isinstance(term, Magnetometer))
+    if panels is None or not read:
+        return o
+    factor = np.ones((len(o), 1))
+    for whole, kept, track in passes:
+        fitted, every, place = o.take(kept).freed(), o.take(whole), np.searchsorted(whole, kept)
+        unused = np.setdiff1d(np.arange(len(whole)), place)
+        if len(unused) < len(kept):
+            continue
+        fit = with_common(fitted, track.take(np.array([0])), motion, None)
+        seen = Dense.of(every, np.arange(len(whole)), place, fit.track, motion).filled(fit.track)
+        at = [at for term, at in places_of(fitted, motion, None).sun if isinstance(term, Panels)]
+        term = panels.take(whole).freed(every.t_s)
+        square = _square(term, seen, fit.error[:, at[0]], seen.covariance[..., :3, :3])[0]
+        factor[whole] = max(
+            np.sqrt(square[quarter].sum() / max(term.freedom()[quarter].sum(), 1))
+            for quarter in np.array_split(unused, 4)
+        )
+    return o.swapped(panels, panels.coarser(np.clip(factor, FINEST, 1.0)))

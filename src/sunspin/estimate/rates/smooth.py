@@ -111,34 +111,44 @@ def between(o: Observations, track: Track, motion: Motion, over: Intervals | Non
     return value, first, second
 
 
-def noises(o: Observations, motion: Motion) -> tuple[np.ndarray, float]:
-    """White angular acceleration (n - 1), rad/s^1.5, between neighbours, and white noise of the rate, rad s^-0.5."""
+def noises(o: Observations, motion: Motion) -> tuple[np.ndarray, float, np.ndarray]:
+    """White angular acceleration (n - 1), rad/s^1.5, between neighbours, white noise of the rate, rad s^-0.5, and the `shares`
+    (3, 3) of the body's axes in the former."""
     dt = np.diff(o.t_s)
     acceleration = motion.noise**2 + sum(term.acceleration_noise(dt) ** 2 for term in o.of_motion)
     rate = sum(term.rate_noise() ** 2 for term in o.of_motion)
-    return np.sqrt(np.broadcast_to(acceleration, dt.shape)), float(np.sqrt(rate))
+    return np.sqrt(np.broadcast_to(acceleration, dt.shape)), float(np.sqrt(rate)), motion.shares
 
 
-def wandering(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
+EVEN = np.eye(3)
+"""Shares of noise without a direction in the body."""
+
+
+def wandering(
+    dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0, shares: np.ndarray = EVEN
+) -> np.ndarray:
     """Covariance (n, 6, 6) of turn and rate that such noises, of :func:`noises`, make in `dt` (n)."""
     covariance = np.zeros((len(dt), 6, 6))
-    eye, square = np.eye(3), np.square(acceleration)
-    covariance[:, :3, :3] = (square * dt**3 / 3 + rate**2 * dt)[:, None, None] * eye
-    covariance[:, :3, 3:] = covariance[:, 3:, :3] = (square * dt**2 / 2)[:, None, None] * eye
-    covariance[:, 3:, 3:] = (square * dt)[:, None, None] * eye
+    square = np.square(acceleration)[..., None, None] * shares
+    span = dt[:, None, None]
+    covariance[:, :3, :3] = square * span**3 / 3 + rate**2 * span * EVEN
+    covariance[:, :3, 3:] = covariance[:, 3:, :3] = square * span**2 / 2
+    covariance[:, 3:, 3:] = square * span
     return covariance
 
 
-def whitening(dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0) -> np.ndarray:
+def whitening(
+    dt: np.ndarray, acceleration: npt.ArrayLike, rate: float = 0.0, shares: np.ndarray = EVEN
+) -> np.ndarray:
     """Inverse square roots (n, 6, 6) of that covariance, kept: each step of a fit asks for the same."""
-    return _whitening(dt.tobytes(), np.asarray(acceleration, dtype=np.float64).tobytes(), rate)
+    noise = np.asarray(acceleration, dtype=np.float64)
+    return _whitening(dt.tobytes(), noise.tobytes(), rate, shares.tobytes())
 
 
 @lru_cache(maxsize=64)
-def _whitening(dt: bytes, acceleration: bytes, rate: float) -> np.ndarray:
-    found = np.linalg.inv(
-        np.linalg.cholesky(wandering(np.frombuffer(dt), np.frombuffer(acceleration), rate))
-    )
+def _whitening(dt: bytes, acceleration: bytes, rate: float, shares: bytes) -> np.ndarray:
+    noise, division = np.frombuffer(acceleration), np.frombuffer(shares).reshape(3, 3)
+    found = np.linalg.inv(np.linalg.cholesky(wandering(np.frombuffer(dt), noise, rate, division)))
     found.setflags(write=False)
     return found
 

@@ -129,8 +129,10 @@ def joined(tracks: list[Track]) -> Track:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the body moves: the body, the white angular acceleration `noise` (rad/s^1.5), the prior sigma of a rate (rad/s)."""
+    """How the body moves: the body, the white angular acceleration `noise` (rad/s^1.5), the prior sigma of a rate (rad/s); `shares`
+    (3, 3): the covariance of that noise in the body over its square."""
 
     body: Body
     noise: float
     rate_prior: float
+    shares: np.ndarray = field(default_factory=lambda: np.eye(3))

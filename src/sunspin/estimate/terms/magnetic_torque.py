@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from sunspin.estimate.terms.term import MotionTerm, Seen, Unknown
-from sunspin.solve.rotations import cross_matrix, turn
+from sunspin.solve.rotations import cross_matrix
 
 SHARE = 0.3
 """s^-0.5; the torque's prior sigma (rad/s2) for each rad/s^1.5 of white angular acceleration: the two make a rate wander alike in
@@ -64,32 +64,41 @@ class MagneticTorque(MotionTerm):
         )
 
     def pushes(self, seen: Seen, dt: np.ndarray) -> np.ndarray:
-        """By Simpson's rule on the attitude at the ends and, carried by the rate, in the middle: to first order, and where the body
-        turns far between two samples hardly right, but there a torque averages out."""
-        start = seen.attitude[:, :-1]
-        middle = turn(start, seen.omega[:, :-1] * dt[:, None] / 2)
+        """To first order, by the attitude averaged over each interval at its first rate: of a body that turns several times between
+        two samples only the field along the axis is left, and the torque along the axis averages out."""
+        span, even, early = dt[:, None, None], *_averages(seen, dt)
         if self.field_N is None:
-            pull = [
-                _pull(attitude) * self.sigma / np.sqrt(6)
-                for attitude in (start, middle, seen.attitude[:, 1:])
-            ]
+            # products m_j b_l of a variance of one give m x A b one of six
+            size, each = self.sigma / np.sqrt(6), (_pull(early), _pull(even))
         else:
             first, last = self.field_N[:-1], self.field_N[1:]
-            each = ((start, first), (middle, (first + last) / 2), (seen.attitude[:, 1:], last))
+            fields = (early, (2 * first + last) / 3), (even, (first + last) / 2)
             # e_j x b is what the matrix of -b x does to e_j; a dipole and a direction at random: m x b has a variance of two
-            pull = [
-                -cross_matrix(np.einsum("knij,nj->kni", *one)) * self.sigma / np.sqrt(2)
-                for one in each
-            ]
-        span = dt[:, None, None]
-        return np.concatenate(
-            [span**2 / 6 * (pull[0] + 2 * pull[1]), span / 6 * (pull[0] + 4 * pull[1] + pull[2])],
-            axis=2,
-        )
+            size, each = (
+                self.sigma / np.sqrt(2),
+                [-cross_matrix(np.einsum("knij,nj->kni", *pair)) for pair in fields],
+            )
+        return size * np.concatenate([span**2 / 2 * each[0], span * each[1]], axis=2)
+
+
+def _averages(seen: Seen, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Attitudes (K, n - 1, 3, 3) averaged over each interval of a body that keeps its first rate: evenly, and with a weight that
+    falls evenly to zero at the end. The average of exp(-[v]x u), v being the turn, over u from 0 to 1 is closed."""
+    angle = seen.omega[:, :-1] * dt[:, None]
+    x = np.linalg.norm(angle, axis=-1)[..., None, None]
+    axis = angle[..., None, :] / np.maximum(x, 1e-300)
+    across, along = cross_matrix(axis[..., 0, :]), np.swapaxes(axis, -1, -2) @ axis
+    whole, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi)) ** 2
+    averages = (whole, x / 2 * half), (half, 2 * (1 - whole) / np.maximum(x, 1e-300))
+    even, early = (
+        (cosine * np.eye(3) + (1 - cosine) * along - sine * across) @ seen.attitude[:, :-1]
+        for cosine, sine in averages
+    )
+    return even, early
 
 
 def _pull(attitude: np.ndarray) -> np.ndarray:
-    """e_j x A e_l (..., 3, 9) for all j and l; if the products m_j b_l have a variance of one, m x A b has one of six."""
+    """e_j x A e_l (..., 3, 9) for all j and l."""
     return np.einsum("jim,...ml->...ijl", cross_matrix(np.eye(3)), attitude).reshape(
         *attitude.shape[:-1], 9
     )

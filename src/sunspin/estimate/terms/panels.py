@@ -248,7 +248,8 @@ class Panels(SunTerm):
             self, sigma=np.hypot(self.sigma, drift_rad[:, None] * self.full * self.scale[:, None])
         )
 
-    def coarser(self, factor: float) -> Self:
+    def coarser(self, factor: float | np.ndarray) -> Self:
+        """With sigmas so many times those stated: of all samples, or of each (n, 1)."""
         power, sigma, scale_sigma = self.whole
         return replace(self, sigma=factor * self.sigma, whole=(power, factor * sigma, scale_sigma))
 
