@@ -190,7 +190,7 @@ def test_a_table_with_one_column_for_two_panels_or_a_line_break_in_quotes(tmp_pa
         'time,px,"m\nx"\n2026-01-01T00:00:00Z,1,1\n',
     ):
         path.write_text(text)
-        with pytest.raises(ss.TelemetryError, match="quotes goes on in the next line"):
+        with pytest.raises(ss.TelemetryError, match="line [12].*close the quotes"):
             read_telemetry(path, craft)
     path.write_text('time,"px","mx"\n"2026-01-01T00:00:00Z","1","2"\n')
     assert read_telemetry(path, craft)["power_W"].values.tolist() == [[1.0, 2.0]]
