@@ -17,7 +17,6 @@ from sunspin.estimate.posterior.data import group, readings
 from sunspin.estimate.posterior.estimate import DIRECTION_ERROR, posterior
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model
-from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Vehicle
 
@@ -26,8 +25,9 @@ KINDS = {"known": 0, "unknown": 1, "swapped": 5, "wheel_off": 6, "turned": 8}
 
 KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
 
+AS_DRAWN = {"tilt": 0.0, "tilt_common": 0.0}
 TURNED = {"tilt": float(np.radians(1.0)), "tilt_common": float(np.radians(5.0))}
-"""Sigmas of the misalignment, whatever the vehicle's file says: they make E and Delta of Philae's descent as published."""
+"""Sigmas of the misalignment, whatever the vehicle's file says: none, or those that make E and Delta of Philae's descent as published."""
 
 JITTER_S = 6.0
 """Sample times are irregular by up to this."""

@@ -17,10 +17,9 @@ from sunspin.base.errors import SunspinError
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.estimate import posterior
 from sunspin.estimate.posterior.model import model
-from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from validation.calibrate import prior_truth
+from validation.calibrate import AS_DRAWN, prior_truth
 from validation.passes import WRONG_SIGMAS
 
 LEVELS = {

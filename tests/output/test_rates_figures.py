@@ -36,29 +36,7 @@ CUBE = Vehicle(
     gain_unit="W",
     telemetry=TelemetryForm(noise=0.05),
 )
-PIECES = [
-    "$",
-    "\\",
-    "_",
-    "^",
-    "{",
-    "}",
-    "%",
-    "&",
-    "#",
-    "~",
-    "\\frac",
-    "$x$",
-    "$$",
-    "a",
-    "\u00e9",
-    "\u4e2d",
-    "_{",
-    "<b>",
-    "'",
-    '"',
-    "-",
-]
+PIECES = "$ \\ _ ^ { } % & # ~ \\frac $x$ $$ a é 中 _{ <b> ' \" -".split()
 OMEGA = np.radians([1.5, 0.5, 3.0])
 
 

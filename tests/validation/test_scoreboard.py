@@ -3,6 +3,8 @@
 import json
 import pickle
 from functools import partial
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ import pytest
 from validation import scoreboard
 from validation.areas import AREAS, _of_passes
 from validation.scoreboard import OUTCOMES, Task, board, figures, flips, lost, rows_of, table
+
+ROOT = Path(__file__).parents[2]
 
 
 def measured(outcome, off, sigma):
@@ -129,3 +133,11 @@ def test_a_file_of_several_passes_is_wrong_where_a_decided_pass_is():
     for outcome, each in of.items():
         passes = [{"decided": d, "wrong": w, "off": [0.1], "sigma": [0.2]} for d, w in each]
         assert _of_passes(passes, "off", "sigma")["outcome"] == outcome
+
+
+@pytest.mark.parametrize("folder", ["validation", "studies", "bench"])
+def test_every_module_beside_the_package_can_be_imported(folder):
+    """Campaigns import their parts when they run: a name that has moved would be missed only then."""
+    for path in sorted((ROOT / folder).glob("*.py")):
+        if path.stem != "__main__":
+            import_module(f"{folder}.{path.stem}")
