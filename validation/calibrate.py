@@ -27,7 +27,7 @@ KNOWN = {"inertia": 0.0, "friction": 0.0, "wheel_speed": 0.0}
 
 AS_DRAWN = {"tilt": 0.0, "tilt_common": 0.0}
 TURNED = {"tilt": float(np.radians(1.0)), "tilt_common": float(np.radians(5.0))}
-"""Sigmas of the misalignment, whatever the vehicle's file says: none, or those that make E and Delta of Philae's descent as published."""
+"""Sigmas of the misalignment: none, or those that make E and Delta of Philae's descent as published."""
 
 JITTER_S = 6.0
 """Sample times are irregular by up to this."""
