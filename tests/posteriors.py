@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.posterior.model import State, model
-from sunspin.estimate.posterior.tilt import AS_DRAWN
 from sunspin.vehicle import Vehicle
+from validation.calibrate import AS_DRAWN
 
 
 def tree_of(

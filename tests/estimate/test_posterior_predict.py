@@ -12,12 +12,12 @@ import sunspin as ss
 from philae_sun import AS_DRAWN, FORMER_TRUTH
 from posteriors import philae_draws
 from sunspin.base.errors import InputError
-from sunspin.estimate.posterior import tilt
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
 from sunspin.landing.predictions import predicted
 from sunspin.vehicle import Friction
 from sunspin.vehicle.assumptions import Collision
+from validation.calibrate import AS_DRAWN as KNOWN_PANELS
 
 TOUCHDOWN, COLLISION, LATER = 25143.98, 27900.0, 31800.0
 
@@ -37,7 +37,7 @@ def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
     tree, state = philae_draws(3, 0.003)
     times = [TOUCHDOWN, 25200.0, 27000.0, LATER]
     found = predict(craft, tree, times)
-    unknown, _ = model(craft, tilt.AS_DRAWN, 1.0)
+    unknown, _ = model(craft, KNOWN_PANELS, 1.0)
     body = unknown.bodies(state.u)
     for i in range(3):
         wheel = replace(
