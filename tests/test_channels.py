@@ -9,6 +9,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
+from cubes import FACES
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.light import between, light_of, seen
 from sunspin.estimate.posterior.likelihood import Likelihood
@@ -21,14 +22,6 @@ from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.joined import Joined
 from sunspin.vehicle.response.protocol import sphere, unit_readings
 
-FACES = {
-    "+X": [1, 0, 0],
-    "-X": [-1, 0, 0],
-    "+Y": [0, 1, 0],
-    "-Y": [0, -1, 0],
-    "+Z": [0, 0, 1],
-    "-Z": [0, 0, -1],
-}
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
 ONE = {"X": THREE["X"]}
 MOVES = """

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from cubes import FACES
 from sunspin.base.errors import InputError
 from sunspin.cli.values import between, instants_of
 from sunspin.output.check.samples import _lit
@@ -14,15 +15,6 @@ from sunspin.output.kinds.telemetry import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle
 from validation.border import sunspin
-
-FACES = {
-    "+X": [1, 0, 0],
-    "-X": [-1, 0, 0],
-    "+Y": [0, 1, 0],
-    "-Y": [0, -1, 0],
-    "+Z": [0, 0, 1],
-    "-Z": [0, 0, -1],
-}
 
 
 def satellite(each: int, scale: float = 1.0) -> str:

@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import genpareto
 
 import sunspin as ss
+from cubes import SIDES
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior import estimate, hypotheses, importance
 from sunspin.estimate.posterior.data import readings
@@ -25,14 +26,6 @@ from sunspin.solve.rotations import moved
 from sunspin.solve.weights import _shape, effective_draws, pareto_tail
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
-FACES = {
-    "+x": [1, 0, 0],
-    "-x": [-1, 0, 0],
-    "+y": [0, 1, 0],
-    "-y": [0, -1, 0],
-    "+z": [0, 0, 1],
-    "-z": [0, 0, -1],
-}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 PRIORS = {"max_rate_rad_s": 0.25, "steady_torque": 0.0}  # of torques: test_posterior_hypotheses.py
@@ -42,7 +35,7 @@ SMALL = PRIORS | {"inertia": 0.0}
 @pytest.fixture(scope="module")
 def cube() -> Vehicle:
     inertia = np.diag([0.010, 0.012, 0.008])
-    panels = [Panel(name, normal, 1.0) for name, normal in FACES.items()]
+    panels = [Panel(name, normal, 1.0) for name, normal in SIDES.items()]
     return Vehicle(
         "cube",
         inertia_kg_m2=inertia,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from cubes import SIDES
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
@@ -13,14 +14,6 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
 
-FACES = {
-    "+x": [1, 0, 0],
-    "-x": [-1, 0, 0],
-    "+y": [0, 1, 0],
-    "-y": [0, -1, 0],
-    "+z": [0, 0, 1],
-    "-z": [0, 0, -1],
-}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 SPEED, SIGMA = 300.0, 0.01
@@ -28,7 +21,7 @@ SPEED, SIGMA = 300.0, 0.01
 
 @pytest.fixture(scope="module")
 def craft() -> Vehicle:
-    panels = [Panel(name, normal, 1.0) for name, normal in FACES.items()]
+    panels = [Panel(name, normal, 1.0) for name, normal in SIDES.items()]
     wheel = Wheel("wheel", np.array([0.0, 0.0, 1.0]), 2e-6, SPEED, Friction(1e-6, 1e-9))
     form = TelemetryForm(quantity="current_A", noise=0.02)
     return Vehicle(

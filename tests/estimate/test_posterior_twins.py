@@ -7,6 +7,7 @@ import pytest
 
 import strange_twins
 import sunspin as ss
+from cubes import SIDES
 from sunspin.estimate.posterior import cells
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
@@ -28,14 +29,6 @@ from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import NEAR_SIGMAS
 
-FACES = {
-    "+x": [1, 0, 0],
-    "-x": [-1, 0, 0],
-    "+y": [0, 1, 0],
-    "-y": [0, -1, 0],
-    "+z": [0, 0, 1],
-    "-z": [0, 0, -1],
-}
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
 TURNS = 1.5 / (2 * np.pi)
@@ -43,7 +36,7 @@ PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0, "steady_torque": 0.0}
 
 
 def craft(panels: int, noise: float = 0.02) -> Vehicle:
-    sides = [Panel(name, normal, 1.0) for name, normal in list(FACES.items())[:panels]]
+    sides = [Panel(name, normal, 1.0) for name, normal in list(SIDES.items())[:panels]]
     form = TelemetryForm(quantity="current_A", noise=noise)
     return Vehicle(
         "box", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=sides, telemetry=form

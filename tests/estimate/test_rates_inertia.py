@@ -9,6 +9,7 @@ import pytest
 
 import strange_rates
 import sunspin as ss
+from cubes import SIDES
 from sunspin.estimate.inertia import ASSUMED, inertia_errors, stated_sigma
 from sunspin.estimate.rates.common_errors import THINNEST, of_a_body
 from sunspin.estimate.rates.estimate import not_met
@@ -18,20 +19,12 @@ from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
 from validation import passes
 
-FACES = {
-    "+x": [1, 0, 0],
-    "-x": [-1, 0, 0],
-    "+y": [0, 1, 0],
-    "-y": [0, -1, 0],
-    "+z": [0, 0, 1],
-    "-z": [0, 0, -1],
-}
 TRUE = np.diag([0.0020, 0.0024, 0.0017])
 TOLD = np.diag([0.0020, 0.0023, 0.0018])
 CUBE = Vehicle(
     "cube",
     inertia_kg_m2=TRUE,
-    panels=[Panel(name, normal, 1.0) for name, normal in FACES.items()],
+    panels=[Panel(name, normal, 1.0) for name, normal in SIDES.items()],
     telemetry=TelemetryForm(quantity="current_A", noise=0.01),
 )
 

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from cubes import FACES
 from sunspin.output.curves import dense
 from sunspin.output.figures import save
 from sunspin.output.figures.rates import rates_figure, sources
@@ -21,14 +22,6 @@ from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
-FACES = {
-    "+X": [1, 0, 0],
-    "-X": [-1, 0, 0],
-    "+Y": [0, 1, 0],
-    "-Y": [0, -1, 0],
-    "+Z": [0, 0, 1],
-    "-Z": [0, 0, -1],
-}
 CUBE = Vehicle(
     "cube",
     np.diag([0.02, 0.021, 0.01]),
