@@ -24,7 +24,9 @@ from sunspin.output.report import write_report
 from sunspin.output.report.body import body_in_motion
 from sunspin.output.report.page import _json, _script
 from sunspin.output.report.read import Results, read_results
-from sunspin.output.report.views import sun_on_sphere
+from sunspin.output.report.views import motions_of, sun_on_sphere
+from sunspin.philae.figures.speed import draw as draw_speed
+from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Channel, Panel, Vehicle
 
 
@@ -119,7 +121,7 @@ def test_no_label_ends_the_script_it_stands_in(text):
 def test_the_drawn_attitude_is_the_stored_one(user_runs):
     """The rotation is recovered from the drawn corners; the Sun's arrow, carried back by it, is the stored Sun."""
     results = read_results(user_runs["simulate"])
-    (view,) = body_in_motion(results)
+    (view,) = body_in_motion(results, motions_of(results))
     run = results.data["trajectory"]
     toward_sun = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
     first, label = view.figure.frames[0].data[0], view.figure.layout.sliders[0].steps[0].label
@@ -147,11 +149,24 @@ def test_faster_motions_are_shown_in_part_and_standing_ones_whole():
     for rate in (0.0, 0.01, 3.0):
         run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 600.0, 0.05))
         results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-        (view,) = body_in_motion(results)
+        (view,) = body_in_motion(results, motions_of(results))
         corners = [np.array([f.data[0].x, f.data[0].y, f.data[0].z]).T for f in view.figure.frames]
         assert 2 <= len(corners) <= 300
         size = np.linalg.norm(corners[0], axis=1).max()
         assert max(np.abs(np.diff(corners, axis=0)).max(axis=(1, 2))) < 0.5 * size
+
+
+def test_a_slow_motion_is_shown_to_its_end_and_a_coarse_one_not_at_all():
+    """Of few instants all are shown; where the body turns by more than 2 rad between two, nobody knows which way."""
+    cube = Vehicle("cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0),))
+    for rate, number in ((0.05, 1), (0.3, 0)):
+        run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 200.0, 10.0))
+        results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
+        views = list(body_in_motion(results, motions_of(results)))
+        assert len(views) == number
+        for view in views:
+            labels = [step.label for step in view.figure.layout.sliders[0].steps]
+            assert len(labels) == 20 and labels[-1].startswith("190.0 s")
 
 
 def test_panels_on_one_input_are_lit_one_by_one():
@@ -163,7 +178,8 @@ def test_panels_on_one_input_are_lit_one_by_one():
         channels=(Channel("x", ("a", "b"), "sum"),),
     )
     run = ss.propagate(cube, [0, 0, 0.5], [1, 0, 0], None, np.arange(0.0, 12.0, 0.1))
-    (view,) = body_in_motion(Results(Path("."), "simulate", data={"t": run}, vehicle=cube))
+    results = Results(Path("."), "simulate", data={"t": run}, vehicle=cube)
+    (view,) = body_in_motion(results, motions_of(results))
     colours = np.array([frame.data[0].facecolor for frame in view.figure.frames])
     assert {colours[0][0], colours[0][2]} == {"#facd3c", "#283c6e"}
     assert len(set(colours[:, 0])) > 5
@@ -173,8 +189,21 @@ def test_panels_of_one_side_have_one_label_on_the_sphere():
     panels = (Panel("a", [1, 0, 0], 1.0), Panel("b", [1, 0, 0], 1.0), Panel("c", [0, 0, 1], 1.0))
     cube = Vehicle("cube", np.eye(3), panels=panels)
     run = ss.propagate(cube, [0, 0, 0.1], [1, 0, 0], None, np.arange(9.0))
-    view = sun_on_sphere(Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube))
+    results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
+    view = sun_on_sphere(results, motions_of(results))
     assert sorted(view.figure.data[-1].text) == ["a, b", "c"]
+
+
+def test_the_axis_of_the_studys_first_picture_holds_every_motion(study):
+    speed = xr.load_dataset(study / "speed.nc", engine="h5netcdf")
+    parts = ("speed", "speed_after_collision")
+    low, high = draw_speed(load_case("philae"), speed, True).axes[0].get_ylim()
+    assert low <= min(speed[part].min() for part in parts)
+    assert high >= max(speed[part].max() for part in parts)
+    speed["speed"][{"level": 0, "time": 3}] = 0.0
+    speed["speed"][{"level": 2}] = 5.0
+    low, high = draw_speed(load_case("philae"), speed, True).axes[0].get_ylim()
+    assert 0 < low < 1e-4 and high > 5
 
 
 def test_tables_are_those_of_the_files(user_runs):

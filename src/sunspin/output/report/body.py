@@ -13,16 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
-from sunspin.output.report.views import (
-    GREY,
-    INK,
-    MOST_MOTIONS,
-    View,
-    float32,
-    line,
-    motions_of,
-    styled,
-)
+from sunspin.output.report.views import GREY, INK, Motions, View, float32, line, styled
 from sunspin.output.text import capital
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
@@ -31,19 +22,22 @@ MOST_FRAMES = 300
 """Instants of a motion that are shown."""
 
 LARGEST_TURN = 0.35
-"""rad between two instants that are shown: beyond it the eye loses the sense of rotation. Faster motions are shown in part."""
+"""rad between two instants that are shown, if the data are so fine: beyond it the eye loses the sense of rotation. Motions of more
+rotation than so many instants can show are shown in part."""
+
+UNSEEN_TURN = 2.0
+"""rad between instants of the data beyond which they do not tell which way the body went: such a motion is not shown."""
 
 PLATE_M = 0.5
 """Distance of a panel's plate from the centre if the vehicle's file has no hull."""
 
 
-def body_in_motion(results: Results) -> Iterator[View]:
-    """The vehicle turning in space, for each motion of the folder whose attitude is known."""
+def body_in_motion(results: Results, motions: Motions) -> Iterator[View]:
+    """The vehicle turning in space, in each of the motions of the folder that its instants determine."""
     vehicle = results.vehicle
     if vehicle is None:
         return
-    motions = motions_of(results)
-    for k, (title, run) in enumerate(motions[:MOST_MOTIONS]):
+    for k, (title, run) in enumerate(motions):
         figure = _motion(vehicle, run)
         if figure is None:
             continue
@@ -66,7 +60,7 @@ def body_in_motion(results: Results) -> Iterator[View]:
 
 
 def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
-    """Frames of a motion; None if its attitude is not known at two instants."""
+    """Frames of a motion; None if its attitude is not known at two instants, or at none between which a path could be seen."""
     t = np.asarray(run["time"].values, dtype=float)
     order = np.argsort(t)
     both = np.concatenate([run["B_from_N"].values, run["omega_B"].values], axis=1)[order]
@@ -75,15 +69,12 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
         return None
     t, speed = t[order], np.linalg.norm(run["omega_B"].values[order], axis=1)
     rotation = np.concatenate([[0.0], np.cumsum(np.diff(t) * (speed[1:] + speed[:-1]) / 2)])
-    step = (
-        max(LARGEST_TURN, 1e-9)
-        if rotation[-1] > LARGEST_TURN * MOST_FRAMES
-        else rotation[-1] / MOST_FRAMES
-    )
-    wanted = np.arange(min(MOST_FRAMES, len(t))) * step if rotation[-1] > 0 else np.zeros(1)
-    frames = np.unique(np.searchsorted(rotation, wanted).clip(max=len(t) - 1))
+    if np.diff(rotation).max() > UNSEEN_TURN:
+        return None
+    shown = np.linspace(0.0, min(rotation[-1], LARGEST_TURN * (MOST_FRAMES - 1)), MOST_FRAMES)
+    frames = np.unique(np.searchsorted(rotation, shown))
     if rotation[-1] == 0:
-        frames = np.unique(np.linspace(0, len(t) - 1, 2).astype(int))
+        frames = np.array([0, len(t) - 1])
     at = order[frames]
     attitude = Rotation.from_quat(run["B_from_N"].values[at])
     sun, omega = run["sun_B"].values[at], run["omega_B"].values[at]

@@ -112,11 +112,12 @@ def _page(results: Results) -> str:
 def _views(results: Results) -> dict[str, list[Any]]:
     """Interactive views by the heading of their section."""
     from sunspin.output.report.body import body_in_motion
-    from sunspin.output.report.views import rate_space, sun_on_sphere
+    from sunspin.output.report.views import motions_of, rate_space, sun_on_sphere
 
+    motions = results.attempt("the motions", lambda: motions_of(results)) or []
     parts = {
-        "Motion": results.attempt("the motion", lambda: list(body_in_motion(results))),
-        "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results)]),
+        "Motion": results.attempt("the motion", lambda: list(body_in_motion(results, motions))),
+        "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results, motions)]),
         "Rate space": results.attempt("rate space", lambda: list(rate_space(results))),
     }
     known = {
@@ -141,13 +142,11 @@ TITLES = {
 
 
 def _title(results: Results) -> str:
+    if results.command not in TITLES:
+        return f"Results of sunspin {results.command}"
     vehicle = results.vehicle.name if results.vehicle else "the vehicle"
-    known = TITLES.get(results.command, f"Results of sunspin {printable_command(results)}")
-    return known.format(vehicle=vehicle.capitalize() if vehicle == "philae" else vehicle)
-
-
-def printable_command(results: Results) -> str:
-    return results.command.replace("{", "").replace("}", "")
+    vehicle = vehicle.capitalize() if vehicle == "philae" else vehicle
+    return TITLES[results.command].format(vehicle=vehicle)
 
 
 def _events(results: Results) -> list[PageTable]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
@@ -160,18 +161,13 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
     for entry in _entries(results, manifest, "tables"):
         tables = results.attempt(_name(entry), lambda entry=entry: list(_table(path, entry)))
         results.tables += tables or []
-    for name, read in (
-        ("vehicle", lambda text, name: read_vehicle(path / name)),
-        ("timeline", parse_timeline),
-    ):
-        file = f"{name}.toml"
-        if (path / file).exists() or (path / file).is_symlink():
-            text = results.attempt(file, lambda file=file: _text(_own(path, file)))
-            if text is not None:
-                known = results.attempt(
-                    file, lambda read=read, text=text, file=file: read(text, file)
-                )
-                setattr(results, name, known)
+    craft, line = "vehicle.toml", "timeline.toml"
+    if os.path.lexists(path / craft):
+        results.vehicle = results.attempt(craft, lambda: read_vehicle(_own(path, craft)))
+    if os.path.lexists(path / line):
+        results.timeline = results.attempt(
+            line, lambda: parse_timeline(_text(_own(path, line)), line)
+        )
     return results
 
 

@@ -16,7 +16,7 @@ from sunspin.output.report.read import Results
 from sunspin.vehicle import Vehicle
 
 MOST_MOTIONS = 4
-"""Motions of one folder that are shown, the best first."""
+"""Motions of one folder that are shown, the first ones."""
 
 MOST_POINTS = 5000
 """Points of a cloud; larger ones are thinned evenly."""
@@ -42,8 +42,11 @@ class View:
     caption: str
 
 
-def motions_of(results: Results) -> list[tuple[str, xr.Dataset]]:
-    """Motions (title, Dataset with `B_from_N`, `sun_B`, `omega_B`) of the folder, the passes of `rates` one by one."""
+Motions = list[tuple[str, xr.Dataset]]
+
+
+def motions_of(results: Results) -> Motions:
+    """The first motions (title, Dataset with `B_from_N`, `sun_B`, `omega_B`) of the folder, the passes of `rates` one by one."""
     known, telemetry = [], results.data.get("telemetry")
     for name, data in results.having("B_from_N", "sun_B", "omega_B"):
         if "pass_of" not in data:
@@ -55,11 +58,11 @@ def motions_of(results: Results) -> list[tuple[str, xr.Dataset]]:
                 run = with_wheels(run, results.vehicle, telemetry, wheels)
             known.append((title, run))
     rank = {title: k for k, title in enumerate(FIRST)}
-    return sorted(known, key=lambda item: rank.get(item[0], len(FIRST)))
+    return sorted(known, key=lambda item: rank.get(item[0], len(FIRST)))[:MOST_MOTIONS]
 
 
-def sun_on_sphere(results: Results) -> View | None:
-    """Measured directions to the Sun on the unit sphere in body axes, and the path of a motion."""
+def sun_on_sphere(results: Results, motions: Motions) -> View | None:
+    """Measured directions to the Sun on the unit sphere in body axes, and the paths of motions."""
     sun = results.first("sun_B", "status")
     traces = _sphere()
     bare = len(traces)
@@ -73,7 +76,7 @@ def sun_on_sphere(results: Results) -> View | None:
         for k, name in enumerate(dict.fromkeys(phase[known])):
             points = _thinned(sun["sun_B"].values[known & (phase == name)])
             traces.append(_cloud(points, name.replace("_", " "), COLOURS[k % 6], 4))
-    for k, (title, run) in enumerate(motions_of(results)[:MOST_MOTIONS]):
+    for k, (title, run) in enumerate(motions):
         path = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
         trace = line(1.004 * path[:MOST_PATH], INK, 3, f"path: {title}")
         traces.append(trace.update(visible=True if k == 0 else "legendonly", showlegend=True))

@@ -12,19 +12,14 @@ from matplotlib.figure import Figure
 from sunspin.output.figures import COLOURS, titled
 from sunspin.telemetry.case import Case
 
-PERIODS = {600: "10 min", 60: "1 min", 30: "30 s", 13: "13 s", 5: "5 s"}
-"""Rotation periods (s) that the left axis names."""
-
-EVENTS = {
-    "first_touchdown": "bounce",
-    "collision": "hits crater rim",
-    "second_touchdown": "lands",
-}
-
 MARGIN_S = 120.0
 """Time drawn before the first and after the second touchdown."""
 
 RANGE_RAD_S = (0.006, 2.2)
+"""Angular speeds that the axis covers at least."""
+
+FLOOR_RAD_S = 1e-4
+"""Smaller speeds, such as none at all, are drawn as this."""
 
 
 def draw(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
@@ -55,8 +50,10 @@ def draw(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     ):
         if name not in speed["set"].values:
             continue
-        before = speed["speed"].sel(set=name).clip(min=RANGE_RAD_S[0] / 10)
-        then = speed["speed_after_collision"].sel(set=name)
+        before, then = (
+            speed[part].sel(set=name).clip(min=FLOOR_RAD_S)
+            for part in ("speed", "speed_after_collision")
+        )
         filled = name == "candidates"
         for t, band in ((clock(speed["time"].values), before), (after, then)):
             low, middle, high = (
@@ -71,35 +68,33 @@ def draw(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
                 right.plot(t, middle, color=colour, lw=1.6)
             label = None
     published = case.published
-    marks = {
-        "marker": "D",
-        "ls": "",
-        "ms": 7,
-        "color": COLOURS[6],
-        "label": "magnetometer (not used)",
-    }
+    marks: dict[str, Any] = {"marker": "D", "ls": "", "ms": 7, "color": COLOURS[6]}
+    marks["label"] = "magnetometer (not used)"
     middle = (at["separation"] + at["first_touchdown"]) / 2
     left.plot(clock(middle), published["descent_rate_romap"].value, **marks)
     for t, name in ((-240, "romap_period_before"), (600, "romap_period_after")):
         right.plot(clock(at["collision"] + t), 2 * np.pi / published[name].value, **marks)
         marks["label"] = None
-    for name, text in EVENTS.items():
+    above: dict[str, Any] = {"transform": right.get_xaxis_transform(), "ha": "center"}
+    for name, text in (
+        ("first_touchdown", "bounce"),
+        ("collision", "hits crater rim"),
+        ("second_touchdown", "lands"),
+    ):
         right.axvline(clock(at[name]), color=COLOURS[7], ls=":", lw=1)
-        right.text(
-            clock(at[name]),
-            1.01,
-            text,
-            transform=right.get_xaxis_transform(),
-            fontsize=8,
-            ha="center",
-        )
+        right.text(clock(at[name]), 1.01, text, fontsize=8, **above)
     left.set(xlim=clock([at["separation"], at["first_touchdown"]]), title="descent")
     right.set_xlim(clock([at["first_touchdown"] - MARGIN_S, at["second_touchdown"] + MARGIN_S]))
     left.set_yscale("log")
-    left.set_ylim(*RANGE_RAD_S)
+    drawn = np.concatenate(
+        [speed[part].values.ravel() for part in ("speed", "speed_after_collision")]
+    )
+    drawn = drawn[np.isfinite(drawn)].clip(min=FLOOR_RAD_S)
+    left.set_ylim(min(RANGE_RAD_S[0], 0.8 * drawn.min()), max(RANGE_RAD_S[1], 1.2 * drawn.max()))
     left.set_ylabel("angular speed (rad/s)")
     periods = right.secondary_yaxis("right")
-    periods.set_yticks([2 * np.pi / s for s in PERIODS], list(PERIODS.values()))
+    named = {600: "10 min", 60: "1 min", 30: "30 s", 13: "13 s", 5: "5 s"}
+    periods.set_yticks([2 * np.pi / seconds for seconds in named], list(named.values()))
     periods.minorticks_off()
     periods.set_ylabel("rotation period")
     for axes in (left, right):
