@@ -17,6 +17,7 @@ from sunspin.estimate.orbit.check import start_of
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.judged import judged_orbit
 from sunspin.estimate.orbit.sensor_calibration import by_sun_sensors
+from sunspin.telemetry.assess import assess
 
 VZLUSAT = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
 2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""
@@ -51,7 +52,9 @@ def by_parts(orbit, found, craft, telemetry, elements) -> None:
         for part in np.array_split(np.arange(len(t)), count):
             own = in_orbit(elements, epoch, t[part], shift_sigma_s=150.0)
             made = by_sun_sensors(
-                own, craft, telemetry.isel(time=part), start_of(found, own)._replace(left_T=np.inf)
+                own,
+                assess(craft, telemetry.isel(time=part)),
+                start_of(found, own)._replace(left_T=np.inf),
             )
             expected = float(orbit.ahead_s(orbit.instants(t[part])).mean())
             sigma = np.hypot(

@@ -20,8 +20,8 @@ from sunspin.cli import cli
 from sunspin.estimate.orbit import check as orbit_check
 from sunspin.estimate.orbit import sensor_calibration
 from sunspin.estimate.orbit.invariants import seen_in
+from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
-from sunspin.telemetry.quality import panel_quality
 from sunspin.telemetry.sun import LIT_FRACTION, is_reconstructed
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -266,7 +266,7 @@ def test_a_direction_without_an_error_is_no_reading(monkeypatch):
         },
         {"time": np.arange(4.0)},
     )
-    seen = seen_in(craft, samples)
+    seen = seen_in(assess(craft, samples))
     assert np.isfinite(seen.sun).all(axis=1).tolist() == [True, False, True, True]
 
     found = xr.Dataset(
@@ -278,7 +278,7 @@ def test_a_direction_without_an_error_is_no_reading(monkeypatch):
     monkeypatch.setattr(
         sensor_calibration, "sun_by_panels", lambda *_: (found, np.zeros(4, dtype=bool))
     )
-    read = sensor_calibration.readings(craft, of_powers(craft, np.ones((4, 1))))
+    read = sensor_calibration.readings(assess(craft, of_powers(craft, np.ones((4, 1)))))
     assert read.t_s.tolist() == [0.0, 2.0, 3.0] and np.isfinite(read.sun_sigma).all()
 
 

@@ -32,7 +32,7 @@ if (
     from sunspin.estimate.scan.volume import near_minimum as near_minimum, scan as scan
     from sunspin.telemetry.health import panel_health as panel_health
     from sunspin.vehicle.response.panels import panel_power as panel_power
-    from sunspin.telemetry.quality import panel_quality as panel_quality
+    from sunspin.telemetry.assess import panel_quality as panel_quality
     from sunspin.telemetry.sun import SunStatus as SunStatus, sun_directions as sun_directions
     from sunspin.telemetry.reader import read_telemetry as read_telemetry
     from sunspin.dynamics.friction import fit_spin_down as fit_spin_down
@@ -74,7 +74,7 @@ _HOME = {
     "sun_directions": "sunspin.telemetry.sun",
     "SunStatus": "sunspin.telemetry.sun",
     "panel_health": "sunspin.telemetry.health",
-    "panel_quality": "sunspin.telemetry.quality",
+    "panel_quality": "sunspin.telemetry.assess",
     "calibrate_sensors": "sunspin.estimate.calibrate.sensors",
     "rates": "sunspin.estimate.rates.estimate",
     "Period": "sunspin.estimate.terms.period",

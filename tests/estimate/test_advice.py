@@ -32,6 +32,7 @@ from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion
 from sunspin.estimate.terms.period import Period
 from sunspin.output.check import orbit as check_words
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
@@ -337,7 +338,7 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
     """What `check` says of an orbit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_words, "orbit_of", lambda *_: orbit)
-        return check_words.about_orbit(vehicle, data, None, None)[1]
+        return check_words.about_orbit(assess(vehicle, data), None, None)[1]
 
 
 def test_more_draws_tell_what_periods_decide(monkeypatch):

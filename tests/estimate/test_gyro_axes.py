@@ -8,6 +8,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.sensors import Gyro, Sensors
 
@@ -81,12 +82,11 @@ def test_a_reversed_axis_is_named_although_a_wheel_turns_the_rate_round_between_
     told = []
     for i in range(count):
         made = odd(i, 300.0 if i % 2 else 100.0)
-        assert wrong_gyro_axes(made.vehicle, made.telemetry) is None
+        assert wrong_gyro_axes(assess(made.vehicle, made.telemetry)) is None
         for k in range(3):
             read = made.telemetry["gyro_B"].values * (1 - 2 * np.eye(3)[k])
             signs = ", ".join(f"{'-' if j == k else '+'}{axis}" for j, axis in enumerate("xyz"))
-            found = wrong_gyro_axes(
-                made.vehicle, made.telemetry.assign(gyro_B=(("time", "axis"), read))
-            )
+            misread = made.telemetry.assign(gyro_B=(("time", "axis"), read))
+            found = wrong_gyro_axes(assess(made.vehicle, misread))
             told.append(None if found is None else f"({signs})" in found)
     assert False not in told and told.count(True) >= named

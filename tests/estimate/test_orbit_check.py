@@ -14,6 +14,7 @@ from sunspin.estimate.orbit import check as orbit_check
 from sunspin.estimate.orbit.check import Verdict, check_orbit
 from sunspin.estimate.orbit.invariants import fit, predict, seen_in
 from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
+from sunspin.telemetry.assess import assess
 from sunspin.vehicle.parts import Orbit
 from tle_twins import make, turned
 
@@ -111,7 +112,7 @@ def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round(
     given, mirrored = orbit(nine), []
     for sign in (1, -1):
         seen, grid = (
-            seen_in(nine[0], nine[1].assign(field_B=sign * nine[1]["field_B"])),
+            seen_in(assess(nine[0], nine[1].assign(field_B=sign * nine[1]["field_B"]))),
             orbit_check._Grid.of(given),
         )
         there = predict(given, seen, grid.shifts)

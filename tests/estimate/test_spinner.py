@@ -25,6 +25,7 @@ from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms
 from sunspin.solve.rotations import turn
+from sunspin.telemetry.assess import assess
 from validation.spinners import AS_MOUNTED, Case, make
 
 ROTATED = ((0, -1, 0), (1, 0, 0), (0, 0, 1))
@@ -81,8 +82,8 @@ def test_the_light_of_the_earth_does_not_turn_the_calibration(folder, number):
 
 def test_samples_that_show_field_and_sun_are_kept_first(folder):
     vehicle, telemetry, *_ = spinner(folder, number=3)
-    both = np.isfinite(seen_in(vehicle, telemetry, 10_000).sun).all(axis=1).sum()
-    seen = seen_in(vehicle, telemetry)
+    both = np.isfinite(seen_in(assess(vehicle, telemetry), 10_000).sun).all(axis=1).sum()
+    seen = seen_in(assess(vehicle, telemetry))
     assert len(seen.t_s) == MOST_SAMPLES and FEWEST < both < MOST_SAMPLES / 2
     assert np.isfinite(seen.field + seen.sun).all(axis=1).sum() == both
     assert (seen.light == 0).sum() > 30 and (np.diff(seen.t_s) > 0).all()
@@ -107,7 +108,7 @@ def test_turned_axes_are_named_and_calibrated(folder):
 
 def test_elements_that_the_angle_contradicts_do_not_fit(folder, monkeypatch):
     vehicle, telemetry, right, *_ = spinner(folder, number=3)
-    seen = seen_in(vehicle, telemetry)
+    seen = seen_in(assess(vehicle, telemetry))
     rng, shown = np.random.default_rng(0), np.flatnonzero(np.isfinite(seen.sun).all(axis=1))
     for count, verdict in ((len(shown), Verdict.UNDECIDED), (FEWEST - 1, Verdict.FITS)):
         sun = np.full_like(seen.sun, np.nan)
@@ -121,7 +122,7 @@ def test_elements_that_the_angle_contradicts_do_not_fit(folder, monkeypatch):
 
 def test_the_readings_show_the_zero_across_the_axis_of_the_spin(folder):
     vehicle, telemetry, *_, truth = spinner(folder, number=1)
-    terms, _ = read_terms(vehicle, telemetry, "panels")
+    terms, _ = read_terms(assess(vehicle, telemetry), "panels")
     read = next(term for term in terms if type(term) is Magnetometer)
     off = (telemetry["field_B"].values - read.field_B)[0] - np.array(truth["zero_nT"])
     sigma = np.sqrt((read.zero_B**2).sum(axis=0))

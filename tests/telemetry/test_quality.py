@@ -6,7 +6,8 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.estimate.terms.panels import Panels
-from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED, panel_quality
+from sunspin.telemetry.assess import assess, panel_quality
+from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -52,8 +53,8 @@ def test_a_dead_panel_is_named_and_left_out():
     assert np.isinf(quality["sigma"].values[:, 2]).all()
     assert quality["missed"].values.tolist() == [False, False, True, False, False, False]
     assert (
-        Panels.read(CUBE, telemetry(value))[0].left_out == ("p2",)
-        and not Panels.read(CUBE, telemetry(clean(60)[0]))[0].left_out
+        Panels.read(assess(CUBE, telemetry(value)))[0].left_out == ("p2",)
+        and not Panels.read(assess(CUBE, telemetry(clean(60)[0])))[0].left_out
     )
 
 

@@ -12,10 +12,9 @@ import satellites
 import sunspin as ss
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.wiring import signed_axes
+from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.panel_unit import panel_unit
-from sunspin.telemetry.quality import panel_quality
-from sunspin.telemetry.sun import best_directions, sun_directions
-from sunspin.telemetry.units import wrong_units
+from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle.file import line_of, parse_vehicle
 from sunspin.vehicle.response.panels import panel_power
 
@@ -35,7 +34,7 @@ def changed(text: str, table: str, key: str, factor: float) -> str:
 
 def judged(text: str, telemetry) -> list:
     vehicle = parse_vehicle(text, "v.toml")
-    return wrong_units(vehicle, ss.read_telemetry(telemetry, vehicle))
+    return assess(vehicle, ss.read_telemetry(telemetry, vehicle)).wrong_units
 
 
 @pytest.fixture(
@@ -56,7 +55,7 @@ def test_a_file_of_the_shadow_alone_is_in_no_wrong_unit(tmp_path, seed):
     )
     vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
     noise = 0.012 * vehicle.input_gains * rng.normal(size=(90, len(vehicle.inputs)))
-    assert panel_unit(vehicle, np.clip(noise, 0.0, None), best_directions) is None
+    assert panel_unit(vehicle, np.clip(noise, 0.0, None)) is None
 
 
 @pytest.mark.parametrize("rows", [8, 20])
@@ -71,8 +70,7 @@ def test_of_a_hundred_small_files_of_the_shadow_at_most_one_is_in_a_wrong_unit(
     for k in range(100):
         noise = 0.003 * (gains if k % 2 else gains.max()) * rng.normal(size=(rows, len(gains)))
         accused += (
-            panel_unit(vehicle, np.clip(noise, 0.0, None) if k % 4 < 2 else noise, best_directions)
-            is not None
+            panel_unit(vehicle, np.clip(noise, 0.0, None) if k % 4 < 2 else noise) is not None
         )
     assert accused <= 1
 
@@ -88,7 +86,7 @@ def test_twenty_rows_of_sunlight_are_enough_to_name_a_wrong_unit(make, tmp_path)
         power = np.clip(
             power + 0.01 * vehicle.input_gains * rng.normal(size=power.shape), 0.0, None
         )
-        named += panel_unit(vehicle, 1e-3 * power, best_directions) is not None
+        named += panel_unit(vehicle, 1e-3 * power) is not None
     assert named >= (
         14 if make is satellites.four_faces else 19
     )  # of two lit panels every other order fits
@@ -172,12 +170,12 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
     made = satellites.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
     vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
     samples = ss.read_telemetry(made.telemetry, vehicle)
-    assert wrong_gyro_axes(vehicle, samples) is None
+    assert wrong_gyro_axes(assess(vehicle, samples)) is None
     rate, named, ways = samples["gyro_B"].values, 0, list(signed_axes())[1::5]
     for what, order, sign in ways:
         read = np.empty_like(rate)
         read[:, order] = rate * sign  # what the columns hold, if they are to be read so
-        found = wrong_gyro_axes(vehicle, samples.assign(gyro_B=(("time", "axis"), read)))
+        found = wrong_gyro_axes(assess(vehicle, samples.assign(gyro_B=(("time", "axis"), read))))
         columns = vehicle.sensors.gyro.read_as(order, sign)["columns"]
         assert found is None or (
             f"the gyro {what} turns" in found and f"set columns = {json.dumps(columns)}" in found

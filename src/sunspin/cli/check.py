@@ -35,9 +35,9 @@ def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> No
     elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
     summary, lines = about_vehicle(craft)
     if telemetry is not None:
-        samples, about, more = about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
+        assessment, about, more = about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
         summary, lines = summary | {"telemetry": about}, lines + more
-        about, more = about_orbit(craft, samples, elements, shift_sigma)
+        about, more = about_orbit(assessment, elements, shift_sigma)
         summary, lines = summary | about, lines + more
     elif elements is not None:
         raise InputError(sentence("elements are compared with telemetry", do="give TELEMETRY too"))

@@ -138,11 +138,13 @@ def rates(
     from sunspin.estimate.orbit.judged import elements_of
     from sunspin.estimate.rates.estimate import rates as run
     from sunspin.output.check.orbit import orbit_used
+    from sunspin.telemetry.assess import assess
 
     craft, samples = read_both(vehicle, telemetry, data)
-    used = between(samples, begin, end).drop_vars(
-        [UNUSED[name] for name in without if UNUSED[name] in samples]
-    )
+    file = assess(craft, samples)
+    unused = [UNUSED[name] for name in without if UNUSED[name] in samples]
+    whole = begin is None and end is None and not unused
+    used = file if whole else assess(craft, between(samples, begin, end).drop_vars(unused))
     evidence = periods_of(periods, samples)
     claim(out, "rates")
     if no_orbit and (elements is not None or shift_sigma is not None):
@@ -155,7 +157,7 @@ def rates(
     say = announced("rates", quiet)
     if not no_orbit and elements_of(craft, elements, shift_sigma) is not None and say is not None:
         say(f"{samples.sizes['time']} samples; they judge the elements first")
-    known = (None, None, {}, []) if no_orbit else orbit_used(craft, samples, elements, shift_sigma)
+    known = (None, None, {}, []) if no_orbit else orbit_used(file, elements, shift_sigma)
     orbit, calibration, orbit_summary, orbit_lines = known
     result = run(
         craft,
@@ -177,7 +179,7 @@ def rates(
         doubts,
     )  # after the search has begun: to import it takes a third of a second
 
-    about, lines = doubts(craft, used, vehicle)
+    about, lines = doubts(used, vehicle)
     doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
     lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]
     deliver(

@@ -33,12 +33,15 @@ def sun(vehicle, telemetry, out, as_json, quiet, data, noise, threshold) -> None
       sunspin sun vehicle.toml telemetry.csv --out sun-results
       sunspin sun philae philae
     """
-    from sunspin.telemetry.quality import lit_threshold
+    from sunspin.telemetry.assess import assess
     from sunspin.telemetry.sun import sun_directions
 
     craft, samples = read_both(vehicle, telemetry, data)
     claim(out, "sun")
-    directions = sun_directions(
-        craft, samples, noise=noise, lit_threshold=threshold or lit_threshold(craft, samples)
-    )
+    assessment = assess(craft, samples)
+    directions = assessment.sun
+    if noise is not None or threshold is not None:
+        directions = sun_directions(
+            craft, samples, noise=noise, lit_threshold=threshold or assessment.lit_threshold
+        )
     deliver(directions, out, as_json, quiet, vehicle, samples)

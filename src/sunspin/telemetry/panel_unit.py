@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,11 @@ not."""
 
 LEAST_SAMPLES = 5
 
+FINEST = 1e5
+"""Readings over their noise, which words of 16 bits hold: more is another unit."""
+
+OTHER_UNIT = "one of them is in another unit"
+
 SHUFFLES = 99
 """Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many random orders of its readings
 among the panels, which noise does in one file of a hundred, however small."""
@@ -57,104 +61,81 @@ class WrongUnit(NamedTuple):
         return f"{self.what}; {do} under [{self.table}]{line} of the vehicle file"
 
 
-Solver = Callable[[Vehicle, np.ndarray], tuple[np.ndarray, np.ndarray]]
-
-
-def panel_unit(vehicle: Vehicle, value: np.ndarray, directions: Solver) -> WrongUnit | None:
-    """The wrong unit of panel readings (n, n_panel), or None; `directions` finds the Sun and its misfit, as `best_directions`."""
-    known = np.where(np.isfinite(value), value, 0.0)
-    largest = known.max(axis=1, initial=0.0)
+def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
+    """The wrong unit of panel readings (n, n_panel): of their scale against the gains, or of the stated noise; None if neither is
+    wrong."""
+    form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
+    value = np.where(np.isfinite(value), value, 0.0)
+    largest = value.max(axis=1, initial=0.0)
     if np.count_nonzero(largest > 0) < LEAST_SAMPLES:
         return None
+    if vehicle.gain_unit == unit and (wrong := _against_gains(vehicle, value, largest)):
+        return wrong
     full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
-    return _against_gains(vehicle, known, largest, directions) or _against_noise(
-        vehicle, known, largest, full, directions
-    )
+    limits = {"noise": form.noise, "lit_threshold": form.lit_threshold}
+    above = [key for key, limit in limits.items() if limit is not None and full < limit]
+    if above and _sunlit(vehicle, value, largest):
+        key = above[0]
+        what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {key} ({limits[key]:g} {unit})"
+        scales = "scale, voltage_scale" if form.has_voltages else "scale"
+        return WrongUnit(f"{what}: {OTHER_UNIT}", "telemetry", f"{scales} or {key}")
+    if form.noise is not None and full > FINEST * form.noise:
+        times = f"more than {FINEST:g} times the stated noise ({form.noise:g})"
+        what = f"readings of {full:.3g} are {times}, which no telemetry resolves"
+        return WrongUnit(f"{what}: {OTHER_UNIT}", "telemetry", "scale or noise")
+    return None
 
 
-def _brightest(known: np.ndarray, largest: np.ndarray) -> np.ndarray:
-    """The brightest samples, the very brightest, which may be spikes, apart."""
-    order = np.argsort(-largest, kind="stable")
-    return known[order[: min(BRIGHTEST, max(LEAST_SAMPLES, len(order) // 2))]]
-
-
-def _brightness(vehicle: Vehicle, bright: np.ndarray, sun: np.ndarray) -> np.ndarray:
-    """How bright (n) the Sun is that made these readings, over what is stated."""
-    model = panel_power(vehicle, sun)
-    return (bright * model).sum(axis=1) / np.maximum((model**2).sum(axis=1), 1e-300)
-
-
-def _sunlit(vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver) -> bool:
-    """Whether the Sun made the brightest of these readings: their panels agree on a direction, which is the order's doing."""
-    bright = _brightest(known, largest)
-    two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
-    if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
-        return False
-    if not float(np.median(directions(vehicle, bright)[1])) < FITS:
-        return False
-    order = np.argsort(-largest, kind="stable")[:SHUFFLED]
-    seen = known[
-        order[largest[order] > BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))]
-    ]
-    return _in_order(vehicle, np.maximum(seen, 0.0), directions)
-
-
-def _in_order(vehicle: Vehicle, seen: np.ndarray, directions: Solver) -> bool:
-    """Whether readings (n, n_panel) fit directions better as they stand than in each of many random orders among the panels: with
-    noise that is alike in the readings' unit, and with noise alike in parts of each panel's gain."""
-    rng, gains = np.random.default_rng(0), vehicle.input_gains
-    for unit in (np.ones_like(gains), gains)[: 1 if np.ptp(gains) == 0 else 2]:
-        shuffled = rng.permuted(np.tile(seen / unit, (SHUFFLES, 1)), axis=1) * unit
-        misfit = directions(vehicle, np.concatenate([seen, shuffled]))[1].reshape(-1, len(seen))
-        off = np.mean(misfit**2, axis=1)
-        if not off[0] < off[1:].min():
-            return False
-    return True
-
-
-def _against_gains(
-    vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, directions: Solver
-) -> WrongUnit | None:
-    form = vehicle.telemetry
-    unit = UNITS[form.quantity]
-    if vehicle.gain_unit != unit:
-        return None
-    share = float(
-        np.quantile((known / vehicle.input_gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE)
-    )
+def _against_gains(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> WrongUnit | None:
+    """The wrong scale of readings (n, n_panel), if full Sun is far from the gains."""
+    form, gains = vehicle.telemetry, vehicle.input_gains
+    share = float(np.quantile((value / gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
     if 1 / BEYOND < share < BEYOND:
         return None
-    bright = _brightest(known, largest)
-    ratio = float(np.median(_brightness(vehicle, bright, directions(vehicle, bright)[0])))
-    if 1 / BEYOND < ratio < BEYOND or (
-        ratio < 1 and not _sunlit(vehicle, known, largest, directions)
-    ):
+    bright = _brightest(value, largest)
+    light = panel_power(vehicle, vehicle.response_in().best(bright)[0])
+    brightness = (bright * light).sum(axis=1) / np.maximum((light**2).sum(axis=1), 1e-300)
+    ratio = float(np.median(brightness))
+    if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, value, largest)):
         return None
-    key = "scale or voltage_scale" if form.has_voltages else "scale"
     step = round(np.log10(ratio) / 3)
     exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
     times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
-    more = "more" if ratio > 1 else "less"
-    stated = f"{float(vehicle.input_gains.max()):.3g} {unit}"
-    what = f"the brightest samples read about {times} times {more} than the stated full signal of a panel ({stated}): a wrong unit"
-    factor = 1000.0**-step if exact else 1 / ratio
-    sure = exact and not form.has_voltages  # else currents or voltages may be at fault
-    return WrongUnit(what, "telemetry", key, float(f"{form.scale * factor:.6g}") if sure else None)
-
-
-def _against_noise(
-    vehicle: Vehicle, known: np.ndarray, largest: np.ndarray, full: float, directions: Solver
-) -> WrongUnit | None:
-    form = vehicle.telemetry
-    unit = UNITS[form.quantity]
-    above = {"noise": form.noise, "lit_threshold": form.lit_threshold}
-    low = [key for key, limit in above.items() if limit is not None and full < limit]
-    if not low:
-        return None
-    if not _sunlit(vehicle, known, largest, directions):
-        return None
-    what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {low[0]} ({above[low[0]]:g} {unit})"
-    scales = "scale, voltage_scale" if form.has_voltages else "scale"
-    return WrongUnit(
-        what + ": one of them is in another unit", "telemetry", f"{scales} or {low[0]}"
+    stated = f"{float(gains.max()):.3g} {UNITS[form.quantity]}"
+    what = (
+        f"the brightest samples read about {times} times {'more' if ratio > 1 else 'less'} than the stated full signal "
+        f"of a panel ({stated}): a wrong unit"
     )
+    if form.has_voltages:  # currents or voltages may be at fault
+        return WrongUnit(what, "telemetry", "scale or voltage_scale")
+    scale = float(f"{form.scale * 1000.0**-step:.6g}") if exact else None
+    return WrongUnit(what, "telemetry", "scale", scale)
+
+
+def _brightest(value: np.ndarray, largest: np.ndarray) -> np.ndarray:
+    """The brightest samples, without the very brightest, which may be spikes."""
+    order = np.argsort(-largest, kind="stable")
+    return value[order[: min(BRIGHTEST, max(LEAST_SAMPLES, len(order) // 2))]]
+
+
+def _sunlit(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> bool:
+    """Whether the Sun made the brightest of these readings: they fit directions, and better as they stand than in each of many
+    random orders among the panels, with noise that is alike in the readings' unit, and in parts of each panel's gain."""
+    bright = _brightest(value, largest)
+    two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
+    if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
+        return False
+    best = vehicle.response_in().best
+    if not float(np.median(best(bright)[1])) < FITS:
+        return False
+    order = np.argsort(-largest, kind="stable")[:SHUFFLED]
+    floor = BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))
+    seen = np.maximum(value[order[largest[order] > floor]], 0.0)
+    rng, gains = np.random.default_rng(0), vehicle.input_gains
+    for unit in (np.ones_like(gains), gains)[: 1 if np.ptp(gains) == 0 else 2]:
+        shuffled = rng.permuted(np.tile(seen / unit, (SHUFFLES, 1)), axis=1) * unit
+        misfit = best(np.concatenate([seen, shuffled]))[1].reshape(-1, len(seen))
+        square = np.mean(misfit**2, axis=1)
+        if not square[0] < square[1:].min():
+            return False
+    return True

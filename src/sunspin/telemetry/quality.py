@@ -6,6 +6,7 @@ as well gets a larger sigma, and every sample carries a sentence.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,9 @@ from sunspin.telemetry.gains import (
     prior_sigmas,
 )
 from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise
-from sunspin.telemetry.panel_unit import panel_unit
+from sunspin.telemetry.panel_unit import WrongUnit
 from sunspin.telemetry.silent import lost
-from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, signals
+from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
@@ -105,12 +106,16 @@ CHUNK = 20_000
 USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
 
 
-def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+def judge_readings(
+    vehicle: Vehicle, telemetry: xr.Dataset, wrong_unit: Callable[[], WrongUnit | None]
+) -> xr.Dataset:
     """Judge every reading and every sample of panel powers or currents.
 
     Parameters
     ----------
     telemetry : Dataset of `read_telemetry`
+    wrong_unit : callable
+        Gives the wrong unit of the readings, which is named where no panel is lit.
 
     Returns
     -------
@@ -196,7 +201,7 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
     )
     some = spike.any(axis=1) & (use == USED)
     use[some] = DOWNWEIGHTED
-    wrong = panel_unit(vehicle, value[good], best_directions) if dark[good].any() else None
+    wrong = wrong_unit() if dark[good].any() else None
     nothing_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
     why = np.where(why != "", why, np.where(dark, nothing_lit, np.where(idle, IDLE, "used")))
     why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
@@ -256,21 +261,6 @@ def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
             "spread": np.nan if told.spread is None else told.spread,
         },
     )
-
-
-def lit_threshold(vehicle: Vehicle, telemetry: xr.Dataset) -> float | None:
-    """What a reading must exceed to count as lit by the Sun and not by the Earth, in its unit: twice the light on dark faces.
-
-    None where the vehicle file gives a threshold, too few samples tell that light, or it is no more than six sigma of noise.
-    """
-    if vehicle.telemetry.lit_threshold is not None or telemetry.sizes["time"] < DEAD_SAMPLES:
-        return None
-    about = panel_quality(vehicle, telemetry).attrs
-    light = about["albedo"] * about["full_sun"] * float(vehicle.input_gains.max())
-    told = (
-        about["albedo_samples"] >= DEAD_SAMPLES and light > SURELY_LIT * LIT_SIGMAS * about["noise"]
-    )
-    return SURELY_LIT * light if told else None
 
 
 def came_late(telemetry: xr.Dataset) -> np.ndarray:

@@ -6,6 +6,7 @@ which the panels see light (:mod:`sunspin.vehicle.response`); what they mean for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from functools import lru_cache
 from typing import Any
@@ -16,7 +17,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
-from sunspin.telemetry.panel_unit import panel_unit
+from sunspin.telemetry.panel_unit import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
 from sunspin.vehicle.response.protocol import PanelResponse
@@ -130,6 +131,7 @@ def sun_directions(
     *,
     noise: float | None = None,
     lit_threshold: float | None = None,
+    wrong_unit: Callable[[], WrongUnit | None] | None = None,
 ) -> xr.Dataset:
     """Direction to the Sun for each sample of panel powers.
 
@@ -143,6 +145,8 @@ def sun_directions(
     lit_threshold : float, optional
         A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value or, if
         readings below zero tell more, three sigma of those.
+    wrong_unit : callable, optional
+        Gives the wrong unit of the readings, which is named where no panel is lit; default: it is looked for.
 
     Returns
     -------
@@ -172,8 +176,10 @@ def sun_directions(
         threshold = LIT_SIGMAS * noise if noise is not None else untold
     lit = (clean > threshold) & finite[:, None]
     status, texts = _statuses(vehicle, lit, finite)
-    if np.any(status == SunStatus.DARK) and (wrong := panel_unit(vehicle, clean, best_directions)):
-        texts = np.where(status == SunStatus.DARK, str(wrong), texts)
+    if np.any(status == SunStatus.DARK):
+        wrong = panel_unit(vehicle, clean) if wrong_unit is None else wrong_unit()
+        if wrong is not None:
+            texts = np.where(status == SunStatus.DARK, str(wrong), texts)
     direction, delta = best_directions(vehicle, clean)
     told = is_reconstructed(status)
     noise_from = (

@@ -1,19 +1,17 @@
-"""Units that a vehicle file gets wrong, as the samples themselves show, each with the key to change.
+"""Units of sensors that a vehicle file gets wrong, as the samples show, each with the key to change.
 
-Panels are compared with their stated full signal and noise; the gyro with how the Sun and the field turn in the body; magnetometer,
-wheel and temperature with what the file says of them.
+The gyro is compared with how the Sun and the field rotate in body axes; magnetometer, wheel and temperature with the file's values.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import xarray as xr
 
-from sunspin.telemetry.noise import BRIGHT_QUANTILE
-from sunspin.telemetry.panel_unit import WrongUnit, panel_unit
-from sunspin.telemetry.quality import lit_threshold
+from sunspin.telemetry.panel_unit import FINEST, WrongUnit
 from sunspin.telemetry.sensors import STEEPEST_RAD
-from sunspin.telemetry.sun import best_directions, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
 
 GYRO_FACTORS = {
@@ -38,8 +36,8 @@ PAIRS, MOST_PAIRS, LAGS = 10, 2000, (1, 2, 4, 8)
 TOO_FAST = 3.0
 """Median rate of the gyro over the largest rate of the vehicle file."""
 
-FINEST, OFFSET = 1e5, 30.0
-"""Readings over their noise, which words of 16 bits hold, and a zero over its readings: more is another unit."""
+OFFSET = 30.0
+"""A zero over the readings: more is another unit."""
 
 ABSURD_ACCELERATION = 0.1
 """rad/s2: no dipole in a planet's field turns a spacecraft so."""
@@ -54,40 +52,29 @@ RPM_WITHIN = 0.15
 """Wheel speed over the nominal one, relative to `RPM`."""
 
 
-def wrong_units(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
-    """Every unit that the samples of `read_telemetry` contradict; an empty list where none is seen to be wrong."""
-    found = [
-        _panels(vehicle, telemetry),
-        _gyro(vehicle, telemetry),
+def wrong_units(
+    vehicle: Vehicle, telemetry: xr.Dataset, still_directions: Callable[[], list[np.ndarray]]
+) -> list[WrongUnit]:
+    """Every unit of sensors, wheels and temperatures that the samples of `read_telemetry` contradict; `still_directions` gives unit
+    directions (n, 3), body axes, that keep still in space, for the gyro."""
+    wrong = [
+        _gyro(vehicle, telemetry, still_directions),
         *_magnetometer(vehicle, telemetry),
-    ]
-    found += [
         *_sun_sensors(vehicle, telemetry),
         *_wheels(vehicle, telemetry),
         _temperature(telemetry),
     ]
-    return [wrong for wrong in found if wrong is not None]
+    return [each for each in wrong if each is not None]
 
 
-def _panels(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
-    if "panel" not in telemetry.coords:
-        return None
-    value, noise = signals(telemetry), vehicle.telemetry.noise
-    largest = float(np.nanquantile(value, BRIGHT_QUANTILE)) if np.isfinite(value).any() else 0.0
-    if wrong := panel_unit(vehicle, value, best_directions):
-        return wrong
-    if noise is None or largest < FINEST * noise:
-        return None
-    what = f"readings of {largest:.3g} are more than {FINEST:g} times the stated noise ({noise:g}), which no telemetry resolves"
-    return WrongUnit(what + ": one of them is in another unit", "telemetry", "scale or noise")
-
-
-def _gyro(vehicle: Vehicle, telemetry: xr.Dataset) -> WrongUnit | None:
+def _gyro(
+    vehicle: Vehicle, telemetry: xr.Dataset, still_directions: Callable[[], list[np.ndarray]]
+) -> WrongUnit | None:
     gyro = vehicle.sensors.gyro
     if gyro is None or "gyro_B" not in telemetry:
         return None
     rate = telemetry["gyro_B"].values
-    seen = directions_seen(vehicle, telemetry)
+    seen = still_directions()
     maps = [factor * np.eye(3) for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
     for lag in LAGS:
         stated, still, *others = carried(telemetry["time"].values, seen, rate, lag, maps)
@@ -151,24 +138,6 @@ def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) 
 
 def _median_angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.median(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))))
-
-
-def directions_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> list[np.ndarray]:
-    """Unit directions (n, 3) that keep still in space for minutes: the Sun, and the field where it may be used as one."""
-    found = []
-    if "sun_sensor_B" in telemetry:
-        found.append(telemetry["sun_sensor_B"].values)
-    if "panel" in telemetry.coords:
-        sun = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
-        found.append(
-            np.where(is_reconstructed(sun["status"])[:, None], sun["sun_B"].values, np.nan)
-        )
-    magnetometer = vehicle.sensors.magnetometer
-    if "field_B" in telemetry and magnetometer is not None and magnetometer.noise is not None:
-        field = telemetry["field_B"].values
-        size = np.linalg.norm(field, axis=1, keepdims=True)
-        found.append(np.where(size > 0, field / np.where(size > 0, size, 1.0), np.nan))
-    return found
 
 
 def _magnetometer(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:

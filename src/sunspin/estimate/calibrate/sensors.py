@@ -27,8 +27,8 @@ from sunspin.estimate.orbit.sensor_calibration import (
 )
 from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.verdict import NARROWER
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.gains import prior_sigmas, with_gains
-from sunspin.telemetry.quality import panel_quality
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.rewrite import NewValue
 from sunspin.vehicle.timeline import utc_after
@@ -94,11 +94,12 @@ def calibrate_sensors(
     attrs: dict[str, Any] = {}
     calibrated = vehicle
     if "panel" in telemetry.coords:
-        found, calibrated = _panels(vehicle, telemetry, notes)
+        found, calibrated = _panels(assess(vehicle, telemetry), notes)
         keys += found
     if "field_B" in telemetry or "sun_sensor_angle" in telemetry:
-        seen = readings(calibrated, telemetry)
-        made = _in_orbit(calibrated, telemetry, orbit, seen, notes, attrs)
+        assessment = assess(calibrated, telemetry)
+        seen = readings(assessment)
+        made = _in_orbit(assessment, orbit, seen, notes, attrs)
         keys += (
             []
             if made is None
@@ -145,17 +146,19 @@ def _shaped(numbers: np.ndarray) -> Any:
 # ------------------------------------------------------------------------------------------------------------------------ panels
 
 
-def _panels(vehicle: Vehicle, telemetry: xr.Dataset, notes: list[str]) -> tuple[list[Key], Vehicle]:
+def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicle]:
     """Gains by the brightness of samples, and the vehicle with them."""
+    vehicle = assessment.vehicle
     if vehicle.channels:
         notes.append("gains of panels: an input that panels share does not tell the gain of each")
         return [], vehicle
-    quality = panel_quality(vehicle, telemetry)
+    quality = assessment.quality
     stated, gain = vehicle.panel_gains, quality["gain"].values
     if not np.isfinite(quality.attrs["spread"]):
         notes.append(f"gains of panels: {quality.attrs['gains_from']}")
         return [], vehicle
-    sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), _jackknife(vehicle, telemetry))
+    jackknife = _jackknife(vehicle, assessment.telemetry)
+    sigma = np.maximum(np.sqrt(np.diag(quality["gain_cov"].values)), jackknife)
     prior = prior_sigmas(vehicle) * stated
     key = {"W": "gain_W", "A": "gain_A", None: "relative_gain"}[vehicle.gain_unit]
     count = int((quality["use"].values == 0).sum())
@@ -172,7 +175,7 @@ def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:
     samples = np.arange(telemetry.sizes["time"])
     rest = [np.setdiff1d(samples, block) for block in np.array_split(samples, BLOCKS)]
     gain = np.array(
-        [panel_quality(vehicle, telemetry.isel(time=some))["gain"].values for some in rest]
+        [assess(vehicle, telemetry.isel(time=some)).quality["gain"].values for some in rest]
     )
     return np.sqrt((BLOCKS - 1) / BLOCKS * ((gain - gain.mean(axis=0)) ** 2).sum(axis=0))
 
@@ -181,20 +184,20 @@ def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:
 
 
 def _in_orbit(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    assessment: Assessment,
     orbit: Orbit | None,
     seen: Readings,
     notes: list[str],
     attrs: dict[str, Any],
 ) -> Calibration | None:
+    vehicle = assessment.vehicle
     what = "magnetometer and Sun sensors" if vehicle.sensors.sun_sensors else "magnetometer"
     if orbit is None:
         notes.append(
             f"{what}: not determined without an orbit, in which strength and direction of the field are known"
         )
         return None
-    check = check_orbit(orbit, vehicle, telemetry)
+    check = check_orbit(orbit, vehicle, assessment)
     if check.verdict is Verdict.REFUSED:
         do = "give the right elements, or calibrate without any"
         got = f"{check.better} of {check.copies} orbits at random predict better"

@@ -34,6 +34,7 @@ from sunspin.estimate.orbit.invariants import (
 )
 from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
 from sunspin.estimate.wiring import axes_matrix
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 COPIES = 50
@@ -114,13 +115,14 @@ class OrbitCheck:
 
 
 def check_orbit(
-    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, *, seed: int = 0
+    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset | Assessment, *, seed: int = 0
 ) -> OrbitCheck:
     """Rank an orbit against copies with node and phase turned at random, by what telemetry shows whatever the attitude.
 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """
-    shown, grid = seen_in(vehicle, telemetry), _Grid.of(orbit)
+    assessment = assess(vehicle, telemetry)
+    shown, grid = seen_in(assessment), _Grid.of(orbit)
     both = int(np.isfinite(shown.field + shown.sun).all(axis=1).sum())
     seen = (
         shown if both >= FEWEST else shown._replace(sun=np.full_like(shown.sun, np.nan))
@@ -142,7 +144,7 @@ def check_orbit(
     own = fit(seen, here, grid.prior)
     way = (
         None
-        if "sun_sensor_angle" in telemetry
+        if "sun_sensor_angle" in assessment.telemetry
         else turned_axes(seen, here.take([own.cost.argmin()]))
     )
     if (
@@ -168,10 +170,10 @@ def check_orbit(
     if 0 < both < FEWEST and answer.matrix is not None:
         answer = _with_few_angles(answer, shown, here.take([k]), grid.prior[[k]])
     if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
-        words = axes_words(way, vehicle, telemetry)
+        words = axes_words(way, assessment)
         answer = replace(answer, matrix=answer.matrix @ axes_matrix(*way[1:]), turned_axes=words)
     if verdict is Verdict.FITS:
-        return _with_sun_sensors(answer, orbit, vehicle, telemetry)
+        return _with_sun_sensors(answer, orbit, assessment)
     return replace(answer, clock_behind_s=_clock_behind(orbit, seen, grid, best.cost.min()))
 
 
@@ -352,12 +354,10 @@ def _with_few_angles(
     )
 
 
-def _with_sun_sensors(
-    answer: OrbitCheck, orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset
-) -> OrbitCheck:
+def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, assessment: Assessment) -> OrbitCheck:
     """The answer with shift and calibration of the fit that counts biases and scales of Sun sensors, where there are any."""
     start = start_of(answer, orbit)
-    made = None if start is None else by_sun_sensors(orbit, vehicle, telemetry, start)
+    made = None if start is None else by_sun_sensors(orbit, assessment, start)
     if made is None:
         return answer
     return replace(

@@ -28,6 +28,7 @@ from sunspin.estimate.orbit.invariants import (
 )
 from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
 from sunspin.estimate.wiring import axes_matrix
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 FEW_SCATTER = 0.02
@@ -83,22 +84,26 @@ class FieldCalibration:
 
 
 def field_calibration(
-    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, made: Calibration | None = None
+    orbit: Orbit,
+    vehicle: Vehicle,
+    telemetry: xr.Dataset | Assessment,
+    made: Calibration | None = None,
 ) -> FieldCalibration | None:
     """The calibration of a file's magnetometer along this orbit; None where it has none, or it reads nothing. `made`: the fit with
     Sun sensors by which this orbit was judged (:class:`~sunspin.estimate.orbit.check.OrbitCheck`), which else is made here."""
-    if "field_B" not in telemetry:
+    assessment = assess(vehicle, telemetry)
+    if "field_B" not in assessment.telemetry:
         return None
     along = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
     if made is not None:
         return _of_sensors(made, made.shift_s, along)
-    seen = seen_in(vehicle, telemetry, MOST_SAMPLES)
+    seen = seen_in(assessment, MOST_SAMPLES)
     use = np.isfinite(seen.field).all(axis=1)
     if not use.any():
         return None
     seen = Seen(*(part[use] for part in seen))
     every = predict(orbit, seen, along * np.array([-1.0, 0.0, 1.0]))
-    way = None if "sun_sensor_angle" in telemetry else turned_axes(seen, every.take([1]))
+    way = None if "sun_sensor_angle" in assessment.telemetry else turned_axes(seen, every.take([1]))
     axes = np.eye(3) if way is None else axes_matrix(*way[1:])
     seen = seen._replace(field=seen.field @ axes.T)
     found = calibrated(seen, every.take([1]), steps=3 * STEPS)
@@ -106,7 +111,7 @@ def field_calibration(
     matrix, zero = values[:9].reshape(3, 3), values[9:]
     left = np.abs(np.linalg.norm(seen.field @ matrix.T - zero, axis=1) - every.strength[1])
     start = Start(matrix, zero, left_T=float(np.median(left)))
-    if (made := by_sun_sensors(orbit, vehicle, telemetry, start)) is not None:
+    if (made := by_sun_sensors(orbit, assessment, start)) is not None:
         return _of_sensors(made, 0.0, along)
     bent, _, _, unit = found.model.fields(found.state)
     steep = found.model.steepness(unit, bent)[0]

@@ -18,9 +18,9 @@ from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
-from sunspin.telemetry.quality import came_late, lit_threshold, panel_quality
-from sunspin.telemetry.sun import SunStatus, signals, sun_directions
-from sunspin.vehicle import Vehicle
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.quality import came_late
+from sunspin.telemetry.sun import SunStatus, signals
 
 MOST_SAMPLES = 200
 """Samples of the file that are compared; those that show field and Sun are kept first, the others are spread evenly."""
@@ -98,15 +98,16 @@ class Fits(NamedTuple):
     scatter: np.ndarray
 
 
-def seen_in(vehicle: Vehicle, telemetry: xr.Dataset, most: int = MOST_SAMPLES) -> Seen:
+def seen_in(assessment: Assessment, most: int = MOST_SAMPLES) -> Seen:
     """At most so many samples of a telemetry file, those that show field and Sun first."""
+    telemetry = assessment.telemetry
     time = telemetry["time"].values
     n, nothing = len(time), np.full((len(time), 3), np.nan)
     reading = telemetry["field_B"].values if "field_B" in telemetry else nothing
     sun, covariance, light = nothing, np.full((n, 3, 3), np.nan), np.full(n, np.nan)
     by_earth = np.zeros(n, dtype=bool)
-    if "panel" in telemetry.coords:
-        found, by_earth = sun_by_panels(vehicle, telemetry)
+    if assessment.has_panels:
+        found, by_earth = sun_by_panels(assessment)
         sun, covariance = found["sun_B"].values, found["sun_cov_B"].values
         status = found["status"].values
         light = np.where(
@@ -141,15 +142,14 @@ def seen_in(vehicle: Vehicle, telemetry: xr.Dataset, most: int = MOST_SAMPLES) -
     )
 
 
-def sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[xr.Dataset, np.ndarray]:
+def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
     """Sun directions without those of panels that the Earth may have lit, and which samples (n) rest on a panel with no other
     opposite to it, of which nothing tells the Earth's light."""
-    found = sun_directions(vehicle, telemetry, lit_threshold=lit_threshold(vehicle, telemetry))
+    found, vehicle = assessment.sun, assessment.vehicle
     facing = vehicle.response_in().facing_B
     alone = ~(facing @ facing.T < OPPOSITE).any(axis=1)
-    share = signals(telemetry) / (
-        panel_quality(vehicle, telemetry).attrs["full_sun"] * vehicle.input_gains
-    )
+    full = assessment.quality.attrs["full_sun"] * vehicle.input_gains
+    share = signals(assessment.telemetry) / full
     rests = found["lit"].values & alone
     doubtful = (rests & (share < EARTH_MOST)).any(axis=1)
     return found.assign(
@@ -503,10 +503,9 @@ def turned_axes(seen: Seen, there: Predicted) -> tuple[str, list[int], tuple[flo
     return ways[best] if clear and not reversed_all else None
 
 
-def axes_words(
-    way: tuple[str, list[int], tuple[float, ...]], vehicle: Vehicle, telemetry: xr.Dataset
-) -> str:
+def axes_words(way: tuple[str, list[int], tuple[float, ...]], assessment: Assessment) -> str:
     """What :func:`turned_axes` says, in words, and what to write into the vehicle file."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     what, order, sign = way
     magnetometer = vehicle.sensors.magnetometer
     do = (

@@ -13,6 +13,7 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
 from sunspin.environment.orbit import Orbit, Source, in_orbit
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
+from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.parts import Orbit as Stated
 
@@ -84,7 +85,7 @@ def clock_off(found: OrbitCheck) -> str:
 
 
 def judged_orbit(
-    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset
+    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset | Assessment
 ) -> tuple[Orbit | None, OrbitCheck, str]:
     """An orbit as the telemetry leaves it, what the check found (:mod:`sunspin.estimate.orbit.check`), and what follows, in words.
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
 
 from sunspin.environment.orbit import Orbit, turned
 from sunspin.estimate.orbit.along_track import AlongTrack
@@ -31,6 +30,7 @@ from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
+from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 
 SCALE_FREE = 3.0
@@ -212,14 +212,13 @@ def fit_in_orbit(
     return model.answer(state, unit)
 
 
-def by_sun_sensors(
-    orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset, start: Start
-) -> Calibration | None:
+def by_sun_sensors(orbit: Orbit, assessment: Assessment, start: Start) -> Calibration | None:
     """The calibration of a file whose Sun sensors may be off, from a start; None where it has none, too few samples show them
     and the field, or the fit is clearly worse than its start."""
-    if "sun_sensor_angle" not in telemetry or not vehicle.sensors.sun_sensors:
+    vehicle = assessment.vehicle
+    if "sun_sensor_angle" not in assessment.telemetry or not vehicle.sensors.sun_sensors:
         return None
-    seen = readings(vehicle, telemetry)
+    seen = readings(assessment)
     if seen.has_field.sum() + (seen.has_field & seen.has_sun).sum() < FEWEST:
         return None
     made = fit_in_orbit(orbit, vehicle, seen, start, priors(vehicle, seen, orbit))
@@ -306,10 +305,11 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 """Keys of a Sun sensor in the order of its unknowns."""
 
 
-def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
+def readings(assessment: Assessment) -> Readings:
     """Those of a telemetry file that show field or Sun, spread evenly."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     time = telemetry["time"].values
-    sun, sun_sigma = _sun_by_panels(vehicle, telemetry)
+    sun, sun_sigma = _sun_by_panels(assessment)
     n, faces = len(time), len(vehicle.sensors.sun_sensors)
     angle, is_turned = np.full((n, faces, 2), np.nan), np.zeros((n, faces), dtype=bool)
     if "sun_sensor_angle" in telemetry:
@@ -327,12 +327,13 @@ def readings(vehicle: Vehicle, telemetry: xr.Dataset) -> Readings:
     return seen.take(spread_evenly(telemetry, seen.has_field | seen.has_sun, MOST_SAMPLES, both))
 
 
-def _sun_by_panels(vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+def _sun_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
     """Directions (n, 3) by panels, or Sun vectors as they are given, NaN where none, and sigma (n) rad of each of two angles."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     n = telemetry.sizes["time"]
     sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
-    if "panel" in telemetry.coords:
-        found, by_earth = sun_by_panels(vehicle, telemetry)
+    if assessment.has_panels:
+        found, by_earth = sun_by_panels(assessment)
         earth = np.sqrt(2 * earth_variance(min(by_earth.sum(), MOST_SAMPLES)))
         sun, sigma = found["sun_B"].values, np.hypot(found["sigma_rad"].values, earth * by_earth)
     elif (

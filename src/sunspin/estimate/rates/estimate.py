@@ -81,6 +81,7 @@ from sunspin.estimate.terms.sensors import FIELD
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.estimate.verdict import alike_motions, misfit
 from sunspin.estimate.wiring import Better, Named, better, implausible
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Clock as Lateness
 from sunspin.vehicle.timeline import utc_after
@@ -128,7 +129,7 @@ NOT_LATE = {
 
 def rates(
     vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    telemetry: xr.Dataset | Assessment,
     *,
     source: str | None = None,
     max_rate_rad_s: float | None = None,
@@ -153,7 +154,7 @@ def rates(
 
     Parameters
     ----------
-    telemetry : Dataset of `read_telemetry`, or of `sun_directions`
+    telemetry : Dataset of `read_telemetry` or its Assessment, or Dataset of `sun_directions`
         A gyro or magnetometer in it is used where the vehicle describes one.
     source : {"panels", "sun_sensor", "directions"}, optional
         Where the Sun comes from; default: what the telemetry has.
@@ -221,12 +222,16 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
+    assessment = assess(vehicle, telemetry)
+    telemetry = assessment.telemetry
     local = _along_the_sun(environment)
     forces = acting(torques, local)
     calibration = calibration or (
-        field_calibration(local.orbit, vehicle, telemetry) if isinstance(local, SunAlongZ) else None
+        field_calibration(local.orbit, vehicle, assessment)
+        if isinstance(local, SunAlongZ)
+        else None
     )
-    o, why, source = observations(vehicle, telemetry, source, local, calibration)
+    o, why, source = observations(vehicle, assessment, source, local, calibration)
     parts = passes(o, why, gap_s)
     ids = _asked_for(pass_id, len(parts))
     parts = [parts[k] for k in ids]
@@ -323,7 +328,7 @@ def rates(
                     o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise
                 )
         result = result.assign_attrs(wirings_cut=int(tried.close()))
-    return _judged(_wheel_doubted(result, turned, observed, telemetry), vehicle, telemetry)
+    return _judged(_wheel_doubted(result, turned, observed, telemetry), assessment)
 
 
 def _observed(
@@ -454,10 +459,10 @@ def _begin(
     load(body)
 
 
-def _judged(result: xr.Dataset, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset:
+def _judged(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
     """The result with its verdict. A gyro along other axes than stated looks like a late one: then these are named."""
     if result.attrs["sensors_late_from"] == SUSPECTED:
-        if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(vehicle, telemetry)):
+        if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(assessment)):
             result = result.assign_attrs(wiring_doubt=axes)
         if "wiring_doubt" in result.attrs:
             result = result.assign_attrs(NOT_LATE)

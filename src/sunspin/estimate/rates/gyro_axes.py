@@ -14,13 +14,13 @@ from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.rates.motion import MOST_NUTATION, Body, Ends, nutation, step
 from sunspin.estimate.rates.wheels import momentum_of_each, wheel_momenta
 from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
+from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.units import (
     BETTER,
     LAGS,
     TURNS_RIGHT,
     TURNS_WRONG,
     carried_by,
-    directions_seen,
     even_turns,
 )
 from sunspin.vehicle import Vehicle
@@ -30,17 +30,15 @@ AS_GOOD = 1.3
 is named, as a component that is small at all times may have any sign."""
 
 
-def wrong_gyro_axes(vehicle: Vehicle, telemetry: xr.Dataset) -> str | None:
+def wrong_gyro_axes(assessment: Assessment) -> str | None:
     """How the gyro of `read_telemetry` must be read to turn the Sun and the field as they are seen, in words, and what to write;
     None where it does so as stated, or no other reading does."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     gyro = vehicle.sensors.gyro
     if gyro is None or "gyro_B" not in telemetry:
         return None
-    time, rate, seen = (
-        telemetry["time"].values,
-        telemetry["gyro_B"].values,
-        directions_seen(vehicle, telemetry),
-    )
+    time, rate = telemetry["time"].values, telemetry["gyro_B"].values
+    seen = assessment.still_directions
     ways = list(signed_axes())
     read = [rate[:, order] * sign for _, order, sign in ways]
     even, nutating = [even_turns(time, one) for one in read], None

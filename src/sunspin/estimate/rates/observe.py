@@ -16,6 +16,7 @@ from sunspin.estimate.terms.field_direction import reads_directions
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.quality import IDLE, LATE
 from sunspin.vehicle import Vehicle
 
@@ -51,7 +52,7 @@ NOT_SEEN = ("dropped: no panel lit", IDLE, "dropped: no panel has a number", UNR
 
 def observations(
     vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    telemetry: xr.Dataset | Assessment,
     source: str | None = None,
     environment: Environment | None = None,
     calibration: FieldCalibration | None = None,
@@ -62,11 +63,13 @@ def observations(
     the first of directions, Sun sensors, panels that the telemetry has. `environment`: with z of its N to the Sun;
     `calibration`: of the magnetometer along its orbit.
     """
+    assessment = assess(vehicle, telemetry)
+    telemetry = assessment.telemetry
     source = sun_source(
         telemetry, source, calibration is not None or reads_directions(vehicle, telemetry)
     )
     t = np.asarray(telemetry["time"], dtype=np.float64)
-    terms, why = read_terms(vehicle, telemetry, source, calibration)
+    terms, why = read_terms(assessment, source, calibration)
     if environment is not None:
         here = environment.at(t)
         terms = tuple(term.placed(here) for term in terms)

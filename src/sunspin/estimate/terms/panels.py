@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-import xarray as xr
 
 from sunspin.environment import Surroundings
 from sunspin.estimate.terms import gains
 from sunspin.estimate.terms.earth_light import EarthLight, faint, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
 from sunspin.solve.rotations import cross_matrix, seen_turned
-from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE, panel_quality
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.protocol import PanelResponse, sphere
@@ -112,14 +112,14 @@ class Panels(SunTerm):
     earth_N: np.ndarray | None = None
 
     @classmethod
-    def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
+    def read(cls, assessment: Assessment) -> tuple[Self, np.ndarray]:
         """Those of telemetry, and a sentence for each sample (n)."""
-        quality = panel_quality(vehicle, telemetry)
+        vehicle, quality = assessment.vehicle, assessment.quality
         errors = gains.errors(vehicle, quality)
         known = np.isfinite(
             quality.attrs["spread"]
         )  # by the brightness of the samples; else only a motion determines the gains
-        power, scale_sigma = signals(telemetry), quality["scale_sigma"].values
+        power, scale_sigma = signals(assessment.telemetry), quality["scale_sigma"].values
         dark_sigma = np.hypot(
             quality.attrs["noise"], DARK * quality.attrs["full_sun"] * quality["gain"].values
         )

@@ -17,6 +17,7 @@ from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sun_direction import UNREAD, SunDirection
 from sunspin.estimate.terms.term import Term
+from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 
 SENSORS = (Gyro, Magnetometer, Attitude)
@@ -56,12 +57,12 @@ def sun_source(telemetry: xr.Dataset, wanted: str | None, field_known: bool = Fa
 
 
 def read_terms(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    assessment: Assessment,
     source: str,
     calibration: FieldCalibration | None = None,
 ) -> tuple[tuple[Term, ...], np.ndarray]:
     """All that telemetry has, the Sun first, and a sentence for each sample (n); `calibration` of the magnetometer, by an orbit."""
+    vehicle, telemetry = assessment.vehicle, assessment.telemetry
     part = vehicle.sensors.magnetometer
     if source == FIELD and calibration is None and part is not None:
         field, why = FieldDirection.alone(part, telemetry)
@@ -70,7 +71,7 @@ def read_terms(
         sun, why = None, np.full(telemetry.sizes["time"], UNREAD, dtype=object)
     else:
         sun, why = (
-            Panels.read(vehicle, telemetry)
+            Panels.read(assessment)
             if source == "panels"
             else SunDirection.read(vehicle, telemetry, source)
         )

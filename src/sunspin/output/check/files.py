@@ -6,20 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
 from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
-from sunspin.telemetry.health import NOISE, made_by, panel_health
-from sunspin.telemetry.quality import lit_threshold, panel_quality
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.health import NOISE, made_by
 from sunspin.telemetry.reader import FLAGS, read_telemetry
-from sunspin.telemetry.sun import reconstructible_patterns, sun_directions
+from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns
 from sunspin.vehicle.timeline import utc_after
-
-HEALTH_SAMPLES = 3000
-"""Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
 
 NOT_READ = "  directions, gains and lit faces say nothing while the readings are in a wrong unit; `--json` has them"
 
@@ -69,9 +65,11 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
 
 def about_telemetry(
     craft: Vehicle, path: Path, vehicle: str
-) -> tuple[xr.Dataset, dict[str, Any], list[str]]:
-    """The telemetry, with summary and lines on what it holds and what can be learnt from it; `vehicle`: the file of `craft`."""
+) -> tuple[Assessment, dict[str, Any], list[str]]:
+    """The assessment of telemetry, with summary and lines on what it holds and what can be determined from it; `vehicle`: the file
+    of `craft`."""
     samples = read_telemetry(path, craft)
+    assessment = assess(craft, samples)
     time, flag = samples["time"].values, samples["flag"].values
     gaps = intervals(samples)
     spread = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None
@@ -111,33 +109,24 @@ def about_telemetry(
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
-    about, more = doubts(craft, samples, vehicle)
+    about, more = doubts(assessment, vehicle)
     summary, lines = summary | about, lines + more
-    if "panel" in samples.coords:
-        about, more = _about_panels(craft, samples)
+    if assessment.has_panels:
+        about, more = _about_panels(assessment)
         summary, lines = (
             summary | about,
             lines + ([NOT_READ] if summary["panels_misread"] else more),
         )
-    about, more = worth(craft, samples, summary["panels_misread"])
-    return samples, summary | about, lines + more
+    about, more = worth(assessment, summary["panels_misread"])
+    return assessment, summary | about, lines + more
 
 
-def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
-    threshold = lit_threshold(craft, samples)
-    sun = sun_directions(craft, samples, lit_threshold=threshold)
-    stride = -(-samples.sizes["time"] // HEALTH_SAMPLES)
-    found = panel_health(
-        craft,
-        samples.isel(time=slice(None, None, stride)),
-        lit_threshold=threshold,
-        could_be_turned=True,
-    )
-    health, without_loss = (
-        health_summary(found),
-        made_by(found, -(-samples.sizes["time"] // stride)),
-    )
-    missed = samples["panel"].values[panel_quality(craft, samples)["missed"].values].tolist()
+def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+    sun, quality = assessment.sun, assessment.quality
+    health = health_summary(assessment.health)
+    looked_at = -(-assessment.telemetry.sizes["time"] // assessment.health_stride)
+    without_loss = made_by(assessment.health, looked_at)
+    missed = quality["panel"].values[quality["missed"].values].tolist()
     if (
         missed and health["impossible"] and without_loss != NOISE
     ):  # patterns may blame another where panels are turned
@@ -149,7 +138,7 @@ def _about_panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], 
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
         "noise_made": without_loss == NOISE,
         "made_by": without_loss,
-        "health_of_every": stride,
+        "health_of_every": assessment.health_stride,
     }
     return summary, status_lines(sun) + health_lines(summary) + noise_lines(sun)
 

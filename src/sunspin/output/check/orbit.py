@@ -14,43 +14,41 @@ from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST
 from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.output.check.samples import noise_lines
-from sunspin.telemetry.quality import lit_threshold
-from sunspin.telemetry.sun import sun_directions
-from sunspin.vehicle import Vehicle
+from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle.timeline import utc_after
 
 
 def about_orbit(
-    craft: Vehicle, samples: xr.Dataset, elements: Path | None, shift_sigma: float | None
+    assessment: Assessment, elements: Path | None, shift_sigma: float | None
 ) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on whether the elements fit the telemetry; nothing where there are none."""
+    craft, samples = assessment.vehicle, assessment.telemetry
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
         return {}, []
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
-    found = check_orbit(orbit, craft, samples)
+    found = check_orbit(orbit, craft, assessment)
     return {"orbit": _age(orbit, samples, one) | _summary(one, found, notes)}, _lines(
         one, found, notes
     )
 
 
 def orbit_used(
-    craft: Vehicle, samples: xr.Dataset, elements: Path | None, shift_sigma: float | None
+    assessment: Assessment, elements: Path | None, shift_sigma: float | None
 ) -> tuple[Any, Any, dict[str, Any], list[str]]:
     """The orbit that the telemetry allows to use (None: no), the magnetometer's calibration along it, and summary and lines on the
     orbit; nothing where there are no elements."""
+    craft, samples = assessment.vehicle, assessment.telemetry
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
         return None, None, {}, []
     one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
-    used, found, words = judged_orbit(orbit, craft, samples)
+    used, found, words = judged_orbit(orbit, craft, assessment)
     summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
-    calibration = None if used is None else field_calibration(used, craft, samples, found.made)
+    calibration = None if used is None else field_calibration(used, craft, assessment, found.made)
     said = [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
-    if craft.telemetry.noise is None and "panel" in samples.coords:
-        said += noise_lines(
-            sun_directions(craft, samples, lit_threshold=lit_threshold(craft, samples))
-        )
+    if craft.telemetry.noise is None and assessment.has_panels:
+        said += noise_lines(assessment.sun)
     return used, calibration, {"orbit": summary}, said
 
 

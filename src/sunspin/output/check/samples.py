@@ -8,10 +8,10 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
+from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
-from sunspin.telemetry.quality import SURELY_LIT, panel_quality, reasons
+from sunspin.telemetry.quality import SURELY_LIT, reasons
 from sunspin.telemetry.sun import LIT_SIGMAS, signals
-from sunspin.telemetry.units import wrong_units
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import line_of, vehicle_text
 from sunspin.vehicle.sensors import VARIABLES
@@ -20,11 +20,9 @@ SHOWN = 30
 """Columns listed by name."""
 
 
-def doubts(
-    craft: Vehicle, samples: xr.Dataset, vehicle: str | None = None
-) -> tuple[dict[str, Any], list[str]]:
+def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
-    units, found = [], wrong_units(craft, samples)
+    units, found, samples = [], assessment.wrong_units, assessment.telemetry
     for wrong in found:
         stands = (
             None
@@ -39,9 +37,8 @@ def doubts(
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
     lines = [f"  WRONG UNIT: {text}" for text in units]
-    axes = (
-        None if any(wrong.table == "gyro" for wrong in found) else wrong_gyro_axes(craft, samples)
-    )
+    gyro_misread = any(wrong.table == "gyro" for wrong in found)
+    axes = None if gyro_misread else wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
@@ -70,15 +67,14 @@ def noise_lines(sun: xr.Dataset) -> list[str]:
     ]
 
 
-def worth(
-    craft: Vehicle, samples: xr.Dataset, misread: bool = False
-) -> tuple[dict[str, Any], list[str]]:
+def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
     wrong unit, no lines on what their numbers would mean."""
     summary: dict[str, Any] = {}
     lines: list[str] = []
-    if "panel" in samples.coords:
-        about, lines = _panels(craft, samples)
+    samples = assessment.telemetry
+    if assessment.has_panels:
+        about, lines = _panels(assessment)
         summary |= about
         lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
     alone = {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
@@ -97,15 +93,15 @@ def worth(
     return summary | about, lines + more
 
 
-def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
-    quality = panel_quality(craft, samples)
+def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+    craft, quality = assessment.vehicle, assessment.quality
     why = reasons(quality)
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = (
         [str(name) for name in quality["panel"].values[which]]
         for which in (missed, silent & ~missed)
     )
-    faces = np.bincount(_lit(craft, samples, quality))
+    faces = np.bincount(_lit(craft, assessment.telemetry, quality))
     summary = {
         "worth": why,
         "dead_panels": dead,

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from sunspin.base.errors import SunspinError
 from sunspin.output.figures import COLOURS, named, titled
 from sunspin.output.figures.rates import clock_text
-from sunspin.telemetry.quality import USED, panel_quality
+from sunspin.telemetry.assess import panel_quality
+from sunspin.telemetry.quality import USED
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from sunspin.output.figures import COLOURS, named, titled
 from sunspin.output.figures.rates import SHOWN, chosen_passes, clock_text
-from sunspin.telemetry.quality import panel_quality
+from sunspin.telemetry.assess import panel_quality
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
