@@ -9,7 +9,7 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -58,6 +58,10 @@ class Table(NamedTuple):
     @property
     def header(self) -> list[str]:
         return self.cells.columns.tolist()
+
+    def has(self, names: Iterable[str]) -> bool:
+        """Whether the table has all of these columns."""
+        return set(names) <= set(self.cells.columns)
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """The cells of these columns as numbers (rows, columns), NaN where one is none.

@@ -34,16 +34,16 @@ STEEPEST_RAD = 1.4
 """No Sun sensor reads an angle from its normal beyond this."""
 
 
+def columns_of(sensor: SunSensor) -> list[str]:
+    """Columns that a Sun sensor reads."""
+    return [name for name in (sensor.x_column, sensor.y_column, sensor.light_column) if name]
+
+
 def sensor_columns(vehicle: Vehicle) -> list[str]:
     """Columns that the vehicle's sensors read."""
     sensors = vehicle.sensors
-    names = [
-        name
-        for s in sensors.sun_sensors
-        for name in (s.x_column, s.y_column, s.light_column)
-        if name
-    ]
-    names += [name for part in sensors.with_columns.values() for name in part.names]
+    names = [name for sensor in sensors.sun_sensors for name in columns_of(sensor)]
+    names += [name for sensor in sensors.with_columns.values() for name in sensor.names]
     return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
 
 
@@ -58,72 +58,100 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     `attitude_B_from_N` (time, quaternion); `wheel_speed_rad_s` (time, wheel).
     Cells without a number are NaN.
     """
-    found: dict[str, Any] = {}
+    variables = _sun_variables(vehicle, table)
+    for name, variable in VARIABLES.items():
+        sensor = vehicle.sensors.with_columns.get(name)
+        if sensor is not None and table.has(sensor.names):
+            dimension, value, attrs = sensor.seen(_numbers(table, sensor.names))
+            variables[variable] = (("time", dimension), value, attrs)
+    wheels = [wheel for wheel in vehicle.wheels if wheel.speed_column]
+    if wheels and table.has([wheel.speed_column for wheel in wheels]):
+        speed = np.full((len(table.cells), len(vehicle.wheels)), np.nan)
+        for k, wheel in enumerate(vehicle.wheels):
+            if wheel.speed_column:
+                speed[:, k] = wheel.speed_scale_rad_s * _numbers(table, [wheel.speed_column])[:, 0]
+        attrs = {"units": "rad s-1", "long_name": "speed of each wheel relative to the body"}
+        variables["wheel_speed_rad_s"] = (("time", "wheel"), speed, attrs)
+    return variables
+
+
+def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
+    """Those of Sun sensors and Sun vector."""
     sensors = vehicle.sensors
     present = [
-        s
-        for s in sensors.sun_sensors
-        if all(n in table.header for n in (s.x_column, s.y_column, s.light_column) if n)
+        (k, sensor) for k, sensor in enumerate(sensors.sun_sensors) if table.has(columns_of(sensor))
     ]
     vector = sensors.sun_vector
-    vector = (
-        vector
-        if vector is not None and all(name in table.header for name in vector.names)
-        else None
+    if vector is not None and not table.has(vector.names):
+        vector = None
+    if not present and vector is None:
+        return {}
+    n, n_sensor = len(table.cells), len(sensors.sun_sensors)
+    light = (
+        np.stack([_light(s, table) for _, s in present], axis=1) if present else np.empty((n, 0))
     )
-    if present or vector is not None:
-        sun, covariance, angle = _sun(present, vector, table, sensors.sun_sensors)
-        if present:
-            about = {
-                "units": "rad",
-                "long_name": "angles of each Sun sensor from its normal, along its x and its y",
-            }
-            found["sun_sensor_angle"] = (("time", "sun_sensor", "side"), angle, about)
-            turned = np.stack([_turned(sensor, table) for sensor in sensors.sun_sensors], axis=1)
-            found["sun_sensor_y_turned"] = (
-                ("time", "sun_sensor"),
-                turned.astype(np.int8),
-                {"units": "1"},
-            )
-        found["sun_sensor_B"] = (
-            ("time", "axis"),
-            sun,
-            {"units": "1", "long_name": "Sun by the Sun sensors, body axes"},
-        )
-        found["sun_sensor_cov_B"] = (("time", "axis", "axis2"), covariance, {"units": "1"})
-        if (unsure := np.any([_unsure(sensor, table) for sensor in present], axis=0)).any():
-            sun, covariance, _ = _sun(present, vector, table, sensors.sun_sensors, other=True)
-            sun[~unsure], covariance[~unsure] = np.nan, np.nan
-            about = {
-                "units": "1",
-                "long_name": "Sun by the Sun sensors, if their y runs the other way",
-            }
-            found["sun_sensor_other_B"] = (("time", "axis"), sun, about)
-            found["sun_sensor_other_cov_B"] = (
-                ("time", "axis", "axis2"),
-                covariance,
-                {"units": "1"},
-            )
-    for name, variable in VARIABLES.items():
-        sensor = sensors.with_columns.get(name)
-        if sensor is not None and all(column in table.header for column in sensor.names):
-            along, value, about = sensor.seen(_numbers(table, sensor.names))
-            found[variable] = (("time", along), value, about)
-    speeds = [wheel.speed_column for wheel in vehicle.wheels]
-    if speeds and all(name in table.header for name in speeds if name) and any(speeds):
-        nothing = np.full(len(table.cells), np.nan)
-        value = [
-            nothing
-            if w.speed_column is None
-            else w.speed_scale_rad_s * _numbers(table, [w.speed_column])[:, 0]
-            for w in vehicle.wheels
-        ]
-        found["wheel_speed_rad_s"] = (
-            ("time", "wheel"),
-            np.stack(value, axis=1),
-            {"units": "rad s-1"},
-        )
-    return found
+    lit = light > [sensor.lit_above for _, sensor in present]
+    turned, unsure = np.zeros((n, n_sensor), dtype=bool), np.zeros((n, n_sensor), dtype=bool)
+    for j, (k, sensor) in enumerate(present):
+        if sensor.y_turned_above is not None and sensor.light_column is not None:
+            away = light[:, j] - sensor.y_turned_above
+            turned[:, k] = away > 0
+            unsure[:, k] = np.abs(away) < BOTH_SIGMAS * (sensor.y_turned_sigma or 0.0)
+    angle = np.full((n, n_sensor, 2), np.nan)
+
+    def combined(y_turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Sun (n, 3) from all sensors that see it, each weighted by its information about each axis, and its covariance."""
+        views = [] if vector is None else [_vector(vector, table)]
+        for j, (k, sensor) in enumerate(present):
+            angle[lit[:, j], k] = _angles(sensor, table, y_turned[:, k])[lit[:, j]]
+            views.append((*_direction(j, [s for _, s in present], lit, angle[:, k]), lit[:, j]))
+        information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
+        for direction, weight, sees in views:
+            use = sees & np.isfinite(direction).all(axis=1)
+            information[use] += weight[use]
+            weighted[use] += np.einsum("nij,nj->ni", weight[use], direction[use])
+        covariance, sun = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
+        seen = np.trace(information, axis1=1, axis2=2) > 0
+        covariance[seen] = np.linalg.inv(information[seen])
+        sun[seen] = np.einsum("nij,nj->ni", covariance[seen], weighted[seen])
+        size = np.linalg.norm(sun, axis=1)
+        agree = seen & (size > AGREE)
+        sun[agree] /= size[agree, None]
+        sun[~agree], covariance[~agree] = np.nan, np.nan
+        return sun, covariance
+
+    variables: dict[str, Any] = {}
+    other = combined(turned ^ unsure) if unsure.any() else None
+    sun, covariance = combined(turned)
+    if present:
+        about = {
+            "units": "rad",
+            "long_name": "angles of each Sun sensor from its normal, along its x and its y",
+        }
+        variables["sun_sensor_angle"] = (("time", "sun_sensor", "side"), angle, about)
+        about = {"units": "1", "long_name": "1 where a Sun sensor's y runs the other way"}
+        flags = turned.astype(np.int8)
+        variables["sun_sensor_y_turned"] = (("time", "sun_sensor"), flags, about)
+    name = "Sun by the Sun sensors, body axes"
+    variables |= _sun_pair("sun_sensor", sun, covariance, name)
+    if other is not None:
+        known = unsure.any(axis=1)
+        sun = np.where(known[:, None], other[0], np.nan)
+        covariance = np.where(known[:, None, None], other[1], np.nan)
+        name = "Sun by the Sun sensors, if their y runs the other way"
+        variables |= _sun_pair("sun_sensor_other", sun, covariance, name)
+    return variables
+
+
+def _sun_pair(prefix: str, sun: np.ndarray, covariance: np.ndarray, name: str) -> dict[str, Any]:
+    """Variables of a direction (n, 3) and its covariance (n, 3, 3)."""
+    about, of_error = (
+        {"units": "1", "long_name": long_name} for long_name in (name, f"covariance: {name}")
+    )
+    return {
+        f"{prefix}_B": (("time", "axis"), sun, about),
+        f"{prefix}_cov_B": (("time", "axis", "axis2"), covariance, of_error),
+    }
 
 
 def _numbers(table: Table, names: Any) -> np.ndarray:
@@ -131,37 +159,11 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 
-def _sun(
-    sensors: list[SunSensor],
-    vector: SunVector | None,
-    table: Table,
-    every: tuple[SunSensor, ...],
-    other: bool = False,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The Sun from all sensors that see it, each weighted by its information about each axis, and the angles (n, every, 2);
-    `other`: where a y may be turned or not, read the less likely way."""
-    n = len(table.cells)
-    angles = np.full((n, len(every), 2), np.nan)
-    light = np.array([_light(sensor, table) for sensor in sensors]).reshape(len(sensors), n).T
-    lit = light > [sensor.lit_above for sensor in sensors]
-    information, weighted, seen = np.zeros((n, 3, 3)), np.zeros((n, 3)), []
-    for k, sensor in enumerate(sensors):
-        x, y = _angles(sensor, table, other)
-        angles[lit[:, k], every.index(sensor)] = np.column_stack([x, y])[lit[:, k]]
-        seen.append((*_one_sensor(sensor, sensors, lit, x, y), lit[:, k]))
-    for direction, part, sees in [*seen, *([] if vector is None else [_vector(vector, table)])]:
-        use = sees & np.isfinite(direction).all(axis=1)
-        information[use] += part[use]
-        weighted[use] += np.einsum("nij,nj->ni", part[use], direction[use])
-    seen = np.trace(information, axis1=1, axis2=2) > 0
-    covariance, sun = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
-    covariance[seen] = np.linalg.inv(information[seen])
-    sun[seen] = np.einsum("nij,nj->ni", covariance[seen], weighted[seen])
-    size = np.linalg.norm(sun, axis=1)
-    agree = seen & (size > AGREE)
-    sun[agree] /= size[agree, None]
-    sun[~agree], covariance[~agree] = np.nan, np.nan
-    return sun, covariance, angles
+def _light(sensor: SunSensor, table: Table) -> np.ndarray:
+    """Light (n) on a sensor; without a column of it, it always sees the Sun."""
+    if sensor.light_column is None:
+        return np.full(len(table.cells), np.inf)
+    return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
 
 
 def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -175,73 +177,35 @@ def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.n
     return direction, along / RADIAL_SIGMA**2 + (np.eye(3) - along) / form.sigma_rad**2, sees
 
 
-def _light(sensor: SunSensor, table: Table) -> np.ndarray:
-    if sensor.light_column is None:
-        return np.full(len(table.cells), np.inf)
-    return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
+def _angles(sensor: SunSensor, table: Table, y_turned: np.ndarray) -> np.ndarray:
+    """The Sun's angles (n, 2) from a sensor's normal towards its x and its y, rad; NaN where it reads none."""
+    x = sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad
+    y = np.full(len(x), np.nan)
+    if sensor.y_column is not None and sensor.y_scale is not None:
+        scale = np.where(y_turned, sensor.y_turned_scale or 0.0, sensor.y_scale)
+        y = scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad
+    return np.clip(np.stack([x, y], axis=1), -STEEPEST_RAD, STEEPEST_RAD)
 
 
-def _angles(sensor: SunSensor, table: Table, other: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun's angles (n) from a sensor's normal towards its x and its y; NaN where it reads none; `other`: as `_sun` has it."""
-    x = np.clip(
-        sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad,
-        -STEEPEST_RAD,
-        STEEPEST_RAD,
-    )
-    if sensor.y_column is None or sensor.y_scale is None:
-        return x, np.full(len(x), np.nan)
-    turned = _turned(sensor, table) ^ (other & _unsure(sensor, table))
-    scale = np.where(turned, sensor.y_turned_scale or 0.0, sensor.y_scale)
-    return x, np.clip(
-        scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad,
-        -STEEPEST_RAD,
-        STEEPEST_RAD,
-    )
-
-
-def _turned(sensor: SunSensor, table: Table) -> np.ndarray:
-    """Whether the y of each row (n) runs the other way."""
-    if sensor.y_turned_above is None or sensor.light_column not in table.header:
-        return np.zeros(len(table.cells), dtype=bool)
-    return _light(sensor, table) > sensor.y_turned_above
-
-
-def _unsure(sensor: SunSensor, table: Table) -> np.ndarray:
-    """Whether the y of each row (n) may be turned or not, its light being near that at which it turns."""
-    if (
-        sensor.y_turned_above is None
-        or sensor.y_turned_sigma is None
-        or sensor.light_column not in table.header
-    ):
-        return np.zeros(len(table.cells), dtype=bool)
-    return (
-        np.abs(_light(sensor, table) - sensor.y_turned_above) < BOTH_SIGMAS * sensor.y_turned_sigma
-    )
-
-
-def _one_sensor(
-    sensor: SunSensor, sensors: list[SunSensor], lit: np.ndarray, x: np.ndarray, y: np.ndarray
+def _direction(
+    k: int, sensors: list[SunSensor], lit: np.ndarray, angle: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (n, 3) of one sensor and their information (n, 3, 3), from its angles (n)."""
+    """Directions (n, 3) of sensor `k` and their information (n, 3, 3), from its angles (n, 2); a y that it does not read follows
+    from its lit neighbours."""
+    sensor, n = sensors[k], len(angle)
     u, v = sensor.x_axis_B, np.cross(sensor.normal_B, sensor.x_axis_B)
-    n = len(x)
+    x, y = angle.T
     y_sigma = np.full(n, sensor.y_sigma_rad)
     if sensor.y_column is None:
-        towards = np.array([other.normal_B @ v for other in sensors])
-        beside = (lit * (np.abs(towards) > 0.5)) @ np.sign(towards)
-        y = NEIGHBOUR_RAD * np.clip(beside, -1, 1)
-        y_sigma[beside != 0] = min(NEIGHBOUR_SIGMA_RAD, sensor.y_sigma_rad)
+        towards = np.array([neighbour.normal_B @ v for neighbour in sensors])
+        side = (lit * (np.abs(towards) > 0.5)) @ np.sign(towards)
+        y = NEIGHBOUR_RAD * np.clip(side, -1, 1)
+        y_sigma[side != 0] = min(NEIGHBOUR_SIGMA_RAD, sensor.y_sigma_rad)
     direction = sensor.normal_B + np.tan(x)[:, None] * u + np.tan(y)[:, None] * v
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     across = np.cross(direction, u)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     along = np.cross(across, direction)
-    parts = (
-        (along, np.full(n, sensor.x_sigma_rad)),
-        (across, y_sigma),
-        (direction, np.full(n, RADIAL_SIGMA)),
-    )
-    information = [
-        axis[:, :, None] * axis[:, None, :] / (sigma**2)[:, None, None] for axis, sigma in parts
-    ]
-    return direction, np.sum(information, axis=0)
+    axes = np.stack([along, across, direction], axis=1)
+    sigma = np.stack([np.full(n, sensor.x_sigma_rad), y_sigma, np.full(n, RADIAL_SIGMA)], axis=1)
+    return direction, np.einsum("nki,nkj,nk->nij", axes, axes, sigma**-2.0)
