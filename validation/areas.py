@@ -413,6 +413,14 @@ def _dead(rows: list[Row]) -> None:
         row[brightest] = 0.0
 
 
+def _weak(rows: list[Row]) -> None:
+    """The panel that gave most gives 15 % less."""
+    panels = [key for key in rows[0] if key.startswith("i.")]
+    brightest = max(panels, key=lambda name: sum(row[name] for row in rows))
+    for row in rows:
+        row[brightest] *= 0.85
+
+
 def _milli(rows: list[Row]) -> None:
     """All panels in a thousandth of the unit."""
     for row in rows:
@@ -434,6 +442,7 @@ def _no_gyro(rows: list[Row]) -> None:
 
 FAULTS: dict[str, tuple[str, str, Callable[[list[Row]], None]]] = {
     "dead panel": ("", "dead_panels", _dead),
+    "weak panel": ("", "weak_panels", _weak),
     "thousandths": ("", "wrong_units", _milli),
     "Sun vector along other axes": ("vector", "wrong_axes", _turned),
     "columns of the gyro missing": ("gyro", "missing_sensors", _no_gyro),

@@ -49,6 +49,7 @@ def judge(folder: Path, seed: int, i: int, what: str) -> dict[str, Any]:
         "wrong_units",
         "wrong_axes",
         "dead_panels",
+        "weak_panels",
         "missing_sensors",
         *(() if about["made_by"] else ("impossible",)),
     )

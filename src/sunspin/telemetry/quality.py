@@ -121,12 +121,12 @@ def judge_readings(
     -------
     xarray.Dataset
         `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing, and `sigma_beside_earth`, the same
-        where the Earth's light is modelled; `scale` (time), the factor
-        between gain and reading at full Sun, and its relative uncertainty `scale_sigma` (time); `use` (time): 0 used, 1
-        down-weighted, 2 dropped; `why` (time): a sentence; `dead` (panel): it reads nothing and is left out; `missed` (panel): of
-        these, where the others show that the Sun was on it; `gain`, `gain_sigma` (panel) and `gain_cov`. attrs:
-        `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of
-        full Sun; NaN: not told), `noise` (of a reading, with its quantisation), `full_sun_from`, `gains_from`.
+        where the Earth's light is modelled; `scale` (time), the factor between gain and reading at full Sun, and its relative
+        uncertainty `scale_sigma` (time); `use` (time): 0 used, 1 down-weighted, 2 dropped; `why` (time): a sentence. Of each panel:
+        `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it nevertheless; `weak`, its gain is
+        too low for those of the others; `gain`, `gain_sigma`, `gain_cov`. attrs: `full_sun` (scale of a clean sample), `albedo`
+        (fraction of full Sun on dark panels), `spread` (relative scatter of full Sun; NaN: not told), `noise` (of a reading, with
+        its quantisation), `full_sun_from`, `gains_from`.
     """
     value = signals(telemetry)
     gains = vehicle.input_gains
@@ -165,7 +165,7 @@ def judge_readings(
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
     albedo, seen = _albedo(vehicle, (relative / level)[clean])
-    told = estimate_gains(vehicle, use_value[clean], full, dead)
+    told = estimate_gains(vehicle, use_value[clean], full, dead, missed)
     gains = gains * told.factor
     earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
     # what the Earth adds to a lit panel on average is taken for its gain
@@ -246,6 +246,7 @@ def judge_readings(
             ),
             "why": ("time", why.astype(np.str_)),
             "dead": ("panel", dead),
+            "weak": ("panel", told.weak),
             "missed": ("panel", missed | (dead & vehicle.throttled)),
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},

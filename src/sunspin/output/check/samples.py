@@ -128,6 +128,18 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)
     }
     summary["gains_from"] = quality.attrs["gains_from"]
+    weak = quality["weak"].values
+    usual = float(np.median(gain[~weak])) if (~weak).any() else 1.0
+    summary["weak_panels"] = {
+        name: [float(g / usual), float(s / usual)]
+        for name, g, s, low in zip(names, gain, sigma, weak, strict=True)
+        if low
+    }
+    lines += [
+        f"  WEAK PANEL: {name} gives {g:.3f} +- {s:.3f} of what its gain in the vehicle file says, compared with the other panels; "
+        "`sunspin calibrate-sensors` writes a copy with the gains of this file"
+        for name, (g, s) in summary["weak_panels"].items()
+    ]
     if np.isfinite(quality.attrs["spread"]):
         told = ", ".join(
             f"{name} {g:.3f} +- {s:.3f}" for name, g, s in zip(names, gain, sigma, strict=True)
