@@ -52,7 +52,8 @@ WEAK_SIGMAS = 3.0
 
 WEAK_SIGMA, WEAK_CHANCE = 0.03, 1e-3
 """If the file states no sigma: relative uncertainty of each gain at least; and the chance, by Student's law, that gains which
-scatter as those of the other panels do are so low. Of 140 files with gains that scatter by 5 or 8 % none is accused."""
+scatter as those of the other panels do are so low. Of 220 files with gains that scatter by 5 or 8 % at an albedo of 0.3 none was
+accused, and 49 of 80 panels weaker by 15 % were named; without the fits' errors in the scatter, 18 and 69."""
 
 
 class Gains(NamedTuple):
@@ -175,16 +176,18 @@ def estimate_gains(
 
 def _weak(vehicle: Vehicle, log: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Which panels have gains that are too low for those of the others, by the logarithms of their factors (n_panel)."""
-    n = len(log)
+    n, fitted = len(log), np.diag(covariance)
     stated = stated_sigmas(vehicle)
     weak = np.zeros(n, dtype=bool)
-    for k in range(n):
-        others = np.arange(n) != k
-        against = np.where(others, 1 / (n - 1), -1.0)
+    for k in range(n if n > 3 else 0):
+        weight = np.where(np.arange(n) == k, 0.0, 1 / (WEAK_SIGMA**2 + fitted))
+        weight /= weight.sum()
+        against = weight - (np.arange(n) == k)
         low, fit = against @ log, float(np.sqrt(against @ covariance @ against))
-        sigma = WEAK_SIGMA if np.isnan(stated[k]) else stated[k]
-        weak[k] = low > WEAK_SIGMAS * np.hypot(fit, sigma)
         if np.isnan(stated[k]):
-            scatter = np.std(log[others], ddof=1) * np.sqrt(n / (n - 1))
-            weak[k] &= n > 3 and low > -stdtrit(n - 2, WEAK_CHANCE) * scatter
+            scatter = np.sqrt(weight @ (log - weight @ log) ** 2 * (n - 1) / (n - 2))
+            by_chance = -stdtrit(n - 2, WEAK_CHANCE) * scatter
+            weak[k] = low > np.hypot(WEAK_SIGMAS * np.hypot(fit, WEAK_SIGMA), by_chance)
+        else:
+            weak[k] = low > WEAK_SIGMAS * np.hypot(fit, stated[k])
     return weak
