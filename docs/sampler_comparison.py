@@ -197,7 +197,7 @@ def compare(kind, twin, walk):
     )
     data, _, _ = readings(craft, telemetry)
     likelihood = Likelihood(model(craft, priors, brightness(craft, data))[0], data, 1e-6)
-    draws, modes = tree["posterior"], tree["modes"]
+    draws, modes = tree["posterior"], tree["solutions"]
     state = State(
         draws["omega_B"].values[0], draws["sun_B"].values[0], in_sigmas(likelihood.model, draws)
     )
@@ -205,9 +205,9 @@ def compare(kind, twin, walk):
         tree.attrs["searched_rate_rad_s"] / max_rate
     )  # ours are relative to the ball at the reference
     weight, evidence, of = (
-        modes["weight"].values,
+        modes["probability"].values,
         modes["log_evidence"].values + wider,
-        draws["mode_id"].values[0],
+        draws["solution_id"].values[0],
     )
     listed = np.flatnonzero(weight > 0.01)
     began = time.process_time()

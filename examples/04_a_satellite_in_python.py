@@ -26,7 +26,8 @@ found = ss.rates(
 
 best, sigma = found.omega_B.values[0], np.sqrt(np.diagonal(found.omega_cov_B.values[0]))
 print(
-    f"true rate {truth['omega_B']} rad/s, found {best.round(4)} +- {sigma.round(4)}, weight {found.weight.values[0, 0]:.2f}"
+    f"true rate {truth['omega_B']} rad/s, estimate {best.round(4)} +- {sigma.round(4)}, "
+    f"probability {found.probability.values[0, 0]:.2f}"
 )
 print(found.attrs["verdict"])
 assert np.all(np.abs(best - truth["omega_B"]) < 4 * sigma)

@@ -132,7 +132,7 @@ def place(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
     for k in range(result.sizes["pass_id"]):
         at = (result["pass_of"] == k).values
         truth = run["omega_B"].sel(time=result["time"].values[at]).values.mean(axis=0)
-        weight = np.nan_to_num(result["weight"].values[k])
+        weight = np.nan_to_num(result["probability"].values[k])
         away = (truth - result["omega_mean_B"].values[k]) / result["omega_sigma_B"].values[k]
         found.append((weight[:, None] * np.nan_to_num(norm.cdf(away))).sum(axis=0) / weight.sum())
     return np.array(found)

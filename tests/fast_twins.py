@@ -130,7 +130,7 @@ def tally(kind: Kind, count: int, seed: int, **options) -> Tally:
     for i in range(count):
         result, run = found(kind, seed, i, **options)
         true = near(result, run)
-        weight = result["weight"].values[0]
+        weight = result["probability"].values[0]
         bad = result["cost"].values[0, 0] > result["cost_limit"].values[0]
         listed += bool(true.any())
         decided += bool(np.nansum(weight[true]) > DECIDED and not bad)

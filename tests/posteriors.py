@@ -29,7 +29,7 @@ def tree_of(
         "omega_B": ((*each, "axis"), state.omega[None]),
         "sun_B": ((*each, "axis"), state.sun[None]),
         "wheel_speed_rad_s": ((*each, "wheel"), unknown.wheel_speeds(state.u)[None]),
-        "mode_id": (each, np.zeros((1, n), dtype=int)),
+        "solution_id": (each, np.zeros((1, n), dtype=int)),
         "log_likelihood_sum": (each, -np.arange(n, dtype=float)[None]),
     }
     for i, x in enumerate(unknown.unknowns):
@@ -48,12 +48,12 @@ def tree_of(
     cov = np.cov(state.omega.T) if n > 1 else 1e-6 * np.eye(3)
     modes = xr.Dataset(
         {
-            "weight": ("mode", [1.0]),
-            "omega_B": (("mode", "axis"), state.omega.mean(axis=0)[None]),
-            "omega_cov_B": (("mode", "axis", "axis2"), cov[None]),
+            "probability": ("solution", [1.0]),
+            "omega_B": (("solution", "axis"), state.omega.mean(axis=0)[None]),
+            "omega_cov_B": (("solution", "axis", "axis2"), cov[None]),
         }
     )
-    tree = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords), "modes": modes})
+    tree = xr.DataTree.from_dict({"posterior": xr.Dataset(variables, coords), "solutions": modes})
     tree.attrs |= {
         "vehicle": vehicle.name,
         "t_first_s": first_s,

@@ -190,7 +190,7 @@ def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
     sigma = result["omega_sigma_B"].values[k]
     miss = np.abs(result["omega_mean_B"].values[k] - truth)
     near = (miss < np.maximum(MISSED_SIGMAS * sigma, MISSED_RAD_S)).all(axis=1)
-    weight = np.nan_to_num(result["weight"].values[k])
+    weight = np.nan_to_num(result["probability"].values[k])
     best = int(
         np.nanargmin(
             np.where(np.isnan(miss).any(axis=1), np.inf, np.linalg.norm(miss / sigma, axis=1))
@@ -202,7 +202,7 @@ def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
         "word": word,
         "found": bool(near.any()),
         "best": bool(near[0]),
-        "weight": float(weight[near].sum()),
+        "probability": float(weight[near].sum()),
         "pulls": (miss / sigma)[best].tolist(),
         "miss_deg_s": np.degrees(miss[best]).tolist(),
         "places": place(result, run)[k].tolist(),

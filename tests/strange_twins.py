@@ -156,7 +156,7 @@ def judge(twin: Twin, workers: int | None) -> dict[str, Any]:
         tree = ss.posterior(twin.vehicle, twin.telemetry, twin.priors, seed=0, workers=workers)
     except SunspinError as error:
         return twin.about | {"word": "refused", "verdict": str(error)}
-    modes = tree["modes"]
+    modes = tree["solutions"]
     off = twin.omega_B - modes["omega_B"].values
     spread = modes["omega_cov_B"].values
     far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
@@ -165,8 +165,8 @@ def judge(twin: Twin, workers: int | None) -> dict[str, Any]:
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],
         "sigmas": far[nearest],
-        "modes": len(far),
-        "weight": float(modes["weight"].values[nearest]),
+        "solutions": len(far),
+        "probability": float(modes["probability"].values[nearest]),
         "level": float(chi2.cdf(far[nearest] ** 2, 3)),
         "error": float(np.linalg.norm(off[nearest])),
         "sigma": float(np.sqrt(np.trace(spread[nearest]))),

@@ -355,7 +355,7 @@ def test_throttled_samples_count_by_their_ratios():
 
 def nearest(tree, truth):
     """Distance of the nearest mode of a posterior from the truth, in its sigmas (of three components together)."""
-    modes = tree["modes"]
+    modes = tree["solutions"]
     gaps = modes["omega_B"].values - truth["omega_B"].values[0]
     return min(
         np.sqrt(gap @ np.linalg.solve(cov, gap))

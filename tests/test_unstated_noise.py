@@ -60,7 +60,7 @@ SMALL = (
     "--workers",
     "1",
 )
-QUICK = ("--effort", "0.02", "--no-wirings", "--workers", "1")
+QUICK = ("--effort", "0.02", "--no-column-tests", "--workers", "1")
 
 
 def said(*words: str) -> str:

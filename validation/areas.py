@@ -72,7 +72,7 @@ def _any_vehicle(seed: int, i: int) -> Row:
     if row["word"] == "refused":
         return {"outcome": "open", "says": row["verdict"]}
     if row["word"] == "decided":
-        outcome = "wrong" if row["weight"] < 1 - DECIDED else "right"
+        outcome = "wrong" if row["probability"] < 1 - DECIDED else "right"
     else:
         outcome = "undecided" if row["best"] else "open"
     off = np.array(row["miss_deg_s"])

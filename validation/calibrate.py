@@ -93,7 +93,7 @@ def judge(
 ) -> dict[str, Any]:
     """Run the posterior on a twin and compare it with the truth; "level": how much of it has a higher density than the truth."""
     tree = posterior(vehicle, telemetry, priors, seed, workers=1)
-    draws, modes = group(tree, "posterior"), group(tree, "modes")
+    draws, modes = group(tree, "posterior"), group(tree, "solutions")
     # u of the draws, in the order of the model that knows the scale's centre
     data, _, _ = readings(vehicle, telemetry)
     model_, _ = model(vehicle, priors, brightness(vehicle, data))

@@ -201,7 +201,7 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
     )
     row: dict[str, Any] = {"pair": None if pair is None else [made.names[k] for k in pair]}
     try:
-        result = ss.rates(vehicle, data, max_rate_rad_s=0.09, wirings=True)
+        result = ss.rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
     except SunspinError as error:
         return row | {"outcome": "refused", "verdict": str(error)}
     row |= {
@@ -209,7 +209,7 @@ def run(case: tuple[int, int, int]) -> dict[str, Any]:
         "fits": bool(result["fits"].values[0]),
         "decided": bool(result["decided"].values[0]),
     }
-    changes = json.loads(result.attrs.get("wiring_changes", "[]"))
+    changes = json.loads(result.attrs.get("columns_changes", "[]"))
     row["named"] = [one["what"] for one in changes]
     return row | _judged(made, order, pair, result, row)
 

@@ -205,7 +205,7 @@ def base(command: str) -> list[str]:
     known = {
         "check": ["vehicle.toml", "telemetry.csv"],
         "sun": ["vehicle.toml", "telemetry.csv"],
-        "rates": ["vehicle.toml", "telemetry.csv", "--noise=1e-4"],
+        "rates": ["vehicle.toml", "telemetry.csv", "--acceleration-noise=1e-4"],
         "posterior": ["vehicle.toml", "telemetry.csv", "--prior=max_rate_rad_s=0.05"],
         "report": ["results"],
         "simulate": ["vehicle.toml", *start, "--duration=100"],

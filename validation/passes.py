@@ -375,7 +375,7 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
     fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
     return {
         "decided": bool(result["decided"].values[0]),
-        "leads": bool(result["weight"].values[0, 0] >= DECIDED and fitted),
+        "leads": bool(result["probability"].values[0, 0] >= DECIDED and fitted),
         "wrong": wrong and not mirrored,
         "mirrored": mirrored,
         "empty": bool((sigma > NARROWER * result.attrs["max_rate_rad_s"] / 2).any()),

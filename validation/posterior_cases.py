@@ -177,7 +177,7 @@ def run(case: Case) -> dict[str, Any]:
     except SunspinError as error:
         took = time.process_time() - began
         return {"word": "refused", "verdict": str(error), "listed": False, "processor_s": took}
-    modes = tree["modes"]
+    modes = tree["solutions"]
     off, spread = omega - modes["omega_B"].values, modes["omega_cov_B"].values + 1e-14 * np.eye(3)
     far = [np.sqrt(o @ np.linalg.solve(c, o)) for o, c in zip(off, spread, strict=True)]
     return {

@@ -363,7 +363,7 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
 def _pass(truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
     """A pass of `rates` compared with the truth at the instant for which it states its rates, deg/s."""
     true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - said["at_s"]).argmin()]
-    best = said["modes"][0]
+    best = said["solutions"][0]
     omega, sigma = (
         np.array([best[f"{name}_{axis}_deg_s"] for axis in "xyz"]) for name in ("omega", "sigma")
     )

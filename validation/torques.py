@@ -99,10 +99,10 @@ def judge(level: str, seed: int, i: int) -> dict[str, Any]:
         tree = posterior(BOX, made.telemetry, made.priors, seed, workers=1)
     except SunspinError as error:
         return {"word": "refused", "verdict": str(error)}
-    modes = tree["modes"]
+    modes = tree["solutions"]
     off, spread = made.omega_B - modes["omega_B"].values, modes["omega_cov_B"].values
     far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
-    told = modes["weight"].values >= 0.01
+    told = modes["probability"].values >= 0.01
     word = tree.attrs["verdict_word"]
     confident = word in ("unique", "aliases")
     return {

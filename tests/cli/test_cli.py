@@ -184,12 +184,11 @@ def test_rates_say_without_a_terminal_that_their_work_has_begun_unless_quiet(sta
     )
     monkeypatch.setattr(estimate, "_searched", Mock(side_effect=InputError("no further")))
     files = start / "vehicle.toml", start / "telemetry.csv"
-    sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, code=2)
+    options = "--workers", 1, "--acceleration-noise", 1e-4
+    sunspin("rates", *files, *options, code=2)
     assert said == [
         "sunspin: rates: 40 samples in 1 pass; the search takes up to 2.1 minutes of one core\n"
     ]
-    assert (
-        sunspin("rates", *files, "--workers", 1, "--noise", 1e-4, "--quiet", code=2).err
-        == "sunspin: error: no further\n"
-    )
+    quiet = sunspin("rates", *files, *options, "--quiet", code=2)
+    assert quiet.err == "sunspin: error: no further\n"
     assert sunspin("rates", *files, "--from", 1e6, code=2).err.count("\n") == 1

@@ -13,6 +13,8 @@ NEEDED = {
     "--device": ("scan", "posterior"),
     "--data": ("reproduce",),
     "--best-delay": ("outcomes",),
+    "--noise": ("rates",),
+    "--no-wirings": ("rates",),
     "--printed-lines": ("outcomes",),
 }
 """Option -> commands that had it."""

@@ -104,10 +104,9 @@ def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
     about = json.loads(
         fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json"))
     )
-    first, second = about["passes"][0]["modes"][:2]
-    assert first["weight"] == pytest.approx(0.5, abs=0.02) and second["weight"] == pytest.approx(
-        0.5, abs=0.02
-    )
+    first, second = about["passes"][0]["solutions"][:2]
+    shares = first["probability"], second["probability"]
+    assert shares == pytest.approx((0.5, 0.5), abs=0.02)
     mirror = np.array(first["omega_deg_s"]) * [
         -1,
         -1,

@@ -181,7 +181,7 @@ def test_leave_a_sensor_out():
     )
     data = data.assign(gyro_B=(("time", "axis"), gyro))
     vehicle = replace(CUBE, sensors=Sensors(gyro=Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4)))
-    bad = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
+    bad = ss.rates(vehicle, data, max_rate_rad_s=0.1, acceleration_noise=1e-5, column_tests=True)
     assert not bad["decided"].values[0]
     found = re.search(r"`--without (\w+)` gives the rates of the others", bad.attrs["verdict"])
     assert found is not None, bad.attrs["verdict"]
@@ -190,7 +190,7 @@ def test_leave_a_sensor_out():
         data.drop_vars(UNUSED[found[1]]),
         max_rate_rad_s=0.1,
         acceleration_noise=1e-5,
-        wirings=True,
+        column_tests=True,
     )
     assert good["decided"].values[0] and "--without" not in good.attrs["verdict"]
     assert np.abs(

@@ -209,9 +209,9 @@ def test_rates_with_a_period_have_both_weights():
     data, _ = twin(CUBE, [0.01, 0.02, 0.0], irregular(rng, 8, 20.0), rng)
     seen = pd.Period(80.0, 2 * np.pi / np.hypot(0.01, 0.02), 20.0)
     found = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.04, periods=[seen])
-    assert found["weight"].values[0].sum() == pytest.approx(1) and found[
-        "weight_without_periods"
-    ].dims == ("pass_id", "mode")
+    assert found["probability"].values[0].sum() == pytest.approx(1) and found[
+        "probability_without_periods"
+    ].dims == ("pass_id", "solution")
     told = found.sunspin.summary()
     assert told["periods"][0]["told"] and any(
         "; in pass 0 the likeliest motion holds 100%" in line for line in told.lines

@@ -58,7 +58,7 @@ def tree(cube, telemetry):
 
 @pytest.mark.evidence("posterior", "modelled", "the truth of a twin without wheel, six faces")
 def test_the_truth_is_in_a_unique_region(tree, reached):
-    modes = tree["modes"]
+    modes = tree["solutions"]
     off = RATE - modes["omega_B"].values[0]
     assert tree.attrs["verdict_word"] == "unique", tree.attrs["verdict"]
     distance = off @ np.linalg.solve(modes["omega_cov_B"].values[0], off)
@@ -96,10 +96,10 @@ def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkey
         )
         assert sigmas(estimate._modes(drawn, 0.5))[0] == pytest.approx([sigma] * 3, rel=0.5)
     few = tree.copy(deep=True)
-    few["modes"]["effective_draws"][:] = 3.0
+    few["solutions"]["effective_draws"][:] = 3.0
     few["posterior"]["omega_B"][:] = RATE  # one draw, again and again
     low, _, high = believed(_found(), few, 0.1, False, "").speed[0]
-    assert high - low > 0.5 * sigmas(few["modes"]).min()
+    assert high - low > 0.5 * sigmas(few["solutions"]).min()
     assert "which is rough: few draws have weight" in str(posterior_summary(few))
     assert "+- (" in str(posterior_summary(tree)) and "rough" not in str(posterior_summary(tree))
 
@@ -127,8 +127,8 @@ def test_groups_and_names(tree, telemetry):
     assert posterior["omega_B"].shape == (1, 1000, 3) and posterior["sun_B"].shape == (1, 1000, 3)
     assert np.allclose(np.linalg.norm(posterior["sun_B"].values, axis=-1), 1.0, atol=1e-6)
     assert np.exp(posterior["log_weight"].values).sum() == pytest.approx(1.0)
-    assert {"mode_id", "inertia_xx", "log_noise"} <= set(posterior.data_vars)
-    assert tree["modes"]["weight"].values.sum() == pytest.approx(1.0, abs=1e-3)
+    assert {"solution_id", "inertia_xx", "log_noise"} <= set(posterior.data_vars)
+    assert tree["solutions"]["probability"].values.sum() == pytest.approx(1.0, abs=1e-3)
     assert (
         tree.attrs["synthetic"] == 1
         and json.loads(tree.attrs["priors"])["inertia"] == "0.01 (assumed)"
@@ -263,9 +263,9 @@ def test_numbers_that_are_missing_are_left_out(cube, telemetry):
     holes["current_A"].values[3, 2] = np.nan
     holes["current_A"].values[5] = np.nan
     found = ss.posterior(cube, holes, SMALL, seed=0, draws=500, workers=2)
-    off = RATE - found["modes"]["omega_B"].values[0]
+    off = RATE - found["solutions"]["omega_B"].values[0]
     assert found.attrs["samples"] == 14 and "left out" in found.attrs["remarks"]
-    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
+    assert off @ np.linalg.solve(found["solutions"]["omega_cov_B"].values[0], off) < 16.3
 
 
 def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
@@ -285,9 +285,9 @@ def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
     )
     assert data.sigma == pytest.approx(0.02, rel=0.4) and data.largest < 1
     found = ss.posterior(silent, wild, SMALL, seed=0, draws=500, workers=2)
-    off = RATE - found["modes"]["omega_B"].values[0]
+    off = RATE - found["solutions"]["omega_B"].values[0]
     assert found.attrs["verdict_word"] == "unique", found.attrs["verdict"]
-    assert off @ np.linalg.solve(found["modes"]["omega_cov_B"].values[0], off) < 16.3
+    assert off @ np.linalg.solve(found["solutions"]["omega_cov_B"].values[0], off) < 16.3
 
 
 @pytest.mark.evidence(
@@ -431,8 +431,8 @@ def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemet
     assert lit.attrs["verdict_word"] != "not explained" and "shadow" not in lit.attrs["verdict"], (
         lit.attrs["verdict"]
     )
-    off = RATE - lit["modes"]["omega_B"].values[0]
-    assert off @ np.linalg.solve(lit["modes"]["omega_cov_B"].values[0], off) < 16.3
+    off = RATE - lit["solutions"]["omega_B"].values[0]
+    assert off @ np.linalg.solve(lit["solutions"]["omega_cov_B"].values[0], off) < 16.3
 
 
 def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, telemetry):

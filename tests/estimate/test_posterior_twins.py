@@ -51,11 +51,11 @@ def samples(vehicle: Vehicle, n: int = 15, interval_s: float = 15.0, seed: int =
 
 def within(tree, rate) -> np.ndarray:
     """Which modes are within 4.5 sigmas of a rate."""
-    off = rate - tree["modes"]["omega_B"].values
+    off = rate - tree["solutions"]["omega_B"].values
     return np.array(
         [
             o @ np.linalg.solve(c, o) < 4.5**2
-            for o, c in zip(off, tree["modes"]["omega_cov_B"].values, strict=True)
+            for o, c in zip(off, tree["solutions"]["omega_cov_B"].values, strict=True)
         ]
     )
 
@@ -68,7 +68,7 @@ def within(tree, rate) -> np.ndarray:
 def test_the_mirror_image_that_side_panels_cannot_tell_has_half_the_weight():
     vehicle = craft(4)
     tree = ss.posterior(vehicle, samples(vehicle, 20), PRIORS, seed=0, draws=1000, workers=2)
-    weight = tree["modes"]["weight"].values
+    weight = tree["solutions"]["probability"].values
     for rate in (
         RATE,
         RATE * [-1, -1, 1],

@@ -70,7 +70,7 @@ def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
     for _ in range(twins):
         data, run = twin(CUBE, 0.03 * rng.normal(size=3), irregular(rng, 12, 20.0), rng)
         result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.15)
-        assert result["weight"].values[0, 0] > 0.5
+        assert result["probability"].values[0, 0] > 0.5
         square.append((errors(result, run) ** 2).mean())
     assert np.quantile(square, 0.8) < 3.0  # bounded: not over-confident
     reached("squared error over stated variance, mean", np.mean(square))
@@ -111,16 +111,16 @@ def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
     )
     right, wrong = (ss.rates(one, data, max_rate_rad_s=0.06) for one in (craft, turned))
     assert right["decided"].values.all() and np.abs(errors(right, run)).max() < 5.0
-    assert "sign" not in right["why_not_decided"].values[0] and "wiring_doubt" not in right.attrs
+    assert "sign" not in right["why_not_decided"].values[0] and "columns_doubt" not in right.attrs
     assert np.abs(errors(wrong, run)).max() > 5.0  # what was decided before
-    assert not wrong["decided"].values.any() and wrong["wiring"].values[0] == "doubtful"
+    assert not wrong["decided"].values.any() and wrong["columns_checked"].values[0] == "doubtful"
     assert "the sign of a wheel" in wrong["why_not_decided"].values[0]
     assert (
         "0 of 1" in wrong.attrs["verdict"]
         and "wheel reaction-y turning the other way" in wrong.attrs["verdict"]
     )
     # a mirror along x or z reverses the wheel: these columns exchanged look the same, and none of the three is recommended
-    named = {one["what"]: one["omega_deg_s"] for one in json.loads(wrong.attrs["wiring_changes"])}
+    named = {one["what"]: one["omega_deg_s"] for one in json.loads(wrong.attrs["columns_changes"])}
     mirrored = {f"the columns of panels +{a} and -{a} exchanged" for a in "xz"}
     assert set(named) == {"wheel reaction-y turning the other way", *mirrored}
     assert (
@@ -134,14 +134,14 @@ def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
     truth = np.degrees(run["omega_B"].values[9:11])
     assert np.abs(truth - [x, y, z]).max(axis=1).min() < 0.5
     # of the right file a mirror along the wheel's axis is not seen, nor is it said that others are not
-    lines = [line for line in rates_summary(right).lines if "wiring unchecked" in line]
+    lines = [line for line in rates_summary(right).lines if "columns unchecked" in line]
     assert (
         len(lines) == 1
         and "+y and -y exchanged" in lines[0]
         and "+x and -x" not in lines[0]
         and "+z and -z" not in lines[0]
     )
-    assert right["wiring"].values[0] == "unchecked"
+    assert right["columns_checked"].values[0] == "unchecked"
 
 
 def test_a_wheel_of_untold_speed_leaves_nothing_decided():
@@ -182,7 +182,7 @@ def evenly_spaced():
 
 def test_evenly_spaced_samples_leave_aliases_and_they_are_listed(evenly_spaced):
     result, _, _, run = evenly_spaced
-    weight = result["weight"].values[0]
+    weight = result["probability"].values[0]
     assert np.isfinite(weight).sum() >= 2
     assert np.nansum(weight) == pytest.approx(1.0, abs=0.02)
     truth = run["omega_B"].values.mean(axis=0)
@@ -205,7 +205,7 @@ def test_a_gyro_decides_between_aliases_and_narrows_the_rate(evenly_spaced):
         acceleration_noise=1e-4,
         max_rate_rad_s=0.16,
     )
-    assert both["weight"].values[0, 0] > 0.9 and (errors(both, run) ** 2).mean() < 4.0
+    assert both["probability"].values[0, 0] > 0.9 and (errors(both, run) ** 2).mean() < 4.0
     assert np.all(both["omega_sigma_all_B"].values[0] < alone["omega_sigma_all_B"].values[0])
     assert both.attrs["gyro_used"] == 1 and alone.attrs["gyro_used"] == 0
 

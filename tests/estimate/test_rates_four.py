@@ -37,7 +37,7 @@ def nearest(result, run):
     truth = run["omega_B"].sel(time=result["time"].values).values.mean(axis=0)
     away = truth - result["omega_mean_B"].values[0]
     k = np.nanargmin(np.linalg.norm(away, axis=1))
-    return away[k] / result["omega_sigma_B"].values[0, k], result["weight"].values[0, k]
+    return away[k] / result["omega_sigma_B"].values[0, k], result["probability"].values[0, k]
 
 
 def test_gains_are_unknowns_only_where_brightness_does_not_tell_them():

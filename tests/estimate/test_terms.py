@@ -240,7 +240,7 @@ def test_panels_that_do_not_see_what_gyro_and_magnetometer_see_are_left_out(monk
     )
     power = data["power_W"].values[np.random.default_rng(0).permutation(20)]
     data = data.assign(field_B=other["field_B"], power_W=(data["power_W"].dims, power))
-    found = ss.rates(craft(), data, max_rate_rad_s=0.1, acceleration_noise=1e-5, wirings=True)
+    found = ss.rates(craft(), data, max_rate_rad_s=0.1, acceleration_noise=1e-5, column_tests=True)
     assert (
         not found["fits"].values.any()
         and "without the Sun the other readings fit" in found.attrs["verdict"]

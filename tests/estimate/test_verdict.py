@@ -21,9 +21,9 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
     ("change", "why"),
     [
         ({"unique": False}, "several motions"),
-        ({"sigma": np.array([0.1, 0.6, 0.1])}, "informed: x z only"),
-        ({"sigma": np.full(3, 0.9)}, "NOT INFORMED, the prior is given back"),
-        ({"sigma": np.array([0.1, np.nan, 0.1])}, "informed: x z only"),
+        ({"sigma": np.array([0.1, 0.6, 0.1])}, "constrained: x z only"),
+        ({"sigma": np.full(3, 0.9)}, "NOT CONSTRAINED, the prior is given back"),
+        ({"sigma": np.array([0.1, np.nan, 0.1])}, "constrained: x z only"),
         ({"misfits": {"Sun": Misfit(300, 0.34, 1.0)}}, "FITS BADLY (Sun)"),
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "FITS BADLY (gyro)"),
         ({"explained": False}, "FITS BADLY"),
@@ -35,18 +35,11 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
     ],
 )
 def test_one_no_is_enough(change, why):
-    given = {
-        "unique": True,
-        "sigma": np.full(3, 0.1),
-        "prior_sigma": 1.0,
-        "misfits": SOUND,
-        "explained": True,
-    }
-    said = answers(**(given | {"search_complete": True} | change))
+    given = {"unique": True, "sigma": np.full(3, 0.1), "prior_sigma": 1.0, "misfits": SOUND}
+    said = answers(**(given | {"explained": True, "search_complete": True} | change))
     assert not said.decided and said.why_not == why
-    assert said.informed[0] == (
-        change.get("sigma", [0.1])[0] < 0.5
-    )  # what is informed stays so, whatever else fails
+    # what is constrained stays so, whatever else fails
+    assert said.constrained[0] == (change.get("sigma", [0.1])[0] < 0.5)
 
 
 def test_spikes_are_forgiven_and_runs_are_not():
@@ -112,24 +105,12 @@ def test_the_table_has_a_row_for_every_motion_and_leaves_out_what_is_not_there()
         1e-6 * np.tile(np.eye(3), (2, 1, 1)),
     )
     speed = speeds(omega, covariance)
-    one = PassMotions(
-        9,
-        0.0,
-        8.25,
-        4.0,
-        np.array([0.7, 0.3]),
-        omega,
-        np.full((2, 3), 1e-3),
-        speed,
-        said,
-        "unchecked",
-    )
-    other = one._replace(
-        weight=np.ones(1), omega=omega[:1], sigma=np.full((1, 3), 1e-3), speed=speed[:1]
-    )
+    shares, sigma = np.array([0.7, 0.3]), np.full((2, 3), 1e-3)
+    one = PassMotions(9, 0.0, 8.25, 4.0, shares, omega, sigma, speed, said, "unchecked")
+    other = one._replace(probability=np.ones(1), omega=omega[:1], sigma=sigma[:1], speed=speed[:1])
     found = table([one, other], "2026-01-01T00:00:00Z")
     assert (
-        found["weight"][1].shape == (2, 2)
+        found["probability"][1].shape == (2, 2)
         and np.isnan(found["omega_x"][1][1, 1])
         and found["omega_x"][1][0, 1] == 0.2
     )
@@ -137,10 +118,8 @@ def test_the_table_has_a_row_for_every_motion_and_leaves_out_what_is_not_there()
         found["utc_end"][1][0] == "2026-01-01T00:00:08.250Z"
         and found["utc_at"][1][0] == "2026-01-01T00:00:04.000Z"
     )
-    assert list(found["informed_y"][1]) == [False, False] and list(found["informed_x"][1]) == [
-        True,
-        True,
-    ]
+    for axis, constrained in (("y", False), ("x", True)):
+        assert list(found[f"constrained_{axis}"][1]) == [constrained] * 2
     assert found["speed_low"][1][0, 0] < 0.1 < found["speed_high"][1][0, 0] and table([one], None)[
         "utc_at"
     ][1] == [""]

@@ -243,7 +243,7 @@ def test_another_wiring_of_panels_must_be_clearly_better_and_fit():
         and [one.change.what for one in found.named] == [right.what]
         and found.gain == 30.0
     )
-    assert "CHECK THE WIRING" in found.words() and "which one is right" not in found.words()
+    assert "CHECK THE COLUMNS" in found.words() and "which one is right" not in found.words()
     assert sought(CUBE, data, evidence(9.0), lambda *_: motion()) is None
     assert sought(CUBE, data, evidence(30.0), lambda *_: motion(fits=False)) is None
     assert (
@@ -372,10 +372,10 @@ def test_wings_and_opposite_faces_exchanged_are_named_together_and_a_right_file_
         {"time": t, "panel": list(WINGED)},
         {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1},
     )
-    result = ss.rates(craft, data, max_rate_rad_s=0.08, wirings=True)
+    result = ss.rates(craft, data, max_rate_rad_s=0.08, column_tests=True)
     if swapped is None:
-        (line,) = (line for line in rates_summary(result).lines if "wiring unchecked" in line)
-        assert result["decided"].values.all() and "wiring_changes" not in result.attrs
+        (line,) = (line for line in rates_summary(result).lines if "columns unchecked" in line)
+        assert result["decided"].values.all() and "columns_changes" not in result.attrs
         assert (
             "+X and -X exchanged, and the columns of panels left and right exchanged" in line
             and line.count("exchanged") == 2
@@ -383,7 +383,7 @@ def test_wings_and_opposite_faces_exchanged_are_named_together_and_a_right_file_
         return
     named = {
         one["what"]: np.radians(one["omega_deg_s"])
-        for one in json.loads(result.attrs["wiring_changes"])
+        for one in json.loads(result.attrs["columns_changes"])
     }
     right = f"the columns of panels {WINGED[swapped[0]]} and {WINGED[swapped[1]]} exchanged"
     assert set(named) == {
@@ -394,7 +394,7 @@ def test_wings_and_opposite_faces_exchanged_are_named_together_and_a_right_file_
         not result["decided"].values.any()
         and "before you change the file" in result.attrs["verdict"]
     )
-    at = json.loads(result.attrs["wiring_changes"])[0]["at_s"]
+    at = json.loads(result.attrs["columns_changes"])[0]["at_s"]
     truth = run["omega_B"].sel(time=at, method="nearest").values
     assert np.abs(named[right] - truth).max() < np.radians(0.1)
     assert all(

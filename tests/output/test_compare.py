@@ -110,10 +110,11 @@ def a_pass(number, hour, rate, **more):
     solution = {f"omega_{axis}_deg_s": rate for axis in "xyz"}
     solution |= {f"sigma_{axis}_deg_s": 0.1 for axis in "xyz"}
     speeds = {"low": rate - 0.1645, "median": rate, "high": rate + 0.1645}
-    solution |= {f"speed_{name}_deg_s": speed for name, speed in speeds.items()} | {"weight": 0.9}
+    solution |= {f"speed_{name}_deg_s": speed for name, speed in speeds.items()}
+    solution["probability"] = 0.9
     utc = [f"2026-01-01T{hour:02d}:{minute:02d}:00.000Z" for minute in (0, 10)]
     row = {"pass_id": number, "utc_start": utc[0], "utc_end": utc[1], "utc_at": utc[0]}
-    return row | {"decided": True, "wiring": "as_stated", "modes": [solution]} | more
+    return row | {"decided": True, "columns_checked": "as_stated", "solutions": [solution]} | more
 
 
 @pytest.mark.parametrize("command", ["rates", "posterior"])
@@ -133,10 +134,11 @@ def test_passes_that_overlap_are_compared_in_sigmas_of_both(tmp_path, command):
 @pytest.mark.parametrize("decided", [True, False])
 def test_another_likeliest_solution_is_no_change_of_an_undecided_pass(tmp_path, decided):
     """Two solutions 8 deg/s apart, each known to 0.1, whose probabilities of 0.5 and 0.4 change places."""
-    slow, fast = (a_pass(0, 1, rate)["modes"][0] for rate in (1.0, 9.0))
+    slow, fast = (a_pass(0, 1, rate)["solutions"][0] for rate in (1.0, 9.0))
+    lesser = {"probability": 0.4}
     passes = [
-        [a_pass(0, 1, 0, decided=decided, modes=[x | {"weight": 0.5}, y | {"weight": 0.4}])]
-        for x, y in ((slow, fast), (fast, slow))
+        [a_pass(0, 1, 0, decided=decided, solutions=[x | {"probability": 0.5}, y])]
+        for x, y in ((slow, fast | lesser), (fast, slow | lesser))
     ]
     data = ss.compare(*pair(tmp_path, "rates", "passes", *passes)).set_index(row="row")
     for row in ("pass 0 omega_x at 2026-01-01T01:00:00.000Z", "pass 0 speed"):
@@ -186,7 +188,7 @@ def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
 def test_summaries_of_any_content_end_in_a_sentence(tmp_path, command, key):
     estimate = {"off": {"touch_leg": {"value": "x", "error": 1e-300}}}
     damaged = [entry("x", 1e300, [[1], 2], 1, unit="\ud800", agrees=[])]
-    lists = [[], [3], [{"id": 1}], [a_pass({}, 1, 1.0, modes=[{"weight": "x"}])], damaged]
+    lists = [[], [3], [{"id": 1}], [a_pass({}, 1, 1.0, solutions=[{"probability": "x"}])], damaged]
     for i, value in enumerate((None, 3, "x", True, {}, {"off": 3}, estimate, *lists)):
         a, b = (folder(tmp_path / f"{i}{side}", command, **{key: value}) for side in "ab")
         with pytest.raises(InputError, match="nothing in common|something else than") as error:

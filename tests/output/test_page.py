@@ -249,7 +249,7 @@ def test_only_our_folders_are_taken(tmp_path):
 def test_the_best_motion_of_a_posterior_is_its_likeliest_draw(user_runs):
     folder = user_runs["posterior"]
     tree = xr.load_datatree(folder / "posterior.nc")
-    motion = xr.load_dataset(folder / "motion-region-1.nc")
+    motion = xr.load_dataset(folder / "motion-solution-1.nc")
     likeliest = int(np.argmax(tree["posterior"]["log_likelihood_sum"].values))
     best = tree["posterior"].to_dataset().isel(chain=0, draw=likeliest)
     assert np.allclose(motion["omega_B"].values[0], best["omega_B"].values, atol=1e-12)

@@ -13,71 +13,25 @@ from sunspin.output.kinds.rate_words import RateAt
 from sunspin.output.text import number_text, size_text, with_sigma
 from sunspin.vehicle.timeline import utc_after
 
-COLUMNS = [
-    "pass_id",
-    "utc_start",
-    "utc_end",
-    "samples",
-    "mode",
-    "weight",
-    "decided",
-    "unique",
-    "informed_x",
-    "informed_y",
-    "informed_z",
-    "fits",
-    "search_complete",
-    "wiring",
-    "utc_at",
-    "speed_low",
-    "speed_median",
-    "speed_high",
-    "omega_x",
-    "omega_y",
-    "omega_z",
-]
+COLUMNS = (
+    "pass_id utc_start utc_end samples solution probability decided unique constrained_x constrained_y constrained_z fits "
+    "search_complete columns_checked utc_at speed_low speed_median speed_high omega_x omega_y omega_z"
+).split()
 
 
 @pytest.fixture
 def found():
-    """A pass with two motions of which y is not informed, and one that is decided."""
-    said = [
-        answers(
-            weight > 0.9,
-            np.array([0.01, sigma, 0.01]),
-            0.1,
-            {"Sun": Misfit(9, 0.0, 1.0)},
-            True,
-            True,
-        )
-        for weight, sigma in ((0.7, 0.09), (1.0, 0.01))
-    ]
+    """A pass with two motions of which y is not constrained, and one that is decided."""
+    fits, sigma = {"Sun": Misfit(9, 0.0, 1.0)}, np.full((2, 3), 0.01)
+    wide, narrow = (
+        answers(unique, np.array([0.01, sigma_y, 0.01]), 0.1, fits, True, True)
+        for unique, sigma_y in ((False, 0.09), (True, 0.01))
+    )
     omega = np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]])
-    speed = np.array([[0.09, 0.1, 0.11], [0.19, 0.2, 0.21]])
-    two = PassMotions(
-        9,
-        0.0,
-        80.0,
-        40.5,
-        np.array([0.7, 0.3]),
-        omega,
-        np.full((2, 3), 0.01),
-        speed,
-        said[0],
-        "as_stated",
-    )
-    one = PassMotions(
-        5,
-        900.0,
-        980.0,
-        940.0,
-        np.ones(1),
-        omega[1:],
-        np.full((1, 3), 0.01),
-        speed[1:],
-        said[1],
-        "unchecked",
-    )
+    speed, shares = np.array([[0.09, 0.1, 0.11], [0.19, 0.2, 0.21]]), np.array([0.7, 0.3])
+    two = PassMotions(9, 0.0, 80.0, 40.5, shares, omega, sigma, speed, wide, "as_stated")
+    last = np.ones(1), omega[1:], sigma[1:], speed[1:]
+    one = PassMotions(5, 900.0, 980.0, 940.0, *last, narrow, "unchecked")
     return xr.Dataset(
         table([two, one], "2026-01-01T00:00:00Z"), {"pass_id": [3, 4]}, {"synthetic": 1}
     )
@@ -90,26 +44,14 @@ def test_every_motion_is_a_row_with_the_columns_that_scripts_read(found, tmp_pat
     assert text.startswith("# synthetic telemetry\n")
     rows = pd.read_csv(tmp_path / "passes.csv", comment="#")
     assert list(rows)[: len(COLUMNS)] == COLUMNS
-    assert rows["pass_id"].tolist() == [3, 3, 4] and rows["mode"].tolist() == [0, 1, 0]
-    assert rows["decided"].tolist() == [False, False, True] and rows["informed_y"].tolist() == [
-        False,
-        False,
-        True,
-    ]
-    assert rows["informed_x"].all() and rows["wiring"].tolist() == [
-        "as_stated",
-        "as_stated",
-        "unchecked",
-    ]
-    assert rows["utc_at"].tolist() == [
-        *["2026-01-01T00:00:40.500Z"] * 2,
-        "2026-01-01T00:15:40.000Z",
-    ]
-    for name in (
-        "utc_start",
-        "utc_end",
-        "utc_at",
-    ):  # read as one column: pandas takes the form of the first time for all
+    assert rows["pass_id"].tolist() == [3, 3, 4] and rows["solution"].tolist() == [0, 1, 0]
+    assert rows["decided"].tolist() == rows["constrained_y"].tolist() == [False, False, True]
+    checked = rows["columns_checked"].tolist()
+    assert rows["constrained_x"].all() and checked == ["as_stated", "as_stated", "unchecked"]
+    later = "2026-01-01T00:15:40.000Z"
+    assert rows["utc_at"].tolist() == [*["2026-01-01T00:00:40.500Z"] * 2, later]
+    # read as one column: pandas takes the form of the first time for all
+    for name in ("utc_start", "utc_end", "utc_at"):
         assert pd.to_datetime(rows[name]).notna().all()
     for name in COLUMNS[15:]:
         np.testing.assert_allclose(rows[f"{name}_deg_s"], np.degrees(rows[name]), rtol=1e-8)
@@ -132,15 +74,9 @@ def test_a_time_is_rounded_and_not_the_seconds_since_the_epoch(digits):
 
 def test_the_summary_has_the_same_names(found):
     told = pass_numbers(found, 0) | motion_numbers(found, 0, 1)
-    assert (
-        set(COLUMNS) <= set(told)
-        and told["omega_x"] == 0.2
-        and told["omega_x_deg_s"] == pytest.approx(11.459, abs=1e-3)
-    )
-    assert (
-        told["decided"] is False
-        and told["why_not_decided"] == "several motions; informed: x z only"
-    )
+    assert set(COLUMNS) <= set(told) and told["omega_x"] == 0.2
+    assert told["omega_x_deg_s"] == pytest.approx(11.459, abs=1e-3) and told["decided"] is False
+    assert told["why_not_decided"] == "several motions; constrained: x z only"
 
 
 def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():

@@ -15,7 +15,7 @@ from cubes import FACES
 from sunspin.output.curves import dense
 from sunspin.output.figures import save
 from sunspin.output.figures.rates import rates_figure, sources
-from sunspin.output.figures.residuals import residuals, residuals_figure
+from sunspin.output.figures.residuals import residuals_figure
 from sunspin.output.figures.telemetry import _passes_together, sun_directions_figure
 from sunspin.output.kinds.rate_words import rate_at
 from sunspin.output.text import number_text
@@ -52,8 +52,8 @@ def tumble(
                 np.tile(np.diag([1e-8, 4e-8, 9e-8]), (n, 1, 1)),
             ),
             "omega_sigma_all_B": (("pass_id", "axis"), [[3e-4, 1e-4, 1e-4]]),
-            "weight": (("pass_id", "mode"), [[1.0]]),
-            "omega_sigma_B": (("pass_id", "mode", "axis"), [[[1e-4, 1e-4, 1e-4]]]),
+            "probability": (("pass_id", "solution"), [[1.0]]),
+            "omega_sigma_B": (("pass_id", "solution", "axis"), [[[1e-4, 1e-4, 1e-4]]]),
         },
         coords={"time": t, "pass_id": [0]},
         attrs={"epoch_utc": "2026-01-01T00:00:00Z", "source": "panels", "vehicle": "cube"},
@@ -74,38 +74,31 @@ def test_the_speed_is_no_size_of_a_mean():
     np.testing.assert_allclose(rate.sigma, np.degrees(other), rtol=1e-6)
 
 
-def test_residuals_scatter_as_their_noise_and_show_a_wrong_motion():
-    result, samples = tumble()
-    right = residuals(result, samples, CUBE)["panels"][1]
-    assert 0.1 < np.nanstd(right) < 1.3 and np.nanmax(np.abs(right)) < 5
-    wrong = result.assign(sun_B=-result["sun_B"])
-    assert np.mean(np.abs(residuals(wrong, samples, CUBE)["panels"][1]) > 3) > 0.3
-    texts = [axes.get_title() for axes in residuals_figure(result, samples, CUBE).axes]
-    assert any("beyond 3 sigma" in text and "of noise alone: 0.3%" in text for text in texts)
-
-
-def test_a_panel_that_never_reads_is_called_left_out_beside_the_residuals():
-    result, samples = tumble()
-    dead = samples.assign(power_W=samples["power_W"].where(samples["panel"] != "+X", 0.0))
-    for data, label in ((samples, "+X"), (dead, "+X: left out")):
-        assert (
-            residuals_figure(result, data, CUBE).axes[0].get_legend().get_texts()[0].get_text()
-            == label
-        )
+def test_residuals_are_drawn_by_sensor_with_the_share_beyond_the_limit(tmp_path):
+    result, _ = tumble()
+    value = np.full((3, 60), np.nan)
+    value[0], value[2, :10] = np.linspace(0, 5, 60), 9.0
+    found = result.assign(residual=(("sensor", "time"), value), sensor=["Sun", "gyro", "$x_"])
+    figure = residuals_figure(found)
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert len(labels) == 2 and labels[0] == "Sun (sigma)\n40.0% beyond 3" and "100.0%" in labels[1]
+    assert np.nanmax(figure.axes[1].lines[0].get_ydata()) < figure.axes[1].get_ylim()[1]
+    save(figure, tmp_path, "residuals")
+    assert (tmp_path / "residuals.svg").stat().st_size
 
 
 @pytest.mark.parametrize(
     ("fits", "decided", "said"),
     [
-        (True, True, "weight 1.00"),
-        (True, False, "weight 1.00, not decided"),
-        (False, False, "weight 1.00, FITS BADLY"),
+        (True, True, "probability 1.00"),
+        (True, False, "probability 1.00, not decided"),
+        (False, False, "probability 1.00, FITS BADLY"),
     ],
 )
 def test_the_rates_of_a_pass_that_must_not_be_used_say_so(fits, decided, said):
     result, _ = tumble(20, 30.0)
     found = result.assign(
-        weight=(("pass_id", "mode"), [[1.0]]),
+        probability=(("pass_id", "solution"), [[1.0]]),
         fits=("pass_id", [fits]),
         decided=("pass_id", [decided]),
     )
@@ -209,10 +202,9 @@ def test_names_that_look_like_formulas_are_drawn_as_they_are(seed, tmp_path):
         name=names[0],
         panels=tuple(replace(p, name=n) for p, n in zip(CUBE.panels, names, strict=True)),
     )
-    result, samples = tumble(12)
+    _, samples = tumble(12)
     samples = samples.assign_coords(panel=names)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         save(sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun")
-        save(residuals_figure(result, samples, odd), tmp_path, "residuals")
-    assert (tmp_path / "sun.png").stat().st_size and (tmp_path / "residuals.svg").stat().st_size
+    assert (tmp_path / "sun.png").stat().st_size

@@ -138,7 +138,7 @@ def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
     assert isinstance(found.sunspin.plot(), Figure) and "at 600 s" in str(found.sunspin.summary())
     tree.sunspin.save(tmp_path / "saved")
     names = {path.name for path in (tmp_path / "saved").iterdir()}
-    assert {"posterior.nc", "modes.csv", "corner.svg", "predicted.csv"} <= names
+    assert {"posterior.nc", "solutions.csv", "corner.svg", "predicted.csv"} <= names
 
 
 def test_a_panel_that_was_left_out_of_the_rates_is_said():
@@ -154,7 +154,7 @@ def test_rates_are_printed_in_degrees_a_second(user_runs):
     """Beside those of options, which are in rad/s, so that one finds the other."""
     tree, made = xr.load_datatree(user_runs["posterior"] / "posterior.nc"), [scan(), motion()]
     shown = re.search(r"omega \((.*?)\) \+- .* deg/s", str(tree.sunspin.summary()))
-    likeliest = np.degrees(tree["modes"]["omega_B"].values[0])
+    likeliest = np.degrees(tree["solutions"]["omega_B"].values[0])
     assert shown and [float(x) for x in shown[1].split(", ")] == pytest.approx(likeliest, abs=0.01)
     for result, key in zip(made, ("best_omega_B", "omega_B"), strict=True):
         summary = result.sunspin.summary()
@@ -162,7 +162,7 @@ def test_rates_are_printed_in_degrees_a_second(user_runs):
     assert (
         rate_text([0.1, 0.0, -np.pi]) == "(0.1, 0, -3.1416) rad/s, which is (5.73, 0, -180) deg/s"
     )
-    modes = pd.read_csv(user_runs["posterior"] / "modes.csv", comment="#")
+    modes = pd.read_csv(user_runs["posterior"] / "solutions.csv", comment="#")
     np.testing.assert_allclose(
         modes["omega_x_B_deg_s"], np.degrees(modes["omega_x_B_rad_s"]), rtol=1e-7
     )

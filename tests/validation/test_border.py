@@ -239,7 +239,7 @@ def test_too_many_turns_between_samples_are_refused(home):
         "vehicle.toml",
         "telemetry.csv",
         "--max-rate=1e6",
-        "--noise=1e-4",
+        "--acceleration-noise=1e-4",
         words=["whole turns", "--max-rate"],
     )
 

@@ -15,14 +15,14 @@ CARRIED = ("epoch_utc", "synthetic", "file", "sha256")
 
 TEXTS = frozenset(
     "kind epoch_utc file sha256 vehicle changes comments sunspin_version quantity unused_columns missing_sensors frame_N "
-    "celestial_frame source verdict verdict_word acceleration_noise_from sensors_late_from wiring_doubt odd_sensor alike wheels "
+    "celestial_frame source verdict verdict_word acceleration_noise_from sensors_late_from columns_doubt odd_sensor alike wheels "
     "strategy scenario schedule orbit_name not_told vertical metric about collision command title noise_from torques priors "
     "hypotheses".split()
 )
 NUMBERS = frozenset(
     "synthetic seed runs candidates collisions rows_sorted rows_merged coarse_passes cut_passes effort acceleration_noise "
     "max_rate_rad_s sensors_late_s sensors_late_sigma_s walk_between_passes noise lit_threshold p_value pareto_k effective_draws "
-    "log_evidence samples t_first_s t_last_s reference_sample region best_s weight no_sphere gyro_used field_used "
+    "log_evidence samples t_first_s t_last_s reference_sample solution best_s probability no_sphere gyro_used field_used "
     "effort_given fine_up_to_rad_s".split()
 )
 """Attributes that are read back from files of results: those that are texts, and those that are one number each."""

@@ -10,5 +10,7 @@ OPTIONS: dict[str, str] = {
     "--device": "--device is gone, kernels run on processors only; leave it out",
     "--best-delay": "--best-delay is gone; compare delays by --strategy delay:SECONDS, given several times",
     "--data": "--data of `sunspin reproduce` is gone, the impulse is a study: `python -m studies.impulse OUT --data FOLDER`",
+    "--noise": "--noise of `sunspin rates` is --acceleration-noise now, in rad/s^1.5",
+    "--no-wirings": "--no-wirings is --no-column-tests now",
     "--printed-lines": "--printed-lines is gone, these lines are of the paper's body alone; give --omega x,y,z or --scan scan.nc",
 }

@@ -115,8 +115,8 @@ def posterior(
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
     Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
-    modes.csv, passes.csv, the likeliest motion of each region, and with --predict predicted.csv and predicted.png; `sunspin report`
-    makes a page of them. Without TELEMETRY the case's own is used.
+    solutions.csv, passes.csv, the likeliest motion of each solution, and with --predict predicted.csv and predicted.png;
+    `sunspin report` makes a page of them. Without TELEMETRY the case's own is used.
 
     \b
     Examples:

@@ -42,7 +42,7 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "else one and a half turns in the usual interval.",
 )
 @click.option(
-    "--noise",
+    "--acceleration-noise",
     type=click.FloatRange(0, min_open=True),
     help="Angular acceleration noise, rad/s^1.5; default: the "
     "vehicle's, else what the data support best.",
@@ -65,9 +65,9 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 )
 @click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option(
-    "--no-wirings",
+    "--no-column-tests",
     is_flag=True,
-    help="Where a pass does not fit, do not try other wirings of panels and sensors.",
+    help="Where a pass does not fit, do not try other columns, axes and signs of panels and sensors.",
 )
 @orbit_options
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
@@ -77,16 +77,13 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     callback=effort_given,
     default="1.0",
     show_default=True,
-    help="How much may be computed "
-    "in units of what is usual: about a minute and a half of one core, and 0.4 of that for wirings; inf: as much as is "
-    "needed. Counted in motions and not in seconds, so that every machine gives the same. A search that was cut short "
-    "says so and is never decided.",
+    help="Computing budget; 1: about a minute and a half of one core, and 0.4 of that for other columns; inf: as much as is "
+    "needed. Counted in motions, so that every machine gives the same. A search that was cut short says so and is never decided.",
 )
 @click.option(
     "--workers",
     type=click.IntRange(1, 4096),
-    help="Processes that estimate passes side by side; default one "
-    "per core. The result does not depend on it.",
+    help="Processes that estimate passes side by side; default one per core. The result does not depend on it.",
 )
 @period_option("The motions of its pass are weighted by it, and what it decides is said.")
 @click.option(
@@ -104,12 +101,12 @@ def rates(
     data,
     source,
     max_rate,
-    noise,
+    acceleration_noise,
     gap,
     pass_id,
     begin,
     end,
-    no_wirings,
+    no_column_tests,
     elements,
     shift_sigma,
     no_orbit,
@@ -120,9 +117,10 @@ def rates(
 ) -> None:
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
-    All motions that the data cannot tell apart are listed with their weights: whole turns more or less between samples, mirror
-    images; of each pass it is said whether one motion is left, which components are informed, and whether it fits. With --out,
-    writes passes.csv (a row for each motion of each pass), rates.csv (a row for each sample), rates.nc, rates.png and rates.svg.
+    All solutions that the data cannot tell apart are listed with their probabilities: whole turns more or less between samples,
+    mirror images; of each pass it is said whether one is left, which components the data constrain, and whether it fits. With
+    --out, writes passes.csv (a row for each solution of each pass), rates.csv (a row for each sample), rates.nc, rates.png and
+    rates.svg.
 
     With orbital elements (--tle, --omm, or [orbit] in the vehicle file) shadow, Earth's light and magnetic field are known. The
     telemetry first judges the elements, as `sunspin check` does; refused ones are not used, which is said. A magnetometer is
@@ -164,10 +162,10 @@ def rates(
         used,
         source=source,
         max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=noise,
+        acceleration_noise=acceleration_noise,
         gap_s=gap,
         pass_id=pass_id,
-        wirings=not no_wirings,
+        column_tests=not no_column_tests,
         environment=orbit,
         calibration=calibration,
         periods=evidence,

@@ -11,7 +11,7 @@ from sunspin.estimate.verdict import Answers
 from sunspin.vehicle.timeline import utc_after
 
 AS_STATED, UNCHECKED, DOUBTFUL = "as_stated", "unchecked", "doubtful"
-"""Whether the data confirm which column is which: they do; they cannot; another wiring explains them, the stated one does not."""
+"""Whether the data confirm which column is which: they do; they cannot; other columns explain them, the stated one does not."""
 
 GAP_FACTOR = 6.0
 """A gap longer than this many usual intervals ends a pass."""
@@ -24,19 +24,19 @@ DRAWS = 2000
 
 
 class PassMotions(NamedTuple):
-    """The K motions of one pass at the instant `at_s`: samples used, first and last instant (s from the epoch), weights (K), rates
-    (K, 3) with sigmas (K, 3), quantiles of the angular speed (K, 3), rad/s."""
+    """The K motions of one pass at the instant `at_s`: samples used, first and last instant (s from the epoch), probabilities (K),
+    rates (K, 3) with sigmas (K, 3), quantiles of the angular speed (K, 3), rad/s."""
 
     samples: int
     first_s: float
     last_s: float
     at_s: float
-    weight: np.ndarray
+    probability: np.ndarray
     omega: np.ndarray
     sigma: np.ndarray
     speed: np.ndarray
     answers: Answers
-    wiring: str
+    columns_checked: str
 
 
 def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -49,7 +49,7 @@ def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def padded(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Values (n_mode, ...) of each pass as one array (n_pass, most modes, ...), NaN where a pass has fewer motions than another."""
+    """Values (n_solution, ...) of each pass as one array (n_pass, most solutions, ...), NaN where a pass has fewer."""
     out = np.full((len(values), max(map(len, values)), *values[0].shape[1:]), np.nan)
     for row, value in zip(out, values, strict=True):
         row[: len(value)] = value
@@ -57,7 +57,7 @@ def padded(values: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any]:
-    """Variables for a Dataset over (`pass_id`, `mode`), those of `passes.csv`; NaN where a pass has fewer motions than another."""
+    """Variables for a Dataset over (`pass_id`, `solution`), those of `passes.csv`; NaN where a pass has fewer solutions."""
 
     def utc(seconds: float) -> str:
         return "" if epoch_utc is None else utc_after(seconds, epoch_utc, 3)
@@ -65,21 +65,21 @@ def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any
     def flags(values: list[bool]) -> Any:
         return "pass_id", np.array(values, dtype=bool)
 
-    each = ("pass_id", "mode")
+    each = ("pass_id", "solution")
     variables: dict[str, Any] = {
         "utc_start": ("pass_id", [utc(one.first_s) for one in passes]),
         "utc_end": ("pass_id", [utc(one.last_s) for one in passes]),
         "samples": ("pass_id", [one.samples for one in passes]),
-        "weight": (each, padded([one.weight for one in passes]), {"units": "1"}),
+        "probability": (each, padded([one.probability for one in passes]), {"units": "1"}),
         "decided": flags([one.answers.decided for one in passes]),
         "unique": flags([one.answers.unique for one in passes]),
         **{
-            f"informed_{axis}": flags([one.answers.informed[k] for one in passes])
+            f"constrained_{axis}": flags([one.answers.constrained[k] for one in passes])
             for k, axis in enumerate("xyz")
         },
         "fits": flags([one.answers.fits for one in passes]),
         "search_complete": flags([one.answers.search_complete for one in passes]),
-        "wiring": ("pass_id", [one.wiring for one in passes]),
+        "columns_checked": ("pass_id", [one.columns_checked for one in passes]),
         "utc_at": ("pass_id", [utc(one.at_s) for one in passes]),
     }
     for k, name in enumerate(("speed_low", "speed_median", "speed_high")):

@@ -18,7 +18,7 @@ from scipy.special import (
 from sunspin.vehicle import Vehicle
 
 NARROWER = 0.5
-"""A component is informed where its standard deviation, all modes counted, is below this part of the prior's."""
+"""A component is constrained if its standard deviation, all solutions counted, is below this part of the prior's."""
 
 BEYOND = 2 * float(ndtr(-3.0))
 """Chance of a sound reading to lie beyond three sigma."""
@@ -53,11 +53,11 @@ class Misfit(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """The three answers for one pass or posterior, and whether the search left nothing out; `informed` (3) by component, `wrong`
+    """The three answers for one pass or posterior, and whether the search left nothing out; `constrained` (3) by component, `wrong`
     the sensors that do not agree with the motion, `cure` what may have been left out and what would help."""
 
     unique: bool
-    informed: tuple[bool, bool, bool]
+    constrained: tuple[bool, bool, bool]
     fits: bool
     search_complete: bool
     wrong: tuple[str, ...] = ()
@@ -66,12 +66,12 @@ class Answers(NamedTuple):
     @property
     def decided(self) -> bool:
         """Whether an operator may act on the motion."""
-        return self.unique and self.fits and all(self.informed) and self.search_complete
+        return self.unique and self.fits and all(self.constrained) and self.search_complete
 
     @property
     def why_not(self) -> str:
         """What keeps the motion from being decided, in words; empty where it is."""
-        known = [axis for axis, told in zip("xyz", self.informed, strict=True) if told]
+        known = [axis for axis, told in zip("xyz", self.constrained, strict=True) if told]
         reasons = []
         if not self.fits:
             reasons.append("FITS BADLY" + (f" ({', '.join(self.wrong)})" if self.wrong else ""))
@@ -79,9 +79,9 @@ class Answers(NamedTuple):
             reasons.append("several motions")
         if len(known) < 3:
             reasons.append(
-                f"informed: {' '.join(known)} only"
+                f"constrained: {' '.join(known)} only"
                 if known
-                else "NOT INFORMED, the prior is given back"
+                else "NOT CONSTRAINED, the prior is given back"
             )
         if not self.search_complete:
             reasons.append("search not complete" + (f" ({self.cure})" if self.cure else ""))
@@ -99,13 +99,13 @@ def answers(
 ) -> Answers:
     """The answers for one motion.
 
-    `sigma` (3), standard deviation of each component over all modes, and `prior_sigma`, that before anything was measured, in one
-    unit; `misfits` by sensor; `explained`: the misfit of all readings together is as of a motion of this kind.
+    `sigma` (3), standard deviation of each component over all solutions, and `prior_sigma`, that before anything was measured, in
+    one unit; `misfits` by sensor; `explained`: the misfit of all readings together is as of a motion of this kind.
     """
     wrong = tuple(name for name, one in misfits.items() if not one.fits)
     x, y, z = (
         bool(one < NARROWER * prior_sigma) for one in np.asarray(sigma)
-    )  # NaN is not informed
+    )  # NaN is not constrained
     return Answers(
         bool(unique), (x, y, z), bool(explained and not wrong), bool(search_complete), wrong, cure
     )

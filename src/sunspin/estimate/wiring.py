@@ -91,7 +91,9 @@ class Better(NamedTuple):
             one = self.named[0].change
             do = f"; if it is so, {one.do}" if one.do else ""
             check = (
-                "CHECK THE SIGNS" if one.reversed_wheels and not one.columns else "CHECK THE WIRING"
+                "CHECK THE SIGNS"
+                if one.reversed_wheels and not one.columns
+                else "CHECK THE COLUMNS"
             )
             return f"{better} {one.what} {gain}: {check}{do}"
         shown = [
@@ -103,7 +105,7 @@ class Better(NamedTuple):
         at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
         return (
             f"{better} each of {len(self.named)} changes, and this telemetry cannot tell which is right {gain}: {'; '.join(shown)}"
-            f"{others} (rates{at}): CHECK THE WIRING, find out which one is right before you change the file"
+            f"{others} (rates{at}): CHECK THE COLUMNS, find out which one is right before you change the file"
         )
 
     @staticmethod

@@ -17,6 +17,7 @@ from sunspin.base.provenance import provenance
 from sunspin.base.untrusted import LARGEST, SMALLEST, is_own, read_bytes
 from sunspin.landing.tally import quantity
 from sunspin.output.folder import MARKER, maker
+from sunspin.output.kind import refuse_former
 from sunspin.output.text import number_text, with_sigma
 
 MAX_SUMMARY_BYTES = 20_000_000
@@ -76,6 +77,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         with np.errstate(all="ignore"):
             summaries = [json.loads(text) for text in content]
             passes_a, passes_b = (summary.get("passes") or () for summary in summaries)
+            for path, passes in zip(files, (passes_a, passes_b), strict=True):
+                refuse_former(command, (key for row in passes for key in row), str(path))
             for row in passes_b:
                 # named as a pass of the first result that overlaps it, rather as one of its own name
                 start, end = row["utc_start"], row["utc_end"]
@@ -92,6 +95,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
                 if name in tables[1]
             ]
             attrs = _attributes(folders, summaries, tables)
+    except InputError:
+        raise
     except (LookupError, OverflowError, RecursionError, TypeError, ValueError, AttributeError) as e:
         what = f"a summary holds something else than `sunspin {command}` writes ({type(e).__name__}: {e})"
         raise InputError(sentence(what, got=got, do=do)) from None
@@ -152,22 +157,25 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
     table = {}
     for row in summary.get("passes") or ():
         name, decided, at = f"pass {row['pass_id']}", row["decided"] is not False, row["utc_at"]
-        used = pd.DataFrame(row["modes"][:1] if decided else row["modes"])
+        used = pd.DataFrame(row["solutions"][:1] if decided else row["solutions"])
         half = (used["speed_high_deg_s"] - used["speed_low_deg_s"]) / 2
         estimates = {"speed": (used["speed_median_deg_s"], half / INTERVAL_SIGMAS)}
         for axis in "xyz":
             rate, sigma = used[f"omega_{axis}_deg_s"], used[f"sigma_{axis}_deg_s"]
             estimates[f"omega_{axis} at {at}"] = rate, sigma
-        share = used["weight"] / used["weight"].sum()
+        share = used["probability"] / used["probability"].sum()
         of = "likeliest solution" if len(used) == 1 else "mean of all solutions, not decided"
         for what, (value, sigma) in estimates.items():
             mean = share @ value
             spread = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
             table[f"{name} {what}"] = _estimate(f"{what}: {of}", "deg/s", mean, spread)
-        facts = ["decided" if decided else "not decided", f"{len(row['modes'])} solutions"]
-        facts += [f"columns {row['wiring']}", f"{summary.get('verdict_word')}"]
-        what, weight = "probability of the likeliest solution", row["modes"][0]["weight"]
-        table[f"{name} probability"] = _estimate(what, "", weight, np.nan, facts=facts)
+        facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]
+        facts += [f"columns {row['columns_checked']}", f"{summary.get('verdict_word')}"]
+        what, probability = (
+            "probability of the likeliest solution",
+            row["solutions"][0]["probability"],
+        )
+        table[f"{name} probability"] = _estimate(what, "", probability, np.nan, facts=facts)
     return table
 
 

@@ -28,6 +28,7 @@ class Result:
 
     @property
     def _kind(self) -> Kind:
+        from sunspin.output.kind import refuse_former
         from sunspin.output.kinds import KINDS
 
         name = self._data.attrs.get("kind")
@@ -37,6 +38,9 @@ class Result:
             raise InputError(
                 sentence(f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do)
             )
+        nodes = self._data.subtree if isinstance(self._data, xr.DataTree) else [self._data]
+        names = {name for node in nodes for name in (*node.dims, *getattr(node, "data_vars", ()))}
+        refuse_former(name, names)
         return KINDS[name]
 
     def summary(self) -> Summary:

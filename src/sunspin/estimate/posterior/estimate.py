@@ -163,7 +163,7 @@ def posterior(
     -------
     xarray.DataTree
         Group `posterior` over (chain, draw): `omega_B` (rad/s), `sun_B`, `wheel_speed_rad_s` at the first sample, the other
-        unknowns by name, `mode_id`, `log_weight` (all alike: the draws are resampled). Group `modes`: centre, covariance,
+        unknowns by name, `solution_id`, `log_weight` (all alike: the draws are resampled). Group `solutions`: centre, covariance,
         weight, evidence, chi-square, number of starts. Group `search`: trace of the enumeration; group `sampling`: trace of the
         evidence. Group `passes`, of one pass: what may be believed, the variables of `passes.csv`
         (:func:`sunspin.estimate.passes.table`). attrs: `verdict` and `verdict_word` ("unique", "aliases", "line", "not sure",
@@ -364,7 +364,7 @@ def _tree(
             {"units": "1", "long_name": "direction to the Sun at the first sample"},
         ),
         "wheel_speed_rad_s": ((*each, "wheel"), wheels[None], {"units": "rad s-1"}),
-        "mode_id": (each, drawn.region[picked][None]),
+        "solution_id": (each, drawn.region[picked][None]),
         "log_weight": (each, np.full((1, len(picked)), -np.log(len(picked))), {"units": "1"}),
         "log_likelihood_sum": (each, drawn.log_likelihood[picked][None], {"units": "1"}),
     }
@@ -386,7 +386,7 @@ def _tree(
     }
     groups = {
         "posterior": xr.Dataset(variables, coords),
-        "modes": _modes(drawn, prior_sigma),
+        "solutions": _modes(drawn, prior_sigma),
         "search": xr.Dataset(
             {
                 name: ("stage", np.array(modes.trace)[:, i])
@@ -449,21 +449,21 @@ def _modes(drawn: Mixed, prior_sigma: float) -> xr.Dataset:
             )
         )
     names = (
-        ("omega_B", ("mode", "axis"), "rad s-1"),
-        ("omega_cov_B", ("mode", "axis", "axis2"), "rad2 s-2"),
-        ("sun_B", ("mode", "axis"), "1"),
-        ("weight", ("mode",), "1"),
-        ("log_evidence", ("mode",), "1"),
-        ("best_omega_B", ("mode", "axis"), "rad s-1"),
-        ("chi_square", ("mode",), "1"),
-        ("lit_readings", ("mode",), "1"),
-        ("starts", ("mode",), "1"),
-        ("effective_draws", ("mode",), "1"),
+        ("omega_B", ("solution", "axis"), "rad s-1"),
+        ("omega_cov_B", ("solution", "axis", "axis2"), "rad2 s-2"),
+        ("sun_B", ("solution", "axis"), "1"),
+        ("probability", ("solution",), "1"),
+        ("log_evidence", ("solution",), "1"),
+        ("best_omega_B", ("solution", "axis"), "rad s-1"),
+        ("chi_square", ("solution",), "1"),
+        ("lit_readings", ("solution",), "1"),
+        ("starts", ("solution",), "1"),
+        ("effective_draws", ("solution",), "1"),
     )
     columns = zip(names, zip(*rows, strict=True), strict=True)
     return xr.Dataset(
         {name: (dims, np.array(values), {"units": unit}) for (name, dims, unit), values in columns},
-        coords={"mode": np.arange(count), "axis": ["x", "y", "z"]},
+        coords={"solution": np.arange(count), "axis": ["x", "y", "z"]},
     )
 
 
@@ -519,7 +519,7 @@ def _judge(
     vehicle: Vehicle,
     remarks: list[str],
 ) -> Found:
-    regions = group(tree, "modes")
+    regions = group(tree, "solutions")
     doubts = list(modes.notes)
     cut = any(sampled.drawn.cut for sampled in drawn.tried)
     if cut:
@@ -527,10 +527,10 @@ def _judge(
             f"the draws stopped at the computing budget of {MOST_EFFORT / 1e6:.3g} million motions, "
             f"with an effective sample size of {drawn.effective:.0f}"
         )
-    told = regions["weight"].values >= 0.01
+    told = regions["probability"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
         doubts.append(
-            "a region of weight was reached from one start only, so others may have been missed"
+            "a region of some probability was reached from one start only, so others may have been missed"
         )
     bright = data.used & (data.value > max(data.threshold, SURELY_LIT * data.sigma))
     awake = bright.any(
@@ -539,7 +539,7 @@ def _judge(
     spoilt = spoilt_panels(vehicle.input_names, checked.outliers[awake], data.lit[awake])
     rate, covariance = regions["omega_B"].values, regions["omega_cov_B"].values
     found = Found(
-        regions["weight"].values,
+        regions["probability"].values,
         rate,
         np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
         regions["starts"].values,
@@ -559,7 +559,7 @@ def _judge(
         text += f"; {alike}"
     likeliest, weight = max(drawn.said.items(), key=lambda one: one[1])
     if likeliest != STATED:
-        text += f"; the readings ask for {likeliest} (weight {weight:.2f})"
+        text += f"; the readings ask for {likeliest} (probability {weight:.2f})"
     if word == "not explained":
         text += (
             f"; rates up to {np.degrees(tree.attrs['searched_rate_rad_s']):.3g} deg/s were searched"

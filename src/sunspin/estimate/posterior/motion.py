@@ -27,7 +27,7 @@ RTOL = 1e-9
 
 
 def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
-    """The draw of the highest likelihood of each of the heaviest regions, from the first sample to the last.
+    """The draw of the highest likelihood of each of the most probable solutions, from the first sample to the last.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
     -------
     list of xarray.Dataset
         As of :func:`sunspin.propagate` with the draw's own inertia, friction and wheel speeds, `time` in s from the epoch, and
-        `panel_signal` (time, panel) for a brightness of one. attrs: `title` and `about` in words, `region`, `weight`.
+        `panel_signal` (time, panel) for a brightness of one. attrs: `title` and `about` in words, `solution`, `probability`.
 
     Raises
     ------
@@ -48,8 +48,8 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
         A posterior of another vehicle.
     """
     unknown, rows = drawn_rows(vehicle, tree)
-    draws, weight = group(tree, "posterior"), group(tree, "modes")["weight"].values
-    region, height = draws["mode_id"].values.ravel(), draws["log_likelihood_sum"].values.ravel()
+    draws, weight = group(tree, "posterior"), group(tree, "solutions")["probability"].values
+    region, height = draws["solution_id"].values.ravel(), draws["log_likelihood_sum"].values.ravel()
     bodies, found = rows.bodies_of(vehicle), []
     for number in np.argsort(-weight, kind="stable")[:MOST_REGIONS]:
         if not (region == number).any():
@@ -65,12 +65,12 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
             [Steady(steady)] if steady.any() else [],
         )
         signal = panel_power(vehicle, run["sun_B"].values)
-        about = f"The likeliest draw of region {number + 1}, which holds {weight[number]:.0%} of the weight"
+        about = f"The likeliest draw of solution {number + 1}, which holds {weight[number]:.0%} of the probability"
         attrs = {
-            "title": f"Region {number + 1}",
+            "title": f"Solution {number + 1}",
             "about": about,
-            "region": int(number) + 1,
-            "weight": float(weight[number]),
+            "solution": int(number) + 1,
+            "probability": float(weight[number]),
         }
         carried = {key: tree.attrs[key] for key in ("epoch_utc", "synthetic") if key in tree.attrs}
         found.append(

@@ -43,16 +43,16 @@ def periods_of(vehicle: Vehicle, tree: xr.DataTree, seen: Period) -> np.ndarray:
 def with_periods(vehicle: Vehicle, tree: xr.DataTree, seen: Sequence[Period]) -> None:
     """Add the group `period` to a posterior: its draws weighted by periods seen, and what these decide.
 
-    `log_weight (chain, draw)`; `probability (seen, reading)` of what turned; `region_weight (mode)` and `rate_quantile (level)`,
-    rad/s at the first sample, with `region_weight_before` and `rate_quantile_before`; attrs `effective_draws`, `told` (0: too few
-    draws carry the weight), `nearest_sigmas`. The draws themselves stay as they are.
+    `log_weight (chain, draw)`; `probability (seen, reading)` of what turned; `solution_probability (solution)` and
+    `rate_quantile (level)`, rad/s at the first sample, with `solution_probability_before` and `rate_quantile_before`; attrs
+    `effective_draws`, `told` (0: too few draws carry the weight), `nearest_sigmas`. The draws themselves stay as they are.
     """
-    drawn, regions = group(tree, "posterior"), group(tree, "modes")
-    count, draws = regions.sizes["mode"], drawn.sizes["chain"] * drawn.sizes["draw"]
+    drawn, regions = group(tree, "posterior"), group(tree, "solutions")
+    count, draws = regions.sizes["solution"], drawn.sizes["chain"] * drawn.sizes["draw"]
     even = np.full(draws, 1 / draws)
     found = evidence(seen, [periods_of(vehicle, tree, one) for one in seen], even)
-    mode_id, rate = (
-        drawn["mode_id"].values.ravel(),
+    solution_id, rate = (
+        drawn["solution_id"].values.ravel(),
         np.linalg.norm(drawn["omega_B"].values.reshape(-1, 3), axis=1),
     )
     levels = np.array([0.05, 0.5, 0.95])
@@ -65,9 +65,9 @@ def with_periods(vehicle: Vehicle, tree: xr.DataTree, seen: Sequence[Period]) ->
         "probability": (("seen", "reading"), found.shares, {"units": "1"}),
     }
     for name, w in (("", found.weight), ("_before", even)):
-        variables[f"region_weight{name}"] = (
-            "mode",
-            np.array([w[mode_id == i].sum() for i in range(count)]),
+        variables[f"solution_probability{name}"] = (
+            "solution",
+            np.array([w[solution_id == i].sum() for i in range(count)]),
             {"units": "1"},
         )
         variables[f"rate_quantile{name}"] = (
@@ -109,10 +109,10 @@ def period_sentences(found: xr.Dataset) -> list[str]:
     (low, middle, high), (was_low, was, was_high) = (
         np.degrees(found[f"rate_quantile{when}"].values) for when in ("", "_before")
     )
-    weights = [found[f"region_weight{when}"].values.max() for when in ("_before", "")]
+    weights = [found[f"solution_probability{when}"].values.max() for when in ("_before", "")]
     lines.append(
         f"with periods the angular speed at the first sample is {middle:.3g} deg/s, 90 % in {low:.3g} to {high:.3g} (without: "
-        f"{was:.3g}, {was_low:.3g} to {was_high:.3g}); the likeliest region holds {weights[1]:.1%} (without: {weights[0]:.1%}); "
+        f"{was:.3g}, {was_low:.3g} to {was_high:.3g}); the likeliest solution holds {weights[1]:.1%} (without: {weights[0]:.1%}); "
         f"{about['effective_draws']:.0f} effective draws"
     )
     return lines

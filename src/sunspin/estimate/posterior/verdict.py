@@ -88,7 +88,7 @@ def verdict(found: Found) -> tuple[str, str]:
     doubts = list(found.doubts)
     if found.rough:
         worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
-        doubts.append(f"the sample is worth only {worth}: widths and weights are rough")
+        doubts.append(f"the sample is worth only {worth}: widths and probabilities are rough")
     text, word = _regions(found, told), word_of(found)
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
@@ -123,7 +123,7 @@ def _regions(found: Found, told: np.ndarray) -> str:
         return f"unique: one region of motions, turning at {best}, fits the readings"
     if len(told) == 1:
         others = int((found.weight > 0).sum()) - 1
-        return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the weight, {others} others the rest"
+        return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the probability, {others} others the rest"
     gaps = np.linalg.norm(found.rate[told][:, None] - found.rate[told][None], axis=-1)
     gap = float(np.median(np.min(gaps + np.diag(np.full(len(told), np.inf)), axis=1)))
     text = f"{len(told)} aliases, {np.degrees(gap):.3g} deg/s apart, cannot be told apart"
@@ -169,13 +169,13 @@ def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray)
 
 
 def believed(
-    found: Found, tree: Any, prior_sigma: float, tags_off: bool, wiring: str
+    found: Found, tree: Any, prior_sigma: float, tags_off: bool, columns_checked: str
 ) -> PassMotions:
     """The posterior's motions at the first sample, and the three answers. `tree`: its draws and regions; `prior_sigma`: that of a
     component of the rate in the ball that was searched; `tags_off`: the readings ask for errors of time tags said to be exact."""
-    modes, about = tree["modes"], tree.attrs
+    modes, about = tree["solutions"], tree.attrs
     drawn = tree["posterior"]["omega_B"].values.reshape(-1, 3)
-    region = tree["posterior"]["mode_id"].values.ravel()
+    region = tree["posterior"]["solution_id"].values.ravel()
     covariance = modes["omega_cov_B"].values
     speed = speeds(modes["omega_B"].values, covariance)
     enough = np.flatnonzero(modes["effective_draws"].values >= TOO_FEW)
@@ -191,32 +191,32 @@ def believed(
         first,
         about["t_last_s"],
         first,
-        modes["weight"].values,
+        modes["probability"].values,
         modes["omega_B"].values,
         sigmas(modes),
         speed,
         answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete),
-        wiring,
+        columns_checked,
     )
 
 
 def sigmas(modes: Any) -> np.ndarray:
-    """Sigmas (mode, 3) of the regions' rates in rad/s."""
+    """Sigmas (solution, 3) of the regions' rates in rad/s."""
     return np.asarray(np.sqrt(np.einsum("kii->ki", modes["omega_cov_B"].values)))
 
 
 def summary(tree: Any) -> dict[str, Any]:
     """The main numbers of a posterior as plain data."""
-    posterior, modes = tree["posterior"], tree["modes"]
+    posterior, modes = tree["posterior"], tree["solutions"]
     rate = np.linalg.norm(posterior["omega_B"].values.reshape(-1, 3), axis=1)
     low, median, high = (float(np.quantile(rate, q)) for q in (0.05, 0.5, 0.95))
     return {
         "verdict": tree.attrs["verdict"],
         "verdict_word": tree.attrs["verdict_word"],
         "rate_rad_s": {"median": median, "low_90": low, "high_90": high},
-        "modes": [
+        "solutions": [
             {
-                "weight": float(w),
+                "probability": float(w),
                 "omega_B": o.tolist(),
                 "sigma": s.tolist(),
                 "chi_square": float(x),
@@ -224,7 +224,7 @@ def summary(tree: Any) -> dict[str, Any]:
                 "effective_draws": float(n),
             }
             for w, o, s, x, h, n in zip(
-                modes["weight"].values,
+                modes["probability"].values,
                 modes["omega_B"].values,
                 sigmas(modes),
                 modes["chi_square"].values,

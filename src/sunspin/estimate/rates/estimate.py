@@ -140,12 +140,12 @@ def rates(
     calibration: FieldCalibration | None = None,
     torques: Sequence[str] = (),
     periods: Sequence[Period] = (),
-    wirings: bool = False,
+    column_tests: bool = False,
     effort: float = 1.0,
     workers: int = 1,
     progress: bool | Callable[[str], None] = False,
 ) -> xr.Dataset:
-    """Body rates and attitude of every pass of a telemetry file, all modes that the data cannot tell apart.
+    """Body rates and attitude of every pass of a telemetry file, all solutions that the data cannot tell apart.
 
     Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start;
     starts grow over the pass by smoothing (:mod:`sunspin.estimate.rates.smooth`): rigid-body motion with the vehicle's inertia
@@ -179,11 +179,11 @@ def rates(
         Torques that act on the body, by name (`sunspin.dynamics.torques.TORQUES`). Where they depend on directions beside the
         Sun's, the turn about z of N is no longer arbitrary, and several are tried.
     periods : list of Period, optional
-        Periods seen from outside, of the precession, the spin or their sum: the modes found are weighted by them
-        (:mod:`sunspin.estimate.rates.period`). `weight_without_periods (pass_id, mode)` has the weights without, and
+        Periods seen from outside, of the precession, the spin or their sum: the solutions are weighted by them
+        (:mod:`sunspin.estimate.rates.period`). `probability_without_periods (pass_id, solution)` has the probabilities without, and
         attrs["periods"], in JSON, what each decided.
-    wirings : bool
-        Where a pass does not fit, try on the one with the most samples other wirings of panels and sensors
+    column_tests : bool
+        Where a pass does not fit, try on the one with the most samples other columns, axes and signs of panels and sensors
         (:mod:`sunspin.estimate.wiring`), and if none fits to leave out each sensor, the Sun's too
         (:mod:`sunspin.estimate.rates.hypotheses`); this takes minutes. Name what fits.
     effort : float
@@ -201,19 +201,19 @@ def rates(
     -------
     xarray.Dataset
         On `time` (all samples used; the search keeps 40 of a pass, the motion carries what it finds to the others), of each
-        pass's best mode: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
+        pass's best solution: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
         magnetometer J2000, `attrs["frame_N"]` says which), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_id`.
         On `curve_time`, even instants of each pass, the same between the samples, by the equations of motion: `curve_omega_B`,
         `curve_omega_sigma_B`, `curve_B_from_N`, `curve_pass_of`.
-        On `pass_id` and `mode`: `weight`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass has
-        fewer modes; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the best mode's
-        mean, all modes counted. What may be believed, and the motions at the sample nearest to the middle: the variables of
-        `passes.csv` (:func:`sunspin.estimate.passes.table`); `model`, `model_weight`: the hypothesis of the motion
-        (:mod:`sunspin.estimate.rates.alternatives`) and its weight, NaN where the effort left none for others; `misfit` (pass_id,
-        sensor, figure) of the best mode.
+        On `pass_id` and `solution`: `probability`, `omega_mean_B`, `omega_sigma_B` (of that mean, rad/s), `cost`, NaN where a pass
+        has fewer solutions; `cost_limit` (pass_id): beyond it no motion fits; `omega_sigma_all_B` (pass_id, axis): about the mean
+        of the best solution, all solutions counted. What may be believed, and the motions at the sample nearest to the middle: the
+        variables of `passes.csv` (:func:`sunspin.estimate.passes.table`); `model`, `model_probability`: the hypothesis of the
+        motion (:mod:`sunspin.estimate.rates.alternatives`) and its probability, NaN where the effort left none for others; `misfit`
+        (pass_id, sensor, figure) and `residual` (sensor, time), sigmas, of the best solution.
         On `sample`: `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
-        `sensors_late_sigma_s`; `wiring_doubt`, where another wiring or a sensor left out would make a pass fit.
+        `sensors_late_sigma_s`; `columns_doubt`, where other columns or a sensor left out would make a pass fit.
 
     Raises
     ------
@@ -317,17 +317,19 @@ def rates(
     )
     observed = _observed(vehicle, telemetry, wheels, source, isinstance(local, SunAlongZ))
     result = _symmetric_checked(_columns_checked(result, observed, telemetry), observed, telemetry)
-    if wirings and (not result["fits"].values.all() or _suspicious(result, observed, telemetry)):
-        with Effort(WIRING_SHARE * spent.most, "wirings" if progress is True else None) as tried:
+    if column_tests and (
+        not result["fits"].values.all() or _suspicious(result, observed, telemetry)
+    ):
+        with Effort(WIRING_SHARE * spent.most, "columns" if progress is True else None) as tried:
             result = _other_wiring(
                 result, observed, telemetry, rate_max, environment, calibration, torques
             )
             bad = [p for p, fits in zip(found, result["fits"].values, strict=True) if not fits]
-            if bad and "wiring_doubt" not in result.attrs and turned is None and may_go_on():
+            if bad and "columns_doubt" not in result.attrs and turned is None and may_go_on():
                 result.attrs |= _odd_sensor(
                     o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise
                 )
-        result = result.assign_attrs(wirings_cut=int(tried.close()))
+        result = result.assign_attrs(column_tests_cut=int(tried.close()))
     return _judged(_wheel_doubted(result, turned, observed, telemetry), assessment)
 
 
@@ -351,9 +353,13 @@ def _columns_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Datas
     unseen = unseen_changes(replace(observed, sun_B=result["sun_B"].values), telemetry)
     if not unseen:
         return result.assign(
-            wiring=(
+            columns_checked=(
                 "pass_id",
-                np.where(result["wiring"].values == UNCHECKED, AS_STATED, result["wiring"].values),
+                np.where(
+                    result["columns_checked"].values == UNCHECKED,
+                    AS_STATED,
+                    result["columns_checked"].values,
+                ),
             )
         )
     told = [
@@ -438,7 +444,7 @@ def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
     why = ["; ".join(filter(None, (str(one), what))) for one in result["why_not_decided"].values]
     doubted = {
         name: ("pass_id", np.full(len(why), one))
-        for name, one in (("decided", False), ("wiring", DOUBTFUL))
+        for name, one in (("decided", False), ("columns_checked", DOUBTFUL))
     }
     return result.assign(doubted | {"why_not_decided": ("pass_id", why)})
 
@@ -462,9 +468,9 @@ def _begin(
 def _judged(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
     """The result with its verdict. A gyro along other axes than stated looks like a late one: then these are named."""
     if result.attrs["sensors_late_from"] == SUSPECTED:
-        if "wiring_doubt" not in result.attrs and (axes := wrong_gyro_axes(assessment)):
-            result = result.assign_attrs(wiring_doubt=axes)
-        if "wiring_doubt" in result.attrs:
+        if "columns_doubt" not in result.attrs and (axes := wrong_gyro_axes(assessment)):
+            result = result.assign_attrs(columns_doubt=axes)
+        if "columns_doubt" in result.attrs:
             result = result.assign_attrs(NOT_LATE)
     return result.assign_attrs(verdict=verdict(result))
 
@@ -646,12 +652,12 @@ def _wheel_doubted(
     if turned is None:
         return result
     result = _undecided(result, "the sign of a wheel")
-    if "wiring_doubt" in result.attrs:
+    if "columns_doubt" in result.attrs:
         return result
     change = wheel_change(observed.vehicle, turned.wheels)
-    if not turned.fits and "wirings_cut" in result.attrs:
+    if not turned.fits and "column_tests_cut" in result.attrs:
         return result.assign_attrs(
-            wiring_doubt=f"with {change.what} the data fit better (log evidence better by {turned.gain:.0f}), and still badly: no "
+            columns_doubt=f"with {change.what} the data fit better (log evidence better by {turned.gain:.0f}), and still badly: no "
             "single change of columns or signs explains them"
         )
     others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
@@ -668,7 +674,7 @@ def _wheel_doubted(
 
 def _named(result: xr.Dataset, better: Better) -> xr.Dataset:
     """The result with the changes that fit better than the file as it is written: a sentence, and in JSON
-    attrs["wiring_changes"]."""
+    attrs["columns_changes"]."""
     epoch = result.attrs.get("epoch_utc")
     rates_deg_s = [
         None if one.omega is None else np.degrees(one.omega).round(6).tolist()
@@ -679,7 +685,7 @@ def _named(result: xr.Dataset, better: Better) -> xr.Dataset:
         for one, rate in zip(better.named, rates_deg_s, strict=True)
     ]
     return result.assign_attrs(
-        wiring_doubt=better.words(partial(_clock_time, epoch)), wiring_changes=json.dumps(told)
+        columns_doubt=better.words(partial(_clock_time, epoch)), columns_changes=json.dumps(told)
     )
 
 
@@ -760,7 +766,7 @@ def _other_wiring(
         return result
     if isinstance(found, Better):
         return _named(_undecided(result, "columns, signs or axes"), found)
-    return result.assign_attrs(wiring_doubt=found.words())
+    return result.assign_attrs(columns_doubt=found.words())
 
 
 def _clock_time(epoch_utc: str | None, t_s: float) -> str:

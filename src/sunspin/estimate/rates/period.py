@@ -171,9 +171,9 @@ def _bodies(body: Body, rng: np.random.Generator) -> list[Body]:
 
 
 def without_periods(found: list[Pass]) -> dict[str, Any]:
-    """The variable `weight_without_periods (pass_id, mode)`, where periods were counted in."""
+    """The variable `probability_without_periods (pass_id, solution)`, where periods were counted in."""
     if all(p.before is None for p in found):
         return {}
     before = [p.weight if p.before is None else p.before for p in found]
-    about = {"units": "1", "long_name": "weight of each motion without the periods seen"}
-    return {"weight_without_periods": (("pass_id", "mode"), padded(before), about)}
+    about = {"units": "1", "long_name": "probability of each solution without the periods seen"}
+    return {"probability_without_periods": (("pass_id", "solution"), padded(before), about)}

@@ -28,7 +28,7 @@ from sunspin.estimate.wheel_speeds import untold
 from sunspin.solve.rotations import continuous
 
 DECIDED = 0.9
-"""A mode with at least this weight is called decided."""
+"""A solution with at least this probability is called decided."""
 
 ROUNDING = 1e-3
 """Negative part of a covariance's largest variance beyond which it is rounding: 0.6 for a panel that hardly sees the Sun."""
@@ -107,17 +107,21 @@ def dataset_of(
             ),
             "pass_of": ("time", pass_of),
             "omega_mean_B": (
-                ("pass_id", "mode", "axis"),
+                ("pass_id", "solution", "axis"),
                 padded([m[0] for m in means]),
                 {"units": "rad s-1"},
             ),
             "omega_sigma_B": (
-                ("pass_id", "mode", "axis"),
+                ("pass_id", "solution", "axis"),
                 padded([m[1] for m in means]),
                 {"units": "rad s-1"},
             ),
             "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
-            "cost": (("pass_id", "mode"), padded([p.track.cost for p in found]), {"units": "1"}),
+            "cost": (
+                ("pass_id", "solution"),
+                padded([p.track.cost for p in found]),
+                {"units": "1"},
+            ),
             "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
             "why": ("sample", why.astype(np.str_)),
         },
@@ -246,57 +250,44 @@ def believed(
 ) -> dict[str, Any]:
     """What may be believed of each pass, and its motions at the sample nearest to its middle; `cure` as `cures` has it."""
     rows, names = [], sorted({name for p in found for name in p.residual})
-    misfits = {name: np.full((len(found), 3), np.nan) for name in names}
+    misfits = np.full((len(found), len(names), 3), np.nan)
+    residual = np.full((len(names), sum(len(p.index) for p in found)), np.nan)
+    ends = np.cumsum([len(p.index) for p in found])
     for k, (p, missed) in enumerate(zip(found, cure, strict=True)):
         t = o.t_s[p.index]
         at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
         omega, covariance = p.track.omega[:, at], p.track.covariance[:, at, 3:, 3:]
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         told = {name: misfit(left[0]) for name, left in p.residual.items()}
-        for name, one in told.items():
-            misfits[name][k] = one
+        for name, left in p.residual.items():
+            misfits[k, names.index(name)] = told[name]
+            residual[names.index(name), ends[k] - len(t) : ends[k]] = left[0]
         explained = p.track.cost[0] <= cost_limit(o.take(p.kept))
         one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
         unique = bool(p.weight[one].sum() >= DECIDED)
-        said = answers(
-            unique,
-            _spread(omega, sigma, p.weight),
-            motion.rate_prior,
-            told,
-            explained,
-            not missed,
-            missed,
-        )
-        row = PassMotions(
-            len(t),
-            t[0],
-            t[-1],
-            t[at],
-            p.weight,
-            omega,
-            sigma,
-            speeds(omega, covariance),
-            said,
-            UNCHECKED if list(told) == ["Sun"] else AS_STATED,
-        )
-        rows.append(row)
+        spread = _spread(omega, sigma, p.weight)
+        said = answers(unique, spread, motion.rate_prior, told, explained, not missed, missed)
+        checked = UNCHECKED if list(told) == ["Sun"] else AS_STATED
+        solutions = p.weight, omega, sigma, speeds(omega, covariance)
+        rows.append(PassMotions(len(t), t[0], t[-1], t[at], *solutions, said, checked))
     about = {
         "long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"
     }
     return table(rows, epoch_utc) | {
-        "misfit": (
-            ("pass_id", "sensor", "figure"),
-            np.stack([misfits[name] for name in names], axis=1),
-            about,
+        "misfit": (("pass_id", "sensor", "figure"), misfits, about),
+        "residual": (
+            ("sensor", "time"),
+            residual,
+            {"units": "1", "long_name": "readings less prediction of the best solution, in sigmas"},
         ),
         "sensor": names,
         "figure": ["readings", "beyond", "chance"],
         "model": (
             "pass_id",
             _models(found, motion),
-            {"long_name": "what holds most of the weight of all that was tried"},
+            {"long_name": "the most probable model of all that were tried"},
         ),
-        "model_weight": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
+        "model_probability": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
     }
 
 
@@ -322,7 +313,7 @@ def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarr
 def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
     """What is said of passes with `one` motion that may see the Sun on either side, and of those with `several`."""
     text = ""
-    if sides := int((one & (result["weight"].values[:, 0] < DECIDED)).sum()):
+    if sides := int((one & (result["probability"].values[:, 0] < DECIDED)).sum()):
         text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
     unlisted = int(result.attrs.get("symmetric_unlisted", 0))
     if unlisted:
@@ -338,24 +329,24 @@ def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
 def verdict(result: xr.Dataset) -> str:
     """What the data can tell, in words."""
     decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
-    informed = np.all([result[f"informed_{axis}"].values for axis in "xyz"], axis=0)
-    text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the weight, "
-    text += (
-        f"fits, and each component is known to less than {NARROWER:g} of what was possible before"
-    )
+    constrained = np.all([result[f"constrained_{axis}"].values for axis in "xyz"], axis=0)
+    text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the "
+    text += f"probability, fits, and each component is known to less than {NARROWER:g} of what was possible before"
     if not fits.all():
         text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
-    for doubt in ("wiring_doubt", "odd_sensor"):
+    for doubt in ("columns_doubt", "odd_sensor"):
         text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
-    if count := int((fits & unique & ~informed).sum()):
-        text += f"; in {count} one motion is left, but the data do not inform all of its components"
+    if count := int((fits & unique & ~constrained).sum()):
+        text += (
+            f"; in {count} one motion is left, but the data do not constrain all of its components"
+        )
     if other := sum(one != AS_READ for one in result["model"].values):
         text += f"; in {other} the motion is not that of the model as stated: what it may be stands with each pass"
     text += _left_open(result, fits & unique, fits & ~unique)
     if cut := result.attrs["cut_passes"]:
         text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: {more_effort(result.attrs['effort_given'])}"
-    if result.attrs.get("wirings_cut"):
-        text += f"; not every other wiring was tried: {more_effort(result.attrs['effort_given'])}"
+    if result.attrs.get("column_tests_cut"):
+        text += f"; not every other order of columns was tried: {more_effort(result.attrs['effort_given'])}"
     if missed := result.attrs["coarse_passes"]:
         text += f"; in {missed} the search is coarse and a motion may have been missed: {slower(result.attrs['fine_up_to_rad_s'])}"
     if unsure := result.attrs["wheels_untold"]:

@@ -20,6 +20,7 @@ from sunspin.base.untrusted import is_own
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.environment.frames import BODY_AT_START, FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.output.folder import write_netcdf, write_whole
+from sunspin.output.kind import refuse_former
 from sunspin.solve.rotations import continuous
 
 LOCAL_FRAME = "SUNSPIN_LOCAL"
@@ -83,6 +84,7 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
             raise InputError(sentence(what, do="copy the file here", where=str(path)))
         if is_own(path):
             data = read_netcdf(path, str(path), InputError)
+            refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
             t = data["time"].values if "time" in data.variables else np.zeros(0)
             backward = t.ndim == 1 and len(t) > 1 and np.all(np.diff(t) < 0)
             return data.isel(time=slice(None, None, -1)) if backward else data, path

@@ -19,7 +19,7 @@ def corner_figure(tree: Any) -> Figure:
     """Components of the rate at the first sample and its size, every pair of them, one colour to a mode."""
     posterior = tree["posterior"]
     omega = np.degrees(posterior["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS])
-    mode = posterior["mode_id"].values.ravel()[:SHOWN_DRAWS]
+    solution = posterior["solution_id"].values.ravel()[:SHOWN_DRAWS]
     value = np.column_stack([omega, np.linalg.norm(omega, axis=1)])
     names = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", r"$|\omega|$")
     figure = Figure(figsize=(9, 9), layout="constrained")
@@ -30,12 +30,12 @@ def corner_figure(tree: Any) -> Figure:
             if j > i:
                 axes.axis("off")
             elif i == j:
-                _histogram(axes, value[:, i], mode)
+                _histogram(axes, value[:, i], solution)
                 axes.set_yticks([])
             else:
-                for k in np.unique(mode):
+                for k in np.unique(solution):
                     axes.plot(
-                        *value[mode == k][:, [j, i]].T,
+                        *value[solution == k][:, [j, i]].T,
                         ".",
                         ms=1.5,
                         alpha=0.4,
@@ -54,11 +54,11 @@ def corner_figure(tree: Any) -> Figure:
     return figure
 
 
-def _histogram(axes: Any, value: np.ndarray, mode: np.ndarray) -> None:
+def _histogram(axes: Any, value: np.ndarray, solution: np.ndarray) -> None:
     edges = np.histogram_bin_edges(value, 60)
-    for k in np.unique(mode):
+    for k in np.unique(solution):
         axes.hist(
-            value[mode == k], edges, histtype="stepfilled", color=COLOURS[int(k) % 8], alpha=0.7
+            value[solution == k], edges, histtype="stepfilled", color=COLOURS[int(k) % 8], alpha=0.7
         )
 
 

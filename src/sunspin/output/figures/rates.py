@@ -60,14 +60,14 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Fig
 
 
 def _standing(result: xr.Dataset, number: int) -> str:
-    """The weight of the likeliest motion of a pass, and whether it may be believed."""
-    weight = f"weight {result['weight'].values[number, 0]:.2f}"
+    """The probability of the likeliest solution of a pass, and whether it may be believed."""
+    probability = f"probability {result['probability'].values[number, 0]:.2f}"
     if "fits" in result and not bool(result["fits"].values[number]):
-        return f"{weight}, FITS BADLY"
+        return f"{probability}, FITS BADLY"
     return (
-        weight
+        probability
         if "decided" not in result or bool(result["decided"].values[number])
-        else f"{weight}, not decided"
+        else f"{probability}, not decided"
     )
 
 

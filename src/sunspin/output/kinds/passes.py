@@ -9,29 +9,13 @@ import numpy as np
 from sunspin.output.kind import Table
 
 OF_A_PASS = ("utc_start", "utc_end", "samples")
-BELIEVED = (
-    "decided",
-    "unique",
-    "informed_x",
-    "informed_y",
-    "informed_z",
-    "fits",
-    "search_complete",
-    "wiring",
-    "utc_at",
+BELIEVED = tuple(
+    "decided unique constrained_x constrained_y constrained_z fits search_complete columns_checked utc_at".split()
 )
-ADDED = ("model", "model_weight")
+ADDED = ("model", "model_probability")
 """Columns of a pass that came later, after all others, as scripts read those by place; `posterior` has no models."""
-OF_A_MOTION = (
-    "speed_low",
-    "speed_median",
-    "speed_high",
-    "omega_x",
-    "omega_y",
-    "omega_z",
-    "sigma_x",
-    "sigma_y",
-    "sigma_z",
+OF_A_MOTION = tuple(
+    "speed_low speed_median speed_high omega_x omega_y omega_z sigma_x sigma_y sigma_z".split()
 )
 """rad/s; each has a column in deg/s too."""
 
@@ -43,11 +27,11 @@ def pass_numbers(found: Any, k: int) -> dict[str, Any]:
     return {"pass_id": int(found["pass_id"].values[k])} | values
 
 
-def motion_numbers(found: Any, k: int, mode: int) -> dict[str, Any]:
+def motion_numbers(found: Any, k: int, solution: int) -> dict[str, Any]:
     """The same of one of its motions."""
-    rates = {name: float(found[name].values[k, mode]) for name in OF_A_MOTION}
-    weight = float(found["weight"].values[k, mode])
-    return {"mode": mode, "weight": weight} | rates | in_degrees(rates)
+    rates: dict[str, Any] = {name: float(found[name].values[k, solution]) for name in OF_A_MOTION}
+    probability = float(found["probability"].values[k, solution])
+    return {"solution": solution, "probability": probability} | rates | in_degrees(rates)
 
 
 def in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
@@ -64,8 +48,8 @@ SHOWN = {
     "pass_id": "pass",
     "utc_start": "begins (UTC)",
     "samples": "samples",
-    "mode": "solution",
-    "weight": "probability",
+    "solution": "solution",
+    "probability": "probability",
     "speed_median_deg_s": "speed (deg/s)",
     **{
         f"{what}_{axis}_deg_s": f"ω{axis} (deg/s)" if what == "omega" else "±"
@@ -86,13 +70,13 @@ def passes_table(found: Any) -> Table:
     rows = []
     for k in range(found.sizes["pass_id"]):
         known = pass_numbers(found, k)
-        for mode in np.flatnonzero(np.isfinite(found["weight"].values[k])):
-            motion = motion_numbers(found, k, int(mode))
+        for solution in np.flatnonzero(np.isfinite(found["probability"].values[k])):
+            motion = motion_numbers(found, k, int(solution))
             first = ("pass_id", *OF_A_PASS)
             last = (*(name for name in ADDED if name in known), "why_not_decided")
             rows.append(
                 {name: known[name] for name in first}
-                | {name: motion[name] for name in ("mode", "weight")}
+                | {name: motion[name] for name in ("solution", "probability")}
                 | {name: known[name] for name in BELIEVED}
                 | motion
                 | {name: known[name] for name in last}

@@ -17,18 +17,18 @@ from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
 from sunspin.output.text import digits_of
 
-MOST_MODES = 12
-"""Modes that are printed."""
+MOST_SOLUTIONS = 12
+"""Solutions that are printed."""
 
 
 def posterior_summary(tree: Any) -> Summary:
-    """The verdict, the angular speed, the modes, what the verdict rests on, and the predictions where there are any."""
+    """The verdict, the angular speed, the solutions, what the verdict rests on, and the predictions where there are any."""
     numbers = main_numbers(tree)
     if "passes" in tree.children:
         found = tree["passes"].to_dataset()
         numbers["passes"] = [
             pass_numbers(found, 0)
-            | {"modes": [motion_numbers(found, 0, k) for k in range(found.sizes["mode"])]}
+            | {"solutions": [motion_numbers(found, 0, k) for k in range(found.sizes["solution"])]}
         ]
     rate = numbers["rate_rad_s"]
     lines = [
@@ -37,18 +37,20 @@ def posterior_summary(tree: Any) -> Summary:
     ]
     speed, low, high = _degrees(rate)
     lines.append(f"  angular speed at the first sample {speed} deg/s, 90 % in {low} to {high}")
-    for mode in numbers["modes"][:MOST_MODES]:
-        digits = digits_of(np.degrees(mode["sigma"]))
+    for solution in numbers["solutions"][:MOST_SOLUTIONS]:
+        digits = digits_of(np.degrees(solution["sigma"]))
         omega, sigma = (
-            ", ".join(f"{x:z.{digits}f}" for x in np.degrees(mode[key]))
+            ", ".join(f"{x:z.{digits}f}" for x in np.degrees(solution[key]))
             for key in ("omega_B", "sigma")
         )
         rough = (
-            ", which is rough: few draws have weight" if mode["effective_draws"] < TOO_FEW else ""
+            ", which is rough: few draws have weight"
+            if solution["effective_draws"] < TOO_FEW
+            else ""
         )
         error = f"+- ({sigma}) deg/s{rough}"
         lines.append(
-            f"  weight {mode['weight']:.3f}  omega ({omega}) {error}  chi-square {mode['chi_square']:.0f}"
+            f"  probability {solution['probability']:.3f}  omega ({omega}) {error}  chi-square {solution['chi_square']:.0f}"
         )
     worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
     lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
@@ -62,7 +64,7 @@ def posterior_summary(tree: Any) -> Summary:
     if "hypotheses" in tree.attrs:
         numbers["hypotheses"] = json.loads(tree.attrs["hypotheses"])
         lines.append(
-            "  weights: "
+            "  probabilities: "
             + ", ".join(f"{what} {weight:.2g}" for what, weight in numbers["hypotheses"].items())
         )
     if "period" in tree.children:
@@ -73,7 +75,7 @@ def posterior_summary(tree: Any) -> Summary:
             "effective_draws": float(seen.attrs["effective_draws"]),
         } | {
             name: seen[name].values.tolist()
-            for name in ("probability", "region_weight", "rate_quantile")
+            for name in ("probability", "solution_probability", "rate_quantile")
         }
     if "predictions" in tree.children:
         predicted = predictions_summary(tree["predictions"].to_dataset())
@@ -130,8 +132,8 @@ def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
     yield Drawing(
         "corner",
         lambda: corner_figure(tree),
-        "Draws of the components of the body rate and its size against each other, by region.",
-        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a region."
+        "Draws of the components of the body rate and its size against each other, by solution.",
+        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a solution."
         + note,
     )
     if {"search", "sampling"} <= set(tree.children):
@@ -159,22 +161,22 @@ def predictions_drawings(found: Any, _: Context) -> Iterator[Drawing]:
 
 
 def posterior_tables(tree: Any) -> Iterator[Table]:
-    modes, sigma = tree["modes"], sigmas(tree["modes"])
+    solutions, sigma = tree["solutions"], sigmas(tree["solutions"])
     columns: dict[str, Any] = {
-        "weight": modes["weight"].values,
-        "log_evidence": modes["log_evidence"].values,
+        "probability": solutions["probability"].values,
+        "log_evidence": solutions["log_evidence"].values,
     }
     for k, axis in enumerate("xyz"):
-        columns[f"omega_{axis}_B_rad_s"] = modes["omega_B"].values[:, k]
+        columns[f"omega_{axis}_B_rad_s"] = solutions["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
     columns |= in_degrees(columns)
-    columns |= {name: modes[name].values for name in ("chi_square", "lit_readings", "starts")}
-    shown = {"weight": "probability"}
+    columns |= {name: solutions[name].values for name in ("chi_square", "lit_readings", "starts")}
+    shown = {"probability": "probability"}
     for axis in "xyz":
         shown |= {f"omega_{axis}_B_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
     shown |= {"chi_square": "chi-square", "lit_readings": "lit readings", "starts": "starts"}
     yield Table(
-        "modes", pd.DataFrame(columns), "Solutions: rates at the first sample, body axes", shown
+        "solutions", pd.DataFrame(columns), "Solutions: rates at the first sample, body axes", shown
     )
     if "passes" in tree.children:
         yield passes_table(tree["passes"].to_dataset())
@@ -189,7 +191,7 @@ def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
     from sunspin.estimate.posterior.motion import best_motions
 
     motions = best_motions(context.craft(), tree)
-    return {f"motion-region-{run.attrs['region']}": run for run in motions}
+    return {f"motion-solution-{run.attrs['solution']}": run for run in motions}
 
 
 PREDICTED = ("t_s", "quantity", "median", "low_90", "high_90")

@@ -22,9 +22,6 @@ AS_STATED = "as stated"
 MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
-READ = {"power_W", "current_A", "sun_sensor_B", "gyro_B"}
-"""Variables of telemetry of which residuals are drawn."""
-
 
 def rates_summary(result: Any) -> Summary:
     """The verdict, and the motions of each pass, deg/s."""
@@ -65,22 +62,26 @@ def _period(result: Any, one: dict[str, Any]) -> str:
     """What a period decides in its pass, in words."""
     k = int(np.flatnonzero(result["pass_id"].values == one["pass"])[0])
     if why_not := unheard(one["nearest_sigmas"], one["effective"], f"pass {one['pass']}"):
-        return f"{why_not}; its weights stay as they are"
+        return f"{why_not}; its probabilities stay as they are"
     if not one["told"]:
         return (
             f"periods: the samples of pass {one['pass']} speak against {one['period_s']:g} s at {one['t_s']:g} s: motions that "
-            f"have it hold {one['carried']:.1%} of the weight, which stays as it is"
+            f"have it hold {one['carried']:.1%} of the probability, which stays as it is"
         )
     said = reading_words(one["t_s"], one["period_s"], one["sigma_s"], one["shares"])
     own, heaviest = one["without"]
     was = f"{own:.0%}" if own == heaviest else f"{own:.0%}, when another held {heaviest:.0%}"
-    return f"{said}; in pass {one['pass']} the likeliest motion holds {result['weight'].values[k, 0]:.0%} (without: {was})"
+    return f"{said}; in pass {one['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
 
 
 def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     """Changes of columns that look the same in the telemetry as the file as it is written, with the rates of the first decided
     pass."""
-    sure = [k for k, one in enumerate(passes) if one["decided"] and one["wiring"] == "unchecked"]
+    sure = [
+        k
+        for k, one in enumerate(passes)
+        if one["decided"] and one["columns_checked"] == "unchecked"
+    ]
     if not sure or "columns_unseen" not in result.attrs:
         return []
     rate = rate_at(result, sure[0])
@@ -101,7 +102,7 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
         else ""
     )
     return [
-        f"  wiring unchecked: the file as it is written gives {shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; this "
+        f"  columns unchecked: the file as it is written gives {shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; this "
         f"telemetry looks the same if the file is wrong in one of these ways: {'; '.join(unseen[:MOST_UNSEEN])}{more}"
     ]
 
@@ -109,16 +110,16 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
 def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     at = np.flatnonzero(result["pass_of"].values == k)
     t = result["time"].values[at]
-    n = int(np.isfinite(result["weight"].values[k]).sum())
+    n = int(np.isfinite(result["probability"].values[k]).sum())
     sigma = np.degrees(result["omega_sigma_all_B"].values[k])
     mean = np.degrees(result["omega_mean_B"].values[k, :n])
-    weight = result["weight"].values[k, :n]
+    probability = result["probability"].values[k, :n]
     numbers = pass_numbers(result, k)
     numbers |= {
         "start_s": float(t[0]),
         "end_s": float(t[-1]),
         "sigma_deg_s": sigma.tolist(),
-        "modes": [
+        "solutions": [
             {"omega_deg_s": m.tolist()} | motion_numbers(result, k, i) for i, m in enumerate(mean)
         ],
     }
@@ -132,9 +133,9 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     best = (
         f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
     )
-    best += f"  weight {weight[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
+    best += f"  probability {probability[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     if numbers.get("model", AS_STATED) != AS_STATED:
-        best += f"  likeliest: {numbers['model']} (weight {numbers['model_weight']:.2f})"
+        best += f"  likeliest: {numbers['model']} (probability {numbers['model_probability']:.2f})"
     return numbers, f"  {t[0]:z10.0f} s  {len(at):3d} samples  {best}"
 
 
@@ -148,11 +149,22 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
     )
+    if "residual" in result:
+        from sunspin.output.figures.residuals import residuals_figure
+
+        yield Drawing(
+            "residuals",
+            lambda: residuals_figure(result),
+            "Residuals of each sensor in sigmas against time in each pass, with the limit of three sigma.",
+            "Size of the difference between readings and what the likeliest solution predicts, all numbers of a reading together, "
+            "in sigmas of what was assumed: noise, and of panels also other light. Farther out than six: at the edge. A wave, or "
+            "many readings beyond three sigma, speak against the solution."
+            + synthetic_note(result),
+        )
     if context.telemetry is None or context.vehicle is None:
         return
     from sunspin.output.curves import dense
     from sunspin.output.figures.panel_signals import panel_signals_figure
-    from sunspin.output.figures.residuals import residuals_figure
 
     samples, vehicle = context.telemetry, context.craft()
     runs = dense(result)
@@ -163,17 +175,6 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "Signal of each panel against time in up to four passes: samples as dots, the solution's prediction as a line.",
             "Panel signals of the passes with the most samples: dots are samples, lines what the likeliest solution predicts, with "
             "one factor for each pass." + synthetic_note(result),
-        )
-    if set(samples.data_vars) & READ:
-        yield Drawing(
-            "residuals",
-            lambda: residuals_figure(result, samples, vehicle),
-            "Residuals of each sensor in sigmas against time in each pass, and their distribution compared with the stated noise.",
-            "Readings less what the likeliest motion predicts, in sigmas of their noise (grey: one sigma; farther out than six: at "
-            "the edge). Right, a predictive check: bars are the residuals, the line is how they scatter if the motion is right and "
-            "the noise as stated. A wave, or more readings beyond three sigma than noise makes, speaks against the motion. "
-            "Dark panels that read zero are left out. A sensor marked as not used was kept out of the fit."
-            + synthetic_note(result),
         )
 
 

@@ -22,6 +22,7 @@ from sunspin.base.errors import InputError, SunspinError, printable, sentence
 from sunspin.base.netcdf import read_elsewhere, read_groups
 from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.folder import MANIFEST, MARKER, maker
+from sunspin.output.kind import refuse_former
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import read_vehicle
 from sunspin.vehicle.timeline import Timeline, parse_timeline
@@ -123,7 +124,7 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
     Raises
     ------
     InputError
-        No such folder, not one of ours, or of a version that wrote no manifest.
+        No such folder, not one of ours, or of a version that wrote no manifest or had other names.
     """
     path = Path(folder)
     if not path.is_dir():
@@ -155,6 +156,8 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
         if damaged == MAX_DAMAGED or size > MAX_TOTAL_BYTES:
             results.problems.append(f"Data listed after {_name(entry)} were not read.")
             break
+    for data in results.data.values():
+        refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
     for entry in _entries(results, manifest, "figures"):
         figure = results.attempt(_name(entry), lambda entry=entry: _figure(path, entry))
         results.figures += [] if figure is None else [figure]

@@ -146,13 +146,13 @@ def _normals(vehicle: Vehicle) -> go.Scatter3d:
 
 def rate_space(results: Results) -> Iterator[View]:
     """Initial rates that fit: draws of a posterior, or the near-minimum sets of scans with their lines."""
-    draws = results.first("omega_B", "log_weight", "mode_id")
+    draws = results.first("omega_B", "log_weight", "solution_id")
     if draws is not None:
         omega = np.degrees(draws["omega_B"].values.reshape(-1, 3).astype(float))
-        region = draws["mode_id"].values.ravel()
-        numbers, counts = np.unique(region, return_counts=True)
+        solution = draws["solution_id"].values.ravel()
+        numbers, counts = np.unique(solution, return_counts=True)
         traces = [
-            _cloud(_thinned(omega[region == n]), f"solution {n + 1}", COLOURS[k % 6], 2)
+            _cloud(_thinned(omega[solution == n]), f"solution {n + 1}", COLOURS[k % 6], 2)
             for k, n in enumerate(numbers[np.argsort(-counts)][:7])
         ]
         text = "Draws of the body rate at the first sample, body axes, a colour for each solution."
