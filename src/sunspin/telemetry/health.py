@@ -17,7 +17,7 @@ from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
-from sunspin.telemetry.sun import SunStatus, sun_directions
+from sunspin.telemetry.sun import SunStatus, signals, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     lit_patterns,
@@ -37,6 +37,15 @@ probability than this; nor do panels turned by their stated sigmas where any of 
 
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
+
+
+class NoiseVerdict(NamedTuple):
+    """All samples of one forbidden pattern: the largest `probability` and `pattern_probability` of `NoiseMade` among them,
+    and log10 of the product of `probability` over them, as their noise is independent."""
+
+    largest: float
+    largest_of_pattern: float
+    log10_together: float
 
 
 class PanelHealth(xr.Dataset):
@@ -59,11 +68,11 @@ class PanelHealth(xr.Dataset):
         if key == "explanations":
             return named_panels(self, "lost")
         if key == "noise":
-            verdicts = map(
-                NoiseVerdict, *(self[name].values.tolist() for name in NoiseVerdict._fields)
+            figures = zip(
+                *(self[name].values.tolist() for name in NoiseVerdict._fields), strict=True
             )
-            known = zip(named_panels(self, "impossible_lit"), verdicts, strict=True)
-            return {pattern: verdict for pattern, verdict in known if not np.isnan(verdict.largest)}
+            verdicts = zip(named_panels(self, "impossible_lit"), figures, strict=True)
+            return {p: NoiseVerdict(*of_p) for p, of_p in verdicts if not np.isnan(of_p[0])}
         return super().__getitem__(key)
 
 
@@ -113,128 +122,84 @@ def panel_health(
     sun = telemetry if is_sun else sun_directions(vehicle, telemetry, **options)
     forbidden = np.flatnonzero(np.asarray(sun["status"]) == SunStatus.IMPOSSIBLE)
     names = np.array(vehicle.input_names)
-    patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
-    counts = {pattern: patterns.count(pattern) for pattern in dict.fromkeys(patterns)}
-    threshold, verdicts = float(sun.attrs["lit_threshold"]), {}
-    sigma = (
-        UNKNOWN if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])
-    )  # what is assumed explains nothing
-    probability, turned = np.zeros(len(patterns)), {}
-    if not is_sun and patterns and np.isfinite(sigma) and sigma > 0:
-        power = _values(telemetry)
-        made = noise_alone(vehicle, power[forbidden], sigma, threshold)
-        probability = made.probability
-        verdicts = {pattern: _verdict(made, [p == pattern for p in patterns]) for pattern in counts}
-        bright = _brightness(vehicle, power, sun["best_B"].values)[forbidden]
-        turned = _turned(vehicle, power[forbidden], bright, sigma, threshold, patterns)
+    of_sample = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
+    patterns, n = list(dict.fromkeys(of_sample)), sun.sizes["time"]
+    members = [np.array([own == pattern for own in of_sample]) for pattern in patterns]
+    threshold = float(sun.attrs["lit_threshold"])
+    # assumed noise explains nothing
+    sigma = np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])
+    chance, turned = np.zeros(len(of_sample)), np.full(len(patterns), np.nan)
+    noise = np.full((len(patterns), 3), np.nan)
+    if not is_sun and patterns and sigma > 0:
+        power = signals(telemetry) if isinstance(telemetry, xr.Dataset) else np.array(telemetry)
+        power = np.atleast_2d(power)
+        by_noise = noise_alone(vehicle, power[forbidden], sigma, threshold)
+        chance = by_noise.probability
+        for k, own in enumerate(members):
+            together = by_noise.log_probability[own].sum() / np.log(10)
+            noise[k] = chance[own].max(), by_noise.pattern_probability[own].max(), together
+        if (tilt := turned_sigma(vehicle)).any():
+            # the factor between gains and full Sun; that of the brighter samples where the Sun is oblique to all panels
+            shape = panel_power(vehicle, sun["best_B"].values)
+            bright = (power * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300)
+            bright = np.nan_to_num(bright)
+            bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
+            by_turns = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
+            turned = np.array([by_turns.probability[own].min() for own in members])
     limit = np.inf if could_be_noise is None else could_be_noise
-    n = sun.sizes["time"]
-    by_turns = {
-        pattern for pattern, least in turned.items() if could_be_turned and _shown(least, n)
-    }
     needed = [
-        p
-        for p, chance in zip(patterns, probability, strict=True)
-        if chance < limit and p not in by_turns
+        pattern
+        for pattern, own, least in zip(patterns, members, turned, strict=True)
+        if (chance[own] < limit).any() and not (could_be_turned and _may_be_turned(least, n))
     ]
-    about = provenance("panel_health", sun, **vehicle.said)
-    about |= {"noise_sigma": sigma, "lit_threshold": threshold}
-    return _health(
-        vehicle, counts, explanations(vehicle, list(dict.fromkeys(needed))), verdicts, turned, about
+
+    def rows(sets: Sequence[Any]) -> np.ndarray:
+        members = np.array([[name in panels for name in names] for panels in sets], dtype=bool)
+        return members.reshape(-1, len(names))
+
+    about = {
+        "largest": "bound on the probability that noise alone made the likeliest sample",
+        "largest_of_pattern": "probability that noise shows this pattern, at most",
+        "log10_together": "log10 of that bound for all samples together",
+        "turned": "bound on the probability that noise and panels turned by their stated sigmas make the least likely sample",
+    }
+    figures = np.column_stack([noise, turned]).T
+    counts = np.array([own.sum() for own in members], dtype=np.int64)
+    sets = {
+        "allowed_lit": ("allowed_pattern", lit_patterns(vehicle), "lit panels, as possible"),
+        "impossible_lit": ("pattern", patterns, "lit panels, as seen and impossible"),
+        "lost": (
+            "explanation",
+            explanations(vehicle, needed),
+            "panels whose loss explains all impossible patterns",
+        ),
+    }
+    attrs = provenance("panel_health", sun, **vehicle.said)
+    return PanelHealth(
+        {
+            name: ((dimension, "panel"), rows(panels), {"long_name": long_name})
+            for name, (dimension, panels, long_name) in sets.items()
+        }
+        | {
+            "samples": (
+                "pattern",
+                counts,
+                {"units": "1", "long_name": "samples that show the pattern"},
+            )
+        }
+        | {
+            name: ("pattern", value, {"units": "1", "long_name": long_name})
+            for (name, long_name), value in zip(about.items(), figures, strict=True)
+        },
+        coords={"panel": names.tolist()},
+        attrs=attrs | {"noise_sigma": sigma, "lit_threshold": threshold},
     )
 
 
-def _brightness(vehicle: Vehicle, power: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
-    """Factor (n) between gains and full Sun: of a sample in which the Sun stands aside of all panels, that of the brighter ones."""
-    shape = panel_power(vehicle, sun_B)
-    own = np.nan_to_num((power * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300))
-    return np.maximum(own, np.quantile(own, BRIGHT_QUANTILE))
-
-
-def _turned(
-    vehicle: Vehicle,
-    power: np.ndarray,
-    bright: np.ndarray,
-    sigma: float,
-    threshold: float,
-    patterns: list[tuple[str, ...]],
-) -> dict[tuple[str, ...], float]:
-    """Of each pattern the least probability that noise and panels turned by their stated sigmas make one of its samples."""
-    by_turn = turned_sigma(vehicle)
-    if not by_turn.any():
-        return {}
-    chance = noise_alone(
-        vehicle, power, sigma, threshold, bright[:, None] * by_turn
-    ).probability.tolist()
-    return {
-        pattern: min(p for p, own in zip(chance, patterns, strict=True) if own == pattern)
-        for pattern in set(patterns)
-    }
-
-
-def _shown(least: float, n: int) -> bool:
+def _may_be_turned(least: float, n: int) -> bool:
     """Whether `n` samples of which the least probable has the probability `least` may be those of turned panels: these are the same
     in all samples, so that samples are not independent and only the smallest counts."""
     return bool(least * n > NOISE_ALONE)
-
-
-UNKNOWN = float("nan")
-
-
-def _health(
-    vehicle: Vehicle,
-    counts: dict[tuple[str, ...], int],
-    lost: list[tuple[str, ...]],
-    verdicts: dict[tuple[str, ...], NoiseVerdict],
-    turned: dict[tuple[str, ...], float],
-    about: dict[str, Any],
-) -> PanelHealth:
-    names = vehicle.input_names
-
-    def rows(sets: Sequence[Any]) -> np.ndarray:
-        return np.array([[name in one for name in names] for one in sets], dtype=bool).reshape(
-            -1, len(names)
-        )
-
-    noise = [verdicts.get(pattern, NoiseVerdict(UNKNOWN, UNKNOWN, UNKNOWN)) for pattern in counts]
-    of_noise = (
-        "bound on the probability that noise alone made the likeliest sample",
-        "probability that noise shows this pattern, at most",
-        "log10 of that bound for all samples together",
-    )
-    least = np.array([turned.get(pattern, UNKNOWN) for pattern in counts], dtype=np.float64)
-    said = "bound on the probability that noise and panels turned by their stated sigmas make the least likely sample"
-    return PanelHealth(
-        {
-            "allowed_lit": (
-                ("allowed_pattern", "panel"),
-                rows(lit_patterns(vehicle)),
-                {"long_name": "lit panels, as possible"},
-            ),
-            "impossible_lit": (
-                ("pattern", "panel"),
-                rows(list(counts)),
-                {"long_name": "lit panels, as seen and impossible"},
-            ),
-            "samples": ("pattern", np.array(list(counts.values()), dtype=np.int64), {"units": "1"}),
-            "lost": (
-                ("explanation", "panel"),
-                rows(lost),
-                {"long_name": "panels whose loss explains all impossible patterns"},
-            ),
-        }
-        | {
-            name: (
-                "pattern",
-                np.array([verdict[k] for verdict in noise]),
-                {"units": "1", "long_name": of_noise[k]},
-            )
-            for k, name in enumerate(NoiseVerdict._fields)
-        }
-        | {"turned": ("pattern", least, {"units": "1", "long_name": said})},
-        coords={"panel": list(names)},
-        attrs=about,
-    )
 
 
 NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
@@ -246,7 +211,7 @@ def made_by(health: PanelHealth, n: int) -> str:
     if noise_made(health, n):
         return NOISE
     least = health["turned"].values
-    return TURNS if least.size and all(_shown(p, n) for p in least) else ""
+    return TURNS if least.size and all(_may_be_turned(p, n) for p in least) else ""
 
 
 def noise_made(health: PanelHealth, n: int) -> bool:
@@ -254,44 +219,34 @@ def noise_made(health: PanelHealth, n: int) -> bool:
     probable it is that any so many of them read so."""
     from scipy.special import gammaln
 
-    count = sum(health["impossible"].values())
-    if not count or set(health["noise"]) != set(health["impossible"]):
+    count = int(health["samples"].sum())
+    if not count or health["largest"].isnull().any():
         return False
-    log10 = sum(verdict.log10_together for verdict in health["noise"].values())
+    log10 = float(health["log10_together"].sum())
     any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
     return bool(log10 + any_of_them / np.log(10) > np.log10(NOISE_ALONE))
-
-
-def _values(telemetry: Any) -> np.ndarray:
-    if not isinstance(telemetry, xr.Dataset):
-        return np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
-    name = "power_W" if "power_W" in telemetry else "current_A"
-    return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
 
 
 def explanations(
     vehicle: Vehicle, patterns: list[tuple[str, ...]], size: int | None = None
 ) -> list[tuple[str, ...]]:
-    """The smallest sets of panels that make every given lit pattern possible, several if equally small; or all of a `size`."""
+    """The smallest sets of panels that make every given lit pattern possible, several if equally small; or all of a `size`. A set
+    explains a pattern if some possible pattern lights all of it and nothing else but panels of the set."""
     possible = observable_patterns(vehicle)
     if not patterns:
         return []
-    sizes = range(1, len(vehicle.input_names) + 1) if size is None else [size]
-    for count in sizes:
-        found = [
+    for count in range(1, len(vehicle.input_names) + 1) if size is None else [size]:
+        sets = [
             lost
             for lost in combinations(vehicle.input_names, count)
-            if all(_explained(p, lost, possible) for p in patterns)
+            if all(
+                any(set(p) <= lit and lit - set(p) <= set(lost) for lit in possible)
+                for p in patterns
+            )
         ]
-        if found:
-            return found
+        if sets:
+            return sets
     return []
-
-
-def _explained(pattern: tuple[str, ...], lost: tuple[str, ...], possible: frozenset) -> bool:
-    """Whether some possible pattern lights all of `pattern` and nothing else but lost panels."""
-    seen = frozenset(pattern)
-    return any(seen <= other and other - seen <= frozenset(lost) for other in possible)
 
 
 class NoiseMade(NamedTuple):
@@ -308,24 +263,6 @@ class NoiseMade(NamedTuple):
     pattern_probability: np.ndarray
     sun_B: np.ndarray
     log_probability: np.ndarray
-
-
-class NoiseVerdict(NamedTuple):
-    """All samples of one forbidden pattern: the largest `probability` and `pattern_probability` of `NoiseMade` among them,
-    and log10 of the product of `probability` over them, as their noise is independent."""
-
-    largest: float
-    largest_of_pattern: float
-    log10_together: float
-
-
-def _verdict(made: NoiseMade, member: list[bool]) -> NoiseVerdict:
-    together = made.log_probability[member].sum() / np.log(10)
-    largest, of_pattern = (
-        float(made.probability[member].max()),
-        float(made.pattern_probability[member].max()),
-    )
-    return NoiseVerdict(largest, of_pattern, float(together))
 
 
 def noise_alone(

@@ -64,8 +64,8 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
         if sensor is not None and table.has(sensor.names):
             dimension, value, attrs = sensor.seen(_numbers(table, sensor.names))
             variables[variable] = (("time", dimension), value, attrs)
-    wheels = [wheel for wheel in vehicle.wheels if wheel.speed_column]
-    if wheels and table.has([wheel.speed_column for wheel in wheels]):
+    speed_columns = [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
+    if speed_columns and table.has(speed_columns):
         speed = np.full((len(table.cells), len(vehicle.wheels)), np.nan)
         for k, wheel in enumerate(vehicle.wheels):
             if wheel.speed_column:
@@ -135,7 +135,7 @@ def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     name = "Sun by the Sun sensors, body axes"
     variables |= _sun_pair("sun_sensor", sun, covariance, name)
     if other is not None:
-        known = unsure.any(axis=1)
+        known = np.asarray(unsure.any(axis=1))
         sun = np.where(known[:, None], other[0], np.nan)
         covariance = np.where(known[:, None, None], other[1], np.nan)
         name = "Sun by the Sun sensors, if their y runs the other way"
