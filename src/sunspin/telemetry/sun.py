@@ -168,56 +168,94 @@ def sun_directions(
     power, base = _powers(vehicle, telemetry)
     noise = noise if noise is not None else vehicle.telemetry.noise
     threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
-    finite = np.all(np.isfinite(power), axis=1) & ~_flagged(base, len(power))
+    finite = np.all(np.isfinite(power), axis=1)
+    if base is not None and "flag" in base:
+        finite &= np.asarray(base["flag"]) == 0
     clean = np.where(finite[:, None], power, 0.0)
     dark = dark_noise(clean) if noise is None else None
-    if threshold is None:
-        untold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
-        threshold = LIT_SIGMAS * noise if noise is not None else untold
+    if threshold is None and noise is not None:
+        threshold = LIT_SIGMAS * noise
+    elif threshold is None:
+        threshold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
     lit = (clean > threshold) & finite[:, None]
-    status, texts = _statuses(vehicle, lit, finite)
+    patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
+    inverse = inverse.ravel()
+    of_pattern = _pattern_statuses(vehicle, [tuple(row) for row in patterns.tolist()])
+    status = np.array([code for code, _ in of_pattern], dtype=np.int8)[inverse]
+    texts = np.array([text for _, text in of_pattern], dtype=object)[inverse]
+    status[~finite], texts[~finite] = SunStatus.MISSING, STATUS_TEXT[SunStatus.MISSING]
     if np.any(status == SunStatus.DARK):
         wrong = panel_unit(vehicle, clean) if wrong_unit is None else wrong_unit()
         if wrong is not None:
-            texts = np.where(status == SunStatus.DARK, str(wrong), texts)
+            texts[status == SunStatus.DARK] = str(wrong)
     direction, delta = best_directions(vehicle, clean)
-    told = is_reconstructed(status)
-    noise_from = (
-        "given"
-        if noise is not None
-        else "estimated from the redundancy of samples with more than three lit panels"
-    )
+    known = is_reconstructed(status)
+    noise_from = "given"
     if noise is None:
         noise = _pooled_noise(clean, delta, lit, status)
+        noise_from = "estimated from the redundancy of samples with more than three lit panels"
     if np.isnan(noise) and dark is not None:
         noise, noise_from = dark, DARK_FROM
-    doubtful = told.copy()
-    doubtful[told] = _several(vehicle, clean[told], noise) | _free(vehicle, direction[told])
+    doubtful = known.copy()
+    doubtful[known] = _several(vehicle, clean[known], noise) | _free(vehicle, direction[known])
     if np.isnan(noise):
         noise, noise_from = assumed_noise(clean), ASSUMED_FROM
-    covariance = _covariances(vehicle, clean, lit, told & ~doubtful, noise)
-    doubtful |= told & ~np.isfinite(covariance).all(axis=(1, 2))
-    if doubtful.any():
-        status[doubtful], texts = (
-            SunStatus.SEVERAL,
-            np.where(doubtful, STATUS_TEXT[SunStatus.SEVERAL], texts),
-        )
-        told &= ~doubtful
-    arcs = _arcs(vehicle, clean, lit, status)
-    return _dataset(
-        vehicle,
-        base,
-        direction,
-        told,
-        delta,
-        covariance,
-        status,
-        texts,
-        lit,
-        arcs,
-        noise,
-        noise_from,
-        threshold,
+    response = vehicle.response_in()
+    covariance, arcs = np.full((len(power), 3, 3), np.nan), np.full((len(power), 2, 3), np.nan)
+    for k, pattern in enumerate(patterns):
+        samples = np.flatnonzero((inverse == k) & known & ~doubtful)
+        if samples.size:
+            covariance[samples] = response.covariance(clean[samples], pattern, noise)
+    doubtful |= known & ~np.isfinite(covariance).all(axis=(1, 2))
+    status[doubtful], texts[doubtful] = SunStatus.SEVERAL, STATUS_TEXT[SunStatus.SEVERAL]
+    known &= ~doubtful
+    for i in np.flatnonzero(status == SunStatus.ARC):
+        arcs[i] = response.arc(clean[i], lit[i])
+    variables = {
+        "sun_B": (
+            np.where(known[:, None], direction, np.nan),
+            "direction to the Sun, body axes",
+            "1",
+            "axis",
+        ),
+        "best_B": (direction, "a minimiser of Delta, whatever the status", "1", "axis"),
+        "delta": (delta, "misfit Delta, paper eq. 2", "1"),
+        "sigma_rad": (
+            np.sqrt(np.trace(covariance, axis1=1, axis2=2)),
+            "rms angle of the error from panel noise",
+            "rad",
+        ),
+        "sun_cov_B": (covariance, "tangent covariance", "1", "axis", "axis2"),
+        "n_lit": (lit.sum(axis=1).astype(np.int32), "number of lit panels", "1"),
+        "sun_arc_B": (arcs, "ends of the arc of directions", "1", "end", "axis"),
+    }
+    data = xr.Dataset(
+        {
+            name: (("time", *dimensions), value, {"units": units, "long_name": long_name})
+            for name, (value, long_name, units, *dimensions) in variables.items()
+        },
+        coords={"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)},
+        attrs=({} if base is None else dict(base.attrs))
+        | provenance("sun_directions", **vehicle.said)
+        | {
+            "noise": float(noise),
+            "noise_from": noise_from,
+            "lit_threshold": float(threshold),
+            "source": "paper, eqs. 1 and 2, minimised exactly",
+        },
+    )
+    if base is not None:
+        coords = {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
+        data = data.assign_coords(coords)
+    flags = {
+        "long_name": "why a sample gives a direction or not",
+        "flag_values": [int(s) for s in SunStatus],
+        "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
+    }
+    return data.assign(
+        status=("time", status, flags),
+        status_text=("time", texts.astype(np.str_), {"long_name": "status in words"}),
+        lit=(("time", "panel"), lit, {"long_name": "panel is lit"}),
     )
 
 
@@ -247,27 +285,6 @@ def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | 
             )
         )
     return power, None
-
-
-def _flagged(base: xr.Dataset | None, n: int) -> np.ndarray:
-    return (
-        np.zeros(n, dtype=bool)
-        if base is None or "flag" not in base
-        else np.asarray(base["flag"]) != 0
-    )
-
-
-def _statuses(
-    vehicle: Vehicle, lit: np.ndarray, finite: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
-    inverse = inverse.ravel()
-    found = _pattern_statuses(vehicle, [tuple(row) for row in patterns.tolist()])
-    status = np.array([code for code, _ in found], dtype=np.int8)[inverse]
-    texts = np.array([text for _, text in found], dtype=object)[inverse]
-    status[~finite] = SunStatus.MISSING
-    texts[~finite] = STATUS_TEXT[SunStatus.MISSING]
-    return status, texts.astype(np.str_)
 
 
 def best_directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -313,92 +330,3 @@ def _pooled_noise(
     residual = delta[checked] * np.linalg.norm(power[checked], axis=1)
     noise = float(np.sqrt((residual**2).sum() / freedom))
     return noise if noise > ROUNDING * power.max() else float("nan")
-
-
-def _covariances(
-    vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, told: np.ndarray, noise: float
-) -> np.ndarray:
-    """Tangent covariance (n, 3, 3) of the direction from the noise of the powers, NaN where there is no direction."""
-    covariance = np.full((len(power), 3, 3), np.nan)
-    patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
-    for k, pattern in enumerate(patterns):
-        samples = np.flatnonzero((inverse.ravel() == k) & told)
-        if samples.size:
-            covariance[samples] = vehicle.response_in().covariance(power[samples], pattern, noise)
-    return covariance
-
-
-def _arcs(vehicle: Vehicle, power: np.ndarray, lit: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """Ends (n, 2, 3) of the arc of equally good directions where the lit panels leave one."""
-    ends = np.full((len(power), 2, 3), np.nan)
-    for i in np.flatnonzero(status == SunStatus.ARC):
-        ends[i] = vehicle.response_in().arc(power[i], lit[i])
-    return ends
-
-
-def _dataset(
-    vehicle,
-    base,
-    direction,
-    told,
-    delta,
-    covariance,
-    status,
-    texts,
-    lit,
-    arcs,
-    noise,
-    noise_from,
-    threshold,
-):
-    coords: dict[str, Any] = {"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)}
-    if base is not None:
-        coords |= {name: base[name] for name in ("time", "utc", "phase") if name in base.coords}
-    attrs = {} if base is None else dict(base.attrs)
-    attrs |= provenance("sun_directions", **vehicle.said) | {
-        "noise": float(noise),
-        "noise_from": noise_from,
-        "lit_threshold": float(threshold),
-        "source": "paper, eqs. 1 and 2, minimised exactly",
-    }
-    flags = {
-        "flag_values": [int(s) for s in SunStatus],
-        "flag_meanings": " ".join(s.name.lower() for s in SunStatus),
-    }
-    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    return xr.Dataset(
-        {
-            "sun_B": (
-                ("time", "axis"),
-                np.where(told[:, None], direction, np.nan),
-                {"units": "1", "long_name": "direction to the Sun, body axes"},
-            ),
-            "best_B": (
-                ("time", "axis"),
-                direction,
-                {"units": "1", "long_name": "a minimiser of Delta, whatever the status"},
-            ),
-            "delta": ("time", delta, {"units": "1", "long_name": "misfit Delta, paper eq. 2"}),
-            "sigma_rad": (
-                "time",
-                sigma,
-                {"units": "rad", "long_name": "rms angle of the error from panel noise"},
-            ),
-            "sun_cov_B": (
-                ("time", "axis", "axis2"),
-                covariance,
-                {"units": "1", "long_name": "tangent covariance"},
-            ),
-            "status": ("time", status, flags),
-            "status_text": ("time", texts),
-            "lit": (("time", "panel"), lit),
-            "n_lit": ("time", lit.sum(axis=1).astype(np.int32), {"units": "1"}),
-            "sun_arc_B": (
-                ("time", "end", "axis"),
-                arcs,
-                {"units": "1", "long_name": "ends of the arc of directions"},
-            ),
-        },
-        coords=coords,
-        attrs=attrs,
-    )
