@@ -13,8 +13,8 @@ import sunspin as ss
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.wiring import signed_axes
 from sunspin.telemetry.assess import assess, panel_quality
-from sunspin.telemetry.panel_unit import panel_unit
 from sunspin.telemetry.sun import sun_directions
+from sunspin.telemetry.units import panel_unit
 from sunspin.vehicle.file import line_of, parse_vehicle
 from sunspin.vehicle.response.panels import panel_power
 

@@ -9,10 +9,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.telemetry.health import PanelHealth, panel_health
-from sunspin.telemetry.panel_unit import WrongUnit, panel_unit
 from sunspin.telemetry.quality import DEAD_SAMPLES, SURELY_LIT, judge_readings
 from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, signals, sun_directions
-from sunspin.telemetry.units import wrong_units
+from sunspin.telemetry.units import WrongUnit, panel_unit, wrong_units
 from sunspin.vehicle import Vehicle
 
 HEALTH_SAMPLES = 3000
@@ -124,5 +123,16 @@ def assess(vehicle: Vehicle, telemetry: xr.Dataset | Assessment) -> Assessment:
 
 
 def panel_quality(vehicle: Vehicle, telemetry: xr.Dataset | Assessment) -> xr.Dataset:
-    """Judge every reading and every sample of panel powers or currents: :attr:`Assessment.quality`."""
+    """Judge every reading and every sample of panel powers or currents: :attr:`Assessment.quality`.
+
+    Parameters
+    ----------
+    telemetry : Dataset of `read_telemetry`, or its Assessment
+
+    Returns
+    -------
+    xarray.Dataset
+        On (time, panel): `sigma`, in W or A. On `time`: `use` (0 used, 1 down-weighted, 2 dropped), `why`, `scale` and its
+        relative uncertainty `scale_sigma`. On `panel`: `dead`, `missed`, `weak`, `gain` and `gain_sigma`.
+    """
     return assess(vehicle, telemetry).quality

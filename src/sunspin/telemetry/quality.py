@@ -21,9 +21,9 @@ from sunspin.telemetry.gains import (
     prior_sigmas,
 )
 from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise
-from sunspin.telemetry.panel_unit import WrongUnit
 from sunspin.telemetry.silent import lost
 from sunspin.telemetry.sun import signals
+from sunspin.telemetry.units import WrongUnit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere

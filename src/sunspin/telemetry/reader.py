@@ -7,7 +7,9 @@ rewrite a file to have it read.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +21,10 @@ from sunspin.base.errors import TelemetryError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.columns import column_of, missing_sensors, unused_columns
 from sunspin.telemetry.noise import dark_noise
-from sunspin.telemetry.panel_unit import UNITS
-from sunspin.telemetry.sensors import ABSURD, read_sensors
+from sunspin.telemetry.sensors import ABSURD, columns_of, read_sensors, sensor_columns
 from sunspin.telemetry.stored import KIND, stored_telemetry
+from sunspin.telemetry.units import UNITS
 from sunspin.vehicle import TelemetryForm, Vehicle
 from sunspin.vehicle.craft import OR_CHANNEL
 from sunspin.vehicle.sensors import unwrapped
@@ -42,6 +43,9 @@ COLDEST_C, HOTTEST_C = -200.0, 250.0
 """No solar panel in flight is colder or hotter: such a reading is none."""
 
 UNIX_ZERO, LATEST_UNIX_S = datetime(1970, 1, 1, tzinfo=UTC), 1e11
+
+NEAR = 0.75
+"""Likeness of two names, letters and digits only, from which one is taken for the other misspelt."""
 
 LEAST_FACTOR = 0.2
 """A temperature correction below this is beyond any linear law and left out."""
@@ -375,3 +379,74 @@ def _dataset(
     }
     variables["flag"] = ("time", flag, about)
     return xr.Dataset(variables | sensors, coords, attrs)
+
+
+def column_of(
+    table: Table,
+    name: str,
+    what: str,
+    section: str = "telemetry",
+    free: list[str] | None = None,
+) -> str:
+    """The name of a column that is there; `free`: columns that a misspelt name may mean, by default all."""
+    if name not in table.header:
+        near = _nearest(name, table.header if free is None else free)
+        do = f"add it, or name the right column under [{section}] in the vehicle file"
+        raise TelemetryError(
+            sentence(
+                f"column {name!r} ({what}) is missing",
+                got="columns " + ", ".join(table.header),
+                do=do if near is None else f"did you mean {near!r}? {do[0].upper()}{do[1:]}",
+                where=table.where,
+            )
+        )
+    return name
+
+
+def _bare(name: str) -> str:
+    return re.sub(r"[^a-z0-9+-]", "", name.lower())
+
+
+def _nearest(name: str, names: list[str]) -> str | None:
+    bare = {_bare(other): other for other in names}
+    found = get_close_matches(_bare(name), bare, n=1, cutoff=NEAR)
+    return bare[found[0]] if found else None
+
+
+def unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
+    """Columns of the file that nothing reads."""
+    form = vehicle.telemetry
+    used = {
+        form.time_column,
+        "phase",
+        *columns,
+        *sensor_columns(vehicle),
+    }
+    used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
+    used |= {name for name in (form.voltage_column, form.receive_time_column) if name}
+    return [name for name in table.header if name not in used]
+
+
+def missing_sensors(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
+    """Sensors of which the file has no column at all; where it has some, or some that are nearly called so, an error names one."""
+    free, missing = unused_columns(vehicle, table, columns), []
+    for section, what, names in _sensor_parts(vehicle):
+        absent = [name for name in names if name not in table.header]
+        near = [name for name in absent if _nearest(name, free)]
+        if absent and (len(absent) < len(names) or near):
+            column_of(table, (near or absent)[0], what, section, free)
+        if absent:
+            missing.append(f"{what} ({', '.join(names)})")
+    return missing
+
+
+def _sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
+    """Table of the vehicle file, sensor in words, its columns."""
+    sensors = vehicle.sensors
+    for sensor in sensors.sun_sensors:
+        yield "[sun_sensor]", f"Sun sensor {sensor.name}", columns_of(sensor)
+    for section, part in sensors.with_columns.items():
+        yield section, section.replace("_", " "), list(part.names)
+    for wheel in vehicle.wheels:
+        if wheel.speed_column:
+            yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]

@@ -17,7 +17,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, sentence
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
-from sunspin.telemetry.panel_unit import WrongUnit, panel_unit
+from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
 from sunspin.vehicle.response.protocol import PanelResponse
