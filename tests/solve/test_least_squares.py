@@ -164,13 +164,6 @@ def test_a_batch_is_each_alone_bit_for_bit():
         assert np.array_equal(alone.system.matrix[0], together.system.matrix[i])
 
 
-def test_more_steps_change_nothing_once_all_have_stopped():
-    starts = np.random.default_rng(1).uniform(-3, 3, (10, 2))
-    assert np.array_equal(
-        solved(rosenbrock, starts).state, solved(rosenbrock, starts, steps=4000).state
-    )
-
-
 class Chain(NamedTuple):
     """A chain of 5 nodes of two unknowns, each also meeting three that all share; K of them, residuals slightly bent."""
 
@@ -273,19 +266,6 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
         np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10])
     )
     assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
-
-
-def test_chains_of_a_batch_are_each_alone_bit_for_bit():
-    chain = Chain.drawn(np.random.default_rng(3), 6)
-    chain.target[0] = 0.0  # there from the start
-    found = chain.fitted()
-    assert np.abs(whole(found.system, 0.0)[1]).max() < 1e-6  # no slope is left
-    for i in range(6):
-        alone = chain._replace(target=chain.target[i : i + 1]).fitted()
-        for part, every in zip(
-            (*alone.state, *alone.system), (*found.state, *found.system), strict=True
-        ):
-            assert np.array_equal(part[0], every[i])
 
 
 def test_what_cannot_be_linearised_is_stepped_back_from():

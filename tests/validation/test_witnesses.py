@@ -62,16 +62,3 @@ def test_a_wrong_moment_of_inertia_shows_in_the_phase():
         Vehicle("wrong", np.diag(moments * [1, 1, 1 + 1e-6])), omega, SUN, None, t
     )["omega_B"].values
     assert 1e-5 < np.abs(wrong - euler(moments, omega, t)).max() < 1e-2
-
-
-@pytest.mark.parametrize(
-    "omega",
-    [(0.2, 0.3, 1.0), (-0.2, 0.3, -1.0), (1.0, 0.3, 0.1), (-1.0, -0.3, 0.1), (0.1, -0.2, 0.9)],
-)
-def test_the_closed_form_itself_obeys_eulers_equations(omega):
-    moments, h = np.array([0.7, 1.0, 1.6]), 1e-4
-    before, now, after = euler(moments, np.array(omega), np.array([-h, 0.0, h]))
-    np.testing.assert_allclose(now, omega, atol=1e-14)
-    np.testing.assert_allclose(
-        moments * (after - before) / (2 * h), -np.cross(now, moments * now), atol=1e-7
-    )
