@@ -9,28 +9,20 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import orbit_twins
 import satellites
 import sunspin as ss
 from clock_twins import craft
 from clock_twins import twin as late_twin
 from fast_twins import Kind
 from fast_twins import twin as fast_twin
-from posteriors import philae_draws
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit import check as orbit_check
 from sunspin.estimate.orbit.judged import judged_orbit
-from sunspin.estimate.posterior import period as of_draws
-from sunspin.estimate.rates import estimate
-from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
-from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.noise import HIGHER_NOISES
-from sunspin.estimate.rates.result import _models, more_effort, slower
+from sunspin.estimate.rates.result import more_effort, slower
 from sunspin.estimate.rates.start import coarse, finest
 from sunspin.estimate.rates.state import Motion
-from sunspin.estimate.terms.period import Period
 from sunspin.output.check import orbit as check_words
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
@@ -45,7 +37,6 @@ CUBE = Vehicle(
     inertia_kg_m2=np.diag([0.02, 0.025, 0.03]),
     panels=[Panel(name, n, 1.0) for name, n in zip("abcdef", NORMALS, strict=True)],
 )
-SPHERE = replace(CUBE, inertia_kg_m2=np.eye(3))
 
 
 def seen(omega, t, seed: int = 1, noise: float = 0.01, body: Vehicle = CUBE) -> xr.Dataset:
@@ -215,20 +206,6 @@ def test_state_that_sensors_are_late():
     assert abs(stated.attrs["sensors_late_s"] - 5.3) < 3.5 * stated.attrs["sensors_late_sigma_s"]
 
 
-def test_torques_of_most_passes_are_not_stronger_than_in_the_rest_of_the_file():
-    def passes(*models: str) -> list[Pass]:
-        one = Pass(*([None] * 7))
-        return [one._replace(model=(model, 0.9)) for model in models]
-
-    motion = Motion(Body.of(CUBE), 2e-5, 0.05)
-    assert _models(passes(TORQUES_STRONGER, "as stated"), motion) == [TORQUES_STRONGER, "as stated"]
-    for models in ((TORQUES_STRONGER,), (TORQUES_STRONGER, TORQUES_STRONGER, "as stated")):
-        named = _models(passes(*models), motion)
-        assert named[0] == "unknown torques stronger than 2e-05 rad/s^1.5" and not any(
-            "rest" in name for name in named
-        )
-
-
 def test_set_the_scale_that_check_names(tmp_path):
     """Readings in W that the vehicle file takes for mW: the line that is named is replaced by what is printed."""
     from sunspin.output.check.files import about_telemetry
@@ -249,47 +226,6 @@ def test_set_the_scale_that_check_names(tmp_path):
     text[int(found[2]) - 1] = found[1]
     made.vehicle.write_text("\n".join(text), "utf-8")
     assert not wrong()
-
-
-@pytest.mark.long
-def test_give_its_inertia():
-    """A long body at 3.4 deg/s, 12 s between samples, seen by the Sun alone: of unknown inertia it is not decided, and with its own
-    one, products of inertia included, it is, rightly."""
-    vehicle, data, run, _ = orbit_twins.make(2, 12)
-    taken_for_a_sphere = ss.rates(vehicle, data)
-    verdict, why = (
-        taken_for_a_sphere.attrs["verdict"],
-        str(taken_for_a_sphere["why_not_decided"].values[0]),
-    )
-    assert (
-        "GIVE ITS INERTIA" in verdict
-        and "give its inertia" in why
-        and not taken_for_a_sphere["decided"].values[0]
-    )
-    rng = np.random.default_rng(np.random.SeedSequence(2, spawn_key=(12,)))
-    _ = orbit_twins.Orbit.drawn(rng), orbit_twins.Ground.drawn(rng)
-    body, _ = orbit_twins.drawn_body(rng)
-    known = ss.rates(replace(vehicle, inertia_kg_m2=body.inertia), data)
-    assert "INERTIA" not in known.attrs["verdict"] and known["decided"].values[0], known[
-        "why_not_decided"
-    ].values
-    truth = run["omega_B"].sel(time=known["time"].values).values
-    off = (known["omega_mean_B"].values[0, 0] - truth.mean(axis=0)) / known[
-        "omega_sigma_all_B"
-    ].values[0]
-    assert np.abs(off).max() < 4
-
-
-def test_a_body_that_is_decided_is_not_asked_for_its_inertia(monkeypatch):
-    """A noise that is strong on the ladder and smaller once refined: the pass is decided, and the verdict says no other thing."""
-    monkeypatch.setattr(estimate, "choose", lambda o, *_: (HIGHER_NOISES[0], o, "none"))
-    data = seen([0.01, 0.012, -0.01], TIMES, body=SPHERE)
-    result = ss.rates(replace(SPHERE, inertia_kg_m2=None), data, max_rate_rad_s=0.05)
-    asked = "GIVE ITS INERTIA" in result.attrs["verdict"]
-    assert (
-        result.attrs["acceleration_noise"] < HIGHER_NOISES[0]
-        and bool(result["decided"].values[0]) is not asked
-    )
 
 
 def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
@@ -338,23 +274,3 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_words, "orbit_of", lambda *_: orbit)
         return check_words.about_orbit(vehicle, data, None, None)[1]
-
-
-def test_more_draws_tell_what_periods_decide(monkeypatch):
-    """A period that few draws have: the same draws, and eight times as many, as `--draws` gives."""
-    decided = {}
-    for count in (4000, 32000):
-        tree, _ = philae_draws(count, 0.01)
-        monkeypatch.setattr(
-            of_draws,
-            "periods_of",
-            lambda *_, n=count: np.stack([np.linspace(10, 20, n)] * 3, axis=1),
-        )
-        of_draws.with_periods(ss.load_vehicle("philae"), tree, [Period(0.0, 14.0, 0.05)])
-        decided[count] = of_draws.period_sentences(tree["period"].to_dataset())
-    few, many = decided.values()
-    assert (
-        "ask for more --draws" in few[0]
-        and len(many) == 2
-        and "with periods the angular speed" in many[1]
-    )
