@@ -13,7 +13,6 @@ import satellites
 import sunspin as ss
 from clock_twins import craft
 from clock_twins import twin as late_twin
-from fast_twins import Kind
 from fast_twins import twin as fast_twin
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
@@ -88,9 +87,7 @@ def test_give_more_effort():
 
 def test_give_a_smaller_largest_rate():
     """With the rate that the sentence names the grid of starts is fine; with one a little larger it is not."""
-    vehicle, data, _ = fast_twin(
-        Kind(60.0, "long", False, "directions"), np.random.default_rng(5), samples=5
-    )
+    vehicle, data, _ = fast_twin(60.0, np.random.default_rng(5), samples=5)
     from sunspin.estimate.rates.observe import observations
 
     o, motion = observations(vehicle, data)[0], Motion(Body.of(vehicle), 1e-5, 0.5)

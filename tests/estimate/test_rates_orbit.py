@@ -1,5 +1,5 @@
 """Rates of satellites in orbit: the Earth's light, a magnetic torque, a field that turns. All telemetry is synthetic, made by the
-equations of `tests/orbit_twins.py` and not by the package's."""
+equations of the tests' own and not by the package's."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import clock_twins
-import orbit_twins
 import strange_rates
 from coverage_twins import CUBE, albedo, twin
 from sunspin.estimate.rates.motion import Body, Ends, step
@@ -18,8 +17,7 @@ from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.magnetic_torque import MagneticTorque
-from sunspin.estimate.terms.magnetometer import LEFT, TURN_RATE, Magnetometer
-from sunspin.estimate.terms.panels import Panels
+from sunspin.estimate.terms.magnetometer import LEFT, TURN_RATE
 from sunspin.estimate.terms.term import normal
 from sunspin.solve.rotations import turn, turn_between
 from sunspin.vehicle import Panel, Vehicle
@@ -127,69 +125,6 @@ def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
     off = np.abs(made - true).reshape(2, 3).max(axis=1) / np.abs(true).reshape(2, 3).max(axis=1)
     reached("torque of a dipole, of turn and rate", off, "of the most", limit=0.03)
     assert off.max() < 0.03
-
-
-@pytest.mark.evidence(
-    "rates",
-    "modelled",
-    "CubeSats in orbit, by equations of the tests' own; each fails without what it needs",
-)
-@pytest.mark.parametrize(
-    ("i", "without"),
-    [
-        pytest.param(
-            13, (MagneticTorque, "beside", lambda noise, field_N: MagneticTorque(0.0)), id="torque"
-        ),
-        pytest.param(
-            8, (Magnetometer, "freed", lambda self, t_s: self), id="field", marks=pytest.mark.slow
-        ),
-    ],
-)
-@pytest.mark.slow
-def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(
-    i, without, monkeypatch, reached
-):
-    """All passes of a twin, and the control: the same without the unknown."""
-    found = orbit_twins.judge(0, i)["passes"]
-    pulls = np.array([part["pulls"] for part in found])
-    reached("distance of mean rates", pulls, "sigmas", limit=3.0)
-    assert pulls.max() < 3.0 and all(part["word"] == "decided" for part in found)
-    monkeypatch.setattr(*without)
-    assert max(max(part["pulls"]) for part in orbit_twins.judge(0, i)["passes"]) > pulls.max() + 1
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.slow)]
-)
-def test_what_changes_alike_for_minutes_is_told_in_one_orbit(i):
-    found = orbit_twins.judge(0, i, orbits=1)["passes"]
-    assert found and all(part["word"] == "decided" and max(part["pulls"]) < 3.0 for part in found)
-
-
-@pytest.mark.evidence(
-    "rates",
-    "modelled",
-    "CubeSats in orbit under the Earth's light; half as good where it is taken for noise",
-)
-@pytest.mark.slow
-def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
-    """Five faces, 2 deg/s, light of the Earth of 0.11 of full Sun."""
-    miss = np.array([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]])
-    reached("error of mean rates", miss, "deg/s", limit=0.03)
-    assert miss.max() < 0.03
-    monkeypatch.setattr(Panels, "freed", lambda self, t_s: self)
-    monkeypatch.setattr(Panels, "_differing", lambda self: self)
-    assert (
-        np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
-    )
-
-
-@pytest.mark.long
-def test_a_long_body_of_unknown_inertia_seen_by_the_sun_alone_is_not_told_without_a_warning():
-    """A 3U CubeSat at 3.4 deg/s, 12 s between samples: the search, which takes it for a sphere, ends elsewhere."""
-    told = orbit_twins.judge(2, 12)
-    assert not told["inertia"] and "GIVE ITS INERTIA" in told["verdict"]
 
 
 @pytest.mark.slow
