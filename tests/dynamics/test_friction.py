@@ -67,6 +67,18 @@ def test_the_covariance_is_the_scatter_of_repeated_fits(reached):
     )  # 60 fits fix a width to about 9 %
 
 
+def test_the_error_of_the_curve_does_not_depend_on_when_time_began():
+    """One record, its clock begun 700 s apart: the variance of the fitted speed at each sample by the covariance of each fit."""
+    t = np.arange(0.0, 2000.0, 25.0)
+    speed, variances = published_curve(t) + np.random.default_rng(3).normal(size=t.size), []
+    for clock in (t, t + 700.0):
+        fit = fit_spin_down(clock, speed, J)
+        decay = np.exp(fit.c2_per_s * clock)
+        slope = np.stack([decay, fit.c1_rad_s * clock * decay, np.ones_like(clock)])
+        variances.append(np.einsum("it,ij,jt->t", slope, fit.covariance, slope))
+    np.testing.assert_allclose(variances[1], variances[0], rtol=1e-5)
+
+
 def test_a_wheel_that_turns_backward_has_the_same_friction():
     t = np.arange(0.0, 1500.0, 50.0)
     forward, backward = (

@@ -122,13 +122,6 @@ def test_the_study_resumes_and_writes_table_and_picture(tmp_path, capsys, framed
     assert "too few twins" in capsys.readouterr().err
 
 
-def test_an_old_results_folder_is_refused_in_one_sentence(tmp_path):
-    (tmp_path / ".sunspin-results").write_text("worth\n", "utf-8")
-    done = CliRunner().invoke(cli, ["report", str(tmp_path)])
-    assert isinstance(done.exception, InputError)
-    assert "results of `sunspin worth` are no longer shown" in str(done.exception)
-
-
 def test_a_scan_takes_a_calibrated_threshold():
     arguments = [
         "scan",

@@ -178,6 +178,21 @@ def test_one_percent_moves_e_and_not_emd(result):
     assert min(result.rates.min(), result.parameters.min()) >= rows["E_study_bound"].ours
 
 
+def test_one_percent_is_the_larger_of_more_and_less():
+    motion, t = (
+        gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0),
+        np.arange(0.0, 121.0, 20.0),
+    )
+    both = [
+        ss.direction_error(motion.changed("theta_xx", change).track(t), motion.track(t))
+        for change in (0.01, -0.01)
+    ]
+    assert max(both) > 1.001 * min(both)
+    assert gr.one_percent(motion, 20.0)["E"].sel(input="theta_xx").item() == pytest.approx(
+        max(both), rel=1e-6
+    )
+
+
 def test_valleys_are_counted_along_both_axes():
     x, y = np.meshgrid(np.linspace(0, 4 * np.pi, 81), np.linspace(0, 2 * np.pi, 61), indexing="ij")
     assert sensitivity.valleys_crossed(np.cos(x) + 0.3 * np.cos(y)) == [2, 1]
