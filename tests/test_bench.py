@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from bench import emd
 from bench.__main__ import main
 from bench.baselines import DormandPrince, TaylorBatch, fixed_body_stop_s
 from bench.problem import grid_sample, philae
 from bench.scan import last_sun, reference_emd, scanned_emd
-from bench.timing import Table, Timing, medians
 
 PHILAE = philae()
 RATES = grid_sample(PHILAE.axes(51, 51, 21), 3)
@@ -30,13 +28,6 @@ def test_a_cheap_one_runs(capsys):
     lines = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines() if "|" in line]
     differences = [float(cells[2]) for cells in lines[2:] if cells[2].strip() != "-"]
     assert len(differences) >= 2 and max(differences) < 1e-9
-
-
-@pytest.mark.parametrize("arguments", [["--only", "moon"], ["--fast"]])
-def test_unknown_arguments_are_refused(arguments, capsys):
-    with pytest.raises(SystemExit):
-        main(arguments)
-    assert "usage" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -72,43 +63,5 @@ def test_the_wheel_stops_inside_the_window_and_its_stop_matters(reference):
     assert np.linalg.norm(batch.free.state[4:, 0] - last_sun(PHILAE, omega)) > 1e-2
 
 
-def test_states_go_back_to_their_rates():
-    back = PHILAE.rates(PHILAE.starts(RATES))
-    np.testing.assert_allclose(back[np.lexsort(back.T)], RATES[np.lexsort(RATES.T)], atol=1e-12)
-
-
 def test_the_distance_the_long_way_is_that_of_the_scan():
     assert abs(scanned_emd(PHILAE, RATES[0]) - reference_emd(PHILAE, RATES[0])) < 1e-3
-
-
-def test_medians_take_turns_and_leave_out_the_warm_round():
-    calls = []
-    seconds = medians({"a": lambda: calls.append("a"), "b": lambda: calls.append("b")}, 2)
-    assert calls == ["a", "b"] * 3
-    assert set(seconds) == {"a", "b"} and all(value >= 0 for value in seconds.values())
-
-
-def test_ratios_are_taken_round_by_round():
-    assert Timing([1.0, 9.0, 6.0]).against(Timing([2.0, 3.0, 2.0])) == 3.0
-    assert Timing([1.0, 3.0], [2.0, 4.0]).cores_used == 1.5
-
-
-def test_a_table_shows_what_was_not_measured_and_its_notes():
-    table = Table("title", ("what", "s"), [("long word", 12345.6), ("x", None)], ["note"])
-    assert table.text().splitlines() == [
-        "title",
-        "",
-        "| what | s |",
-        "| --- | --- |",
-        "| long word | 12,346 |",
-        "| x | - |",
-        "",
-        "note",
-    ]
-
-
-def test_without_pot_its_rows_are_left_out_and_a_line_says_so(monkeypatch):
-    monkeypatch.setattr("bench.emd._has_pot", lambda: False)
-    table = emd.run(True)
-    assert not any("POT" in row[0] for row in table.rows)
-    assert any("POT is not installed" in note for note in table.notes)

@@ -14,8 +14,6 @@ from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.light import between, light_of, seen
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
-from sunspin.estimate.rates.images import imaged
-from sunspin.estimate.rates.state import Track
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
@@ -219,44 +217,12 @@ def test_the_mask_of_a_scan_counts_what_channels_allow(reads):
     assert np.mean(allows(reconstructible_mask(vehicle), sun) != expected) < 1e-3
 
 
-@pytest.mark.parametrize(("channels", "reads"), ARCS)
-def test_along_an_arc_lit_inputs_keep_their_proportions_to_its_ends(channels, reads):
-    vehicle = craft(channels, reads=reads)
-    response, sun = vehicle.response_in(), directions(60, 7)
-    readings = ss.panel_power(vehicle, sun)
-    arcs = [i for i in range(60) if response.rank(readings[i] > 0, sun[i]) == 2][:8]
-    assert arcs
-    for i in arcs:
-        lit = readings[i] > 0
-        for end in response.arc(readings[i], lit):
-            here, there = unit_readings(np.stack([ss.panel_power(vehicle, end), readings[i]]))
-            np.testing.assert_allclose(here[lit], there[lit], atol=1e-6)
-            around = ss.panel_power(vehicle, end + 1e-4 * directions(200, 8)) > 0
-            assert (
-                around != lit
-            ).any()  # it ends where another input is lit or one of these is dark
-
-
 def test_with_three_channels_no_set_of_lit_inputs_gives_a_direction():
     assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(
         craft({"odd": ("+X", "+Y")})
     )
     assert len(craft(THREE).response_in().images) == 8 and len(craft(ONE).response_in().images) == 2
     assert len(craft({}).response_in().images) == 1
-
-
-def test_images_change_no_reading_and_keep_rates_and_directions_together():
-    """A body that turns at its rate takes the Sun from one sample to the next, its image likewise at the rate of the image."""
-    vehicle, dt = craft(THREE), 1e-4
-    omega, sun = directions(1, 3)[0] * 0.05, directions(1, 4)[0]
-    track = Track(np.eye(3)[None, None], omega[None, None])
-    for image in vehicle.response_in().images:
-        other = imaged(track, image).omega[0, 0]
-        moved, seen = sun - dt * np.cross(omega, sun), image @ sun
-        np.testing.assert_allclose(image @ moved, seen - dt * np.cross(other, seen), atol=1e-12)
-        np.testing.assert_allclose(
-            ss.panel_power(vehicle, seen), ss.panel_power(vehicle, sun), atol=1e-12
-        )
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
@@ -328,17 +294,6 @@ def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun(
     result = ss.rates(vehicle, data)
     assert result["decided"].values[0] and away(result, truth)[0] < 4
     assert "the attitude is not known" in result.attrs["verdict"]
-
-
-@pytest.mark.long
-def test_a_gyro_decides_one_channel():
-    vehicle = craft(ONE, more=MOVES + GYRO)
-    data, truth = flight(vehicle, 2)
-    result = ss.rates(vehicle, data)
-    assert result["decided"].values[0] and away(result, truth)[0] < 4
-    assert (result["sun_B"].values * truth["sun_B"].sel(time=result["time"].values).values).sum(
-        axis=1
-    ).min() > 0.97
 
 
 def test_throttled_samples_count_by_their_ratios():

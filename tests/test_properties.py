@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Friction, Panel, Vehicle
@@ -79,28 +78,6 @@ def test_turning_or_mirroring_the_vehicle_turns_or_mirrors_its_motion(seed, n_wh
     close(b["sun_B"].values, a["sun_B"].values @ matrix.T, turned, 1e-8)
     close(b["omega_B"].values, sign * a["omega_B"].values @ matrix.T, turned, 1e-8)
     close(b["wheel_speed_rad_s"].values, a["wheel_speed_rad_s"].values, turned, 1e-8)
-
-
-@few
-@given(seeds, st.just(1))
-def test_turning_the_vehicle_turns_what_the_kernel_gives(seed, n_wheels):
-    vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
-    matrix = Rotation.random(rng=rng).as_matrix()
-    ends = [
-        k.run_rows(v, k.Rows(w[None], r[None], speeds[None]), 40.0, direction_error=1e-8)
-        for v, w, r in (
-            (vehicle, omega, sun),
-            (changed(vehicle, matrix), matrix @ omega, matrix @ sun),
-        )
-    ]
-    assert all(end.outcome[0] == k.Outcome.FINE for end in ends)
-    close(ends[1].sun_B[0, 0], matrix @ ends[0].sun_B[0, 0], 1.0, 1e-6)
-    close(
-        ends[1].sun_B[0, 0],
-        matrix @ run(vehicle, omega, sun, speeds)["sun_B"].values[-1],
-        1.0,
-        1e-6,
-    )
 
 
 @few
@@ -231,26 +208,6 @@ def test_a_run_is_its_parts_one_after_the_other(seed, n_wheels):
         T[4:],
     )
     close(rest["sun_B"].values, whole["sun_B"].values[4:], np.linalg.norm(omega) * T[-1], 1e-8)
-
-
-@few
-@given(seeds)
-def test_samples_are_answered_one_by_one(seed):
-    """Directions of many samples are those of each alone, in any order."""
-    vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
-    power = np.maximum(
-        ss.panel_power(vehicle, np.array([unit(rng) for _ in range(25)]))
-        + rng.normal(size=(25, 6)) * 0.01,
-        0,
-    )
-    order = rng.permutation(25)
-    all_, shuffled = (
-        ss.sun_directions(vehicle, p, lit_threshold=0.03, noise=0.01) for p in (power, power[order])
-    )
-    for name in ("sun_B", "delta", "status", "sigma_rad"):
-        np.testing.assert_allclose(
-            all_[name].values[order], shuffled[name].values, rtol=1e-9, atol=1e-12, err_msg=name
-        )
 
 
 @few

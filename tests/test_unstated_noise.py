@@ -18,12 +18,10 @@ from spinners import UNSTATED, Spinner
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli import cli
 from sunspin.estimate.orbit import check as orbit_check
-from sunspin.estimate.orbit import sensor_calibration
-from sunspin.estimate.orbit.invariants import seen_in
-from sunspin.telemetry.assess import assess, panel_quality
+from sunspin.telemetry.assess import panel_quality
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.sun import LIT_FRACTION, is_reconstructed
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Panel, Vehicle
 
 COLUMNS = [
     (f"{value}_{axis}{unit}", sigma.format(axis=axis) + end)
@@ -254,63 +252,14 @@ def of_powers(craft: Vehicle, power: np.ndarray) -> xr.Dataset:
     )
 
 
-def test_a_direction_without_an_error_is_no_reading(monkeypatch):
-    craft = Vehicle("v", panels=[Panel("a", [1, 0, 0], 1.0)], telemetry=TelemetryForm(noise=0.01))
-    sun, covariance = np.tile([0.0, 0.0, 1.0], (4, 1)), np.tile(1e-4 * np.eye(3), (4, 1, 1))
-    covariance[1] = np.nan
-    samples = xr.Dataset(
-        {
-            "sun_sensor_B": (("time", "axis"), sun),
-            "sun_sensor_cov_B": (("time", "axis", "axis2"), covariance),
-            "field_B": (("time", "axis"), np.array([[0.0, 0, 0], [1, 2, 3], [2, 3, 4], [3, 4, 5]])),
-        },
-        {"time": np.arange(4.0)},
-    )
-    seen = seen_in(assess(craft, samples))
-    assert np.isfinite(seen.sun).all(axis=1).tolist() == [True, False, True, True]
-
-    found = xr.Dataset(
-        {
-            "sun_B": (("time", "axis"), sun),
-            "sigma_rad": ("time", np.array([0.01, np.nan, 0.02, 0.03])),
-        }
-    )
-    monkeypatch.setattr(
-        sensor_calibration, "sun_by_panels", lambda *_: (found, np.zeros(4, dtype=bool))
-    )
-    read = sensor_calibration.readings(assess(craft, of_powers(craft, np.ones((4, 1)))))
-    assert read.t_s.tolist() == [0.0, 2.0, 3.0] and np.isfinite(read.sun_sigma).all()
-
-
 @pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.long)])
 def test_no_number_stands_beside_an_error_of_nan(stated, tmp_path, few_copies):
     everything(replace(UNSTATED, samples=6, stated=stated), tmp_path, 1, "check", "sun", "rates")
 
 
-@pytest.mark.long
-def test_one_face_that_sees_nothing_and_a_magnetometer_that_reads_zeros(tmp_path, few_copies):
-    everything(
-        replace(UNSTATED, faces=("+Z",), samples=6, spoilt=True),
-        tmp_path,
-        1,
-        "check",
-        "sun",
-        "rates",
-    )
-
-
 @pytest.mark.parametrize("seed", [0, 3, 7, 10])
 def test_drawn_files_are_judged_and_directions_have_errors(seed, tmp_path, few_copies):
     everything(Spinner.drawn(seed), tmp_path, seed, "check", "sun")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "seed",
-    [*range(100, 104), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(104, 124))],
-)
-def test_more_drawn_files_and_their_rates(seed, tmp_path, few_copies):
-    everything(Spinner.drawn(seed), tmp_path, seed, "check", "sun", "rates")
 
 
 @pytest.mark.long

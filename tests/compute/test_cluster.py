@@ -1,7 +1,6 @@
 """Rows on a Dask cluster: the same result, also when a worker is killed; nothing listens to the outside; plain refusals."""
 
 import asyncio
-import logging
 import os
 import signal
 import socket
@@ -144,19 +143,6 @@ def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypa
     assert states == ["lost"]
 
 
-def test_few_chunks_are_in_flight(client, monkeypatch):
-    given, most, submit = [], [], distributed.Client.submit
-
-    def watched(self, *arguments, **options):
-        given.append(submit(self, *arguments, **options))
-        most.append(sum(not future.done() for future in given))
-        return given[-1]
-
-    monkeypatch.setattr(distributed.Client, "submit", watched)
-    assert whole(scheduler=client, chunk=10)
-    assert len(most) == 101 and max(most) <= 4 * 2 + 1  # and the function itself
-
-
 def test_what_the_function_raises_comes_through(client):
     with pytest.raises(ArithmeticError, match="row 500 is bad"):
         ensemble(Waves(bad_row=500), scheduler=client, chunk=10)
@@ -209,16 +195,6 @@ def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
     monkeypatch.delattr("sunspin.compute.cluster")
     with pytest.raises(ss.InputError, match=r'pip install "sunspin\[cluster\]"'):
         ensemble(ROWS, scheduler="local")
-
-
-def test_workers_print_nothing_of_their_own(capfd):
-    """As the heartbeat of a worker whose scheduler has just closed: it would stand beside the sentence of an interruption."""
-    with (
-        dask.local_cluster(1) as cluster,
-        distributed.Client(cluster, set_as_default=False) as client,
-    ):
-        client.run(lambda: logging.getLogger("distributed.worker").error("no scheduler answers"))
-    assert capfd.readouterr().err == ""
 
 
 SCRIPT = """

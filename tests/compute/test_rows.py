@@ -26,22 +26,6 @@ def test_neither_chunks_nor_workers_change_a_result(workers, chunk):
     assert same(ensemble(ROWS, workers=workers, chunk=chunk), ROWS(np.arange(1000)))
 
 
-@pytest.mark.parametrize(
-    ("rows", "workers", "chunk", "most"),
-    [(1000, 4, 8192, 250), (1000, 1, 8192, 1000), (100, 8, 50, 50), (90, 8, 8192, 64)],
-)
-def test_no_worker_is_left_without_work_for_want_of_chunks(rows, workers, chunk, most):
-    sizes = []
-
-    class Counted(Waves):
-        def __call__(self, index):
-            sizes.append(len(index))
-            return super().__call__(index)
-
-    ensemble(Counted(n_rows=rows), workers=workers, chunk=chunk)
-    assert max(sizes) == most and sum(sizes) == rows
-
-
 def test_an_executor_of_the_user_computes_the_rows_and_stays_open():
     function = Waves(n_rows=150)
     with ThreadPoolExecutor(2) as executor:
@@ -81,23 +65,6 @@ def test_what_the_function_raises_comes_at_once_and_stops_the_rest(tmp_path):
     assert time.monotonic() - begun < 2
     time.sleep(0.3)  # chunks that were running end
     assert len(log.read_text().splitlines()) <= 30
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda values: values | {"path": values["path"][:, 0]},
-        lambda values: values | {"kind": values["kind"].astype(float)},
-        lambda values: {"height": values["height"]},
-    ],
-)
-def test_results_that_are_not_as_promised_are_refused(wrong):
-    class Wrong(Waves):
-        def __call__(self, index):
-            return wrong(super().__call__(index))
-
-    with pytest.raises(ss.InputError, match="the row function must return"):
-        ensemble(Wrong())
 
 
 def test_progress_counts_rows(capsys, monkeypatch):

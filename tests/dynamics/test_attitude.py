@@ -63,14 +63,3 @@ def test_steps_agree_with_eulers_equations(reached):
         assert (
             away < 2e-4 * turns[i] and np.abs(rate[i] - fast).max() < 2e-4 * turns[i]
         )  # rad, rad/s
-
-
-def test_a_motion_takes_its_own_steps_whatever_stands_beside_it():
-    omega, dt, ends = drawn(6)
-    body = Body(INERTIA, DIPOLE, False)
-    together = step(body, omega, dt, ends)
-    for i in range(6):
-        alone = step(
-            body, omega[i], dt[i], Ends(*(part if part is None else part[i] for part in ends))
-        )
-        assert np.array_equal(alone[1], together[1][i]) and np.array_equal(alone[0], together[0][i])

@@ -4,13 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import sympy as sp
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
 from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.ensemble import codegen
-from sunspin.dynamics.gyrostat import total_momentum
 from vehicles import FIRST_SUN, philae_body, random_vehicle
 
 
@@ -77,12 +74,6 @@ def test_a_wheel_that_is_held_and_let_go_again_and_again(wanted):
     assert error.max() < wanted
 
 
-def test_backward_run():
-    vehicle, rows = philae_body(), philae_rows(8)
-    result = k.run_rows(vehicle, rows, -56.0, direction_error=1e-8)
-    np.testing.assert_allclose(result.sun_B[:, 0], reference(vehicle, rows, -56.0), atol=1e-8)
-
-
 def test_backward_through_reversals_of_the_wheel():
     vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
     rows = rows_of([[0.8, 0.5, -0.6], [-0.9, 0.7, 0.8]], 0.1)
@@ -108,24 +99,6 @@ def test_the_order_of_accuracy_of_the_series_is_that_of_its_polynomials(monkeypa
         steps.append(result.steps[0])
         errors.append(np.linalg.norm(result.sun_B[0, 0] - exact[0]))
     assert np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0]) == pytest.approx(14, abs=1.0)
-
-
-def test_output_times_are_those_of_one_run():
-    vehicle, rows = philae_body(), philae_rows(5)
-    times = np.array([130.0, 1000.0, 2600.0])
-    result = k.run_rows(vehicle, rows, times, direction_error=1e-8)
-    run = ss.propagate(vehicle, rows.omega_B[0], FIRST_SUN, 865.0, [0.0, *times])
-    np.testing.assert_allclose(result.sun_B[0], run["sun_B"].values[1:], atol=1e-7)
-
-
-def test_bits_of_a_row_do_not_depend_on_its_neighbours():
-    vehicle, rows = philae_body(), philae_rows(70)
-    together = k.run_rows(vehicle, rows, 2700.0, direction_error=1e-3, bins=80)
-    order = np.random.default_rng(0).permutation(70)
-    shuffled = k.run_rows(vehicle, rows.take(order), 2700.0, direction_error=1e-3, bins=80)
-    alone = k.run_rows(vehicle, rows.take(np.array([17])), 2700.0, direction_error=1e-3, bins=80)
-    assert np.array_equal(together.hist[order], shuffled.hist)
-    assert np.array_equal(together.hist[17], alone.hist[0])
 
 
 def test_bits_of_a_distribution_do_not_depend_on_neighbours_that_change_the_method():
@@ -191,32 +164,3 @@ def test_errors_that_cannot_be_asked_for_are_refused():
         k.run_rows(vehicle, rows, 10.0, bins=8, direction_error=1e-3, emd_error=1e-3)
     with pytest.raises(ss.InputError, match="histogram"):
         k.run_rows(vehicle, rows, 10.0, emd_error=1e-3)
-
-
-def test_invariants_of_the_kernel_stay_within_the_error_asked_for():
-    vehicle, rows = philae_body(), philae_rows(20)
-    wanted = 1e-4
-    end = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
-    momentum = total_momentum(vehicle, rows.omega_B, rows.wheel_speed_rad_s)
-    for after, before in ((end.momentum_B, momentum), (end.sun_B, rows.sun_B)):
-        lengths = (np.linalg.norm(y, axis=-1) for y in (after[:, 0], before))
-        assert np.abs(np.divide(*lengths) - 1).max() < wanted
-
-
-def test_an_edit_to_the_physics_is_another_kernel(monkeypatch):
-    from sunspin.dynamics import gyrostat
-    from sunspin.dynamics.ensemble import compiled
-
-    for method in ("series", "split"):
-        structure = k.structure_of(philae_body(), None, 8, method)
-        before = compiled.source(structure)
-        with monkeypatch.context() as patch:
-            patch.setattr(gyrostat, "cross", lambda a, b: (a[1] * b[2], a[2] * b[0], a[0] * b[1]))
-            assert compiled.source(structure) != before
-
-
-def test_any_power_can_be_printed_into_a_kernel():
-    """Up to the fourth as products; another once ended in an error of the printer."""
-    x = sp.Symbol("x")
-    lines = codegen.assignments(["a", "b", "c", "d"], [x**3, (x + 1) ** 2, x**5, 1 / x], "t")
-    assert lines == ["a = x*x*x", "b = (x + 1)*(x + 1)", "c = x**5", "d = 1/x"]

@@ -2,9 +2,6 @@
 
 import os
 import re
-import subprocess
-import sys
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -71,23 +68,6 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
     k.prepare(vehicle, [(None, 0)])
     rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
     assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "first", ["dynamics.ensemble", "estimate.scan.rows", "estimate.posterior.cells"]
-)
-def test_the_compiler_is_the_same_whatever_is_imported_first(first):
-    """numba settles the processor's features when the first function is decorated; cached kernels are found by them."""
-    assert (
-        target_after(f"sunspin.{first}") == target_after("sunspin.dynamics.ensemble.compiler") != ""
-    )
-
-
-@lru_cache
-def target_after(module: str) -> str:
-    code = f"import {module}\nfrom numba.core.registry import cpu_target\nprint(cpu_target.target_context.codegen().magic_tuple())"
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
 
 
 def test_numba_is_taken_from_where_it_is_set_up():

@@ -82,20 +82,6 @@ def test_a_row_with_numbers_of_its_own_moves_like_a_vehicle_with_these():
     assert np.all(np.linalg.norm(run.sun_B - same.sun_B, axis=-1) > 1e-3)
 
 
-def test_histograms_of_rows_with_numbers_of_their_own():
-    vehicle = philae_body()
-    crafts = variants(vehicle, 3)
-    rows = replace(rows_for(vehicle, 3, speed=300.0), bodies=k.Bodies.stack(crafts))
-    run = k.run_rows(vehicle, rows, 2700.0, emd_error=1e-3, bins=80)
-    order = k.run_rows(vehicle, rows.take(np.array([2, 0])), 2700.0, emd_error=1e-3, bins=80)
-    np.testing.assert_array_equal(order.hist, run.hist[[2, 0]])
-    for i, craft in enumerate(crafts):
-        alone = k.run_rows(
-            craft, replace(rows.take(np.array([i])), bodies=None), 2700.0, emd_error=1e-3, bins=80
-        )
-        assert np.abs(np.cumsum(run.hist[i] - alone.hist[0])).mean() / 2700 < 1e-3
-
-
 def test_a_wheel_without_friction_among_wheels_with_it_is_not_held_at_rest():
     vehicle = philae_body()
     bodies = k.Bodies.of(vehicle, 2)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
@@ -87,48 +86,3 @@ def test_a_body_librates_about_the_nadir_at_the_rate_of_the_closed_form(moved, r
     found = np.pi * (len(crossed) - 1) / (crossed[-1] - crossed[0])
     reached("relative error of the libration's rate", abs(found / LIBRATION - 1))
     assert found == pytest.approx(LIBRATION, rel=1e-6)
-
-
-TENSOR = np.array([[0.042, 0.0005, 0.0], [0.0005, 0.041, -0.001], [0.0, -0.001, 0.009]])
-TUMBLER = Vehicle("tumbler", TENSOR, panels=[Panel("z", [0, 0, 1], 1.0)])
-TILTED = circular(N, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
-RATE, ATTITUDE = np.array([0.004, -0.003, 0.006]), Rotation.random(random_state=4)
-
-
-@pytest.mark.parametrize("t_end", [3000.0, -3000.0])
-def test_a_tumbling_body_moves_as_scipy_says_and_keeps_jacobis_integral(t_end):
-    def slope(_, y):
-        omega, nadir, orbit = y[:3], y[3:6], y[6:]
-        torque = 3 * N**2 * np.cross(nadir, TENSOR @ nadir)
-        change = np.linalg.solve(TENSOR, torque - np.cross(omega, TENSOR @ omega))
-        return np.concatenate([change, -np.cross(omega - orbit, nadir), -np.cross(omega, orbit)])
-
-    here = TILTED.at(0.0)
-    begin = np.concatenate(
-        [RATE, ATTITUDE.apply(here.nadir_N[0]), ATTITUDE.apply(here.nadir_turn_N[0])]
-    )
-    expected = solve_ivp(slope, (0.0, t_end), begin, method="DOP853", rtol=1e-12, atol=1e-15).y[
-        :, -1
-    ]
-    run = ss.propagate(
-        TUMBLER,
-        RATE,
-        ATTITUDE.apply([0, 0, 1]),
-        None,
-        [0.0, t_end / 2, t_end],
-        environment=TILTED,
-        torques=["gravity_gradient"],
-        B_from_N=ATTITUDE.as_quat(),
-    )
-    np.testing.assert_allclose(run["omega_B"].values[-1], expected[:3], atol=1e-11)
-    np.testing.assert_allclose(run["nadir_B"].values[-1], expected[3:6], atol=1e-8)
-    omega, nadir = run["omega_B"].values, run["nadir_B"].values
-    orbit = Rotation.from_quat(run["B_from_N"].values).apply(here.nadir_turn_N[0])
-    energy = ((omega / 2 - orbit) @ TENSOR * omega).sum(axis=1) + 1.5 * N**2 * (
-        nadir @ TENSOR * nadir
-    ).sum(axis=1)
-    np.testing.assert_allclose(energy, energy[0], rtol=1e-11)
-    momentum = np.linalg.norm(run["momentum_B"].values, axis=1)
-    assert (
-        np.ptp(momentum) > 1e-3 * momentum[0]
-    )  # the control: without the torque this would be kept

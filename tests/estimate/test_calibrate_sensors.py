@@ -20,7 +20,6 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate import sensors as calibrate
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
-from sunspin.estimate.orbit.sensor_calibration import Calibration, _clusters
 from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
 
@@ -93,48 +92,6 @@ def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch
     matrix = found["value"].values[found["key"].values == "magnetometer.matrix"].reshape(3, 3)
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     assert "magnetometer.zero = [" in str(found.sunspin.summary())
-
-
-def test_a_fit_that_the_check_has_made_is_not_made_again(monkeypatch):
-    twin = few()
-    sigma = np.full(44, 1e-3)
-    made = Calibration(
-        np.append(np.zeros(12), [7.0, 0.5, *np.zeros(30)]),
-        np.diag(sigma**2),
-        np.diag(sigma**2),
-        np.eye(44),
-        3e-5,
-        3e4,
-        6,
-        3e-7,
-        1.0,
-        1.0,
-        np.zeros(2),
-        np.zeros(2),
-        {"field": 80, "field and Sun": 60},
-    )
-    check = OrbitCheck(
-        0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), made=made
-    )
-    monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
-    monkeypatch.delattr(calibrate, "fit_in_orbit")
-    data = twin.telemetry.drop_vars(["power_W", "panel"])
-    elements = parse_elements("\n".join(twin.elements), "twin")
-    orbit = in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, shift_sigma_s=20.0)
-    found = ss.calibrate_sensors(twin.vehicle, data, orbit)
-    assert (
-        found.attrs["shift_s"],
-        found.attrs["drift_s_day"],
-        found.attrs["drift_sigma_s_day"],
-    ) == (7.0, 0.5, 1e-3)
-    assert "+7.0 +- 0.0 s in the middle of the file, drifting by +0.5 +- 0.0 s a day" in str(
-        found.sunspin.summary()
-    )
-
-
-def test_passes_are_cut_into_pieces_where_they_are_few():
-    assert len(set(_clusters(np.repeat(np.arange(8), 10)))) == 8
-    np.testing.assert_array_equal(_clusters(np.repeat([3, 5], [6, 3])), [0, 0, 1, 1, 2, 2, 3, 4, 5])
 
 
 def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
@@ -219,28 +176,6 @@ def test_the_keys_of_a_gyro_with_reversed_columns_read_it_as_the_fit_says():
     )
 
 
-@pytest.mark.evidence(
-    "calibrate_sensors",
-    "modelled",
-    "a gyro off by a known zero and scale, from telemetry to the file's keys",
-)
-@pytest.mark.long
-def test_a_gyro_is_calibrated_end_to_end():
-    twin = make(1, 0)
-    begins = np.flatnonzero(np.diff(twin.telemetry["time"].values, prepend=-1e6) > 1000)
-    data = twin.telemetry.isel(time=slice(0, begins[5])).drop_vars(["field_B"])
-    found = ss.calibrate_sensors(twin.vehicle, data)
-    z = deviations(twin, found)
-    assert {"gyro.zero", "gyro.scale_rad_s"} <= set(
-        z
-    ) and "passes that are decided without it" in found.attrs["notes"]
-    assert np.abs([*z["gyro.zero"], *z["gyro.scale_rad_s"]]).max() < 4
-    gyro = found.isel(quantity=np.char.startswith(found["key"].values.astype(str), "gyro."))
-    assert np.all(gyro["sigma"].values < 0.5 * gyro["prior_sigma"].values) and np.all(
-        gyro["written"].values
-    )
-
-
 FILE = """# my satellite
 name = "x"
 [[panel]]
@@ -306,33 +241,3 @@ def test_the_command_writes_a_copy_and_never_over_a_file(tmp_path, monkeypatch):
                 catch_exceptions=False,
             )
     assert (tmp_path / "new.toml").read_text("utf-8") == new
-
-
-def test_a_calibrated_file_is_used(tmp_path):
-    text = (
-        FILE
-        + """[telemetry]
-time_column = "t"
-time_format = "unix"
-[[sun_sensor]]
-name = "s"
-normal_B = [0, 0, 1]
-x_axis_B = [1, 0, 0]
-x_column = "u"
-y_column = "v"
-x_scale = 0.01
-y_scale = 0.01
-x_bias_rad = 0.05
-y_bias_rad = -0.1
-x_sigma_rad = 0.02
-y_sigma_rad = 0.02
-"""
-    )
-    text = text.replace("# noise = 5", "matrix = [[1, 0.1, 0], [0, 1, 0], [0, 0, 2]]").replace(
-        "[0, 0, 0]", "[1, 2, 3]"
-    )
-    (tmp_path / "v.toml").write_text(text, "utf-8")
-    (tmp_path / "t.csv").write_text("t,a,b,c,u,v\n0,11,12,13,5,-10\n1,1,2,4,5,-10\n", "utf-8")
-    data = ss.read_telemetry(tmp_path / "t.csv", ss.load_vehicle(tmp_path / "v.toml"))
-    np.testing.assert_allclose(data["field_B"].values, [[11, 10, 20], [0, 0, 2]], rtol=1e-12)
-    np.testing.assert_allclose(data["sun_sensor_B"].values, [[0, 0, 1]] * 2, atol=1e-12)

@@ -44,14 +44,3 @@ def test_by_hand():
         hist, target_segments([-1 + width / 2])
     )  # the mass lies to both sides, a quarter of the bin away
     assert emd[0] == pytest.approx(width / 8, abs=1e-14)
-
-
-def test_threads_give_the_same_bits():
-    hist = np.random.default_rng(6).exponential(1.0, (101, BINS)).astype(np.float32)
-    hist[7] = 0.0
-    segments = target_segments([-0.3, 0.2, 0.21, 0.9])
-    alone = distances_to(hist, segments)
-    for workers in (2, 3, 500):
-        for found, expected in zip(distances_to(hist, segments, workers), alone, strict=True):
-            np.testing.assert_array_equal(found, expected)
-    assert distances_to(hist[:0], segments, 2)[0].shape == (0,)

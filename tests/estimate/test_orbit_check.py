@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
-
 import numpy as np
 import pytest
 
@@ -89,18 +87,6 @@ def test_elements_of_another_plane_are_refused(twin, few_copies, one_clock):
     )
 
 
-@pytest.mark.long
-def test_a_clock_off_by_an_hour_is_named(twin, few_copies):
-    vehicle, data, given, about = twin
-    late = data.assign_attrs(epoch_utc=_earlier(data.attrs["epoch_utc"], 3600))
-    elements = parse_elements("\n".join(given), "twin")
-    known = in_orbit(
-        elements, late.attrs["epoch_utc"], late["time"].values, shift_sigma_s=about["sigma_s"]
-    )
-    found = check_orbit(known, vehicle, late)
-    assert found.verdict is Verdict.REFUSED and found.clock_behind_s == 3600
-
-
 def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits, few_copies):
     vehicle, data, _, _ = twin
     found = check_orbit(orbit(twin), vehicle, data.assign(field_B=-data["field_B"]))
@@ -120,10 +106,6 @@ def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round(
         k = int(found.cost.argmin())
         mirrored.append(orbit_check._mirrored(seen, there.take([k]), found.calibration[k]))
     assert mirrored == [False, True]
-
-
-def _earlier(epoch_utc: str, seconds: float) -> str:
-    return (datetime.fromisoformat(epoch_utc) - timedelta(seconds=seconds)).isoformat()
 
 
 def test_few_data_leave_it_open_and_the_shift_as_it_was(twin, one_clock):

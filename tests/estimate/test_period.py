@@ -183,27 +183,6 @@ def test_a_period_weighs_modes_and_says_what_turned():
         of_modes.weighted(o, [one], motion, [pd.Period(200.0, 25.0, 0.5)])
 
 
-def test_an_unknown_inertia_widens_periods_and_an_unknown_body_has_a_sum_alone():
-    tight, wide = (
-        of_modes.periods_of(
-            *two_modes([0.5, 0.5], inertia_errors=errors), pd.Period(40.0, 25.0, 0.5)
-        )
-        .reshape(2, -1, 3)
-        .std(axis=1)
-        for errors in (None, np.array([np.diag([0.05, 0, 0])]))
-    )
-    assert np.all(wide[:, 0] > 10 * tight[:, 0])
-    o, one, motion = two_modes([0.5, 0.5])
-    motion = replace(motion, body=replace(motion.body, spherical=True))
-    found = of_modes.periods_of(
-        replace(o, momentum=np.zeros((3, 3))), one, motion, pd.Period(40.0, 25.0, 0.5)
-    )
-    assert np.isnan(found[:, :2]).all()
-    assert np.median(found.reshape(2, -1, 3)[:, :, 2], axis=1) == pytest.approx(
-        2 * np.pi / np.linalg.norm(RATES, axis=1), rel=1e-4
-    )
-
-
 def test_rates_with_a_period_have_both_weights():
     rng = np.random.default_rng(4)
     data, _ = twin(CUBE, [0.01, 0.02, 0.0], irregular(rng, 8, 20.0), rng)

@@ -18,7 +18,6 @@ from sunspin.estimate.posterior import estimate, hypotheses, importance
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State, model
-from sunspin.estimate.posterior.modes import Modes, within
 from sunspin.estimate.posterior.verdict import Found, believed, dark_stretch, sigmas, verdict
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
@@ -135,30 +134,6 @@ def test_groups_and_names(tree, telemetry):
     )
 
 
-@pytest.mark.parametrize(("chance", "decided"), [(0.05, True), (1.0, False)])
-def test_a_hypothesis_that_may_count_and_allows_no_draw_is_said(
-    chance, decided, cube, telemetry, monkeypatch
-):
-    """Looser moments hold 1 % at their usual chance, which does not count; as likely as the model as stated, they do."""
-    drawn = estimate.sample
-    monkeypatch.setattr(
-        estimate, "sample", lambda *given: drawn(*given) if given[6] is None else None
-    )  # of the first alone
-    monkeypatch.setattr(hypotheses, "LOOSER_CHANCE", chance)
-    found = ss.posterior(
-        cube, telemetry.isel(time=slice(0, 9)), PRIORS, seed=0, draws=300, workers=1
-    )
-    assert (
-        "moments of inertia off by more than stated may explain" in found.attrs["verdict"]
-    ) is not decided
-    assert (found.attrs["verdict_word"] == "unique") is decided
-    assert (
-        found["passes"]["decided"].values[0]
-        == found["passes"]["search_complete"].values[0]
-        == decided
-    )
-
-
 @pytest.mark.evidence("posterior", "verified", "one and two threads, and a stored run, bit by bit")
 def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tmp_path):
     given = cube, telemetry.isel(time=slice(0, 9)), SMALL
@@ -246,16 +221,6 @@ def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(
     found = ss.posterior(cube, telemetry, began, seed=0, draws=500, workers=1)
     assert found.attrs["verdict_word"] == word, found.attrs["verdict"]
     assert len(found["sampling"]["pareto_k"]) == 2
-
-
-def test_modes_beyond_the_largest_rate_are_drawn_back_only_where_all_are():
-    state = State(
-        np.array([[0.3, 0.0, 0.0], [0.0, 0.2, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0))
-    )
-    modes = Modes(state, np.zeros(2), np.zeros((2, 6, 6)), np.ones(2, dtype=int), (), ())
-    assert within(modes, 0.25) is modes
-    drawn = within(modes, 0.1)
-    assert np.linalg.norm(drawn.state.omega, axis=1).max() < 0.1 and "faster" in drawn.notes[0]
 
 
 def test_numbers_that_are_missing_are_left_out(cube, telemetry):

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.posterior import importance
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.importance import BLOCK, DEFENCE, pooled, regions, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.mixture import Mixture, Sheet, monomials
+from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes
-from sunspin.estimate.posterior.verdict import LEAST_WEIGHT
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
@@ -70,24 +68,6 @@ def test_the_pooled_mixture_has_the_density_of_all_rounds():
     np.testing.assert_allclose(density(made, state), expected, rtol=1e-9)
 
 
-def test_components_in_common_coordinates_have_the_densities_that_each_has_alone():
-    """Mixed up among others, with means and widths of their own; two centres of the same bend are not taken for one."""
-    first, rng = mixture(10, 3), np.random.default_rng(11)
-    first = replace(
-        first,
-        bend=first.bend[[0, 0, 1]],
-        basis=first.basis * np.array([1.0, 1.0, 2.0])[:, None, None],
-    )
-    other = replace(
-        first, mean=rng.normal(0, 0.2, first.mean.shape), covariance=1.5 * first.covariance
-    )
-    made = Mixture.joined([first, other]).take(np.array([4, 0, 2, 3, 1, 5]))
-    state = first.draw(60, rng)
-    alone = [made.take(np.array([m])).log_densities(state)[:, 0] for m in range(6)]
-    np.testing.assert_array_equal(made.log_densities(state), np.stack(alone, axis=1))
-    assert sorted(len(alike) for alike, _ in made.charts(state, np.arange(6))) == [2, 2, 2]
-
-
 def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
     """Every coordinate is stiff or along the sheet; what is bent comes back, and densities are those of the straight sheet."""
     assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(
@@ -111,24 +91,6 @@ def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
 
     np.testing.assert_allclose(
         in_the_chart(bent, other), in_the_chart(straight, one), rtol=0, atol=1e-7
-    )
-
-
-def test_bends_are_lent_to_a_model_with_more_unknowns_and_to_one_that_counts_them_otherwise():
-    rng = np.random.default_rng(9)
-    narrow = mixture(9, 1)
-    narrow = replace(narrow, bend=rng.normal(0, 0.05, narrow.bend.shape))
-    wide = Sheet.of(6 + UNKNOWNS, softs=SHEET.softs, moving=(1, 2, UNKNOWNS), brightness=(0,))
-    bend = np.zeros((wide.terms, len(wide.stiff)))
-    bend[[wide.along.index(i) for i in SHEET.along]] = narrow.bend[0, : len(SHEET.along)]
-    bend[len(wide.along) :] = wide.lent(SHEET, narrow.bend[0])
-    x = rng.normal(size=(40, 5 + UNKNOWNS))
-    among_five = monomials(np.insert(x, 5 + UNKNOWNS, rng.normal(size=40), axis=1), wide)
-    np.testing.assert_allclose(among_five @ bend, monomials(x, SHEET) @ narrow.bend[0], atol=1e-12)
-    units, state = np.array([1.0, 5.0, 0.5, 2.0]), narrow.draw(30, rng)
-    other, counted = narrow.counted_in(units), replace(state, u=state.u / units)
-    np.testing.assert_allclose(
-        other.log_densities(counted), narrow.log_densities(state) + np.log(units.prod()), rtol=1e-9
     )
 
 
@@ -181,15 +143,3 @@ def all_rows(rows, *_):
 def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
     """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
     assert sample(*cube_and_modes(0.05, [0.0]), 0, all_rows, 1000) is None
-
-
-def test_modes_without_mass_get_no_component_and_no_ridge(monkeypatch):
-    """The second in the list is the likeliest; the negligible stay ridges of their own, from which other models begin."""
-    followed = []
-    monkeypatch.setattr(importance, "_follow_ridge", lambda *given: followed.append(given[2]))
-    most = -np.log(LEAST_WEIGHT / 2)
-    likelihood, modes = cube_and_modes(10.0, [1.0, 0.0, most - 0.1, most + 0.1, 30.0])
-    first, ridge, component = importance._first(likelihood, modes, 1, 0, all_rows, 1000)
-    assert followed == [1, 0, 2] and ridge.tolist() == [0, 1, 2, 3, 4]
-    assert component.tolist() == [0, 1, 2, -1, -1] and len(first.weight) == 3
-    np.testing.assert_allclose(first.centre.omega, modes.state.omega[:3], rtol=1e-12)

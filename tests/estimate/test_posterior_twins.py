@@ -8,7 +8,6 @@ import pytest
 import strange_twins
 import sunspin as ss
 from cubes import SIDES
-from sunspin.estimate.posterior import cells
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.family import (
@@ -21,10 +20,10 @@ from sunspin.estimate.posterior.family import (
     joined,
     same_mode,
 )
-from sunspin.estimate.posterior.fit import Begun, Fit, Slopes
+from sunspin.estimate.posterior.fit import Fit
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
-from sunspin.estimate.posterior.modes import MORE, Search, _at_most
+from sunspin.estimate.posterior.modes import Search
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import NEAR_SIGMAS
@@ -119,16 +118,6 @@ def test_a_family_is_made_denser_as_the_window_grows():
     assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
 
 
-def test_a_family_gets_no_more_neighbours_until_the_window_has_grown():
-    line, many = State(np.tile(RATE, (3, 1)), np.tile(SUN, (3, 1)), np.zeros((3, 0))), np.full(3, 1)
-    loose = np.tile(np.diag([1e3, 1e8, 1e8, 1e4, 1e4]), (3, 1, 1))
-    beside = np.array([100.0, 100.0, 0.0])  # the third was held fast before
-    near, _, set_at, _ = denser(line, loose, many, beside, 110.0, 0.5)
-    assert len(near) > 3 and set_at[:3].tolist() == [100.0, 100.0, 110.0]
-    assert len(denser(line, loose, many, np.full(3, 100.0), 110.0, 0.5)[0]) == 3
-    assert np.all(denser(line, loose, many, beside, 150.0, 0.5)[2] == 150.0)
-
-
 def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
     rng = np.random.default_rng(1)
     cloud = State(
@@ -144,32 +133,6 @@ def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
     for i in range(60):
         better = [int(k) for k in kept if k < i]
         assert (i in kept) == (same_mode(cloud, normal, i, better, JOINED) is None)
-
-
-def test_a_fit_may_begin_with_the_derivatives_of_a_state_near_by():
-    """And ends where one ends that had its own found; what does not fit then is left as it is."""
-    vehicle = craft(6)
-    data, _, _ = readings(vehicle, samples(vehicle, 6))
-    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.3}, 0.5)
-    likelihood, levels, one = (
-        Likelihood(unknown, data),
-        ((3.0, 2), (1.0, 3)),
-        np.zeros(3, dtype=int),
-    )
-    near = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
-    known = Slopes(likelihood, near, False)(np.arange(1))
-    begun = Begun(near.take(one), known["moves"][one], known["seen"][one])
-    far = np.array([[0.0, 0.0, 0.0], [2e-3, -1e-3, 0.0], [-1e-3, 2e-3, 3e-3]])
-    start = State(RATE + far, moved(np.tile(SUN, (3, 1)), 20 * far[:, :2]), begun.state.u)
-    plain, quick = (
-        Fit(likelihood, start, levels, normal=True, begun=one)(np.arange(3))
-        for one in (None, begun)
-    )
-    np.testing.assert_allclose(quick["cost"], plain["cost"], atol=0.5)  # the noise is set once more
-    off = apart(*(State(found["omega"], found["sun"], found["u"]) for found in (quick, plain)))
-    assert np.einsum("ni,nij,nj->n", off, plain["normal"], off).max() < 1
-    none = Fit(likelihood, start, levels, normal=True, begun=begun, promising=-1e9)(np.arange(3))
-    assert np.isfinite(none["cost"]).all() and none["normal"].shape == plain["normal"].shape
 
 
 def test_hypotheses_of_one_motion_are_fitted_to_their_end_before_they_are_joined():
@@ -193,12 +156,6 @@ def test_hypotheses_of_one_motion_are_fitted_to_their_end_before_they_are_joined
     )
     assert len(one) == len(normal) == 1 and hits.sum() == n and not note
     assert np.linalg.norm(one.omega[0] - RATE) < 2e-3
-
-
-@pytest.mark.parametrize(("most", "count", "told"), [(5, 5, False), (5, 11, True)])
-def test_more_hypotheses_than_are_followed_are_thinned_evenly_and_told(most, count, told):
-    some, note = _at_most(most, count)
-    assert len(some) == most and (some[0], some[-1]) == (0, count - 1) and (note == MORE) == told
 
 
 @pytest.mark.parametrize("lit", [20, 7])
@@ -234,44 +191,3 @@ def test_readings_that_do_not_tell_an_unknown_do_not_stop_the_fit():
         np.arange(4)
     )
     assert np.isfinite(found["cost"]).all()
-
-
-def test_hopeless_hypotheses_keep_a_cost_for_the_best_of_them_to_go_on():
-    vehicle = craft(6)
-    data, _, _ = readings(vehicle, samples(vehicle, 6))
-    unknown, _ = model(vehicle, PRIORS, 0.5)
-    start = State(
-        np.tile(-RATE, (5, 1)), np.tile(-SUN, (5, 1)), np.zeros((5, len(unknown.unknowns)))
-    )
-    levels = ((3.0, 2), (1.0, 2))
-    none = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=-1e9)(np.arange(5))
-    every = Fit(Likelihood(unknown, data), start, levels, normal=True, hopeless=1e9)(np.arange(5))
-    plain = Fit(Likelihood(unknown, data), start, levels, normal=True)(np.arange(5))
-    assert np.isfinite(none["cost"]).all() and none["normal"].shape == every["normal"].shape
-    assert all(np.array_equal(every[name], plain[name]) for name in plain)
-
-
-def test_a_start_settles_by_the_derivatives_of_what_it_sees():
-    rng = np.random.default_rng(3)
-    quaternions = np.array([0.1, -0.3, 0.2, 0.9]) + 0.2 * rng.standard_normal((8, 2, 4))
-    frame, x, q = (
-        np.linalg.qr(rng.standard_normal((3, 3)))[0],
-        np.array([0.3, 0.6, 0.2]),
-        np.empty((4, 4)),
-    )
-
-    def seen(x, sun):
-        r, column = np.empty(3), np.empty((5, 3))
-        cells._there(quaternions, 2, x, sun, frame, r, column, q)
-        return r, column
-
-    here, column = seen(x, frame[0])
-    step = 1e-6
-    for i in range(3):
-        np.testing.assert_allclose(
-            (seen(x + step * np.eye(3)[i], frame[0])[0] - here) / step, column[i], atol=1e-5
-        )
-    for i in range(2):
-        np.testing.assert_allclose(
-            seen(x, frame[0] + step * frame[1 + i])[0] - here, step * column[3 + i], atol=1e-11
-        )

@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate.rates.motion import Body, Ends, step, step_with_answer
-from sunspin.estimate.rates.observe import thinned
-from sunspin.estimate.rates.start import aliases, facing, rates_between
+from sunspin.estimate.rates.start import aliases
 from sunspin.estimate.rates.state import Observations, Track
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.output.kinds.rates import rates_summary
-from sunspin.solve.rotations import turn, turn_between
+from sunspin.solve.rotations import turn_between
 from sunspin.vehicle import Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -225,20 +224,6 @@ def test_attitude_turns_the_local_sun_into_the_body():
     )
 
 
-@pytest.mark.parametrize("apart", [0.0, 1e-9, 0.3, 2.0, np.pi - 1e-9])
-def test_every_seed_rate_carries_the_first_direction_to_the_second(apart):
-    first = np.array([0.0, 0.6, 0.8])
-    second = turn(facing(first), np.array([apart, 0.0, 0.0])) @ SUN_N
-    rates = rates_between(first, second, 10.0, 1.5)
-    assert len(rates) > 40
-    carried = turn(np.broadcast_to(facing(first), (len(rates), 3, 3)), 10.0 * rates) @ SUN_N
-    strays = np.linalg.norm(carried - second, axis=1)
-    family = (
-        strays[: -80 * 2] if apart < 0.5 else strays
-    )  # the rest: whole turns about any axis, which stray by the angle
-    assert family.max() < 1e-6 and strays.max() < apart + 1e-6
-
-
 @pytest.mark.parametrize(
     "body",
     [
@@ -279,13 +264,6 @@ def test_a_step_agrees_with_the_reference_propagator(reached):
     reached(
         "difference of the direction", np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]), "", 1e-4
     )
-
-
-def test_thinned_samples_leave_from_the_file_s_own_interval():
-    index = thinned(np.arange(3000))
-    steps = np.diff(index)
-    assert index[0] == 0 and index[-1] == 2999 and len(index) <= 40
-    assert steps[0] == 1 and np.all(steps[1:] <= 2 * steps[:-1])
 
 
 def test_aliases_pass_the_same_attitudes_and_uneven_times_have_none():

@@ -22,11 +22,9 @@ from sunspin.estimate.rates.alternatives import (
     weighed,
 )
 from sunspin.estimate.rates.common_errors import with_common
-from sunspin.estimate.rates.dense import bridge
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
-from sunspin.estimate.rates.smooth import whitening
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.steady_torque import SteadyTorque
 from sunspin.estimate.terms.sun_direction import SunDirection
@@ -73,15 +71,6 @@ def test_the_evidence_of_a_smaller_torque_is_that_of_its_integral():
     assert found[1, 0] == pytest.approx(log[1] - log[0], rel=1e-6)
 
 
-def test_a_torque_of_one_size_is_fitted_no_worse_than_torques_of_all_sizes():
-    """Its evidence is that of the best of the sizes, whose mean the trial tells."""
-    found = tried(pushed(1e-5 * np.array([1.0, -0.5, 0.5]), False), 3e-4)[0]
-    torques = [trial for trial in found if trial.hypothesis.what.startswith("a steady torque")]
-    assert torques and all(
-        weighed(trial.hypothesis, trial.fit).best > trial.best for trial in torques
-    )
-
-
 def motions(log_evidence, deg_s):
     """A trial with one mode of each rate about z, all as well known as if the rate were even before the data, to 8 deg/s."""
     prior, count = np.radians(8.0), len(deg_s)
@@ -114,21 +103,6 @@ def test_which_alias_is_the_likelier_does_not_hang_on_the_prior_of_the_rate(
 ):
     weight = pooled([motions([slower, faster], [1.4, 12.0])])
     assert weight.sum() == pytest.approx(1.0) and low < weight[0] < high
-
-
-@pytest.mark.parametrize("wrong", [-1.0, np.nan])
-def test_a_motion_whose_fit_ended_on_a_slope_gains_nothing_by_being_slow(wrong):
-    alike = motions([0.0, 0.0], [1.4, 12.0])
-    alike.fit.track.covariance[0] *= wrong
-    assert alike.any_size[0] == 0.0 and alike.any_size[1] == motions([0.0], [12.0]).any_size[0]
-
-
-def test_noise_of_the_rate_makes_the_attitude_wander_and_holds_at_both_ends():
-    white = whitening(np.array([8.0]), 1e-9, 0.02)[0]
-    assert np.linalg.inv(white.T @ white)[0, 0] == pytest.approx(0.02**2 * 8.0, rel=1e-6)
-    assert bridge(np.array([0.25]), np.array([8.0]), 0.0, 0.02)[0][0, 0] == pytest.approx(
-        0.02**2 * 8 * 0.25 * 0.75
-    )
 
 
 def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):

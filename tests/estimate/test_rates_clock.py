@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from clock_twins import CUBE, craft, twin
-from sunspin.estimate.rates.common_errors import seen_later
-from sunspin.estimate.rates.motion import Body
-from sunspin.estimate.rates.observe import observations
-from sunspin.estimate.rates.state import Motion, Track
+from clock_twins import craft, twin
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Clock
 
@@ -45,29 +41,10 @@ def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["gyro", pytest.param("attitude", marks=pytest.mark.slow)])
-def test_a_lateness_that_nobody_spoke_of_is_suspected(kind):
-    late, _ = twin(kind, 5.3, np.random.default_rng(101))
-    said = ss.rates(craft(kind, None), late, max_rate_rad_s=0.15).attrs
-    assert "SEEM LATE" in said["verdict"] and said["sensors_late_s"] == pytest.approx(5.3, abs=1.5)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["gyro", pytest.param("attitude", marks=pytest.mark.slow)])
 def test_no_lateness_is_suspected_where_there_is_none(kind):
     prompt, _ = twin(kind, 0.0, np.random.default_rng(101))
     silent = ss.rates(craft(kind, None), prompt, max_rate_rad_s=0.15).attrs
     assert "late" not in silent["verdict"].lower() and np.isnan(silent["sensors_late_s"])
-
-
-def test_a_track_is_seen_later_as_the_reference_moves_it():
-    t = np.array([0.0, 4.0])
-    run = ss.propagate(CUBE, [0.03, -0.02, 0.05], [0.0, 0.0, 1.0], None, t)
-    data, _ = twin("gyro", 0.0, np.random.default_rng(1), samples=3)
-    o = observations(craft("gyro", None), data)[0].part(0, 1)
-    track = Track(np.eye(3)[None, None], run["omega_B"].values[None, :1])
-    seen = seen_later(o, track, Motion(Body.of(CUBE), 1e-5, 0.1), np.array([4.0]))
-    assert np.abs(seen.sun_B[0, 0] - run["sun_B"].values[1]).max() < 1e-3
-    assert np.abs(seen.omega[0, 0] - run["omega_B"].values[1]).max() < 3e-4
 
 
 def test_the_clock_of_a_vehicle_file_is_read():

@@ -126,41 +126,6 @@ def test_the_mean_answers_as_differences_say(pass_):
     assert np.all(answer[..., :3] == 0)  # a turn of the start turns no rate
 
 
-def test_a_pass_of_which_all_is_kept_stays_as_it_is(pass_):
-    _, run, o, _ = pass_
-    every = np.arange(30)
-    track = Track(
-        attitudes(run)[None, :30],
-        run["omega_B"].values[None, :30],
-        covariance=np.tile(np.eye(6), (1, 30, 1, 1)),
-    )
-    motion = Motion(Body.of(CRAFT), NOISE, 0.1)
-    found = Dense.of(o, every, every, track, motion)
-    np.testing.assert_array_equal(found.filled(track).covariance, track.covariance)
-    np.testing.assert_array_equal(
-        found.mean_map()[0], np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]) / 30, (30, 1, 1))
-    )
-
-
-def test_shares_divide_the_noise_among_the_axes_of_the_body():
-    dt, noise, factor = np.array([30.0]), 3e-5, 0.1
-    axis = np.array([2.0, -1.0, 2.0]) / 3
-    shares = np.eye(3) - (1 - factor**2) * np.outer(axis, axis)
-    whole, less, along = (
-        np.linalg.inv(white.T @ white)
-        for white in (
-            whitening(dt, noise)[0],
-            whitening(dt, noise, 0.0, shares)[0],
-            whitening(dt, factor * noise)[0],
-        )
-    )
-    for rows in (slice(0, 3), slice(3, 6)):
-        for direction, same in ((axis, along), (np.array([1.0, 2.0, 0.0]), whole)):
-            np.testing.assert_allclose(
-                less[rows, rows] @ direction, same[rows, rows] @ direction, atol=1e-14
-            )
-
-
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
 def test_the_bridge_is_what_both_ends_leave_open(share):
     """The product of the two laws that white acceleration gives from either held end."""

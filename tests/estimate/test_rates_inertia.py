@@ -11,9 +11,8 @@ import strange_rates
 import sunspin as ss
 from cubes import SIDES
 from sunspin.estimate.inertia import ASSUMED, inertia_errors, stated_sigma
-from sunspin.estimate.rates.common_errors import THINNEST, of_a_body
 from sunspin.estimate.rates.estimate import not_met
-from sunspin.estimate.rates.motion import Body, step
+from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.noise import HIGHER_NOISES
 from sunspin.estimate.rates.state import Motion
 from sunspin.vehicle import Fact, Panel, TelemetryForm, Vehicle
@@ -78,34 +77,6 @@ def test_what_is_not_stated_is_one_percent_of_the_moments():
     )
 
 
-def test_no_trial_inertia_is_one_that_no_body_has():
-    """Errors of four sigmas where no inertia is known would make moments negative; small ones stay as they are."""
-    body = Body.of(replace(CUBE, inertia_kg_m2=None))
-    errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
-    drawn = of_a_body(body, errors)
-    assert (
-        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", errors, body.errors)).min() < 0
-    )  # control
-    assert (
-        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", drawn, body.errors)).min()
-        >= THINNEST
-    )
-    assert np.all(drawn[2] == errors[2])
-
-
-def test_a_trial_whose_motion_overflows_costs_much_and_fails_nothing():
-    impossible = Body(np.diag([1.0, -1e-3, 2.0]), np.zeros(3), False, np.zeros((0, 3, 3)))
-    turned, rate = step(
-        impossible, np.array([[5.0, 3.0, -4.0], [0.0, 0.0, 0.0]]), np.array([60.0, 60.0])
-    )
-    assert (
-        np.isfinite(turned).all()
-        and np.isfinite(rate).all()
-        and np.abs(rate[0]).max() > 1e3
-        and np.all(rate[1] == 0)
-    )
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("i", [pytest.param(46, marks=pytest.mark.slow), 63])
 def test_a_body_of_unknown_inertia_is_not_held_for_a_sphere(i):
@@ -113,11 +84,6 @@ def test_a_body_of_unknown_inertia_is_not_held_for_a_sphere(i):
     found = strange_rates.judge(0, i)
     assert not found["inertia"] and found["word"] == "decided"
     assert max(found["pulls"]) < 3.5 and max(found["miss_deg_s"]) < 0.15
-
-
-def test_a_noise_that_is_given_stands_for_what_is_no_sphere():
-    craft = replace(CUBE, inertia_kg_m2=None)
-    assert len(Body.of(craft).errors) == 6 and not len(Body.of(craft, torques_known=True).errors)
 
 
 def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_searched():

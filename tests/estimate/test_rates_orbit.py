@@ -1,5 +1,5 @@
 """Rates of satellites in orbit: the Earth's light, a magnetic torque, a field that turns. All telemetry is synthetic, made by the
-equations of `tests/orbit_twins.py` and not by the package's."""
+equations of the tests' own and not by the package's."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import clock_twins
-import orbit_twins
 import strange_rates
 from coverage_twins import CUBE, albedo, twin
-from sunspin.estimate.rates.motion import Body, Ends, step
+from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.terms.magnetic_torque import MagneticTorque
-from sunspin.estimate.terms.magnetometer import LEFT, TURN_RATE, Magnetometer
-from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import normal
-from sunspin.solve.rotations import turn, turn_between
+from sunspin.solve.rotations import turn
 from sunspin.vehicle import Panel, Vehicle
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
@@ -105,128 +101,10 @@ def test_without_the_earths_light_nothing_is_differenced():
     np.testing.assert_array_equal(panels.power, panels.whole[0])
 
 
-def test_a_unit_of_torque_does_what_a_dipole_in_a_fixed_field_does(reached):
-    """Against the motion with that dipole, the field at both ends given, over 1 s at 3 deg/s: to first order in the turn, 0.05."""
-    rng = np.random.default_rng(3)
-    body = Body.of(CUBE, dipole=rng.normal(size=3) * 1e-4)
-    attitude = Rotation.random(random_state=1).as_matrix()
-    rate, field_N, dt = np.radians([2.0, -1.0, 2.0]), np.array([0.6, 0.0, 0.8]), np.array([1.0])
-    free, later = step(replace(body, dipole=np.zeros(3)), rate[None], dt)
-    both = np.array([attitude, free[0] @ attitude])
-    pulled, pulled_later = step(
-        body,
-        rate[None],
-        dt,
-        Ends(field=(both[0] @ field_N)[None], field_end=(both[1] @ field_N)[None]),
-    )
-    track = Track(both[None], np.array([rate, later[0]])[None])
-    sigma = 1e-5
-    one = MagneticTorque(sigma).pushes(track, dt)[0, 0]
-    made = one @ np.outer(body.dipole, field_N).ravel() / (sigma / np.sqrt(6))
-    true = np.concatenate([turn_between(free, pulled)[0], (pulled_later - later)[0]])
-    off = np.abs(made - true).reshape(2, 3).max(axis=1) / np.abs(true).reshape(2, 3).max(axis=1)
-    reached("torque of a dipole, of turn and rate", off, "of the most", limit=0.03)
-    assert off.max() < 0.03
-
-
-@pytest.mark.evidence(
-    "rates",
-    "modelled",
-    "CubeSats in orbit, by equations of the tests' own; each fails without what it needs",
-)
-@pytest.mark.parametrize(
-    ("i", "without"),
-    [
-        pytest.param(
-            13, (MagneticTorque, "beside", lambda noise, field_N: MagneticTorque(0.0)), id="torque"
-        ),
-        pytest.param(
-            8, (Magnetometer, "freed", lambda self, t_s: self), id="field", marks=pytest.mark.slow
-        ),
-    ],
-)
-@pytest.mark.slow
-def test_what_changes_alike_for_minutes_is_told_and_not_averaged_away(
-    i, without, monkeypatch, reached
-):
-    """All passes of a twin, and the control: the same without the unknown."""
-    found = orbit_twins.judge(0, i)["passes"]
-    pulls = np.array([part["pulls"] for part in found])
-    reached("distance of mean rates", pulls, "sigmas", limit=3.0)
-    assert pulls.max() < 3.0 and all(part["word"] == "decided" for part in found)
-    monkeypatch.setattr(*without)
-    assert max(max(part["pulls"]) for part in orbit_twins.judge(0, i)["passes"]) > pulls.max() + 1
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "i", [pytest.param(13, id="torque"), pytest.param(8, id="field", marks=pytest.mark.slow)]
-)
-def test_what_changes_alike_for_minutes_is_told_in_one_orbit(i):
-    found = orbit_twins.judge(0, i, orbits=1)["passes"]
-    assert found and all(part["word"] == "decided" and max(part["pulls"]) < 3.0 for part in found)
-
-
-@pytest.mark.evidence(
-    "rates",
-    "modelled",
-    "CubeSats in orbit under the Earth's light; half as good where it is taken for noise",
-)
-@pytest.mark.slow
-def test_the_earths_light_is_told_from_the_suns(monkeypatch, reached):
-    """Five faces, 2 deg/s, light of the Earth of 0.11 of full Sun."""
-    miss = np.array([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]])
-    reached("error of mean rates", miss, "deg/s", limit=0.03)
-    assert miss.max() < 0.03
-    monkeypatch.setattr(Panels, "freed", lambda self, t_s: self)
-    monkeypatch.setattr(Panels, "_differing", lambda self: self)
-    assert (
-        np.max([part["miss_deg_s"] for part in orbit_twins.judge(0, 15)["passes"]]) > 2 * miss.max()
-    )
-
-
-@pytest.mark.long
-def test_a_long_body_of_unknown_inertia_seen_by_the_sun_alone_is_not_told_without_a_warning():
-    """A 3U CubeSat at 3.4 deg/s, 12 s between samples: the search, which takes it for a sphere, ends elsewhere."""
-    told = orbit_twins.judge(2, 12)
-    assert not told["inertia"] and "GIVE ITS INERTIA" in told["verdict"]
-
-
 @pytest.mark.slow
 def test_noise_that_the_file_does_not_state_is_not_taken_for_the_earths_light():
     """Noise of 4.6 % beside light of the Earth: held for its light alone, no motion seemed to fit."""
     assert strange_rates.judge(0, 55)["word"] == "decided"
-
-
-def test_a_unit_of_the_fields_turning_is_what_a_turning_field_leaves():
-    """A field in N that changes by one sigma of an unknown leaves residuals between neighbours, which that unknown takes away."""
-    data, _ = clock_twins.twin("field", 0.0, np.random.default_rng(4), samples=9)
-    o = observations(clock_twins.craft("field", None), data)[0].freed()
-    (term,) = o.of_pairs
-    assert len(term.unknowns()) == 6 and term.turn_rate == LEFT * TURN_RATE
-    attitude = Rotation.random(len(o), random_state=2).as_matrix()
-    track, motion = (
-        Track(attitude[None], np.zeros((1, len(o), 3))),
-        Motion(Body.of(CUBE), 1e-5, 0.1),
-    )
-    strength, spacing = np.median(np.linalg.norm(o.field_B, axis=1)), np.diff(o.t_s)[:, None]
-    for j in range(6):
-        change = term.drift_N[:-1, j] * spacing
-        at = np.array([0.6, 0.0, 0.8]) + np.concatenate(
-            [np.zeros((1, 3)), np.cumsum(change, axis=0)]
-        )
-        turning = replace(term, field_B=np.einsum("nij,nj->ni", attitude, at))
-        left = between(o.swapped(term, turning), track, motion)[0][..., 6:]
-        assert np.abs(left).max() > 1e-2
-        np.testing.assert_allclose(left + turning.gained(o.t_s, track)[..., j], 0, atol=1e-12)
-    # even over the pass, one component each: as strong a turn as TURN_RATE in three axes together
-    assert np.linalg.norm(term.drift_N[:, :3].sum(axis=1), axis=1) == pytest.approx(
-        TURN_RATE * strength, rel=1e-12
-    )
-    middle = o.t_s - o.t_s.mean()
-    assert term.drift_N[:, 3, 0] == pytest.approx(
-        term.drift_N[:, 0, 0] * TURN_RATE * middle, rel=1e-12
-    )
 
 
 def test_the_field_answers_to_turns_as_differences_say():

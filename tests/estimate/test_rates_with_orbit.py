@@ -10,14 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from orbit_rates_twins import judged, make, orbit_of
-from sunspin.environment import Surroundings
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
 from sunspin.estimate.rates.search import field_leads
-from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.known_field import KnownField
-from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import SUN_N, Seen, normal
@@ -72,83 +69,6 @@ def test_the_turn_about_the_sun_that_the_search_leaves_open_is_found_from_the_fi
     np.testing.assert_allclose(found, track.attitude, atol=1e-9)
 
 
-def test_axes_that_follow_the_field_turn_as_it_does():
-    rng = np.random.default_rng(6)
-    term = known_field(rng, seen(rng))
-    unit = term.field_N / np.linalg.norm(term.field_N, axis=1, keepdims=True)
-    frames = term.frames()
-    np.testing.assert_allclose(
-        (frames @ unit[..., None])[..., 0], np.tile(SUN_N, (12, 1)), atol=1e-12
-    )
-    turned = Rotation.from_matrix(np.swapaxes(frames[1:], 1, 2) @ frames[:-1]).as_rotvec() / 30.0
-    np.testing.assert_allclose(
-        turned[5], (term.turning(TIMES)[5] + term.turning(TIMES)[6]) / 2, rtol=0.02
-    )
-
-
-def test_a_dipole_in_a_known_field_pulls_across_both():
-    rng = np.random.default_rng(7)
-    track = seen(rng)
-    track = replace(
-        track, attitude=np.repeat(track.attitude[:, :1], 12, axis=1), omega=np.zeros((1, 12, 3))
-    )
-    field = np.tile([0.3, -0.4, 1.2], (12, 1))
-    term = MagneticTorque.beside(1e-4, field)
-    assert [one.name for one in term.unknowns()] == ["dipole_x", "dipole_y", "dipole_z"]
-    here = track.attitude[0, 0] @ field[0] / np.linalg.norm(field[0])
-    pushed = term.pushes(track, np.diff(TIMES))[0, 3]
-    np.testing.assert_allclose(
-        pushed[3:, 1], 30 * term.sigma / np.sqrt(2) * np.cross([0.0, 1.0, 0.0], here), atol=1e-18
-    )
-    np.testing.assert_allclose(pushed[:3], 15 * pushed[3:], atol=1e-18)
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])
-@pytest.mark.parametrize("known", [False, True])
-def test_a_magnetic_torque_is_averaged_over_the_turns_between_two_samples(size, known):
-    """Against the sum over 4000 instants of each interval, up to 20 turns of it."""
-    rng = np.random.default_rng(11)
-    track = seen(rng)
-    track = replace(track, omega=np.repeat(size * track.omega[:, :1], 12, axis=1))
-    term = MagneticTorque.beside(1e-4, np.tile([0.3, -0.4, 1.2], (12, 1)) if known else None)
-    dt = np.diff(TIMES)
-    pushed = term.pushes(track, dt)[0, 3]
-    share = (np.arange(4000) + 0.5) / 4000
-    attitude = turn(track.attitude[0, 3], share[:, None] * track.omega[0, 3] * dt[3])
-    if known:
-        unit = [0.3, -0.4, 1.2] / np.linalg.norm([0.3, -0.4, 1.2])
-        each = np.cross(np.eye(3), (attitude @ unit)[:, None]) / np.sqrt(2)
-    else:
-        columns = np.swapaxes(attitude, 1, 2)
-        each = np.cross(np.eye(3)[:, None], columns[:, None]).reshape(-1, 9, 3) / np.sqrt(6)
-    acceleration = term.sigma * np.swapaxes(each, 1, 2)
-    left = (1 - share)[:, None, None]
-    np.testing.assert_allclose(pushed[3:], dt[3] * acceleration.mean(axis=0), atol=1e-8)
-    np.testing.assert_allclose(
-        pushed[:3], dt[3] ** 2 * (left * acceleration).mean(axis=0), atol=1e-7
-    )
-
-
-def test_a_beam_that_is_known_has_its_brightness_as_an_unknown_and_turns_the_start_to_the_sun():
-    light = np.tile([0.2, 0.0, 0.05], (12, 1))
-    earth = EarthLight.prior(TIMES, 0.1, np.ones(6), light)
-    assert (
-        earth.unknowns(tuple("abcdef"))[0].name == "earth_reflectivity"
-        and earth.unknowns(tuple("abcdef"))[0].limit == 2.0
-    )
-    both = SUN_N + light[0]
-    shown = Rotation.align_vectors([SUN_N], [both / np.linalg.norm(both)])[
-        0
-    ].as_matrix()  # the search sees both together along z
-    found, error = earth.begin(
-        np.tile(shown.T, (1, 12, 1, 1)) @ shown @ shown.T, lambda e, a: np.zeros(1), True
-    )
-    np.testing.assert_allclose(
-        found[0, 0] @ both / np.linalg.norm(both), shown.T @ SUN_N, atol=1e-9
-    )
-    assert not error.any()
-
-
 def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
     vehicle, data, given, truth, about = twin
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
@@ -193,11 +113,6 @@ def test_a_stated_sigma_of_the_zero_counts_once_where_the_orbit_calibrates(twin)
     ]
     terms = [one.placed(here).forgiving() for one in read]
     assert terms[0].known is not None and terms[1].sigma == terms[0].sigma
-
-
-def test_surroundings_without_a_field_change_no_magnetometer():
-    plain = Magnetometer(np.ones((12, 3)), 0.1)
-    assert plain.placed(Surroundings(np.tile(SUN_N, (12, 1)))) is plain
 
 
 @pytest.mark.long

@@ -169,10 +169,6 @@ def test_panels_are_taken_for_as_good_as_their_readings_scatter(searched):
     assert (scale(searched, noisy) == 1.0).all()
 
 
-def test_without_a_magnetometer_panels_keep_what_is_presumed(searched):
-    assert (scale(searched, searched[1].drop_vars("field_B")) == 1.0).all()
-
-
 def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between(searched):
     vehicle, telemetry, index, kept, track, motion = searched
     o = observations(vehicle, telemetry)[0]
@@ -191,24 +187,6 @@ def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between
     assert np.nanmean(np.abs(right["magnetometer"]) > 3) < 0.05
     assert np.nanmean(np.abs(turned_once_more["magnetometer"]) > 3) > 0.5
     assert np.isfinite(right["magnetometer"]).sum() > 10 * len(kept)
-
-
-def test_dense_passes_with_a_magnetometer_are_short_in_an_orbit_too(searched):
-    vehicle, telemetry, *_ = searched
-    o, why, _ = observations(vehicle, telemetry)
-    read = next(term for term in o.terms if isinstance(term, Magnetometer))
-    in_orbit = o.swapped(read, replace(read, sigma=np.inf))  # no pairs, as in an orbit
-    alone = replace(o, terms=tuple(term for term in o.terms if term is not read))
-    for each, factor, longest in (
-        (o, 2, 1000.0),
-        (o, 8, 1000.0),
-        (in_orbit, 2, 1000.0),
-        (in_orbit, 8, 3000.0),
-        (alone, 2, 3000.0),
-    ):
-        spread = replace(each, t_s=factor * o.t_s)
-        spans = [np.ptp(spread.t_s[part]) for part in passes(spread, why, 300.0)]
-        assert longest / 2 < max(spans) <= longest
 
 
 def test_a_pass_that_begins_in_the_shadow_is_dense_where_it_shows_the_sun():

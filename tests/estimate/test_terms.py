@@ -27,7 +27,7 @@ from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.terms.gyro import Gyro
 from sunspin.estimate.terms.magnetometer import Magnetometer
-from sunspin.estimate.terms.term import Seen, facing, normal, student
+from sunspin.estimate.terms.term import Seen, facing, normal
 from sunspin.solve.rotations import turn
 from sunspin.vehicle.sensors import Sensors
 
@@ -77,37 +77,6 @@ def test_the_gyros_gradient_is_that_of_its_cost():
         step = 1e-6 * np.eye(4)[k]
         told = (cost(seen.omega, error + step) - cost(seen.omega, error - step)) / 2e-6
         assert slope[..., 6 + k].sum() == pytest.approx(told, rel=1e-5)
-
-
-def test_every_unknown_stands_once_in_one_list():
-    o = both()[0].freed()
-    places = places_of(o, Motion(Body.of(craft()), 1e-5, 0.1), None)
-    kinds = [one.kind for one in places.unknowns]
-    assert kinds[:4] == ["gyro_zero"] * 3 + ["gyro_scale"] and kinds.count("field_drift") == 6
-    assert len({one.name for one in places.unknowns}) == places.n
-    assert places.unknowns[0].sigma == pytest.approx(1e-3) and places.unknowns[
-        3
-    ].sigma == pytest.approx(0.01, rel=1e-6)
-    assert all(one.scope == "pass" for one in places.unknowns)
-
-
-def test_a_second_magnetometer_is_one_more_term():
-    """Two of the same noise: the drift of each is an unknown, and rates are known better than with one."""
-    o, truth = both()
-    first = only(o, Magnetometer)
-    rng, field_N = np.random.default_rng(7), np.array([0.6, 0.0, 0.8])
-    second = replace(
-        first, field_B=truth.attitude[0] @ field_N + 0.02 * rng.normal(size=(len(o), 3))
-    )
-    motion = Motion(Body.of(craft()), 1e-5, 0.1)
-    one, two = (
-        with_common(x.freed(), truth, motion, None)
-        for x in (o, replace(o, terms=(*o.terms, second)))
-    )
-    assert two.error.shape[1] == one.error.shape[1] + 6
-    assert cost_limit(replace(o, terms=(*o.terms, second))) == cost_limit(o) + 1.5 * (len(o) - 1)
-    known = [np.linalg.slogdet(x.track.covariance[0, :, 3:, 3:])[1].sum() for x in (one, two)]
-    assert known[1] < known[0] - 0.1  # rates are known better
 
 
 @pytest.mark.evidence(
@@ -181,29 +150,6 @@ def test_what_the_matrix_adds_is_the_change_of_the_residuals():
         less = replace(term, field_B=term.field_B - 0.03 * term.field_B @ element.T)
         change = less.between(o.t_s, relative)[0] - term.between(o.t_s, relative)[0]
         np.testing.assert_allclose(columns[..., k - 9], change, atol=1e-9)
-
-
-def test_readings_apart_cost_the_mean_of_their_likelihood():
-    """Of a gyro and a field, each against an average of the likelihood over what it may see."""
-    o, truth = both(samples=3)
-    rng, gyro, field = np.random.default_rng(3), only(o, Gyro), only(o, Magnetometer)
-    fine = replace(gyro, sigma=0.002)
-    size = max(np.sqrt((fine.rate_B**2).mean()), fine.sigma)
-    omega = size * rng.normal(size=(400_000, 3))
-    told = sum(
-        np.log(np.exp(-student((omega - rate) / fine.sigma)[1]).mean()) for rate in fine.rate_B
-    )
-    assert fine.unrelated(o.t_s) == pytest.approx(told, abs=0.1)
-    loose = replace(field, sigma=0.2)
-    start, end = loose.field_B[:-1], loose.field_B[1:]
-    axes = rng.normal(size=(400_000, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    lengths, sigmas = np.linalg.norm(start, axis=1), loose.sigmas(o.t_s)
-    each = [
-        np.exp(-((r * axes - b) ** 2).sum(axis=1) / (2 * s**2)).mean()
-        for r, b, s in zip(lengths, end, sigmas, strict=True)
-    ]
-    assert loose.unrelated(o.t_s) == pytest.approx(np.log(each).sum(), abs=0.03)
 
 
 def test_the_sensor_that_disagrees_is_left_out_by_evidence():

@@ -184,19 +184,3 @@ def test_draws_under_torques_are_not_carried_on_without_them():
         ss.InputError, match="draws of a posterior under torques cannot be carried on yet"
     ):
         drawn_rows(CUBE, tree)
-
-
-@pytest.mark.slow
-@pytest.mark.evidence(
-    "posterior",
-    "modelled",
-    "a tumbling CubeSat under gravity gradient; without the torque it is wrong",
-)
-def test_the_posterior_under_gravity_gradient_holds_the_truth():
-    data, _ = tumbling_telemetry()
-    away, known = {}, {"max_rate_rad_s": 0.02, "inertia": 0.0, "steady_torque": 0.0}
-    for torques in ((), TORQUES):
-        tree = ss.posterior(CUBE, data, known, draws=1000, environment=ORBIT, torques=torques)
-        omega = tree["posterior"]["omega_B"].values[0]
-        away[torques] = np.sqrt(np.mean(((omega.mean(axis=0) - RATE) / omega.std(axis=0)) ** 2))
-    assert away[TORQUES] < 2.0 < 5.0 < away[()]

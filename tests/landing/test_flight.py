@@ -5,7 +5,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.dynamics.ensemble import Rows
-from sunspin.landing.flight import carry, fly, legs_of, sun_height_shares
+from sunspin.landing.flight import carry, fly, sun_height_shares
 from sunspin.vehicle import Friction, Vehicle, Wheel
 from vehicles import FIRST_SUN
 
@@ -60,17 +60,6 @@ def test_a_chain_is_the_reference_with_that_schedule(name):
     np.testing.assert_allclose(np.linalg.norm(carried, axis=-1), 1.0, atol=1e-9)
 
 
-def test_a_held_wheel_keeps_its_speed_and_a_coasting_one_does_not():
-    vehicle, times = ss.load_vehicle("philae"), np.array([10.0, 2000.0])
-    assert np.all(fly(vehicle, rows(), SCHEDULES["held"], 0.0, times).wheel_speed_rad_s == 865.0)
-    assert np.all(fly(vehicle, rows(), SCHEDULES["off"], 0.0, times).wheel_speed_rad_s[:, 1] < 300)
-
-
-def test_a_wheel_at_rest_is_at_rest_exactly():
-    track = fly(ss.load_vehicle("philae"), rows(), ((0.0, "brake"),), 0.0, np.array([600.0, 900.0]))
-    assert np.all(track.wheel_speed_rad_s == 0.0)
-
-
 def test_back_and_forth_is_the_identity():
     vehicle, start = ss.load_vehicle("philae"), rows()
     back = fly(vehicle, start, ((-np.inf, "coast"),), 56.0, np.array([0.0]))
@@ -110,21 +99,3 @@ def test_shares_of_time_count_each_leg_by_its_length():
         2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4
     )  # s until r_z leaves the highest bin
     assert share[0, -1] == pytest.approx((700 + moved) / 1000, abs=0.01)
-
-
-def test_legs_of_a_schedule():
-    assert legs_of(SCHEDULES["delayed"], 0.0, 1000.0) == [
-        (0.0, 700.0, "hold"),
-        (700.0, 1000.0, "coast"),
-    ]
-    assert legs_of(SCHEDULES["delayed"], 800.0, 1000.0) == [(800.0, 1000.0, "coast")]
-    assert legs_of(SCHEDULES["delayed"], 1000.0, 0.0) == [
-        (1000.0, 700.0, "coast"),
-        (700.0, 0.0, "hold"),
-    ]
-
-
-def test_two_parallel_directions_carry_nothing():
-    """Turning about the Sun line, the Sun and the momentum cannot say how far the body has turned."""
-    z = np.array([[0.0, 0.0, 1.0]])
-    assert np.isnan(carry(np.array([[1.0, 0.0, 0.0]]), (z * 5, z), (z * 5, z))).all()

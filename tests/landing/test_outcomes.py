@@ -8,7 +8,6 @@ import pytest
 
 import sunspin as ss
 from sunspin.compute.rows import ensemble
-from sunspin.dynamics import gyrostat as g
 from sunspin.landing import scenario as sc
 from sunspin.landing.outcomes import OutcomeRows, candidates_of
 from sunspin.landing.strategies import best_delay, compare
@@ -53,27 +52,6 @@ def test_the_same_for_any_workers_and_chunks_and_for_single_rows(case):
         np.testing.assert_allclose(some[name], values[[17, 3]], rtol=1e-9, err_msg=name)
     other = replace(rows, seed=4)(np.array([3]))
     assert other["contact_speed"][0] != whole["contact_speed"][3]
-
-
-def test_a_candidate_drawn_often_flies_once_to_its_collision_and_as_if_drawn_alone(
-    case, monkeypatch
-):
-    rows = rows_of(case)
-    rows = replace(
-        rows, candidates=candidates_of(case.vehicle, published_candidates(case)[:3], rows.scenario)
-    )
-    alone = [rows(np.array([i])) for i in range(12)]
-    flown, to_collision = [], OutcomeRows._to_collision
-    monkeypatch.setattr(
-        OutcomeRows,
-        "_to_collision",
-        lambda self, start: flown.append(len(start)) or to_collision(self, start),
-    )
-    together = rows(np.arange(12))
-    assert flown == [3]
-    for name, values in together.items():
-        each = np.concatenate([one[name] for one in alone])
-        np.testing.assert_allclose(values, each, rtol=1e-9, atol=1e-12, err_msg=name)
 
 
 def test_a_store_resumes_and_refuses_another_seed(case, tmp_path):
@@ -141,35 +119,6 @@ def test_without_the_collision_the_sun_never_sinks_so_low(case):
     )
 
 
-@pytest.mark.evidence(
-    "outcomes", "verified", "energy may only fall, momentum about the contact stays"
-)
-def test_collisions_of_the_study_conserve_and_dissipate(case):
-    """On the states as drawn, many at once: energy never rises, momentum about the contact point stays."""
-    from sunspin.dynamics.impact import impact
-
-    rng, vehicle, n = np.random.default_rng(0), case.vehicle, 500
-    omega, speeds, leg = (
-        rng.normal(size=(n, 3)) * 0.4,
-        np.full((n, 1), 20.0),
-        rng.integers(3, size=n),
-    )
-    velocity = 0.304 * sc.about(np.tile([0.0, 0.0, -1.0], (n, 1)), rng.random(n), rng.random(n))
-    hit = impact(vehicle, omega, speeds, velocity, leg)
-    after = [hit[name].values for name in ("omega_B", "wheel_speed_rad_s", "velocity_B")]
-    mass, tips = vehicle.mass_kg, np.array([x.tip_B_m for x in vehicle.legs])[leg]
-
-    def energy(w, s, v):
-        return g.kinetic_energy(vehicle, w, s) + mass * (v**2).sum(axis=1) / 2
-
-    def about_tip(w, s, v):
-        return g.total_momentum(vehicle, w, s) - mass * np.cross(tips, v)
-
-    assert np.all(energy(*after) <= energy(omega, speeds, velocity) * (1 + 1e-12))
-    np.testing.assert_allclose(about_tip(*after), about_tip(omega, speeds, velocity), atol=1e-10)
-    assert np.all(velocity[:, 2] < 0)
-
-
 def test_a_plumb_fall_without_turning_is_known(case):
     """At rest in space, no collision: what is lowest touches, legs down, at the landing speed."""
     scenario = sc.Scenario(
@@ -210,16 +159,6 @@ def test_fast_spins_touch_where_closer_samples_say(monkeypatch):
     assert np.mean(usual["contact_point"].values == close["contact_point"].values) > 0.98
     np.testing.assert_allclose(
         usual["leg_tip_speed"].mean(), close["leg_tip_speed"].mean(), rtol=2e-3
-    )
-
-
-def test_slow_and_fast_spins_keep_their_bits_in_any_chunk():
-    """Runs that need closer samples are run again in pieces of their own: neither pieces nor neighbours may show."""
-    scenario = sc.Scenario((0.36, 0.48, 0.8), (), 600.0, vertical="any", collision_speed_m_s=0.3)
-    rates, options = [[0.1, 0.2, 0.1], [2.0, 1.0, 1.5], [0.5, -0.3, 6.0]], {"scenario": scenario}
-    whole = ss.outcomes(box_with_feet(), rates, "off", 40, 0, **options)
-    assert whole.identical(
-        ss.outcomes(box_with_feet(), rates, "off", 40, 0, chunk=7, workers=2, **options)
     )
 
 

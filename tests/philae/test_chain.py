@@ -127,21 +127,6 @@ def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
 
 
 @pytest.mark.long
-def test_shuffled_samples_take_the_descent_and_cannot_move_the_scan(found):
-    """EMD does not use the order of samples: its rows are those of the right file, and the first line says why."""
-    mixed, right = found("samples shuffled"), found("as it is")
-    assert right.carries.descent_order and not mixed.carries.descent_order
-    assert (
-        "HOLDS NO SPIN" in mixed.carries.first_line
-        and "not their order" in mixed.carries.first_line
-    )
-    assert sorted(mixed.scan.measured_z) == pytest.approx(sorted(right.scan.measured_z), abs=1e-12)
-    np.testing.assert_allclose(mixed.scan.scan.emd, right.scan.scan.emd, atol=1e-12)
-    for name, row in right.rows.items():
-        assert mixed.rows[name].ours == pytest.approx(row.ours, rel=1e-9), name
-
-
-@pytest.mark.long
 def test_a_telemetry_that_no_motion_makes_is_refused(quick):
     """The Sun stands high at the first sample and low ever after, as in no free motion: the smallest EMD is far beyond noise."""
     data = controls.with_motion(CASE, controls.STILL)
@@ -184,21 +169,6 @@ def test_candidates_from_a_table(tmp_path, quick):
 def test_without_a_calibration_nothing_is_concluded(quick):
     one = chain_of(None, coarser=20, twins=0)
     assert one.chain is None and "not calibrated for these data" in one.why
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
-)
-def test_right_files_are_not_accused(seed):
-    """Of 20 seeds none was (docs/validation); three here."""
-    from sunspin.philae.twin_philae import philae_twin
-
-    one = chain_of(philae_twin(seed), coarser=20)
-    assert one.carries.one_sun and one.carries.descent_order and one.chain is not None, (
-        one.carries.first_line,
-        one.why,
-    )
 
 
 def test_a_vehicle_without_a_wheel_is_refused():

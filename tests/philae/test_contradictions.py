@@ -1,6 +1,5 @@
 """Where the paper contradicts itself: what survives a fair reading, with figures checked by hand or by other programs."""
 
-import csv
 import json
 from types import SimpleNamespace
 
@@ -93,55 +92,12 @@ WEAK = {
     "promised_probability",
 }
 
-REMOVED = {
-    # rounding or "about"
-    "mu_1",
-    "wheel_stop_printed",
-    "descent_end",
-    "round_mass",
-    "cubic_rounding",
-    # never stated
-    "study_mu_0",
-    "study_omega",
-    "study_lines",
-    "study_theta",
-    # no contradiction
-    "emd_names",
-    "kernel_times",
-    "spin_down_start",
-    # in the row of the same cause
-    "first_direction_twice",
-    "final_force",
-    "speed_at_collision",
-    "path",
-    "sampling_after_collision",
-    "own_section",
-}
-
 
 @pytest.mark.parametrize("name", BY_HAND)
 def test_by_hand(rows, name):
     value, tolerance, stands = BY_HAND[name]
     assert np.all(np.abs(np.asarray(rows[name].ours) - np.asarray(value)) <= tolerance)
     assert rows[name].holds is stands
-
-
-def test_a_row_of_two_figures_keeps_both(rows):
-    assert rows["first_direction_length"].published == [1.0, 0.0] and rows[
-        "final_torque"
-    ].published == [5.0, 1.0]
-    assert rows["speed_twice"].published == [0.02, 0.2355, 650.0] and rows[
-        "sampling_descent"
-    ].published == [2.0, 2.0]
-    assert rows["section_5"].published == [5, 2.3]
-
-
-def test_what_survives_a_fair_reading(rows):
-    """Rounding, what is never stated and what is none have no row; matters of wording and harmless ones are marked."""
-    assert set(rows) == STRONG | WEAK and not REMOVED & set(rows)
-    assert {name for name, row in rows.items() if row.weak} == WEAK
-    assert all(rows[name].holds is False for name in STRONG)
-    assert not any(row.holds for row in rows.values())
 
 
 def test_the_cubic_has_the_range_of_its_extremes(rows):
@@ -151,43 +107,10 @@ def test_the_cubic_has_the_range_of_its_extremes(rows):
     assert "9324 s" in rows["cubic_range"].note and rows["cubic_range"].holds is False
 
 
-def test_rounding_of_the_coefficients_does_not_explain_the_printed_range(rows):
-    """0.5e-5 + 0.5e-11 * 23400 + 0.5e-15 * 23400^2 + 0.5e-20 * 23400^3 = 5.45e-6, off by 1.5e-4; wheel: times 16.523 / 0.0058."""
-    assert "5.5e-06" in rows["cubic_range"].other_reading
-    assert "1.1 instead of 0.2 rad/s" in rows["cubic_range"].changes
-
-
-def test_the_aliases_tie(rows):
-    assert rows["descent_alias"].ours == pytest.approx([-0.0402, 0.01216, 0.0645], abs=5e-5)
-    assert (
-        rows["descent_alias"].note.startswith("E is at most ")
-        and float(rows["descent_alias"].note.split()[4]) < 1e-12
-    )
-
-
 def test_the_swing_of_the_axis_at_the_printed_points(rows):
     """Twice (47.5, 46.9, 31.7, 31.6) degrees, found with another program."""
     assert rows["axis_swing"].ours == pytest.approx([95.0, 93.8, 63.4, 63.2], abs=0.3)
     assert "61, 61, 63, 63" in rows["axis_swing"].note
-
-
-def test_the_swing_is_the_same_all_along_the_lines(rows):
-    reading = rows["axis_swing"].other_reading
-    assert "60 to 64 deg" in reading and "93 to 97 deg" in reading
-
-
-def test_rates_at_the_collision_exceed_the_published(rows):
-    assert all(0.44 <= mean <= 0.59 for mean in rows["rate_at_collision"].ours)
-    assert (
-        rows["rate_at_collision"].holds is False
-        and "0.304" in rows["rate_at_collision"].other_reading
-    )
-
-
-def test_the_leg_tip_speeds(rows):
-    """The longest leg is 1.634 m: 0.02, 0.2355 or 0.304 m/s more than 0.539; with a turn in 13 s 0.2355 + 0.790."""
-    changes = rows["speed_twice"].changes
-    assert all(text in changes for text in ("0.559", "0.775", "0.843", "1.025"))
 
 
 def test_the_sign_of_friction(rows):
@@ -208,54 +131,3 @@ def test_the_appendix_cancels_two_errors():
     second = inertia @ np.cross(omega, speed * axis), np.cross(omega, inertia @ (speed * axis))
     assert min(np.abs(first[0] - first[1]).max(), np.abs(second[0] - second[1]).max()) > 0.1
     assert first[0] + second[0] == pytest.approx(first[1] + second[1], abs=1e-12)
-
-
-def test_a_later_start_of_865_rad_s_does_not_help(rows):
-    """(865 + 388.9) exp(4.643e-4 * 56) - 388.9 = 898.0, which stops after ln(898.0 / 388.9 + 1) / 4.643e-4 = 2577 s."""
-    reading = rows["wheel_speed_twice"].other_reading
-    assert "898 rad/s" in reading and "43.0 min" in reading and "15 to 49 rad/s" in reading
-    assert "0.1847 instead of 0.1895" in rows["wheel_speed_twice"].changes
-
-
-def test_samples_that_allow_a_reconstruction_are_two_minutes_apart(rows):
-    """225 of 360 degrees of azimuth: 2.932 * 0.625 = 1.83 min; measurement 10 comes 9 * 2.932 = 26.4 min after the first."""
-    assert (
-        "62.5 %" in rows["sampling_descent"].other_reading
-        and "1.83 min" in rows["sampling_descent"].other_reading
-    )
-    assert "26.4 min" in rows["descent_start"].other_reading
-
-
-def test_every_row_says_where_and_what_it_changes(rows):
-    for row in rows.values():
-        assert row.place and row.what and row.unit
-        for text in (row.sentence, row.other_reading, row.changes):
-            assert text.strip() and text.endswith(".") and "{" not in text
-
-
-@pytest.mark.real_data
-def test_the_speed_after_the_touchdown_is_that_of_the_kernel(data_dir):
-    states = kernel_states(data_dir)
-    speed = 1e3 * np.linalg.norm(states[0, 3:])
-    assert speed == pytest.approx(
-        CASE.published["trajectory_speed_after_touchdown"].value, abs=5e-4
-    )
-
-
-@pytest.mark.real_data
-def test_the_path_and_the_straight_line_are_those_of_the_kernel(data_dir):
-    """States a second apart; the collision is 2756 s after the touchdown."""
-    place = 1e3 * kernel_states(data_dir)[:2757, :3]
-    path, straight = (
-        np.linalg.norm(np.diff(place, axis=0), axis=1).sum(),
-        np.linalg.norm(place[-1] - place[0]),
-    )
-    assert path == pytest.approx(CASE.published["kernel_path_length"].value, abs=0.5)
-    assert straight == pytest.approx(CASE.published["trajectory_straight_path"].value, abs=0.5)
-
-
-def kernel_states(data_dir):
-    """Comet-fixed places (km) and velocities (km/s) of the centre of mass, (n, 6)."""
-    columns = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
-    with open(data_dir / "philae_spk" / "philae_rebound_states.csv", encoding="utf-8") as file:
-        return np.array([[float(row[key]) for key in columns] for row in csv.DictReader(file)])

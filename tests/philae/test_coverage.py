@@ -16,7 +16,6 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
-from sunspin.estimate.scan.volume import scan
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
 from sunspin.telemetry.case import load_case
@@ -33,15 +32,6 @@ AXES = {
 @pytest.fixture(scope="module")
 def table():
     return make_table(CASE.vehicle, rb.first_sun(CASE), AXES, 865.0, rb.window_s(CASE))
-
-
-def test_a_table_gives_the_bits_of_a_scan_for_every_target(table):
-    rng = np.random.default_rng(3)
-    for _ in range(3):
-        z = rng.uniform(0.05, 0.95, 16)
-        alone = scan(CASE.vehicle, z, rb.first_sun(CASE), *AXES.values(), 865.0, rb.window_s(CASE))
-        np.testing.assert_array_equal(table.volume(z).values, alone.values)
-    assert table.volume(z).dims == alone.dims and table.volume(z).attrs == alone.attrs
 
 
 @pytest.mark.evidence(
@@ -77,21 +67,6 @@ def test_rates_at_the_end_follow_a_wheel_that_stops_but_not_back_into_one_that_i
         end_rates(CASE.vehicle, Rows(found, sun[None], np.array([[0.0]])), -60.0)
 
 
-def test_a_wheel_at_rest_at_the_first_sample_is_taken_to_have_stood_still_since_the_touchdown():
-    omega = np.array([[0.1, -0.3, 0.2]])
-    run = propagate(
-        CASE.vehicle,
-        omega[0],
-        rb.first_sun(CASE),
-        0.0,
-        [0.0, -rb.after_touchdown_s(CASE)],
-        wheel_mode="hold",
-    )
-    np.testing.assert_allclose(
-        rb.at_touchdown(CASE, omega, 0.0), run["omega_B"].values[-1:], atol=1e-9
-    )
-
-
 def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
     states = study.rows_of(CASE, np.array([truth, other]))
@@ -105,45 +80,6 @@ def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
 @pytest.fixture(scope="module")
 def grid():
     return study.make_grid(CASE, COARSE)
-
-
-def test_twins_look_like_the_synthetic_telemetry():
-    truth = np.array([-0.27, 0.07, 0.08])
-    counts = [study.measured_z(CASE, truth, np.random.default_rng(i)).size for i in range(5)]
-    assert min(counts) >= 10 and max(counts) <= 23
-    assert np.all(np.abs(study.true_rate(CASE, "grid", np.random.default_rng(0))) <= 1)
-    on_line = study.true_rate(CASE, "lines", np.random.default_rng(0))
-    away = [np.linalg.norm(np.cross(on_line - p, d)) for p, d in rb.published_lines(CASE)]
-    assert min(away) < 1e-12
-
-
-def test_what_is_kept_of_a_twin_is_consistent(grid):
-    for number in range(3):
-        row = study.twin(grid, "grid", number, 1)
-        assert row["factor_count"][0] >= 1 and np.all(np.diff(row["factor_count"]) >= 0)
-        assert np.all(np.diff(row["factor_speed"]) <= 0)  # larger sets have smaller bounds
-        assert row["bound_set"] >= grid.speed.min()
-        assert row["emd_min"] > 0 and row["emd_truth"] > 0 and len(row["line_angle"]) == 4
-
-
-@pytest.mark.evidence("reproduce", "verified", "order statistics of 4,000 drawn studies")
-def test_a_threshold_holds_a_further_truth_as_often_as_it_says(reached):
-    """Over many studies of 99 twins a further twin lies below the 90 % threshold in 90 % of the cases: exactly 90 of 100 ranks."""
-    rng = np.random.default_rng(11)
-    n, studies = 99, 4000
-    held = [
-        rng.gamma(2.0) < threshold.holding(rng.gamma(2.0, size=n), 0.9)[0] for _ in range(studies)
-    ]
-    assert np.mean(held) == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / studies))
-    assert np.mean(held) != pytest.approx(
-        0.85, abs=4 * np.sqrt(0.09 / studies)
-    )  # a wrong confidence would be noticed
-    reached("share of further truths held, asked for 0.9", np.mean(held))
-    covered = 0
-    for _ in range(500):
-        _, low, high = threshold.holding(rng.uniform(size=200), 0.9)
-        covered += low <= 0.9 <= high
-    assert covered / 500 > 0.92
 
 
 def test_too_few_twins_are_refused():
@@ -184,13 +120,6 @@ def test_the_study_resumes_and_writes_table_and_picture(tmp_path, capsys, framed
     assert before == {name: (tmp_path / name).read_bytes() for name in names}
     assert study.main([str(tmp_path), "--twins=10"]) == 2
     assert "too few twins" in capsys.readouterr().err
-
-
-def test_an_old_results_folder_is_refused_in_one_sentence(tmp_path):
-    (tmp_path / ".sunspin-results").write_text("worth\n", "utf-8")
-    done = CliRunner().invoke(cli, ["report", str(tmp_path)])
-    assert isinstance(done.exception, InputError)
-    assert "results of `sunspin worth` are no longer shown" in str(done.exception)
 
 
 def test_a_scan_takes_a_calibrated_threshold():

@@ -1,14 +1,11 @@
 """Strategies, the collision against the trajectory kernel, the settling argument, rows and figures of the landing study."""
 
-import json
-
 import numpy as np
 import pytest
 
 import sunspin as ss
 from chains import chain_on_the_lines
 from drawing import covered
-from studies import impulse as im
 from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import estimate
@@ -38,15 +35,6 @@ def test_strategies_share_their_draws_and_differ_only_in_the_wheel(landing):
     assert np.array_equal(
         runs["held"]["contact_speed"].values, runs["after_rest"]["contact_speed"].values
     )
-
-
-def test_the_table_can_be_printed(landing):
-    lines = {line["quantity"]: line for line in st.records(landing.strategies)}
-    assert set(lines) == set(st.TABLE) and lines["touch_leg"]["off"].error > 0
-    low, middle, high = (
-        landing.strategies["quantile"].sel(strategy="off", quantity="leg_tip_speed").values
-    )
-    assert low < middle < high
 
 
 def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
@@ -121,14 +109,6 @@ def test_weights_prefer_what_the_kernel_shows(landing):
     )
 
 
-def test_after_a_sticking_blow_the_centre_of_mass_turns_about_the_legs_end(landing):
-    """Closed form: v' = l x omega', so speed and rate after it are tied, and the kernel's speed bounds the rate from below."""
-    runs = landing.collision
-    tips = np.array([leg.tip_B_m for leg in landing.case.vehicle.legs])[runs["leg"].values]
-    arm = np.linalg.norm(np.cross(runs["omega_after_B"].values, tips), axis=1)
-    np.testing.assert_allclose(runs["speed_after"].values, arm, rtol=1e-9)
-
-
 def test_wrong_facts_leave_no_runs(landing):
     """Negative control: a jump twice as large as the speed before is no sticking impact of this body."""
     wrong = facts_of(landing.collision) | {"velocity_change": 0.6}
@@ -194,26 +174,6 @@ def test_figures_have_units_on_every_axis(landing):
         assert all("(" in label or label.startswith(PURE) for label in labels), labels
 
 
-def test_only_a_blow_that_sticks_is_called_so(landing):
-    def said(**scenario):
-        found = landing.collision.assign_attrs(scenario=json.dumps(scenario))
-        return collision_figure(found).axes[0].get_title().split(" at ")[0]
-
-    assert (
-        said(restitution=0.0, damper=0.0) == "Sticking impacts"
-        and said(restitution=0.2) == said(damper=0.5) == "Impacts"
-    )
-
-
-def test_shifting_the_hull_moves_it_and_not_the_legs():
-    vehicle = ss.load_vehicle("philae")
-    moved = la.shifted_hull(vehicle, 0.1)
-    np.testing.assert_allclose(
-        moved.hull[0].points_B_m - vehicle.hull[0].points_B_m, [[0, 0, 0.1]] * 4, atol=1e-15
-    )
-    assert moved.legs == vehicle.legs
-
-
 def test_a_missing_kernel_is_one_sentence(tmp_path):
     pytest.importorskip("spiceypy")
     with pytest.raises(ss.InputError, match="the trajectory kernel is not there"):
@@ -239,11 +199,3 @@ def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
     assert scenario.collision_speed_m_s == shipped[
         "speed_before"
     ] and scenario.collision_s == pytest.approx(2756.02)
-
-
-def test_the_impulse_of_collisions_at_free_times(landing):
-    """Runs at several instants join; angles are those of the drawn blows, and candidates keep their rates."""
-    runs = im.collisions(landing.chain, 80, 1)
-    assert runs.sizes["run"] == 80 and np.isfinite(runs["change_to_sun"].values).all()
-    speeds = landing.chain.chosen.speed_touchdown[runs["candidate"].values]
-    assert np.array_equal(runs["speed_touchdown"].values, speeds)

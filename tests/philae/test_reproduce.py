@@ -23,7 +23,6 @@ from sunspin.telemetry.case import load_case
 from validation import controls
 
 CASE = load_case("philae")
-ALL_PARTS = rp.PARTS
 QUICK = (
     "phases",
     "descent",
@@ -244,22 +243,6 @@ def test_a_part_that_is_needed_ends_the_study(monkeypatch):
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
     with pytest.raises(TelemetryError, match="no sample between first touchdown and collision"):
         quick(rb.with_telemetry(CASE, without("first_rebound")))
-
-
-def test_every_figure_of_the_paper_has_a_sheet_in_its_order():
-    parts = [names[0] for names, _ in pictures.SHEETS]
-    assert set(parts) <= {part.name for part in ALL_PARTS}
-    order = [
-        "phases",
-        "mechanics",
-        "sensitivity",
-        "level_set",
-        "descent",
-        "precession",
-        "touchdown",
-        "landing",
-    ]
-    assert [name for name in dict.fromkeys(parts) if name in order] == order
 
 
 @pytest.mark.evidence("reproduce", "verified", "the list of published figures: none is passed over")

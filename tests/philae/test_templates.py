@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from sunspin.base.errors import InputError
 from sunspin.philae import row as rw
 from sunspin.philae import templates as tp
 from sunspin.telemetry.case import load_case
@@ -99,45 +98,3 @@ def test_ours_may_be_bounded_from_above(case):
     )
     assert rw.row(case, "grows", [0.0, 0.11]).agrees is False
     assert rw.row(case, "grows", None, tolerance=None).agrees is None
-
-
-@pytest.mark.parametrize(
-    ("name", "given", "message"),
-    [
-        ("jumps", {}, "a row has no table in rows.toml"),
-        ("turns", {}, "turns: the row's what cannot be filled .*who"),
-        ("turns", {"who": "us", "when": 3}, "turns: the row's texts do not name when"),
-        ("turns", {"who": "us", "says": ("note_early",)}, "turns: .*note_early"),
-    ],
-)
-def test_what_does_not_fit_its_table_is_refused(case, name, given, message):
-    with pytest.raises(InputError, match=message):
-        rw.row(case, name, 1.0, **given)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[a\n", "not valid TOML"),
-        ("a = 1\n", "rows.toml, a: .*a row is a table"),
-        ('[a]\nnotes = "x"\n', "rows.toml, a: .*no such key.*notes"),
-        ("[a]\nnote = 3\n", "rows.toml, a: note is not of the kind"),
-        ('[a]\nwhat = ""\n', "rows.toml, a: what is not of the kind"),
-        ('[a]\ntolerance = "wide"\n', "rows.toml, a: tolerance is not of the kind"),
-        ('[a]\nsentence = "x"\n', "rows.toml, a: .*no such key.*sentence"),
-        ('[a]\nnote = "{x"\n', "rows.toml, a: braces do not enclose a field"),
-    ],
-)
-def test_a_slip_in_the_file_is_one_sentence(text, message):
-    with pytest.raises(InputError, match=message):
-        tp.parse_templates(text, "rows.toml")
-
-
-def test_a_row_without_a_needed_text_is_refused(monkeypatch):
-    monkeypatch.setattr(
-        rw,
-        "templates",
-        lambda case: tp.parse_templates('[a]\nwhat = "x"\nunit = "1"\n', "rows.toml"),
-    )
-    with pytest.raises(InputError, match=r"rows.toml, a: the row lacks a field \('place'\)"):
-        rw.row(CASE, "a", 1.0)

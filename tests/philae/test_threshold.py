@@ -138,14 +138,6 @@ def test_a_file_of_a_calibration_can_be_read_again():
             th.from_json(text, "here", "here")
 
 
-def test_synthetic_rebounds_are_the_same_alone_and_in_company():
-    few, many = th.alike_rebounds(REBOUND, 3, 4), th.alike_rebounds(REBOUND, 9, 4)
-    for (a, seen, _), (b, also, _) in zip(few, many, strict=False):
-        np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(seen, also)
-    assert all(abs(len(one.seen_B) - REBOUND.z.size) <= 4 for one in many)
-
-
 def test_brightness_and_noise_are_those_that_the_telemetry_was_made_with():
     assert th._scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
     assert (

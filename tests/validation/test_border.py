@@ -62,13 +62,6 @@ def test_every_whole_table_that_is_odd_is_a_result_or_a_sentence(home):
     ) > len(told) / 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("suite", "n"), [(Fuzz, 3000), (Corrupt, 1500)])
-def test_a_larger_campaign_in_guarded_processes(suite, n):
-    report = pool.run(suite, n, seed=30)
-    assert report.findings == [] and sum(report.counts.values()) == n
-
-
 @pytest.mark.parametrize(
     ("told", "what"),
     [

@@ -35,13 +35,6 @@ def test_a_damaged_row_is_named_and_not_used(tmp_path):
             kept(tmp_path / "0.json", dict)
 
 
-def test_what_a_killed_run_had_begun_is_removed_and_what_lives_is_not(tmp_path):
-    for process in (999999999, 1):  # none, and one that runs
-        (tmp_path / f".sunspin-{process}-{'a' * 16}.part").write_text("{", "utf-8")
-    left = [path.name for path in rows_folder(tmp_path).iterdir()]
-    assert left == [f".sunspin-1-{'a' * 16}.part"]
-
-
 @pytest.mark.parametrize(
     ("error", "code", "text"),
     [(InputError("no such motion"), 2, "no such motion"), (KeyboardInterrupt(), 130, "goes on")],

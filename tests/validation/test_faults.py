@@ -1,7 +1,6 @@
 """What the machine may do to a run: no room, no memory, another run on the same store, a clock that jumps, a kill."""
 
 import ast
-import json
 import os
 import resource
 import subprocess
@@ -13,7 +12,6 @@ import pytest
 
 from sources import nodes_if
 from sunspin.output.folder import results_folder, write_whole
-from validation import kill
 from validation.kill import environment, is_whole, same
 
 START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
@@ -101,21 +99,6 @@ def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
     assert [path.name for path in folder.iterdir()] == [".sunspin-results"]
 
 
-def test_a_process_killed_while_it_writes_is_swept(tmp_path):
-    code = (
-        "import os, sys; from pathlib import Path; from sunspin.output.folder import results_folder, write_whole; "
-        "folder = results_folder(Path(sys.argv[1]), 'sun'); "
-        "write_whole(folder / 'sun.nc', lambda part: (part.write_bytes(b'half'), os.kill(os.getpid(), 9)))"
-    )
-    assert (
-        subprocess.run([sys.executable, "-c", code, tmp_path / "out"], env=environment()).returncode
-        == -9
-    )
-    assert len(list((tmp_path / "out").iterdir())) == 2
-    results_folder(tmp_path / "out", "sun")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == [".sunspin-results"]
-
-
 def test_only_our_own_files_are_removed(tmp_path):
     """What has not our temporary name stays, and so does a link that has it."""
     folder, ended = results_folder(tmp_path / "out", "sun"), process_that_ended()
@@ -198,53 +181,3 @@ def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
 )
 def test_results_are_the_same_to_nine_digits(ours, theirs, alike):
     assert same(ours, theirs) is alike
-
-
-@pytest.mark.long
-def test_the_campaign_would_notice_other_results(tmp_path, monkeypatch):
-    """A command whose result hangs on whether it was killed."""
-    code = (
-        "import json, pathlib, sys, time; args = sys.argv; out = pathlib.Path(args[args.index('--out') + 1]); "
-        "out.mkdir(parents=True, exist_ok=True); n = len(list(out.glob('.try*'))); (out / f'.try{n}').touch(); "
-        "time.sleep(0.5); (out / 'a.json').write_text(json.dumps({'tries': n}))"
-    )
-    monkeypatch.setattr(
-        kill, "command", lambda name, folder: [sys.executable, "-c", code, "--out", f"{folder}/out"]
-    )
-    told = kill.campaign("scan", 3, tmp_path, 0, say=lambda text: None)
-    assert told.kills >= 3 and any("other results" in what for what in told.wrong)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", kill.TARGETS)
-def test_killed_runs_end_with_the_same_results(name, tmp_path):
-    told = kill.campaign(name, 6, tmp_path, 1)
-    assert told.kills >= 6 and told.wrong == []
-
-
-@pytest.mark.slow
-def test_two_runs_on_one_store(tmp_path):
-    """Both end well, or one is told that another run is writing; the results are those of one."""
-    store = ["--store", str(tmp_path / "rows")]
-    given = [
-        sys.executable,
-        "-m",
-        "sunspin.cli",
-        "outcomes",
-        "philae",
-        "--runs=3000",
-        "--strategy=off",
-        "--json",
-        *store,
-    ]
-    runs = [
-        subprocess.Popen(
-            given, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        for _ in range(2)
-    ]
-    ended = [(run.communicate(timeout=300), run.returncode) for run in runs]
-    good = [json.loads(out) for (out, _), code in ended if code == 0]
-    assert good and all(result == good[0] for result in good)
-    for (_, complaint), code in ended:
-        assert code == 0 or (code == 2 and "another run is writing" in complaint), complaint

@@ -21,18 +21,6 @@ WHEEL = PHILAE.wheels[0]
 RATE, SUN = np.array([0.1, -0.15, 0.12]), np.array([0.6, 0.0, 0.8])
 
 
-def test_the_simulator_agrees_with_the_propagator_beyond_the_stop_of_the_wheel():
-    t = np.array([0.0, 60.0, 300.0, 800.0])
-    friction = WHEEL.friction.coulomb_N_m, WHEEL.friction.viscous_N_m_s
-    start = RATE, SUN, 150.0  # rad/s: it stands before 13 minutes
-    seen = posterior_cases.directions(
-        PHILAE.require_inertia(), WHEEL.axis_B, WHEEL.inertia_kg_m2, friction, start, t
-    )
-    run = ss.propagate(PHILAE, RATE, SUN, [150.0], t)
-    assert run["wheel_speed_rad_s"].values[-1, 0] == 0 < run["wheel_speed_rad_s"].values[1, 0]
-    np.testing.assert_allclose(seen, run["sun_B"].values, atol=1e-6)
-
-
 @pytest.mark.parametrize("number", [18, 21])
 def test_noise_on_dark_panels_does_not_change_the_brightness(number):
     """By the lit threshold of 1 mW alone these are 26 and 16 % too low; of 60 such files one was off by a factor of five."""

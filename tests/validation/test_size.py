@@ -37,8 +37,3 @@ def test_the_counts_of_a_small_package(tmp_path):
     assert room.vague_names == 4
     whole = size.sizes(tmp_path)["src"]
     assert (whole.files, whole.lines) == (3, 25)
-
-
-def test_the_table_names_every_folder_and_count():
-    text = size.table()
-    assert all(name in text for name in ("estimate", "single_caller", "JavaScript", "ceiling"))
