@@ -4,14 +4,6 @@ import pytest
 
 from docs.evidence_page import KINDS, capabilities, declared, page
 
-TEST = """
-import pytest
-
-@pytest.mark.evidence("{name}", "verified", "a closed form")
-@pytest.mark.slow
-def test_it_is_right(): ...
-"""
-
 
 def test_every_capability_has_a_line_and_one_without_evidence_says_none(monkeypatch):
     monkeypatch.setattr("docs.evidence_page.declared", lambda: [])
@@ -22,20 +14,6 @@ def test_every_capability_has_a_line_and_one_without_evidence_says_none(monkeypa
             f"## {name}\n" in text and f"| [{name}](#{name.replace('_', '-')}) | **none** |" in text
         )
     assert "not run before this page was built" in text
-
-
-def test_what_the_tests_declare_is_read_from_their_text(tmp_path):
-    folder = tmp_path / "tests"
-    folder.mkdir()
-    (folder / "test_x.py").write_text(TEST.format(name="emd"))
-    (item,) = declared(folder)
-    assert item == (
-        "tests/test_x.py::test_it_is_right",
-        "emd",
-        "verified",
-        "a closed form",
-        ("evidence", "slow"),
-    )
 
 
 def test_evidence_for_what_does_not_exist_is_refused(monkeypatch):
