@@ -91,17 +91,6 @@ def test_telemetry_and_timeline_count_from_the_same_instant():
     assert case.telemetry.attrs["synthetic"] == 1
 
 
-def test_published_lines_have_unit_directions_and_the_first_sun_is_a_unit_vector():
-    for name in ("L1", "L2", "L3", "L4"):
-        _, along = case.published[f"line_{name}"].value
-        assert np.linalg.norm(along) == pytest.approx(1.0, abs=1e-4)
-    assert np.linalg.norm(case.published["first_sun"].value) == pytest.approx(1.0, abs=1e-4)
-    # the paper's second quotation of the same direction is not one
-    assert np.linalg.norm(case.published["first_sun_E_study"].value) == pytest.approx(
-        0.9646, abs=1e-4
-    )
-
-
 @pytest.mark.evidence(
     "load_case", "validated", "the paper's figures, where the case states them too"
 )

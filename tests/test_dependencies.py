@@ -121,20 +121,6 @@ def test_licences_let_users_choose_their_own(extra):
     assert not {name: text for name, text in told.items() if SHARE_ALIKE.search(text)}
 
 
-def test_the_lock_fits_what_is_declared():
-    """Every direct dependency is locked, once, at an exact version."""
-    lines = [
-        line
-        for line in (ROOT / "requirements.lock").read_text("utf-8").splitlines()
-        if line and not line.startswith("#")
-    ]
-    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.+-]+", line) for line in lines)
-    locked = [line.split("==")[0].lower().replace("_", "-") for line in lines]
-    assert len(locked) == len(set(locked))
-    wanted = CORE | set().union(*EXTRAS.values())
-    assert not wanted - set(locked)
-
-
 def test_versions_that_are_claimed_are_tried():
     """Classifiers begin with the lowest version that may install it, and name none that `make test-all` would not try."""
     claimed = [

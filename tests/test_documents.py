@@ -6,7 +6,7 @@ import runpy
 import click
 import pytest
 
-from documents import LANGUAGES, ROOT, Block, Reader, blocks, commands, pages
+from documents import LANGUAGES, ROOT, Block, Reader, blocks, pages
 
 PAGES = {str(path.relative_to(ROOT)): path for path in pages()}
 BLOCKS = {name: blocks(path.read_text("utf-8")) for name, path in PAGES.items()}
@@ -97,20 +97,6 @@ def test_links_lead_somewhere():
             )
 
 
-def test_what_a_page_includes_is_there():
-    """Sphinx would say so too, but the site is not built with every change."""
-    for name, path in PAGES.items():
-        text = path.read_text("utf-8")
-        for target, options in re.findall(
-            r"^`{3,}\{literalinclude\} (\S+)\n((?::.*\n)*)", text, re.MULTILINE
-        ):
-            included = (path.parent / target).read_text("utf-8")
-            for mark in re.findall(
-                r"^:(?:start|end)-(?:at|before|after): (.+)$", options, re.MULTILINE
-            ):
-                assert mark in included, f"{name}: {target} has no line with {mark!r}"
-
-
 def test_every_equation_that_the_code_cites_is_on_the_page_of_the_model():
     """Equations are numbered in their order on the page, and the code cites them as eq. N."""
     text = (ROOT / "docs" / "model.md").read_text("utf-8")
@@ -131,7 +117,3 @@ def test_the_reference_lists_the_public_face():
         re.MULTILINE,
     )
     assert sorted(listed) == sorted(set(sunspin.__all__) - {"__version__"})
-
-
-def test_commands_of_a_console_block():
-    assert commands("$ a \\\n  b # c\nx\n\ny\n$ d\n") == [("a    b # c", "x\ny\n"), ("d", None)]

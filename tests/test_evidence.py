@@ -1,18 +1,8 @@
 """The page of evidence shows what was declared and reached, and what was not."""
 
-import json
-
 import pytest
 
 from docs.evidence_page import KINDS, capabilities, declared, page
-
-TEST = """
-import pytest
-
-@pytest.mark.evidence("{name}", "verified", "a closed form")
-@pytest.mark.slow
-def test_it_is_right(): ...
-"""
 
 
 def test_every_capability_has_a_line_and_one_without_evidence_says_none(monkeypatch):
@@ -24,40 +14,6 @@ def test_every_capability_has_a_line_and_one_without_evidence_says_none(monkeypa
             f"## {name}\n" in text and f"| [{name}](#{name.replace('_', '-')}) | **none** |" in text
         )
     assert "not run before this page was built" in text
-
-
-def test_what_the_tests_declare_is_read_from_their_text(tmp_path):
-    folder = tmp_path / "tests"
-    folder.mkdir()
-    (folder / "test_x.py").write_text(TEST.format(name="emd"))
-    (item,) = declared(folder)
-    assert item == (
-        "tests/test_x.py::test_it_is_right",
-        "emd",
-        "verified",
-        "a closed form",
-        ("evidence", "slow"),
-    )
-
-
-def test_a_figure_a_failure_and_a_test_that_was_not_run(tmp_path, monkeypatch):
-    items = [item for item in declared() if item.capability == "emd"]
-    monkeypatch.setattr("docs.evidence_page.declared", lambda: items)
-    entry = {"passed": 2, "failed": 0, "skipped": "", "figures": {}}
-    figure = {"low": 1e-12, "high": 3e-10, "unit": "rad", "limit": 1e-9}
-    tests = {
-        items[0].test: entry | {"figures": {"error": figure}},
-        items[1].test: entry | {"failed": 1},
-    }
-    file = tmp_path / "evidence.json"
-    file.write_text(json.dumps({"version": "9.9", "python": "3", "machine": "m", "tests": tests}))
-    text = page(str(file))
-    assert (
-        "error 1e-12 to 3e-10 rad (allowed 1e-09)" in text
-        and "**fails**" in text
-        and "| not run |" in text
-    )
-    assert "version 9.9" in text
 
 
 def test_evidence_for_what_does_not_exist_is_refused(monkeypatch):

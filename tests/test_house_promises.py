@@ -3,7 +3,6 @@
 import ast
 import inspect
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -81,17 +80,6 @@ def test_every_generator_has_a_seed():
         for call in calls(path, *names):
             if name_of(call) in names:
                 assert call.args, f"{path}:{call.lineno}"
-
-
-def test_warnings_are_errors_and_marks_are_known():
-    options = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["pytest"][
-        "ini_options"
-    ]
-    first, *others = options["filterwarnings"]
-    assert first == "error" and all(
-        text.startswith("ignore:") and "site-packages" in text for text in others
-    )
-    assert "--strict-markers" in options["addopts"] and "--strict-config" in options["addopts"]
 
 
 def test_no_file_format_of_ours_can_carry_code():

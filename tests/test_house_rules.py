@@ -1,11 +1,7 @@
 """Rules of the house that a machine can check."""
 
 import ast
-import os
 import re
-import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -16,77 +12,6 @@ from sources import nodes_if
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
-
-
-def contracts(package: Path) -> subprocess.CompletedProcess:
-    """Run the import contracts of pyproject.toml on a copy of the package, in a process of its own."""
-    code = "import sys; from importlinter.cli import lint_imports as run; sys.exit(run(sys.argv[1], no_cache=True))"
-    return subprocess.run(
-        [sys.executable, "-c", code, str(ROOT / "pyproject.toml")],
-        cwd=package,
-        env=os.environ | {"PYTHONPATH": str(package)},
-        capture_output=True,
-        text=True,
-    )
-
-
-def test_the_import_contracts_hold():
-    done = contracts(ROOT / "src")
-    assert done.returncode == 0, done.stdout
-
-
-LAYERS, APART = "A room uses the rooms below it", "do not know each other"
-FORBIDDEN = (
-    (
-        LAYERS,
-        "vehicle/response/cosine.py",
-        "sunspin.dynamics.gyrostat",
-        "vehicle.response.cosine -> sunspin.dynamics.gyrostat",
-    ),
-    (
-        LAYERS,
-        "dynamics/impact.py",
-        "sunspin.estimate.scan.metrics",
-        "dynamics.impact -> sunspin.estimate.scan.metrics",
-    ),
-    (
-        "stands on what the rooms offer",
-        "philae/twin.py",
-        "sunspin.dynamics.ensemble.codegen",
-        "philae.twin -> sunspin.dynamics.ensemble.codegen",
-    ),
-    (
-        APART,
-        "telemetry/sun.py",
-        "sunspin.dynamics.gyrostat",
-        "telemetry.sun -> sunspin.dynamics.gyrostat",
-    ),
-    ("Physics does not draw", "landing/flight.py", "matplotlib", "landing.flight -> matplotlib"),
-    (
-        "No circles",
-        "estimate/scan/metrics.py",
-        "sunspin.estimate.scan.rows",
-        "No cycles are allowed in sunspin.estimate.scan",
-    ),
-)
-"""A contract, a file, an import that the contract forbids it, and how it says so."""
-
-
-def test_the_import_contracts_would_notice(tmp_path):
-    """A negative control: the same contracts on a copy of the package with forbidden imports, each told by its contract."""
-    shutil.copytree(
-        ROOT / "src" / "sunspin", tmp_path / "sunspin", ignore=shutil.ignore_patterns("__pycache__")
-    )
-    for _, module, name, _ in FORBIDDEN:
-        with open(tmp_path / "sunspin" / module, "a", encoding="utf-8") as file:
-            file.write(f"\nimport {name}\n")
-    done = contracts(tmp_path)
-    assert done.returncode == 1, done.stderr
-    broken = done.stdout.split("Broken contracts")[1]
-    _, *parts = re.split(r"^(\S.*\n(?:\S.*\n)?)(?:-{3,}\n)+", broken, flags=re.MULTILINE)
-    told = dict(zip(parts[::2], parts[1::2], strict=True))
-    for contract, _, _, words in FORBIDDEN:
-        assert words in next(text for name, text in told.items() if contract in name), broken
 
 
 def test_no_comparison_without_assert():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import random
-from importlib import resources
-from pathlib import Path
 
 import pytest
 
@@ -209,38 +207,6 @@ def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
             "--omega-z=0",
         )
         assert judge(told).what == "refused" and "omega_x has a rate twice" in told.err
-
-
-NAMES = (
-    "$x$",
-    "$\\frac{$",
-    "\\$",
-    "$$",
-    "_x",
-    "日本",
-    "a$b",
-    "$\\alpha$ & %",
-    "\\\\$x$",
-    "^{",
-    "☃",
-    "$x\\$",
-)
-
-
-@pytest.mark.long  # the quick one is in tests/output/test_pass_pages.py
-@pytest.mark.parametrize("names", [NAMES[:5], NAMES[5:10], NAMES[7:]])
-def test_names_of_panels_are_drawn_as_they_are(names, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert sunspin("init", ".", "--quiet") == Told(0, "", "")
-    template = Path(str(resources.files("sunspin") / "template" / "vehicle.toml")).read_text(
-        "utf-8"
-    )
-    for face, name in zip(("+X", "-X", "+Y", "-Y", "+Z"), names, strict=True):
-        assert f'"{face}"' in template
-        template = template.replace(f'"{face}"', f"'{name}'")
-    Path("vehicle.toml").write_text(template, "utf-8")
-    told = sunspin("sun", "vehicle.toml", "telemetry.csv", "--out", "out")
-    assert told.code == 0 and not told.err and not told.escaped, told
 
 
 REVERSED = (

@@ -13,7 +13,6 @@ CAMPAIGNS = {
     "corrupt": "binary files damaged and opened: NetCDF, Parquet, stores of rows, SPICE kernels, zip",
     "kill": "runs killed at random moments and resumed, compared with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
-    "mutants": "the physics core with one operator, sign or number changed; the tests have to see it",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/real-data.md",
     "scoreboard": "what must not get worse: outcomes of cases of every kind, beside an earlier state's",
     "size": "lines by folder, functions, names: how large the package is, and the ceilings",

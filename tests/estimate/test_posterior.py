@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import genpareto
 
 import sunspin as ss
-from cubes import SIDES
+from cubes import small_cube
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior import estimate, hypotheses, importance
 from sunspin.estimate.posterior.data import readings
@@ -23,7 +23,6 @@ from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.solve.rotations import moved
 from sunspin.solve.weights import _shape, effective_draws, pareto_tail
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
@@ -32,15 +31,8 @@ SMALL = PRIORS | {"inertia": 0.0}
 
 
 @pytest.fixture(scope="module")
-def cube() -> Vehicle:
-    inertia = np.diag([0.010, 0.012, 0.008])
-    panels = [Panel(name, normal, 1.0) for name, normal in SIDES.items()]
-    return Vehicle(
-        "cube",
-        inertia_kg_m2=inertia,
-        panels=panels,
-        telemetry=TelemetryForm(quantity="current_A", noise=0.02),
-    )
+def cube():
+    return small_cube()
 
 
 @pytest.fixture(scope="module")

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import sunspin as ss
-from cubes import SIDES
+from cubes import small_cube
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.solve.rotations import moved
-from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Friction, Vehicle, Wheel
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])
@@ -21,16 +23,8 @@ SPEED, SIGMA = 300.0, 0.01
 
 @pytest.fixture(scope="module")
 def craft() -> Vehicle:
-    panels = [Panel(name, normal, 1.0) for name, normal in SIDES.items()]
     wheel = Wheel("wheel", np.array([0.0, 0.0, 1.0]), 2e-6, SPEED, Friction(1e-6, 1e-9))
-    form = TelemetryForm(quantity="current_A", noise=0.02)
-    return Vehicle(
-        "cube",
-        inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
-        panels=panels,
-        wheels=(wheel,),
-        telemetry=form,
-    )
+    return replace(small_cube(), wheels=(wheel,))
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import strange_twins
 import sunspin as ss
-from cubes import SIDES
+from cubes import small_cube
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.family import (
@@ -25,7 +27,7 @@ from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Search
 from sunspin.solve.rotations import moved
-from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle import Vehicle
 from validation.calibrate import NEAR_SIGMAS
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
@@ -35,11 +37,8 @@ PRIORS = {"max_rate_rad_s": 0.2, "inertia": 0.0, "steady_torque": 0.0}
 
 
 def craft(panels: int, noise: float = 0.02) -> Vehicle:
-    sides = [Panel(name, normal, 1.0) for name, normal in list(SIDES.items())[:panels]]
-    form = TelemetryForm(quantity="current_A", noise=noise)
-    return Vehicle(
-        "box", inertia_kg_m2=np.diag([0.010, 0.012, 0.008]), panels=sides, telemetry=form
-    )
+    cube = small_cube(noise)
+    return replace(cube, panels=cube.panels[:panels])
 
 
 def samples(vehicle: Vehicle, n: int = 15, interval_s: float = 15.0, seed: int = 0):

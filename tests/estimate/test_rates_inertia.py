@@ -11,6 +11,7 @@ import strange_rates
 import sunspin as ss
 from cubes import SIDES
 from sunspin.estimate.inertia import ASSUMED, inertia_errors, stated_sigma
+from sunspin.estimate.rates.common_errors import THINNEST, of_a_body
 from sunspin.estimate.rates.estimate import not_met
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.noise import HIGHER_NOISES
@@ -75,6 +76,21 @@ def test_what_is_not_stated_is_one_percent_of_the_moments():
         and np.all(errors == np.swapaxes(errors, 1, 2))
         and np.all(errors.max(axis=(1, 2)) == 1e-4)
     )
+
+
+def test_no_trial_inertia_is_one_that_no_body_has():
+    """Errors of four sigmas where no inertia is known would make moments negative; small ones stay as they are."""
+    body = Body.of(replace(CUBE, inertia_kg_m2=None))
+    errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
+    drawn = of_a_body(body, errors)
+    assert (
+        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", errors, body.errors)).min() < 0
+    )  # control
+    assert (
+        np.linalg.eigvalsh(body.inertia + np.einsum("kr,rij->kij", drawn, body.errors)).min()
+        >= THINNEST
+    )
+    assert np.all(drawn[2] == errors[2])
 
 
 @pytest.mark.long

@@ -6,11 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 import clock_twins
-import strange_rates
 from coverage_twins import CUBE, albedo, twin
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
@@ -65,16 +63,6 @@ def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
     assert np.abs(told - true).max() < 0.06
 
 
-def test_opposite_panels_differ_by_the_component_of_the_beam():
-    rng = np.random.default_rng(2)
-    normal, beam = rng.normal(size=(2, 3))
-    normal /= np.linalg.norm(normal)
-    light, _ = panels_of(np.array([normal, -normal]), 1.3).disc(
-        beam / np.linalg.norm(beam), np.linalg.norm(beam)
-    )
-    assert light[0] - light[1] == pytest.approx(1.3 * normal @ beam, rel=1e-12)
-
-
 def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_their_cost():
     """By differences of 1e-5 of a sigma, or rad."""
     o, track = lit_cube()
@@ -101,12 +89,6 @@ def test_without_the_earths_light_nothing_is_differenced():
     np.testing.assert_array_equal(panels.power, panels.whole[0])
 
 
-@pytest.mark.slow
-def test_noise_that_the_file_does_not_state_is_not_taken_for_the_earths_light():
-    """Noise of 4.6 % beside light of the Earth: held for its light alone, no motion seemed to fit."""
-    assert strange_rates.judge(0, 55)["word"] == "decided"
-
-
 def test_the_field_answers_to_turns_as_differences_say():
     """Residuals between neighbours of a fixed field vanish at the truth; beside it they change as their Jacobians say."""
     rng = np.random.default_rng(6)
@@ -125,9 +107,3 @@ def test_the_field_answers_to_turns_as_differences_say():
     told = sum(np.einsum("knij,knj->kni", answer[..., 6:, :3], turned) for answer, turned in parts)
     assert np.abs(told).max() > 1e-5
     np.testing.assert_allclose(between(o, beside, motion)[0][..., 6:], told, rtol=0, atol=1e-9)
-
-
-def test_no_magnetometer_no_field():
-    data, _ = twin((), np.random.default_rng(1))
-    o = pass_of(CUBE, data)
-    assert not o.freed().of_pairs and np.isnan(o.field_B).all()

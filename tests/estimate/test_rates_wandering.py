@@ -5,7 +5,6 @@ All telemetry is synthetic."""
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.rates.alternatives import (
@@ -19,7 +18,7 @@ from sunspin.estimate.rates.common_errors import with_common
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.rates.wandering import harmonics, log_evidence
+from sunspin.estimate.rates.wandering import log_evidence
 from sunspin.estimate.terms.sun_direction import SunDirection
 from sunspin.estimate.terms.term import EVERYWHERE, Seen, facing, normal
 from sunspin.vehicle.response.protocol import sphere
@@ -67,15 +66,6 @@ def test_all_ways_are_those_of_a_filter_by_legendre_polynomials():
         density = (spread @ density) * np.exp(-cost[:, k])
     unrelated = np.log(np.exp(-cost).mean(axis=0)).sum()
     np.testing.assert_allclose(log_evidence(o, by), [np.log(density.mean()), unrelated], atol=0.01)
-
-
-def test_the_direction_spreads_as_heat_does():
-    """The mean cosine of the way falls as exp(-variance), the variance being that about each axis."""
-    values, order = harmonics()
-    start = int(np.argmax(sphere(EVERYWHERE)[:, 2]))
-    spread = values @ (np.exp(-order * 0.4**2 / 2) * values[start])
-    cosine = sphere(EVERYWHERE) @ sphere(EVERYWHERE)[start]
-    assert (spread * cosine).sum() / spread.sum() == pytest.approx(np.exp(-(0.4**2)), rel=2e-3)
 
 
 def motions(sun, sigma, first_rate):

@@ -15,6 +15,7 @@ from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_cal
 from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
 from sunspin.estimate.rates.search import field_leads
 from sunspin.estimate.terms.known_field import KnownField
+from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import SUN_N, Seen, normal
@@ -67,6 +68,32 @@ def test_the_turn_about_the_sun_that_the_search_leaves_open_is_found_from_the_fi
     about = Rotation.from_rotvec(2.1 * SUN_N).as_matrix()
     found = known_field(rng, track).begin(replace(track, attitude=track.attitude @ about))
     np.testing.assert_allclose(found, track.attitude, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])
+@pytest.mark.parametrize("known", [False, True])
+def test_a_magnetic_torque_is_averaged_over_the_turns_between_two_samples(size, known):
+    """Against the sum over 4000 instants of each interval, up to 20 turns of it."""
+    rng = np.random.default_rng(11)
+    track = seen(rng)
+    track = replace(track, omega=np.repeat(size * track.omega[:, :1], 12, axis=1))
+    term = MagneticTorque.beside(1e-4, np.tile([0.3, -0.4, 1.2], (12, 1)) if known else None)
+    dt = np.diff(TIMES)
+    pushed = term.pushes(track, dt)[0, 3]
+    share = (np.arange(4000) + 0.5) / 4000
+    attitude = turn(track.attitude[0, 3], share[:, None] * track.omega[0, 3] * dt[3])
+    if known:
+        unit = [0.3, -0.4, 1.2] / np.linalg.norm([0.3, -0.4, 1.2])
+        each = np.cross(np.eye(3), (attitude @ unit)[:, None]) / np.sqrt(2)
+    else:
+        columns = np.swapaxes(attitude, 1, 2)
+        each = np.cross(np.eye(3)[:, None], columns[:, None]).reshape(-1, 9, 3) / np.sqrt(6)
+    acceleration = term.sigma * np.swapaxes(each, 1, 2)
+    left = (1 - share)[:, None, None]
+    np.testing.assert_allclose(pushed[3:], dt[3] * acceleration.mean(axis=0), atol=1e-8)
+    np.testing.assert_allclose(
+        pushed[:3], dt[3] ** 2 * (left * acceleration).mean(axis=0), atol=1e-7
+    )
 
 
 def test_a_magnetometer_is_calibrated_along_its_orbit(twin):

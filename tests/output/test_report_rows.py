@@ -14,9 +14,7 @@ from pages import Page
 from browser import HOSTILE
 from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
-from sunspin.output.report.rows import VERDICTS, WITHOUT, between, verdict_of
-from sunspin.philae import study as rp
-from sunspin.philae.row import Row, settled
+from sunspin.output.report.rows import VERDICTS, between, verdict_of
 from sunspin.telemetry.case import load_case
 
 FILES_OF_CANDIDATES = (
@@ -89,36 +87,6 @@ def page_of(folder: Path, **summary: Any) -> Page:
 )
 def test_only_an_informative_test_agrees_or_differs(given, verdict):
     assert verdict_of(row(**given)) == verdict and verdict in VERDICTS
-
-
-def test_verdicts_follow_what_the_study_settles():
-    """The page's words and the study's counts are of one mind on every kind of row."""
-    for kind in ("test", "put_in", "arithmetic", "not_comparable"):
-        for agrees in (True, False, None):
-            for informative in (True, False):
-                made = settled(
-                    Row(
-                        "x", "", 1, 1, "1", None, agrees, "", "", kind=kind, informative=informative
-                    )
-                )
-                found = verdict_of({name: getattr(made, name) for name in Row.__dataclass_fields__})
-                expected = {
-                    "test": "agrees"
-                    if made.agrees
-                    else "differs"
-                    if made.agrees is False
-                    else "uninformative",
-                    "put_in": {True: "comes-back", False: "not-back", None: "put-in"}[made.holds],
-                    "arithmetic": {True: "holds", False: "holds-not", None: "arithmetic"}[
-                        made.holds
-                    ],
-                    "not_comparable": "not-comparable",
-                }[made.kind]
-                assert found == expected
-    assert (
-        sum(WITHOUT in title for title in rp.SECTIONS.values()) == 1
-        and WITHOUT in rp.SECTIONS["no_telemetry"]
-    )
 
 
 @pytest.mark.evidence(

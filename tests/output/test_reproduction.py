@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -149,33 +148,6 @@ def test_only_informative_tests_agree_or_differ(summary):
     assert sum(
         c["agree"] + c["differ"] for c in (here, here["without_telemetry"], here["paper"])
     ) == len(judged)
-
-
-def test_whether_a_test_is_informative_follows_from_its_intervals(summary):
-    """API: narrower than half of that over the box; of a share or mean, of which both are sampled, three errors beside it."""
-    ranges = {
-        "rate_at_touchdown_min",
-        "rate_at_collision",
-        "rz_range_wheel_off",
-        "rz_min_wheel_held",
-    }
-    rows = {
-        row["id"]: row
-        for row in summary["figures"]
-        if row["depends"] == "candidates" and row["kind"] == "test"
-    }
-    assert ranges < set(rows)
-    for name, row in rows.items():
-        low, high, prior_low, prior_high = (
-            np.array(row[key]) for key in ("low", "high", "prior_low", "prior_high")
-        )
-        width, box = high - low, prior_high - prior_low
-        apart = np.abs(high + low - prior_high - prior_low) / 2 > 3 * np.hypot(width, box) / (
-            2 * 1.645
-        )
-        assert row["informative"] == bool(np.any(width < box / 2 if name in ranges else apart)), (
-            name
-        )
 
 
 def test_no_tolerance_admits_anything(summary):

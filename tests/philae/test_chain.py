@@ -139,15 +139,6 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
 
 
 @pytest.mark.long
-def test_the_published_lines_are_candidates_only_when_asked_for(found):
-    one = chain_of(controls.with_motion(CASE, controls.STILL), "published", coarser=20)
-    assert (
-        one.chain.name == "published" and "whatever this telemetry says" in one.chain.chosen.about
-    )
-    assert {row.chain for row in one.rows.values() if row.depends == "candidates"} == {"published"}
-
-
-@pytest.mark.long
 def test_candidates_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")

@@ -6,7 +6,6 @@ import pytest
 import sunspin as ss
 from philae_sun import AS_DRAWN, CASE
 from sunspin.philae import phases
-from sunspin.philae.figures import health as figures_health
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,3 @@ def test_noise_is_judged_sample_by_sample(result):
     assert result.log10_probability[forbidden].max() <= 0
     total = sum(verdict.log10_together for verdict in result.health["noise"].values())
     assert result.log10_probability[forbidden].sum() == pytest.approx(total, rel=1e-12)
-
-
-def test_the_figure_says_that_the_telemetry_is_synthetic(result):
-    assert "synthetic telemetry" in figures_health.draw(result)._suptitle.get_text()
