@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
-from scipy.stats import norm
 
 import sunspin as ss
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -85,6 +84,7 @@ def twin(
     }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return xr.Dataset(variables, {"time": t, "panel": list(craft.panel_names)}, attrs), run
+<<<<<<< HEAD
 
 
 def place(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
@@ -97,3 +97,5 @@ def place(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
         away = (truth - result["omega_mean_B"].values[k]) / result["omega_sigma_B"].values[k]
         found.append((weight[:, None] * np.nan_to_num(norm.cdf(away))).sum(axis=0) / weight.sum())
     return np.array(found)
+=======
+>>>>>>> t45

@@ -137,14 +137,14 @@ class Body(NamedTuple):
         return f
 
 
-def drawn_body(rng: np.random.Generator) -> tuple[Body, int]:
-    """One to three units of 1.3 kg, their masses in places drawn, and how many."""
+def drawn_body(rng: np.random.Generator) -> Body:
+    """One to three units of 1.3 kg, their masses in places drawn."""
     units = int(rng.integers(1, 4))
     places = rng.uniform(-0.05, 0.05, (60, 3)) * [1, 1, units]
     places -= places.mean(axis=0)
     inertia = 1.3 * units / 60 * (np.eye(3) * (places**2).sum() - places.T @ places)
     coil = 10 ** rng.uniform(3.3, 4.3) * units if rng.random() < 0.25 else 0.0
-    return Body(inertia, units * 10 ** rng.uniform(-3, -1.7) * unit(rng), coil), units
+    return Body(inertia, units * 10 ** rng.uniform(-3, -1.7) * unit(rng), coil)
 
 
 def motion(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +10,6 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from coverage_twins import place
 from strange_twins import FACES, body, unit
 from sunspin.base.errors import SunspinError
 from sunspin.estimate.inertia import ASSUMED
@@ -93,7 +90,7 @@ def seen(kind: str, run: xr.Dataset, rng: np.random.Generator) -> dict[str, Any]
 
 
 def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, Any]]:
-    """The vehicle as it is told, telemetry, the true motion, and what was drawn."""
+    """The vehicle as it is told, telemetry, the true motion, and whether its inertia is told."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,)))
     tensor, rate, noise = (
         body(rng),
@@ -137,18 +134,7 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, 
         **seen(sensor, run, rng),
     }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
-    about = {
-        "deg_s": float(np.degrees(rate)),
-        "interval_s": interval,
-        "turns_between": rate * interval / 2 / np.pi,
-        "samples": n,
-        "panels": kind,
-        "sensor": sensor,
-        "faults": faults,
-        "inertia": told,
-        "noise": noise,
-        "stated": form.noise is not None,
-    }
+    about = {"inertia": told}
     return (
         vehicle,
         xr.Dataset(variables, {"time": t, "panel": list(vehicle.panel_names)}, attrs),
@@ -158,26 +144,13 @@ def make(seed: int, i: int) -> tuple[Vehicle, xr.Dataset, xr.Dataset, dict[str, 
 
 
 def judge(seed: int, i: int) -> dict[str, Any]:
-    """What `rates` says of a twin, and how far the truth is from the nearest of its motions."""
+    """What `rates` says of a twin, or that it refuses, and how far the truth is from the nearest of its motions."""
     vehicle, data, run, about = make(seed, i)
-    return about | told(
-        vehicle, data, lambda result: judged(result, run, 0) | {"passes": result.sizes["pass_id"]}
-    )
-
-
-def told(
-    vehicle: Vehicle, data: xr.Dataset, judge: Callable[[xr.Dataset], dict[str, Any]]
-) -> dict[str, Any]:
-    """What `rates` says of telemetry, with what `judge` makes of it; or that it refuses."""
-    began = time.process_time()
     try:
         result = ss.rates(vehicle, data)
     except SunspinError as error:
-        return {"word": "refused", "verdict": str(error)}
-    return judge(result) | {
-        "verdict": result.attrs["verdict"],
-        "processor_s": time.process_time() - began,
-    }
+        return about | {"word": "refused", "verdict": str(error)}
+    return about | judged(result, run, 0) | {"verdict": result.attrs["verdict"]}
 
 
 def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
@@ -200,10 +173,8 @@ def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
     word = "fits badly" if bad else "decided" if weight[0] >= DECIDED else "several"
     return {
         "word": word,
-        "found": bool(near.any()),
         "best": bool(near[0]),
         "probability": float(weight[near].sum()),
         "pulls": (miss / sigma)[best].tolist(),
         "miss_deg_s": np.degrees(miss[best]).tolist(),
-        "places": place(result, run)[k].tolist(),
     }

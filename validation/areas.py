@@ -101,7 +101,6 @@ def _orbiting(seed: int, i: int) -> Row:
     from orbit_rates_twins import judge
 
     row = judge(seed, i)
-    # elements whose node is off by 2 degrees are for the eye
     ways = ("without", "right", "field alone")
     judged = [each for way in ways if way in row for each in row[way]["passes"] if "pulls" in each]
     return _of_passes(judged, "miss_deg_s", "sigma_deg_s")
@@ -316,15 +315,15 @@ def _elements(seed: int, i: int) -> Row:
     from tle_twins import judge
 
     row = judge(seed, i)
-    verdicts = {name: row[name][0].lower() for name in ("0 deg", "20 deg", "clock")}
+    verdicts = {name: row[name].verdict.name.lower() for name in ("0 deg", "20 deg", "clock")}
     outcomes = [
         _of_orbit(verdicts["0 deg"], True),
         _of_orbit(verdicts["20 deg"], False),
         _of_orbit(verdicts["clock"], False),
     ]
     worst = next(word for word in ("wrong", "undecided", "open", "right") if word in outcomes)
-    off = (row["0 deg"][3] - row["ahead_s"]) if row["0 deg"][3] is not None else None
-    shift = {} if off is None else {"off": off, "sigma": row["0 deg"][4]}
+    right = row["0 deg"]
+    shift = {"off": right.shift_s - row["ahead_s"], "sigma": right.shift_sigma_s}
     return {"outcome": worst, "says": str(verdicts)} | shift
 
 

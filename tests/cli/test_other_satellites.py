@@ -98,26 +98,6 @@ def test_every_command_on_another_satellite(maker, tmp_path):
         assert dense["samples"] > len(times) and dense["segments"] == result.sizes["pass_id"]
 
 
-<<<<<<< HEAD
-@pytest.mark.slow
-def test_four_faces_on_the_sides_leave_the_mirror_image_and_say_so(tmp_path):
-    craft = satellites.four_faces(tmp_path, np.random.default_rng(1), n=30)
-    about = json.loads(
-        fine(sunspin("rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--json"))
-    )
-    first, second = about["passes"][0]["solutions"][:2]
-    shares = first["probability"], second["probability"]
-    assert shares == pytest.approx((0.5, 0.5), abs=0.02)
-    mirror = np.array(first["omega_deg_s"]) * [
-        -1,
-        -1,
-        1,
-    ]  # the Sun's height above these faces is told but for its sign
-    np.testing.assert_allclose(second["omega_deg_s"], mirror, atol=0.05)
-
-
-=======
->>>>>>> t45
 def campaign(folder, makers, copies, seed, commands):
     """Corrupt telemetry and vehicle files and run commands on them; how many ran, and how many were refused."""
     count, refused = 0, 0
