@@ -84,18 +84,3 @@ def twin(
     }
     attrs = {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}
     return xr.Dataset(variables, {"time": t, "panel": list(craft.panel_names)}, attrs), run
-<<<<<<< HEAD
-
-
-def place(result: xr.Dataset, run: xr.Dataset) -> np.ndarray:
-    """Where the true mean rate lies in the distribution told, all modes by their weights: (n_pass, 3), uniform if calibrated."""
-    found = []
-    for k in range(result.sizes["pass_id"]):
-        at = (result["pass_of"] == k).values
-        truth = run["omega_B"].sel(time=result["time"].values[at]).values.mean(axis=0)
-        weight = np.nan_to_num(result["probability"].values[k])
-        away = (truth - result["omega_mean_B"].values[k]) / result["omega_sigma_B"].values[k]
-        found.append((weight[:, None] * np.nan_to_num(norm.cdf(away))).sum(axis=0) / weight.sum())
-    return np.array(found)
-=======
->>>>>>> t45
