@@ -120,6 +120,8 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
     ) is not any(n.endswith(".svg") for n in names)
     stored = xr.load_dataset(folder / f"{KINDS[kind].main}.nc", engine="h5netcdf")
     assert stored.attrs["kind"] == kind and stored.sunspin.summary() == summary
+    for name, variable in stored.variables.items():
+        assert variable.attrs.get("units") and variable.attrs.get("long_name"), name
     assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
 
 

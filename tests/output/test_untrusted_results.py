@@ -16,12 +16,13 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, printable
 from sunspin.base.netcdf import read_groups, read_netcdf
-from sunspin.base.provenance import LABELS, NUMBERS, TEXTS, UNITS
+from sunspin.base.provenance import LABELS, NUMBERS, TEXTS, vocabulary
 from sunspin.output.export import read_results as exported
 from sunspin.output.folder import MANIFEST, MARKER, write_netcdf
 from sunspin.output.report import write_report
 from sunspin.output.report.read import MAX_FILES, read_results
 
+FIXED = [name for name, row in vocabulary().items() if row["fixed"]]
 SECRET = "a word that stands nowhere else 7f3b"
 PNG = b"\x89PNG\r\n\x1a\n" + SECRET.encode()
 READ = (
@@ -247,15 +248,22 @@ def test_the_unit_of_a_variable_is_ours_and_what_is_said_of_it_a_text(tmp_path):
 
     def read(attrs, **about):
         xr.Dataset(
-            {name: ("x", [0.0], {"units": UNITS.get(name, "1")} | about) for name in names},
+            {
+                name: (
+                    "x",
+                    [0.0],
+                    {"units": vocabulary().get(name, {"units": "1"})["units"]} | about,
+                )
+                for name in names
+            },
             attrs=attrs,
         ).to_netcdf(path, engine="h5netcdf")
         return read_groups(path, "file.nc", InputError, probe=False)["/"]
 
-    names = [*UNITS, "another"]
+    names = [*FIXED, "another"]
     assert set(read({"kind": "rates"}).data_vars) == set(names)  # negative control
     wrong = ("deg/s", 1.0, np.array([1.0, 2.0]), "")
-    for k, name in enumerate(UNITS):
+    for k, name in enumerate(FIXED):
         names, why = [name], rf"changed .* variable {name} must be .*; make it again"
         with pytest.raises(InputError, match=f"file.nc: this file was {why}"):
             read({"kind": "rates"}, units=wrong[k % 4])

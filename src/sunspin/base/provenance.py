@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from csv import DictReader
 from functools import cache
-from importlib import metadata
+from importlib import metadata, resources
 from typing import Any
 
 import numpy as np
 
 CARRIED = ("epoch_utc", "synthetic", "file", "sha256")
 """Attributes of telemetry that results made from it take over."""
-
 
 TEXTS = frozenset(
     "kind epoch_utc file sha256 vehicle changes comments sunspin_version quantity unused_columns missing_sensors frame_N "
@@ -27,28 +27,29 @@ NUMBERS = frozenset(
 )
 """Attributes that are read back from files of results: those that are texts, and those that are one number each."""
 
-
 LABELS = frozenset("units long_name about title flag_meanings".split())
 """Attributes of variables that are read back, texts all."""
 
-UNITS = {
-    name: unit
-    for unit, names in {
-        "s": "time curve_time event_time_s descent_time received_s",
-        "rad s-1": "omega_B omega_x omega_y omega_z omega_mean_B omega_sigma_B omega_sigma_all_B curve_omega_B curve_omega_sigma_B "
-        "best_omega_B sigma_x sigma_y sigma_z speed_low speed_median speed_high gyro_B wheel_speed_rad_s",
-        "rad2 s-2": "omega_cov_B",
-        "rad/s": "omega_before_B omega_after_B",
-        "rad": "sigma_rad sun_sigma_rad sun_sensor_angle",
-        "N m s": "momentum_B momentum_before momentum_after",
-        "m/s": "contact_speed leg_tip_speed leg_tip_bound speed_after velocity_change",
-        "W": "power_W",
-        "A": "current_A",
-        "1": "sun_B B_from_N curve_B_from_N attitude_B_from_N sun_sensor_B emd E delta",
-    }.items()
-    for name in names.split()
-}
-"""The unit of variables that are read back, which no reader converts."""
+
+@cache
+def vocabulary() -> dict[str, dict[str, str]]:
+    """Name of a variable of results -> `units`, `long_name`, and `fixed` if a reader relies on the unit."""
+    lines = (
+        resources.files("sunspin").joinpath("base", "variables.csv").read_text("utf-8").splitlines()
+    )
+    return {row.pop("name"): row for row in DictReader(lines)}
+
+
+def described(data: Any) -> Any:
+    """A Dataset or DataTree with unit and long name of each variable of the vocabulary; times say their epoch in UTC, if known."""
+    for node in getattr(data, "subtree", [data]):
+        for name, variable in node.variables.items():
+            row = vocabulary().get(name, {}).items()
+            known = {label: text for label, text in row if label != "fixed"}
+            epoch = {key: data.attrs[key] for key in ("epoch_utc",) if key in data.attrs}
+            timed = epoch if name in ("time", "curve_time") else {}
+            variable.attrs = known | timed | variable.attrs
+    return data
 
 
 @cache
@@ -59,9 +60,8 @@ def version() -> str:
 
 def is_ours(attrs: Mapping[Any, Any]) -> bool:
     """Whether a file with these attributes is a result of our own; what is exported goes by the conventions of others."""
-    return (
-        isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs
-    ) and "Conventions" not in attrs
+    ours = isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs
+    return ours and "Conventions" not in attrs
 
 
 def changed_attribute(attrs: Mapping[str, Any], variables: Mapping[Any, Any]) -> str:
@@ -79,9 +79,9 @@ def changed_attribute(attrs: Mapping[str, Any], variables: Mapping[Any, Any]) ->
         for label in sorted({*variable.attrs} & LABELS):
             if not isinstance(variable.attrs[label], str):
                 return f"the attribute {label} of its variable {name} must be a text"
-        unit = UNITS.get(name)
-        if unit is not None and variable.attrs.get("units") != unit:
-            return f"the units of its variable {name} must be {unit!r}"
+        row = vocabulary().get(name, {"fixed": ""})
+        if row["fixed"] and variable.attrs.get("units") != row["units"]:
+            return f"the units of its variable {name} must be {row['units']!r}"
     return ""
 
 

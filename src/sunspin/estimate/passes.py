@@ -70,7 +70,7 @@ def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any
         "utc_start": ("pass_id", [utc(one.first_s) for one in passes]),
         "utc_end": ("pass_id", [utc(one.last_s) for one in passes]),
         "samples": ("pass_id", [one.samples for one in passes]),
-        "probability": (each, padded([one.probability for one in passes]), {"units": "1"}),
+        "probability": (each, padded([one.probability for one in passes])),
         "decided": flags([one.answers.decided for one in passes]),
         "unique": flags([one.answers.unique for one in passes]),
         **{
@@ -83,17 +83,10 @@ def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any
         "utc_at": ("pass_id", [utc(one.at_s) for one in passes]),
     }
     for k, name in enumerate(("speed_low", "speed_median", "speed_high")):
-        variables[name] = (
-            each,
-            padded([one.speed[:, k] for one in passes]),
-            {"units": "rad s-1", "quantile": SPEEDS[k]},
-        )
+        variables[name] = each, padded([one.speed[:, k] for one in passes])
     for name in ("omega", "sigma"):
         for k, axis in enumerate("xyz"):
-            variables[f"{name}_{axis}"] = (
-                each,
-                padded([getattr(one, name)[:, k] for one in passes]),
-                {"units": "rad s-1"},
-            )
+            values = padded([getattr(one, name)[:, k] for one in passes])
+            variables[f"{name}_{axis}"] = each, values
     variables["why_not_decided"] = ("pass_id", [one.answers.why_not for one in passes])
     return variables

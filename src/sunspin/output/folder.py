@@ -14,6 +14,7 @@ import numpy as np
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import OutputError, sentence
+from sunspin.base.provenance import described
 from sunspin.base.untrusted import is_own
 from sunspin.output.kind import Drawing, Table
 from sunspin.vehicle.file import vehicle_text
@@ -129,7 +130,7 @@ def write_netcdf(target: Path, data: Any) -> Path:
     with h5netcdf.File(buffer, "w") as file:
         for path, dataset in groups.items():
             store = H5NetCDFStore(file, group=path, mode="a")
-            dataset.dump_to_store(store)
+            described(dataset).dump_to_store(store)
             store.sync()
     return write_whole(target, lambda part: part.write_bytes(buffer.getbuffer()))
 

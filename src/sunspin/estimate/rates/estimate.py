@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, sentence
+from sunspin.base.provenance import described
 from sunspin.compute.pool import may_fork, processes, worker_count
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
@@ -472,7 +473,7 @@ def _judged(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
             result = result.assign_attrs(columns_doubt=axes)
         if "columns_doubt" in result.attrs:
             result = result.assign_attrs(NOT_LATE)
-    return result.assign_attrs(verdict=verdict(result))
+    return described(result.assign_attrs(verdict=verdict(result)))
 
 
 def _doubted(

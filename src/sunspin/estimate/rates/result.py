@@ -82,51 +82,26 @@ def dataset_of(
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))
+    mean, sigma = (padded(values) for values in zip(*means, strict=True))
+    quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), pass_of)
+    each = ("pass_id", "solution")
     result = xr.Dataset(
         {
-            "omega_B": (
-                ("time", "axis"),
-                np.concatenate([t.omega[0] for t in best]),
-                {"units": "rad s-1"},
-            ),
-            "omega_cov_B": (
-                ("time", "axis", "axis2"),
-                covariance[:, 3:, 3:],
-                {"units": "rad2 s-2"},
-            ),
-            "sun_B": (
-                ("time", "axis"),
-                sun,
-                {"units": "1", "long_name": "direction to the Sun, smoothed"},
-            ),
-            "sun_sigma_rad": ("time", sun_sigma, {"units": "rad"}),
-            "B_from_N": (
-                ("time", "quaternion"),
-                continuous(Rotation.from_matrix(attitude).as_quat(), pass_of),
-                {"units": "1"},
-            ),
+            "omega_B": (("time", "axis"), np.concatenate([t.omega[0] for t in best])),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance[:, 3:, 3:]),
+            "sun_B": (("time", "axis"), sun),
+            "sun_sigma_rad": ("time", sun_sigma),
+            "B_from_N": (("time", "quaternion"), quaternion),
             "pass_of": ("time", pass_of),
-            "omega_mean_B": (
-                ("pass_id", "solution", "axis"),
-                padded([m[0] for m in means]),
-                {"units": "rad s-1"},
-            ),
-            "omega_sigma_B": (
-                ("pass_id", "solution", "axis"),
-                padded([m[1] for m in means]),
-                {"units": "rad s-1"},
-            ),
-            "omega_sigma_all_B": (("pass_id", "axis"), spread, {"units": "rad s-1"}),
-            "cost": (
-                ("pass_id", "solution"),
-                padded([p.track.cost for p in found]),
-                {"units": "1"},
-            ),
-            "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found], {"units": "1"}),
+            "omega_mean_B": ((*each, "axis"), mean),
+            "omega_sigma_B": ((*each, "axis"), sigma),
+            "omega_sigma_all_B": (("pass_id", "axis"), spread),
+            "cost": (each, padded([p.track.cost for p in found])),
+            "cost_limit": ("pass_id", [cost_limit(o.take(p.kept)) for p in found]),
             "why": ("sample", why.astype(np.str_)),
         },
         coords={
-            "time": ("time", o.t_s[index], {"units": "s"}),
+            "time": o.t_s[index],
             "sample": o.t_s,
             "axis": ["x", "y", "z"],
             "pass_id": np.arange(len(found)),
@@ -160,15 +135,11 @@ def with_curves(
     pass_of = np.repeat(np.arange(len(found)), [len(t) for t, _ in each])
     quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), pass_of)
     return result.assign(
-        curve_omega_B=(
-            ("curve_time", "axis"),
-            omega,
-            {"units": "rad s-1", "long_name": "rate between the samples"},
-        ),
-        curve_omega_sigma_B=(("curve_time", "axis"), sigma, {"units": "rad s-1"}),
-        curve_B_from_N=(("curve_time", "quaternion"), quaternion, {"units": "1"}),
+        curve_omega_B=(("curve_time", "axis"), omega),
+        curve_omega_sigma_B=(("curve_time", "axis"), sigma),
+        curve_B_from_N=(("curve_time", "quaternion"), quaternion),
         curve_pass_of=("curve_time", pass_of),
-    ).assign_coords(curve_time=("curve_time", np.concatenate([t for t, _ in each]), {"units": "s"}))
+    ).assign_coords(curve_time=np.concatenate([t for t, _ in each]))
 
 
 def in_space(
@@ -270,24 +241,13 @@ def believed(
         checked = UNCHECKED if list(told) == ["Sun"] else AS_STATED
         solutions = p.weight, omega, sigma, speeds(omega, covariance)
         rows.append(PassMotions(len(t), t[0], t[-1], t[at], *solutions, said, checked))
-    about = {
-        "long_name": "readings, share of them beyond three sigma, chance that those are strewn so little over time"
-    }
     return table(rows, epoch_utc) | {
-        "misfit": (("pass_id", "sensor", "figure"), misfits, about),
-        "residual": (
-            ("sensor", "time"),
-            residual,
-            {"units": "1", "long_name": "readings less prediction of the best solution, in sigmas"},
-        ),
+        "misfit": (("pass_id", "sensor", "figure"), misfits),
+        "residual": (("sensor", "time"), residual),
         "sensor": names,
         "figure": ["readings", "beyond", "chance"],
-        "model": (
-            "pass_id",
-            _models(found, motion),
-            {"long_name": "the most probable model of all that were tried"},
-        ),
-        "model_probability": ("pass_id", [p.model[1] for p in found], {"units": "1"}),
+        "model": ("pass_id", _models(found, motion)),
+        "model_probability": ("pass_id", [p.model[1] for p in found]),
     }
 
 

@@ -205,6 +205,10 @@ def rates_tables(result: Any) -> Iterator[Table]:
         columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
     for k, part in enumerate("xyzw"):
         columns[f"q_{part}_B_from_N"] = result["B_from_N"].values[:, k]
+    columns["sun_sigma_rad"] = result["sun_sigma_rad"].values
+    if "turn_sigma_rad" in result:  # the root mean square of the angle by which the attitude is off
+        angles = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
+        columns["attitude_sigma_rad"] = np.hypot(*angles)
     frame = (
         "z to the Sun, local"
         if result.attrs.get("frame_N") == SUN_Z_LOCAL
