@@ -13,8 +13,9 @@ from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import estimate
 from sunspin.landing.weighted import explained, facts_of, weightings
-from sunspin.output.figures import outcomes as figures
-from sunspin.output.figures.collision import collision_figure
+from sunspin.output.kinds import outcomes as figures
+from sunspin.output.kinds.collision import collision_figure
+from sunspin.output.kinds.strategies import strategies_figure
 from sunspin.philae import collision as co
 from sunspin.philae import landing as la
 from sunspin.philae.rebound import published_candidates
@@ -182,7 +183,7 @@ PURE = ("probability", "share", "simulated collisions")
 def test_figures_have_units_on_every_axis(landing):
     for figure in (
         figures.sun_height_figure(landing.chosen.paper),
-        figures.strategies_figure(landing.strategies),
+        strategies_figure(landing.strategies),
         figures.distributions_figure(landing.strategy_runs, 0.56),
         collision_figure(landing.collision),
         figures.first_contact_figure(

@@ -11,12 +11,13 @@ import numpy as np
 import xarray as xr
 
 from sunspin.output import figures
-from sunspin.output.figures import outcomes as figures_outcomes
-from sunspin.output.figures.collision import collision_figure
-from sunspin.output.figures.motion import spin_down_figure
 from sunspin.output.figures.panel_signals import panel_signals_figure
-from sunspin.output.figures.telemetry import sun_directions_figure
 from sunspin.output.kind import Drawing, synthetic_words
+from sunspin.output.kinds.collision import collision_figure
+from sunspin.output.kinds.motion import spin_down_figure
+from sunspin.output.kinds.outcomes import sun_height_figure
+from sunspin.output.kinds.strategies import strategies_figure
+from sunspin.output.kinds.telemetry import sun_directions_figure
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
@@ -254,7 +255,7 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
     )
     yield Drawing(
         "fig13_lines",
-        lambda: figures_outcomes.sun_height_figure(part.runs),
+        lambda: sun_height_figure(part.runs),
         "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
         f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated "
         "collisions of motions on the printed lines; each area is 1.",
@@ -299,14 +300,14 @@ def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     after = {name: found.assign_attrs(of_telemetry) for name, found in part.chosen.paper.items()}
     yield Drawing(
         "fig13_after_collision",
-        lambda: figures_outcomes.sun_height_figure(after),
+        lambda: sun_height_figure(after),
         "Densities of the z component between collision and second touchdown, wheel off and held",
         f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1."
         + _note(result),
     )
     yield Drawing(
         "strategies",
-        lambda: figures_outcomes.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
+        lambda: strategies_figure(part.strategies.assign_attrs(of_telemetry)),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
         + _note(result),

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
-from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
+from sunspin.output.kinds.panels import health_lines, health_summary
+from sunspin.output.kinds.telemetry import status_counts, status_lines
 from sunspin.telemetry.health import NOISE, made_by, panel_health
 from sunspin.telemetry.quality import lit_threshold, panel_quality
 from sunspin.telemetry.reader import FLAGS, read_telemetry
