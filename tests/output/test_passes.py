@@ -83,6 +83,8 @@ def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
         "0.00 "
     )
     assert with_sigma([-0.001, 0.2], [0.1, 0.0123], "deg/s") == "(0.00 ± 0.10, 0.200 ± 0.012) deg/s"
+    assert with_sigma(6.4123e-8, 1.94e-9, "T") == "6.41e-08 ± 1.9e-09 T"
+    assert with_sigma(1.5, np.nan) == "1.5" and with_sigma(1234.5678, 34.0) == "1235 ± 34"
     assert with_range(3.104, 3.02, 3.21) == "3.104 (3.020 to 3.210)"
     assert with_range(3.104, 3.02, 3.21, sigma=0.2) == "3.10 (3.02 to 3.21)"
     assert with_range(3.0, 3.0, 3.0) == "3.000 (3.000 to 3.000)"

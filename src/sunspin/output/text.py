@@ -45,6 +45,9 @@ def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
         return f"({', '.join(map(with_sigma, value, sigma))}){unit}"
     if not (np.isfinite(sigma) and sigma > 0):
         return f"{number_text(float(value))}{unit}"
+    if sigma < 1e-5:
+        digits = max(int(np.floor(np.log10(max(abs(value), sigma) / sigma))) + 2, 2)
+        return f"{value:z.{digits}g} ± {sigma:.2g}{unit}"
     decimals = _decimals(sigma)
     return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}{unit}"
 

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
+from sunspin.output.text import with_sigma
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, panel_quality, reasons
 from sunspin.telemetry.sun import LIT_SIGMAS, signals
@@ -134,7 +135,7 @@ def _panels(craft: Vehicle, samples: xr.Dataset) -> tuple[dict[str, Any], list[s
     summary["gains_from"] = quality.attrs["gains_from"]
     if np.isfinite(quality.attrs["spread"]):
         told = ", ".join(
-            f"{name} {g:.3f} +- {s:.3f}" for name, g, s in zip(names, gain, sigma, strict=True)
+            f"{name} {with_sigma(g, s)}" for name, g, s in zip(names, gain, sigma, strict=True)
         )
         lines.append(
             f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {told}"

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,15 +35,13 @@ STYLE: Any = {
     "svg.hashsalt": "sunspin",  # the same figure gives the same bytes
 }
 
-P = ParamSpec("P")
 
-
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     """A drawing function in the style of all figures; the title says so if its first argument, data or a mapping of data by
     name, follows from synthetic telemetry."""
 
     @wraps(draw)
-    def in_style(*args: P.args, **more: P.kwargs) -> Figure:
+    def in_style(*args: Any, **more: Any) -> Figure:
         import matplotlib
 
         with matplotlib.rc_context(STYLE):

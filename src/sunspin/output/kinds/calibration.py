@@ -84,6 +84,8 @@ def calibration_tables(result: Any) -> Iterator[Table]:
     yield Table("calibration", frame, "Keys of the vehicle file", shown)
 
 
-KINDS["calibration"] = Kind(
-    "calibrate-sensors", "calibration", calibration_summary, tables=calibration_tables
+KINDS.update(
+    calibration=Kind(
+        "calibrate-sensors", "calibration", calibration_summary, tables=calibration_tables
+    )
 )

@@ -87,4 +87,4 @@ def _sticks(runs: Any) -> bool:
     }
 
 
-KINDS["collision"] = Kind("outcomes", "collision", collision_summary, collision_drawings)
+KINDS.update(collision=Kind("outcomes", "collision", collision_summary, collision_drawings))

@@ -123,6 +123,8 @@ def comparison_tables(data: Any) -> Iterator[Table]:
     yield Table("comparison", _table(data), "Changes, the largest first", shown)
 
 
-KINDS["comparison"] = Kind(
-    "compare", "comparison", comparison_summary, comparison_drawings, comparison_tables
+KINDS.update(
+    comparison=Kind(
+        "compare", "comparison", comparison_summary, comparison_drawings, comparison_tables
+    )
 )

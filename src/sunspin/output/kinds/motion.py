@@ -111,15 +111,13 @@ def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
     )
 
 
-PUBLISHED = (
-    "Spin-down of the wheel, computed from published friction (no measured record is public)"
-)
-
-
 @styled
-def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str = PUBLISHED) -> Any:
+def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str = "") -> Any:
     """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
-    figure, axes = axes_grid(7, 4, title=title)
+    published = (
+        "Spin-down of the wheel, computed from published friction (no measured record is public)"
+    )
+    figure, axes = axes_grid(7, 4, title=title or published)
     for k, (label, speed) in enumerate(curves.items()):
         axes.plot(t_s / 60, speed, "-" if k == 0 else "--", color=COLOURS[k], label=label)
     axes.set(xlabel="time (min)", ylabel="wheel speed (rad/s)")
@@ -129,6 +127,8 @@ def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str 
     return figure
 
 
-KINDS["trajectory"] = Kind("simulate", "trajectory", trajectory_summary, trajectory_drawings)
-KINDS["impact"] = Kind("impact", "impact", impact_summary)
-KINDS["spin_down"] = Kind("spin_down", "spin-down", spin_down_summary, spin_down_drawings)
+KINDS.update(
+    trajectory=Kind("simulate", "trajectory", trajectory_summary, trajectory_drawings),
+    impact=Kind("impact", "impact", impact_summary),
+    spin_down=Kind("spin_down", "spin-down", spin_down_summary, spin_down_drawings),
+)

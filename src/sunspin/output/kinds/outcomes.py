@@ -198,4 +198,4 @@ def say_why_empty(axes: Any, why: str) -> None:
     axes.set_yticks([])
 
 
-KINDS["outcomes"] = Kind("outcomes", "outcomes", outcomes_summary, outcomes_drawings)
+KINDS.update(outcomes=Kind("outcomes", "outcomes", outcomes_summary, outcomes_drawings))

@@ -131,5 +131,7 @@ def health_figure(health: Any) -> Any:
     return figure
 
 
-KINDS["panel_quality"] = Kind("panel_quality", "panel-quality", quality_summary, quality_drawings)
-KINDS["panel_health"] = Kind("panel_health", "panel-health", health_summary, health_drawings)
+KINDS.update(
+    panel_quality=Kind("panel_quality", "panel-quality", quality_summary, quality_drawings),
+    panel_health=Kind("panel_health", "panel-health", health_summary, health_drawings),
+)

@@ -189,11 +189,13 @@ def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
     return {f"motion-solution-{run.attrs['solution']}": run for run in motions}
 
 
-KINDS["posterior"] = Kind(
-    "posterior",
-    "posterior",
-    posterior_summary,
-    posterior_drawings,
-    posterior_tables,
-    posterior_datasets,
+KINDS.update(
+    posterior=Kind(
+        "posterior",
+        "posterior",
+        posterior_summary,
+        posterior_drawings,
+        posterior_tables,
+        posterior_datasets,
+    )
 )

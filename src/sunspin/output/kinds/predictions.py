@@ -123,6 +123,8 @@ def predictions_tables(predictions: Any) -> Iterator[Table]:
     yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", shown)
 
 
-KINDS["predictions"] = Kind(
-    "predictions", "predictions", predictions_summary, predictions_drawings, predictions_tables
+KINDS.update(
+    predictions=Kind(
+        "predictions", "predictions", predictions_summary, predictions_drawings, predictions_tables
+    )
 )

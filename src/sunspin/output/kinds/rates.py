@@ -219,4 +219,4 @@ def rates_tables(result: Any) -> Iterator[Table]:
     yield Table("rates", pd.DataFrame(columns), comment=comment)
 
 
-KINDS["rates"] = Kind("rates", "rates", rates_summary, rates_drawings, rates_tables)
+KINDS.update(rates=Kind("rates", "rates", rates_summary, rates_drawings, rates_tables))

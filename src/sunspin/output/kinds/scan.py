@@ -123,5 +123,7 @@ def scan_tables(scan: Any) -> Iterator[Table]:
     yield Table("lines", pd.DataFrame(columns), "Lines fitted to the near-minimum set", shown)
 
 
-KINDS["scan"] = Kind("scan", "scan", scan_summary, scan_drawings, scan_tables)
-KINDS["lines"] = Kind("lines", "lines", lines_summary)
+KINDS.update(
+    scan=Kind("scan", "scan", scan_summary, scan_drawings, scan_tables),
+    lines=Kind("lines", "lines", lines_summary),
+)

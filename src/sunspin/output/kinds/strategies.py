@@ -167,9 +167,11 @@ def landing_datasets(tree: Any, _: Context) -> dict[str, Any]:
     return {"strategies": tree["strategies"].to_dataset()} | runs
 
 
-KINDS["strategies"] = Kind(
-    "outcomes", "strategies", strategies_summary, strategies_drawings, strategies_tables
-)
-KINDS["landing"] = Kind(
-    "outcomes", "", landing_summary, landing_drawings, landing_tables, landing_datasets
+KINDS.update(
+    strategies=Kind(
+        "outcomes", "strategies", strategies_summary, strategies_drawings, strategies_tables
+    ),
+    landing=Kind(
+        "outcomes", "", landing_summary, landing_drawings, landing_tables, landing_datasets
+    ),
 )

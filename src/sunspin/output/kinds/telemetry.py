@@ -9,16 +9,13 @@ import numpy as np
 import xarray as xr
 
 from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, axes_grid, named, styled
-from sunspin.output.figures.time_axis import Passes, long_gaps, passes_together, time_axis
+from sunspin.output.figures.time_axis import PAUSE, Passes, long_gaps, passes_together, time_axis
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.text import number_text
 from sunspin.telemetry.sun import STATUS_TEXT, SunStatus, is_reconstructed
 
 MOST_JOINED = 80
 """Samples up to which dotted lines connect them."""
-
-PAUSE = 10
-"""Steps between samples after which no line connects them."""
 
 UNKNOWN_WAY = np.radians(60.0)
 """Angle between directions beyond which no line connects them."""
@@ -210,5 +207,7 @@ def sun_tables(sun: Any) -> Iterator[Table]:
     yield Table("sun", pd.DataFrame(columns), "Sun direction of each sample", shown, comment)
 
 
-KINDS["telemetry"] = Kind("telemetry", "telemetry", telemetry_summary, telemetry_drawings)
-KINDS["sun_directions"] = Kind("sun", "sun", sun_summary, sun_drawings, sun_tables)
+KINDS.update(
+    telemetry=Kind("telemetry", "telemetry", telemetry_summary, telemetry_drawings),
+    sun_directions=Kind("sun", "sun", sun_summary, sun_drawings, sun_tables),
+)
