@@ -14,7 +14,7 @@ from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
 from sunspin.landing.predictions import collision_s
-from sunspin.output.figures.predicted import predicted_figure
+from sunspin.output.kinds.predictions import predicted_figure
 from sunspin.telemetry.case import load_case
 
 IMAGES = Path(__file__).parent / "images"

@@ -11,7 +11,7 @@ from cubes import FACES
 from sunspin.base.errors import InputError
 from sunspin.cli.values import between, instants_of
 from sunspin.output.check.samples import _lit
-from sunspin.output.kinds.telemetry import SETS, health_lines
+from sunspin.output.kinds.panels import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle
 from validation.border import sunspin

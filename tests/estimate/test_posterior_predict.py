@@ -122,8 +122,7 @@ def test_another_vehicle_is_refused(craft):
 def test_it_is_written_drawn_and_told(craft, tmp_path):
     from sunspin.cli.values import times
     from sunspin.landing.predictions import with_predictions
-    from sunspin.output.figures.predicted import predicted_figure
-    from sunspin.output.kinds.posterior import predictions_summary
+    from sunspin.output.kinds.predictions import predicted_figure, predictions_summary
 
     tree, _ = philae_draws(50, 0.003)
     asked = times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])

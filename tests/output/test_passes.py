@@ -9,8 +9,7 @@ from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
 from sunspin.output.folder import Contents, write_contents
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, passes_table
-from sunspin.output.kinds.rate_words import RateAt
-from sunspin.output.text import number_text, size_text, with_sigma
+from sunspin.output.text import number_text, size_text, with_range, with_sigma
 from sunspin.vehicle.timeline import utc_after
 
 COLUMNS = (
@@ -83,6 +82,10 @@ def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
     assert number_text([-0.0, -1e-9]) == "(0, -1e-09)" and with_sigma(-0.0004, 0.1).startswith(
         "0.00 "
     )
-    at = RateAt(1.0, 1.0, 1.0, 0.0, np.array([-0.001, 0.2, 1.0]), np.full(3, 0.1))
-    assert at.components == "(0.00, 0.20, 1.00) +- (0.10, 0.10, 0.10)"
+    assert with_sigma([-0.001, 0.2], [0.1, 0.0123], "deg/s") == "(0.00 ± 0.10, 0.200 ± 0.012) deg/s"
+    assert with_sigma(6.4123e-8, 1.94e-9, "T") == "6.41e-08 ± 1.9e-09 T"
+    assert with_sigma(1.5, np.nan) == "1.5" and with_sigma(1234.5678, 34.0) == "1235 ± 34"
+    assert with_range(3.104, 3.02, 3.21) == "3.104 (3.020 to 3.210)"
+    assert with_range(3.104, 3.02, 3.21, sigma=0.2) == "3.10 (3.02 to 3.21)"
+    assert with_range(3.0, 3.0, 3.0) == "3.000 (3.000 to 3.000)"
     assert [size_text(n) for n in (12, 34_000, 5_200_000)] == ["0.1 kB", "34.0 kB", "5.2 MB"]

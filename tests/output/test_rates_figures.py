@@ -16,8 +16,9 @@ from sunspin.output.curves import dense
 from sunspin.output.figures import save
 from sunspin.output.figures.rates import rates_figure, sources
 from sunspin.output.figures.residuals import residuals_figure
-from sunspin.output.figures.telemetry import _passes_together, sun_directions_figure
-from sunspin.output.kinds.rate_words import rate_at
+from sunspin.output.figures.time_axis import passes_together
+from sunspin.output.kinds.rates import rate_at
+from sunspin.output.kinds.telemetry import sun_directions_figure
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -92,7 +93,7 @@ def test_residuals_are_drawn_by_sensor_with_the_share_beyond_the_limit(tmp_path)
     [
         (True, True, "probability 1.00"),
         (True, False, "probability 1.00, not decided"),
-        (False, False, "probability 1.00, FITS BADLY"),
+        (False, False, "probability 1.00, poor fit"),
     ],
 )
 def test_the_rates_of_a_pass_that_must_not_be_used_say_so(fits, decided, said):
@@ -161,14 +162,14 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
 def test_passes_far_apart_stand_side_by_side(passes):
     one = np.arange(0.0, 600.0, 30.0)
     time = np.concatenate([one + 5700 * k for k in range(passes)])
-    place = _passes_together(time)
+    place = passes_together(time)
     x = place.x(time / 3600)
     assert np.all(np.diff(x) > 0)
     pauses = np.diff(x)[one.size - 1 :: one.size]
     assert pauses.sum() < 0.5 * np.ptp(x) + 1e-9 or passes == 30
     within = np.diff(x)[: one.size - 1]
     np.testing.assert_allclose(within, np.diff(one) / 3600, rtol=1e-6)
-    assert _passes_together(one).hours.size == 0
+    assert passes_together(one).hours.size == 0
     sun = xr.concat(
         [tumble(20, 30.0)[1].assign_coords(time=one + 5700 * k) for k in range(passes)], "time"
     )

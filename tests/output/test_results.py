@@ -153,17 +153,15 @@ def test_a_panel_that_was_left_out_of_the_rates_is_said():
 
 
 def test_rates_are_printed_in_degrees_a_second(user_runs):
-    """Beside those of options, which are in rad/s, so that one finds the other."""
     tree, made = xr.load_datatree(user_runs["posterior"] / "posterior.nc"), [scan(), motion()]
-    shown = re.search(r"omega \((.*?)\) \+- .* deg/s", str(tree.sunspin.summary()))
+    shown = re.search(r"omega \((.*?)\) deg/s", str(tree.sunspin.summary()))
     likeliest = np.degrees(tree["solutions"]["omega_B"].values[0])
-    assert shown and [float(x) for x in shown[1].split(", ")] == pytest.approx(likeliest, abs=0.01)
+    values = [float(text.split(" ± ")[0]) for text in shown[1].split(", ")] if shown else []
+    assert values == pytest.approx(likeliest, abs=0.01)
     for result, key in zip(made, ("best_omega_B", "omega_B"), strict=True):
         summary = result.sunspin.summary()
         assert rate_text(summary[key]) in str(summary)
-    assert (
-        rate_text([0.1, 0.0, -np.pi]) == "(0.1, 0, -3.1416) rad/s, which is (5.73, 0, -180) deg/s"
-    )
+    assert rate_text([0.1, 0.0, -np.pi]) == "(5.73, 0, -180) deg/s"
     modes = pd.read_csv(user_runs["posterior"] / "solutions.csv", comment="#")
     np.testing.assert_allclose(
         modes["omega_x_B_deg_s"], np.degrees(modes["omega_x_B_rad_s"]), rtol=1e-7

@@ -101,14 +101,10 @@ class Kind:
     datasets: Callable[[Any, Context], Mapping[str, xr.Dataset]] = lambda *_: {}
 
 
-def synthetic_note(data: Any) -> str:
-    """The end of a caption of what was made from synthetic telemetry."""
-    return synthetic_words(data.attrs.get("synthetic"))
+KINDS: dict[str, Kind] = {}
+"""`attrs["kind"]` -> what can be said, drawn and written of it; :mod:`sunspin.output.kinds` fills it."""
 
 
 def synthetic_words(synthetic: Any) -> str:
+    """The end of a caption of what was made from synthetic telemetry."""
     return " Synthetic telemetry." if synthetic else ""
-
-
-def vector(values: Iterable[float]) -> str:
-    return "[" + ", ".join(f"{value:z.5g}" for value in values) + "]"

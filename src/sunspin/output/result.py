@@ -118,16 +118,17 @@ class Result:
         """
         from sunspin.output.figures import save
         from sunspin.output.folder import Contents, results_folder, write_contents
-        from sunspin.output.kind import Context
+        from sunspin.output.kind import Context, synthetic_words
 
         kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
         if isinstance(data, xr.DataArray):  # a Dataset that knows its kind when it is read again
             attrs = {key: value for key, value in data.attrs.items() if key != "units"}
             data = data.to_dataset().assign_attrs(attrs)
+        note = synthetic_words(data.attrs.get("synthetic"))
         contents = Contents(
             ({kind.main: data} if kind.main else {}) | dict(kind.datasets(data, context)),
-            list(kind.drawings(self._data, context)),
+            [d._replace(caption=d.caption + note) for d in kind.drawings(self._data, context)],
             list(kind.tables(self._data)),
             vehicle,
             telemetry,

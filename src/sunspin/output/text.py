@@ -1,4 +1,4 @@
-"""Numbers as a person reads them."""
+"""Numbers as a person reads them: the one place where results' numbers become text. Rates are shown in deg/s."""
 
 from __future__ import annotations
 
@@ -7,58 +7,82 @@ from typing import Any
 import numpy as np
 
 from sunspin.output.folder import plain
+from sunspin.vehicle.timeline import utc_after
+
+LONGEST = 400
+"""Characters of a value that :func:`number_text` returns."""
 
 
-def number_text(value: Any, digits: int = 5) -> str:
+def number_text(value: Any, digits: int = 4) -> str:
     """A number with so many digits, lists in parentheses, sets of names as 2-3; 2-3-6, yes or no, anything else as it is."""
     value = plain(value)
-    if isinstance(value, list):
-        if value and all(
-            isinstance(one, list) and one and all(isinstance(name, str) for name in one)
-            for one in value
-        ):
-            return "; ".join("-".join(names) for names in value)
-        mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
-        return "(" + mark.join(number_text(item, digits) for item in value) + ")"
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:z.{digits}g}"
     if isinstance(value, dict):
-        return "; ".join(
+        text = "; ".join(
             f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items()
         )
-    if isinstance(value, float):
-        return f"{value:z.{digits}g}" if np.isfinite(value) else "none"
-    return "none" if value is None else str(value)
+    elif isinstance(value, list) and value and all(map(_is_names, value)):
+        text = "; ".join("-".join(names) for names in value)
+    elif isinstance(value, list):
+        mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
+        text = "(" + mark.join(number_text(item, digits) for item in value) + ")"
+    else:
+        text = "none" if value is None else str(value)
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 
-def digits_of(sigmas: Any) -> int:
-    """Decimals that show the smallest of these errors with one figure, two to five."""
-    values = np.asarray(sigmas, dtype=np.float64)
-    known = values[np.isfinite(values) & (values > 0)]
-    return int(np.clip(-np.floor(np.log10(known.min())), 2, 5)) if len(known) else 2
+def _is_names(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(name, str) for name in value)
+
+
+def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
+    """A number, or numbers (n) in parentheses, each with its sigma to two digits: 1.234 ± 0.056 deg/s."""
+    unit = f" {unit}" if unit else ""
+    if np.ndim(value):
+        return f"({', '.join(map(with_sigma, value, sigma))}){unit}"
+    if not (np.isfinite(sigma) and sigma > 0):
+        return f"{number_text(float(value))}{unit}"
+    if sigma < 1e-5:
+        digits = max(int(np.floor(np.log10(max(abs(value), sigma) / sigma))) + 2, 2)
+        return f"{value:z.{digits}g} ± {sigma:.2g}{unit}"
+    decimals = _decimals(sigma)
+    return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}{unit}"
+
+
+def with_range(value: float, low: float, high: float, sigma: float = 0.0) -> str:
+    """A number and the ends of its range, to two digits of half the range or of a larger `sigma`: 3.53 (3.49 to 3.57)."""
+    half = max((high - low) / 2, sigma)
+    decimals = _decimals(half) if np.isfinite(half) and half > 0 else 3
+    return f"{value:z.{decimals}f} ({low:z.{decimals}f} to {high:z.{decimals}f})"
+
+
+def _decimals(sigma: float) -> int:
+    """Decimals that show an error with two digits."""
+    return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
 
 
 def rate_text(omega_rad_s: Any) -> str:
-    """A body rate as options and files have it, and in deg/s."""
-    return f"{number_text(omega_rad_s)} rad/s, which is {number_text(np.degrees(omega_rad_s), 4)} deg/s"
+    """A body rate (rad/s) in deg/s."""
+    return f"{number_text(np.degrees(omega_rad_s))} deg/s"
 
 
-def with_sigma(value: float, sigma: float) -> str:
-    """A number and its sigma, both with as many decimals as show two figures of the sigma."""
-    if not (np.isfinite(sigma) and sigma > 0):
-        return f"{value:.3f} ± {sigma:.3g}"
-    decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
-    return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}"
+def clock_text(data: Any, seconds: float) -> str:
+    """A time (s) of a result: UTC, or s if its epoch is not known."""
+    epoch = str(data.attrs.get("epoch_utc") or "")
+    return utc_after(seconds, epoch) if epoch else f"{seconds:z.0f} s"
 
 
 def turn_text(rate_rad_s: float) -> str:
-    """The time of one turn: seconds below two minutes, else minutes."""
+    """The time of one revolution: seconds below two minutes, else minutes."""
     seconds = 2 * np.pi / abs(rate_rad_s)
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
 def size_text(size: int) -> str:
-    """The size of a file of so many bytes, in MB or where it is small in kB."""
+    """The size of a file of so many bytes, in MB or, if it is small, in kB."""
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{max(size / 1e3, 0.1):.1f} kB"
 
 

@@ -11,12 +11,9 @@ import numpy as np
 import xarray as xr
 
 from sunspin.output import figures
-from sunspin.output.figures import outcomes as figures_outcomes
-from sunspin.output.figures.collision import collision_figure
-from sunspin.output.figures.motion import spin_down_figure
 from sunspin.output.figures.panel_signals import panel_signals_figure
-from sunspin.output.figures.telemetry import sun_directions_figure
 from sunspin.output.kind import Drawing, synthetic_words
+from sunspin.output.kinds import collision, motion, outcomes, strategies, telemetry
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
@@ -109,7 +106,7 @@ def _measured(result: Reproduction, _: Any) -> Iterator[Drawing]:
     note = _note(result)
     yield Drawing(
         "fig03_measured",
-        lambda: sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
+        lambda: telemetry.sun_directions_figure(result.sun, result.case.telemetry, _events(result)),
         "Panel powers, components of the Sun direction and Delta against time",
         "Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no "
         "direction, by reason." + note,
@@ -149,7 +146,7 @@ def _mechanics(_: Reproduction, part: Any) -> Iterator[Drawing]:
     }
     yield Drawing(
         "fig05_spin_down",
-        lambda: spin_down_figure(fall["t_s"], curves),
+        lambda: motion.spin_down_figure(fall["t_s"], curves),
         "Wheel speed falling to zero",
         "Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients.",
     )
@@ -254,7 +251,7 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
     )
     yield Drawing(
         "fig13_lines",
-        lambda: figures_outcomes.sun_height_figure(part.runs),
+        lambda: outcomes.sun_height_figure(part.runs),
         "Densities of the z component after the collision for motions on the printed lines, wheel off and held",
         f"No telemetry: the Sun's height after the collision (paper, Fig. 13), {part.runs['off'].sizes['run']} simulated "
         "collisions of motions on the printed lines; each area is 1.",
@@ -299,21 +296,21 @@ def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     after = {name: found.assign_attrs(of_telemetry) for name, found in part.chosen.paper.items()}
     yield Drawing(
         "fig13_after_collision",
-        lambda: figures_outcomes.sun_height_figure(after),
+        lambda: outcomes.sun_height_figure(after),
         "Densities of the z component between collision and second touchdown, wheel off and held",
         f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1."
         + _note(result),
     )
     yield Drawing(
         "strategies",
-        lambda: figures_outcomes.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
+        lambda: strategies.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
         + _note(result),
     )
     yield Drawing(
         "collision",
-        lambda: collision_figure(part.collision.assign_attrs(of_telemetry)),
+        lambda: collision.collision_figure(part.collision.assign_attrs(of_telemetry)),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them."
         + _note(result),

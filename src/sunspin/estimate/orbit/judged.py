@@ -72,7 +72,7 @@ def drifting(found: OrbitCheck) -> str:
     """How the shift changes, in words, where the telemetry has shown it."""
     if found.made is None:
         return ""
-    return f" in the middle of the file, {found.drift_s_day:+z.1f} +- {found.drift_sigma_s_day:.1f} s a day"
+    return f" in the middle of the file, {found.drift_s_day:+z.1f} ± {found.drift_sigma_s_day:.1f} s a day"
 
 
 def clock_off(found: OrbitCheck) -> str:

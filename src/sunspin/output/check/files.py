@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
-from sunspin.output.kinds.telemetry import health_lines, health_summary, status_counts, status_lines
+from sunspin.output.kinds.panels import health_lines, health_summary
+from sunspin.output.kinds.telemetry import status_counts, status_lines
+from sunspin.output.text import counted
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.health import NOISE, made_by
 from sunspin.telemetry.reader import FLAGS, read_telemetry
@@ -30,7 +32,7 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
         "inertia_given": craft.inertia_kg_m2 is not None,
         "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
     }
-    parts = ", ".join(_counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
+    parts = ", ".join(counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
     known = (
         "given"
         if summary["inertia_given"]
@@ -59,7 +61,7 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
-        lines.append(f"  {_counted(len(bare), 'value')} without a source: {shown}")
+        lines.append(f"  {counted(len(bare), 'value')} without a source: {shown}")
     return summary, lines
 
 
@@ -91,7 +93,7 @@ def about_telemetry(
         utc_after(float(time.min()), summary["epoch_utc"]) if time.size else summary["epoch_utc"]
     )
     lines = [
-        f"Telemetry {path.name}: {_counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"
+        f"Telemetry {path.name}: {counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"
     ]
     if time.size and round(float(time[0])):
         lines.append(
@@ -141,7 +143,3 @@ def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         "health_of_every": assessment.health_stride,
     }
     return summary, status_lines(sun) + health_lines(summary) + noise_lines(sun)
-
-
-def _counted(n: int, noun: str) -> str:
-    return f"{n} {noun}" + ("" if n == 1 else "s")

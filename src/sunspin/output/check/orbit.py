@@ -14,6 +14,7 @@ from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST
 from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
 from sunspin.output.check.samples import noise_lines
+from sunspin.output.text import with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle.timeline import utc_after
 
@@ -122,7 +123,7 @@ def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
     both = " (with the clock: of both, the data determine the sum)"
     lines.append(
-        f"  shift along the track {found.shift_s:+z.0f} +- {found.shift_sigma_s:.0f} s{drifting(found)}{both}{border}"
+        f"  shift along the track {with_sigma(found.shift_s, found.shift_sigma_s, 's')}{drifting(found)}{both}{border}"
     )
     if np.isfinite(found.strength_residual_T):
         angle = np.degrees(found.angle_residual_rad)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
+from sunspin.output.text import with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, reasons
@@ -136,13 +137,13 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         if low
     }
     lines += [
-        f"  WEAK PANEL: {name} gives {g:.3f} +- {s:.3f} of what its gain in the vehicle file says, compared with the other panels; "
+        f"  WEAK PANEL: {name} gives {with_sigma(g, s)} of what its gain in the vehicle file says, compared with the other panels; "
         "`sunspin calibrate-sensors` writes a copy with the gains of this file"
         for name, (g, s) in summary["weak_panels"].items()
     ]
     if np.isfinite(quality.attrs["spread"]):
         told = ", ".join(
-            f"{name} {g:.3f} +- {s:.3f}" for name, g, s in zip(names, gain, sigma, strict=True)
+            f"{name} {with_sigma(g, s)}" for name, g, s in zip(names, gain, sigma, strict=True)
         )
         lines.append(
             f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {told}"

@@ -7,6 +7,7 @@ the files name it so; a celestial frame is written only if the result states tha
 
 from __future__ import annotations
 
+import io
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -235,15 +236,10 @@ def write_parquet(target: Path, attitude: Attitude) -> Path:
         what, do = "Parquet needs pyarrow", 'pip install "sunspin[parquet]"'
         raise OutputError(sentence(what, do=do)) from None
     columns = {"time_utc": attitude.utc, "time_s": attitude.t_s, "pass": attitude.pass_of}
-    quaternion, omega = attitude.quaternion.T, attitude.omega_B.T
-    columns |= {f"q_{name}_B_from_N": q for name, q in zip("xyzw", quaternion, strict=True)}
-    columns |= {f"omega_{axis}_B_rad_s": w for axis, w in zip("xyz", omega, strict=True)}
+    columns |= {f"q_{k}_B_from_N": q for k, q in zip("xyzw", attitude.quaternion.T, strict=True)}
+    columns |= {f"omega_{k}_B_rad_s": w for k, w in zip("xyz", attitude.omega_B.T, strict=True)}
     about = {"frame": attitude.frame, "object": attitude.name, "source": attitude.source}
     about["epoch_utc"] = f"{attitude.epoch}Z"
-    table = pa.table(columns).replace_schema_metadata(about)
-
-    def write(path: Path) -> None:
-        with open(path, "wb") as file:  # pyarrow takes no name that is not UTF-8
-            pq.write_table(table, file)
-
-    return write_whole(target, write)
+    buffer = io.BytesIO()  # pyarrow takes no name that is not UTF-8
+    pq.write_table(pa.table(columns).replace_schema_metadata(about), buffer)
+    return write_whole(target, lambda path: path.write_bytes(buffer.getbuffer()))

@@ -13,6 +13,7 @@ from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import attitude_of, read_results
 from sunspin.output.export.ck import ephemeris_time, spice
+from sunspin.output.text import number_text
 
 KERNEL_S = 20
 """CPU time in which rates are read from kernels, in another process: damaged ones end SPICE."""
@@ -63,9 +64,9 @@ def against_kernels(
         "rms_deg_s": np.sqrt(((ours - theirs) ** 2).mean(axis=0)).tolist(),
         "rms_speed_deg_s": float(np.sqrt((speed**2).mean())),
     }
-    shown = ", ".join(f"{value:.4g}" for value in summary["rms_deg_s"])
+    shown, size = (number_text(summary[name]) for name in ("rms_deg_s", "rms_speed_deg_s"))
     line = (
-        f"{summary['covered']} of {len(rates)} times covered; rms difference of the rates ({shown}) deg/s in body axes, "
-        f"of their size {summary['rms_speed_deg_s']:.4g} deg/s"
+        f"{summary['covered']} of {len(rates)} times covered; rms difference of the rates {shown} deg/s in body axes, "
+        f"of their size {size} deg/s"
     )
     return summary, line

@@ -6,6 +6,7 @@ C-kernel orients, and the local frame N, which is not related to any other: SPIC
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,21 +23,19 @@ BODY_ID, LOCAL_ID = SPACECRAFT * 1000, SPACECRAFT * 1000 - 1
 BODY_NAME = "SUNSPIN_BODY"
 TICKS_PER_S = 1_000_000
 
-LEAP_SECONDS = np.array(
-    "1972-01 1972-07 1973-01 1974-01 1975-01 1976-01 1977-01 1978-01 1979-01 1980-01 1981-07 1982-07 1983-07 1985-07 "
-    "1988-01 1990-01 1991-01 1992-07 1993-07 1994-07 1996-01 1997-07 1999-01 2006-01 2009-01 2012-07 2015-07 2017-01".split(),
-    dtype="datetime64[us]",
-)
-"""From these instants on TAI - UTC is 10 s, 11 s and so on; IERS Bulletin C, no further one announced until 2026."""
-
 
 def ephemeris_time(utc: Any) -> np.ndarray:
     """SPICE's ephemeris time (TDB seconds past J2000) of UTC instants, to 0.05 ms (NAIF time-kernel formula)."""
+    import erfa
+
     utc = np.asarray(utc, dtype="datetime64[us]")
-    if np.any(utc < LEAP_SECONDS[0]):
+    if np.any(utc < np.datetime64("1972-01-01")):
         raise InputError(sentence("UTC before 1972 has no leap seconds", got=str(utc.min())))
-    tai = utc - np.datetime64("2000-01-01T12:00") + np.timedelta64(9, "s")
-    since = tai / np.timedelta64(1, "s") + np.searchsorted(LEAP_SECONDS, utc, side="right") + 32.184
+    month = utc.astype("datetime64[M]").astype(int)
+    with warnings.catch_warnings():  # years beyond the announced leap seconds
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        tai_ahead = erfa.dat(1970 + month // 12, month % 12 + 1, 1, 0.0)
+    since = (utc - np.datetime64("2000-01-01T12:00")) / np.timedelta64(1, "s") + tai_ahead + 32.184
     anomaly = 6.239996 + 1.99096871e-7 * since
     return since + 1.657e-3 * np.sin(anomaly + 1.671e-2 * np.sin(anomaly))
 

@@ -1,19 +1,20 @@
-"""Results to figures, a subject a file. Each function returns a matplotlib Figure; `save` writes it as PNG and SVG.
-
-Synthetic telemetry is called so in the title of every figure that shows it.
-"""
+"""What all figures share: colours, style, axes, titles, files. The figures of a result are drawn in its module of `kinds`."""
 
 from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
-from matplotlib.figure import Figure
+import numpy as np
 
 from sunspin.output.folder import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # colour-blind safe (Okabe and Ito)
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
@@ -26,8 +27,45 @@ ABOVE: dict[str, Any] = {
 """A legend above the axes, where it covers no data."""
 ON_PAPER: dict[str, Any] = {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.5}
 """The ground of a label that stands on lines."""
+STYLE: Any = {
+    "axes.titlesize": 10,
+    "figure.titlesize": 10,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "svg.hashsalt": "sunspin",  # the same figure gives the same bytes
+}
 
-matplotlib.rcParams["svg.hashsalt"] = "sunspin"  # the same figure gives the same bytes
+
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """A drawing function in the style of all figures; the title says so if its first argument, data or a mapping of data by
+    name, follows from synthetic telemetry."""
+
+    @wraps(draw)
+    def in_style(*args: Any, **more: Any) -> Figure:
+        import matplotlib
+
+        with matplotlib.rc_context(STYLE):
+            figure = draw(*args, **more)
+            every: Any = args[0].values() if isinstance(args[0], dict) else args[:1]
+            if any(getattr(each, "attrs", {}).get("synthetic") for each in every):
+                figure.suptitle(titled(figure.get_suptitle(), True), wrap=True)
+        return figure
+
+    return in_style
+
+
+def axes_grid(
+    width: float, height: float, rows: int = 1, columns: int = 1, title: str = "", **more: Any
+) -> tuple[Figure, Any]:
+    """A figure (inches) with a title and its axes, as matplotlib's `subplots` returns them; `more`: its further arguments."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.suptitle(title, wrap=True)
+    axes = figure.subplots(rows, columns, **more)
+    for each in np.ravel(axes):
+        each.tick_params(labelsize=8)
+    return figure, axes
 
 
 def lay_out(figure: Figure) -> Figure:
@@ -35,6 +73,8 @@ def lay_out(figure: Figure) -> Figure:
 
     No engine may be left: even one that does nothing makes matplotlib draw everything once more before it draws.
     """
+    import matplotlib
+
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
@@ -47,24 +87,25 @@ def lay_out(figure: Figure) -> Figure:
 
 def drawn(figure: Figure) -> dict[str, bytes]:
     """A figure as the content of a PNG and of an SVG file."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "Glyph .* missing from"
-        )  # names may have letters that the font has not: boxes
+    import matplotlib
+
+    contents = {}
+    with warnings.catch_warnings(), matplotlib.rc_context(STYLE):
+        # names may have letters that the font has not: boxes
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
         lay_out(figure)
-        found = {}
         for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
             buffer = io.BytesIO()
             figure.savefig(buffer, format=suffix, dpi=130, metadata=metadata)
-            found[suffix] = buffer.getvalue()
-    return found
+            contents[suffix] = buffer.getvalue()
+    return contents
 
 
-def write(files: dict[str, bytes], folder: Path, name: str) -> list[Path]:
+def write(files: Mapping[str, bytes], folder: Path, name: str) -> list[Path]:
     """Write a figure's files."""
     return [
         write_whole(
-            folder / f"{name}.{suffix}", lambda part, content=content: part.write_bytes(content)
+            folder / f"{name}.{suffix}", lambda path, content=content: path.write_bytes(content)
         )
         for suffix, content in files.items()
     ]

@@ -6,117 +6,78 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from sunspin.estimate.terms.sensors import SENSORS
-from sunspin.output.figures import COLOURS, named, titled
+from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.text import clock_text
 
 SHOWN = 8
 """Passes drawn; more would not be legible."""
 
 
-def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Figure:
-    """Rate components (deg/s) of the best motion of each pass with one sigma, and the gyro where the telemetry has one."""
+@styled
+def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any:
+    """Rate components (deg/s) of the likeliest solution of each pass with one sigma, and the gyro if the telemetry has one."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     passes = chosen_passes(result)
-    figure = Figure(figsize=(max(7.5, 2.1 * len(passes)), 6.4), layout="constrained")
-    grid = figure.subplots(3, len(passes), sharey="row", sharex="col", squeeze=False)
+    title = f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, likeliest solution of each pass"
+    layout = {"sharey": "row", "sharex": "col", "squeeze": False}
+    figure, grid = axes_grid(max(7.5, 2.1 * len(passes)), 6.4, 3, len(passes), title, **layout)
     gyro = None if telemetry is None or "gyro_B" not in telemetry else telemetry["gyro_B"]
-    for column, number in enumerate(passes):
-        at = np.flatnonzero(result["pass_of"].values == number)
-        t = result["time"].values[at]
-        for k, axes in enumerate(grid[:, column]):
+    for column, number in zip(grid.T, passes, strict=True):
+        t = result["time"].values[result["pass_of"].values == number]
+        for k, axes in enumerate(column):
             component(axes, result, number, k)
             if gyro is not None:
-                _gyro(axes, gyro["time"].values, gyro.values[:, k], t)
-        grid[0, column].set_title(
-            f"{clock_text(result, t[0])}\n{_standing(result, number)}", fontsize=8
-        )
-        grid[2, column].set_xlabel("time (min)")
+                near = gyro.isel(axis=k).dropna("time").sel(time=slice(t[0] - 1, t[-1] + 1))
+                minutes = (near["time"].values - t[0]) / 60
+                axes.plot(minutes, np.degrees(near.values), "x", color=COLOURS[6], ms=4)
+        standing = f"probability {result['probability'].values[number, 0]:.2f}"
+        if "fits" in result and not result["fits"].values[number]:
+            standing += ", poor fit"
+        elif "decided" in result and not result["decided"].values[number]:
+            standing += ", not decided"
+        column[0].set_title(f"{clock_text(result, t[0])}\n{standing}", fontsize=8)
+        column[-1].set_xlabel("time (min)")
     for k, row in enumerate(grid):
         row[0].set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
         low, high = row[0].get_ylim()
-        for axes in (
-            row if low < 0 < high else ()
-        ):  # a line that is out of sight would squeeze the curve
-            axes.axhline(0, color=COLOURS[7], lw=0.5)
-    figure.legend(
-        handles=_legend(gyro is not None),
-        fontsize=8,
-        loc="outside lower center",
-        ncols=4,
-        frameon=False,
-    )
-    figure.suptitle(
-        titled(
-            f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, best motion of each pass",
-            result.attrs.get("synthetic"),
-        ),
-        fontsize=10,
-        wrap=True,
-    )
-    return figure
-
-
-def _standing(result: xr.Dataset, number: int) -> str:
-    """The probability of the likeliest solution of a pass, and whether it may be believed."""
-    probability = f"probability {result['probability'].values[number, 0]:.2f}"
-    if "fits" in result and not bool(result["fits"].values[number]):
-        return f"{probability}, FITS BADLY"
-    return (
-        probability
-        if "decided" not in result or bool(result["decided"].values[number])
-        else f"{probability}, not decided"
-    )
-
-
-def _legend(gyro: bool) -> list[Any]:
-    """What curve, band and marks are, for components in any colour."""
-    curve = Line2D(
-        [],
-        [],
-        color=COLOURS[6],
-        lw=1,
-        marker=".",
-        ms=5,
-        label="motion found: samples, and between them",
-    )
-    band = Patch(color=COLOURS[7], alpha=0.5, lw=0, label="one sigma")
-    return [
-        curve,
-        band,
-        *(
-            [Line2D([], [], color=COLOURS[6], marker="x", ls="", ms=4, label="gyro")]
-            if gyro
-            else []
-        ),
+        if low < 0 < high:  # a line that is out of sight would squeeze the curve
+            for axes in row:
+                axes.axhline(0, color=COLOURS[7], lw=0.5)
+    curve: dict[str, Any] = {
+        "lw": 1,
+        "marker": ".",
+        "ms": 5,
+        "label": "solution: samples, and between them",
+    }
+    handles: list[Any] = [
+        Line2D([], [], color=COLOURS[6], **curve),
+        Patch(color=COLOURS[7], alpha=0.5, lw=0, label="one sigma"),
     ]
+    if gyro is not None:
+        handles.append(Line2D([], [], color=COLOURS[6], marker="x", ls="", ms=4, label="gyro"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return figure
 
 
 def component(axes: Any, result: xr.Dataset, number: int, k: int, label: str | None = None) -> None:
     """A component of the rate in a pass: samples, and between them the curve and band that the results hold, if they do."""
-    at = np.flatnonzero(result["pass_of"].values == number)
-    t, mean, sigma = (
-        result["time"].values[at],
-        result["omega_B"].values[at, k],
-        np.sqrt(result["omega_cov_B"].values[at, k, k]),
-    )
-    points, begin = np.degrees(mean), t[0]
-    minutes = (t - begin) / 60
+    inside = result["pass_of"].values == number
+    t, points = result["time"].values[inside], np.degrees(result["omega_B"].values[inside, k])
+    sigma, begin = np.sqrt(result["omega_cov_B"].values[inside, k, k]), t[0]
+    axes.plot((t - begin) / 60, points, ".", color=COLOURS[k], ms=4)
+    mean = points
     if "curve_omega_B" in result:
-        at = np.flatnonzero(result["curve_pass_of"].values == number)
-        t, mean, sigma = (
-            result[name].values[at]
-            for name in ("curve_time", "curve_omega_B", "curve_omega_sigma_B")
-        )
-        mean, sigma = mean[:, k], sigma[:, k]
-    mean, sigma = np.degrees(mean), np.degrees(sigma)
-    axes.fill_between(
-        (t - begin) / 60, mean - sigma, mean + sigma, color=COLOURS[k], alpha=0.25, lw=0
-    )
-    axes.plot((t - begin) / 60, mean, color=COLOURS[k], lw=1, label=label)
-    axes.plot(minutes, points, ".", color=COLOURS[k], ms=4)
+        curve = result.isel(curve_time=result["curve_pass_of"].values == number)
+        t, mean = curve["curve_time"].values, np.degrees(curve["curve_omega_B"].values[:, k])
+        sigma = curve["curve_omega_sigma_B"].values[:, k]
+    minutes, sigma = (t - begin) / 60, np.degrees(sigma)
+    band = {"color": COLOURS[k], "alpha": 0.25, "lw": 0}
+    axes.fill_between(minutes, mean - sigma, mean + sigma, **band)
+    axes.plot(minutes, mean, color=COLOURS[k], lw=1, label=label)
 
 
 def sources(result: xr.Dataset) -> str:
@@ -138,23 +99,3 @@ def chosen_passes(result: xr.Dataset) -> np.ndarray:
     """The passes with the most samples, in the order of time."""
     count = np.bincount(result["pass_of"].values, minlength=result.sizes["pass_id"])
     return np.sort(np.argsort(-count, kind="stable")[:SHOWN])
-
-
-def _gyro(axes: Any, time: np.ndarray, value: np.ndarray, t: np.ndarray) -> None:
-    near = (time >= t[0] - 1) & (time <= t[-1] + 1) & np.isfinite(value)
-    if near.any():
-        axes.plot(
-            (time[near] - t[0]) / 60,
-            np.degrees(value[near]),
-            "x",
-            color=COLOURS[6],
-            ms=4,
-            label="gyro",
-        )
-
-
-def clock_text(result: xr.Dataset, t: float) -> str:
-    start = np.datetime64(str(result.attrs.get("epoch_utc", "1970-01-01")).removesuffix("Z"), "ms")
-    return str(
-        (start + np.timedelta64(int(round(t * 1000)), "ms")).astype("datetime64[s]")
-    ).replace("T", " ")

@@ -1,38 +1,90 @@
-"""Simulated collisions weighted by what a trajectory shows of the true one."""
+"""Simulated collisions weighted by what a trajectory shows of the true one (paper, section 3.3)."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from sunspin.landing.weighted import explained, facts_of, weightings
-from sunspin.output.kind import Context, Drawing, Summary
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
+from sunspin.output.text import with_sigma
 
 
-def collision_summary(found: Any) -> Summary:
+def collision_summary(runs: Any) -> Summary:
     """How many collisions come near the trajectory's speeds, and rates and periods under each weighting."""
-    table = weightings(found)
-    lines = [
-        f"  {line['name']}: worth {line['effective_runs']:.0f} runs, rate before {line['rate_before']}, after {line['rate_after']} "
-        f"rad/s, median period after {line['median_period_after']:.1f} s"
-        for line in table
-    ]
-    numbers = {"facts": facts_of(found), "explained": explained(found), "table": table}
-    return Summary(
-        numbers,
-        [
-            f"collision: {explained(found)} of the runs come near the kernel's jump and speed",
-            *lines,
-        ],
-    )
+    table, near = weightings(runs), explained(runs)
+    lines = [f"collision: {with_sigma(*near)} of the runs come near the kernel's jump and speed"]
+    for row in table:
+        before, after = (
+            with_sigma(*np.degrees(row[name]), "deg/s") for name in ("rate_before", "rate_after")
+        )
+        lines.append(
+            f"  {row['name']}: effective sample size {row['effective_runs']:.0f}, rate before {before}, after {after}, "
+            f"median period after {row['median_period_after']:.1f} s"
+        )
+    return Summary({"facts": facts_of(runs), "explained": near, "table": table}, lines)
 
 
-def collision_drawings(found: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.collision import collision_figure
-
+def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
     yield Drawing(
         "collision",
-        lambda: collision_figure(found),
+        lambda: collision_figure(runs),
         "Simulated collisions against the speeds of the trajectory kernel.",
         "Simulated collisions and what the trajectory shows; angular speeds after it as drawn and weighted by the kernel's speeds.",
     )
+
+
+@styled
+def collision_figure(runs: Any) -> Any:
+    """Simulated collisions against the kernel's speeds, and angular speeds after it as drawn and as weighted."""
+    figure, (left, right) = axes_grid(11, 4.4, 1, 2, "The collision")
+    facts, sigma = facts_of(runs), runs.attrs["sigma_m_s"]
+    change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
+    known = np.isfinite(speed)
+    image = left.hexbin(
+        change[known], speed[known], gridsize=45, cmap="cividis", mincnt=1, linewidth=0
+    )
+    figure.colorbar(image, ax=left, label="simulated collisions")
+    angle = np.linspace(0, 2 * np.pi, 100)
+    for k in (1, 2):
+        x = facts["velocity_change"] + k * sigma * np.cos(angle)
+        y = facts["speed_after"] + k * sigma * np.sin(angle)
+        label = "trajectory kernel, 1 and 2 sigma" if k == 1 else None
+        left.plot(x, y, color=COLOURS[1], lw=1.8, label=label)
+    x, y = "change of velocity at the collision (m/s)", "speed after the collision (m/s)"
+    left.set(xlabel=x, ylabel=y)
+    left.legend(loc="lower left", frameon=True)
+    impacts = "Sticking impacts" if _sticks(runs) else "Impacts"
+    left.set_title(f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows")
+    rate = np.degrees(np.linalg.norm(runs["omega_after_B"].values, axis=1))
+    known, edges = np.isfinite(rate), np.linspace(0, 60, 61)
+    for k, text in enumerate(("as drawn", "weighted by the kernel's speeds")):
+        weight = runs["weight"].values[known] if k else None
+        style = {"histtype": "step", "lw": 1.8, "ls": ("-", "--")[k], "color": COLOURS[k]}
+        right.hist(rate[known], edges, weights=weight, density=True, label=text, **style)
+    period, width = runs.attrs["period_after_s"], 2 * runs.attrs["sigma_period_s"]
+    label = f"magnetometer: {period:g} s, drawn {width:g} s wide to each side"
+    slow, fast = 360 / (period + width), 360 / (period - width)
+    right.axvspan(slow, fast, color=COLOURS[2], alpha=0.25, lw=0, label=label)
+    right.set(xlabel="angular speed just after the collision (deg/s)", xlim=(0, edges[-1]))
+    right.set_ylabel("probability density (s/deg)")
+    right.legend(**ABOVE)
+    return figure
+
+
+def _sticks(runs: Any) -> bool:
+    """Whether the point that hits is taken to stick; not if the scenario cannot be read."""
+    try:
+        scenario = json.loads(str(runs.attrs.get("scenario", "{}")))
+    except ValueError:
+        return False
+    return isinstance(scenario, dict) and not {"restitution", "damper"} & {
+        name for name, value in scenario.items() if value
+    }
+
+
+KINDS.update(collision=Kind("outcomes", "collision", collision_summary, collision_drawings))

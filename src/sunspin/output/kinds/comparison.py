@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sunspin.output.compare import INTERVAL, SIGMA, TOLERANCE
-from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 
 MOST_LINES = 20
 """Rows that are printed; the table has all."""
@@ -90,36 +88,29 @@ def comparison_drawings(data: Any, _: Context) -> Iterator[Drawing]:
         "The rows that changed most between the two results, each in units of its error.",
         f"Changes from A ({data.attrs['folder_a']}) to B ({data.attrs['folder_b']}), each over its error: half of the wider "
         "interval, one sigma, or the tolerance. To the right of the dashed line the change exceeds the error. The table also lists "
-        f"{unknown} changed rows without a known error." + synthetic_note(data),
+        f"{unknown} changed rows without a known error.",
     )
 
 
-def comparison_figure(data: Any) -> Figure:
+@styled
+def comparison_figure(data: Any) -> Any:
     """The rows with a known error that changed most, in errors."""
-    from matplotlib.figure import Figure
-
-    from sunspin.output.figures import COLOURS, named, titled
-
     table = _table(data)
     table = table[table["error"].notna() & (table["change"] != 0)][:MOST_DRAWN]
     size, place = np.maximum(table["size"].to_numpy(), LEAST), np.arange(len(table))[::-1]
-    figure = Figure(figsize=(10, 1.5 + 0.27 * max(len(table), 4)), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = axes_grid(10, 1.5 + 0.27 * max(len(table), 4), title="Changes from A to B")
     axes.hlines(place, LEAST, size, color="0.8", lw=1)
     axes.axvline(1.0, color="0.3", lw=1, ls="--")
-    for sign, marker, label in ((1, ">", "larger in B"), (-1, "<", "smaller in B")):
-        use = np.sign(table["change"].to_numpy()) == sign
-        color = COLOURS[1 if sign > 0 else 0]
-        axes.plot(size[use], place[use], marker, ms=7, color=color, label=label, zorder=3)
-    axes.set_xscale("log")
-    axes.set_xlim(LEAST * 0.8, max(10.0, 1.6 * float(size.max(initial=1.0))))
+    for k, (marker, label) in enumerate((("<", "smaller in B"), (">", "larger in B"))):
+        use = (table["change"].to_numpy() > 0) == bool(k)
+        axes.plot(size[use], place[use], marker, ms=7, color=COLOURS[k], label=label, zorder=3)
+    right = max(10.0, 1.6 * float(size.max(initial=1.0)))
+    axes.set(xscale="log", xlim=(LEAST * 0.8, right), ylim=(-0.8, max(len(table), 1) - 0.2))
     names = table["what" if data.attrs["command"] == "reproduce" else "row"]
     short = [name if len(name) <= LONGEST else f"{name[: LONGEST - 3]}..." for name in names]
-    axes.set_yticks(place, [named(name) for name in short], fontsize=8)
-    axes.set_ylim(-0.8, max(len(table), 1) - 0.2)
+    axes.set_yticks(place, [named(name) for name in short])
     axes.set_xlabel("change from A to B over its error (dashed: as large as the error)")
-    axes.set_title(titled("Changes from A to B", data.attrs.get("synthetic")), loc="left")
-    axes.legend(loc="lower right", fontsize=8, framealpha=0.9)
+    axes.legend(loc="lower right", frameon=True)
     if not len(table):
         text = "no row with a known error changed"
         axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color="0.3")
@@ -130,3 +121,10 @@ def comparison_tables(data: Any) -> Iterator[Table]:
     """Every row."""
     shown = {name: name for name in ("row", "a", "b", "unit", "size", "words")}
     yield Table("comparison", _table(data), "Changes, the largest first", shown)
+
+
+KINDS.update(
+    comparison=Kind(
+        "compare", "comparison", comparison_summary, comparison_drawings, comparison_tables
+    )
+)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.kind import Context, Drawing, Summary, vector
-from sunspin.output.text import rate_text
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, named, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
+from sunspin.output.text import number_text, rate_text, with_sigma
 
 MOST_EVENTS = 20
 """Wheel events that are printed."""
@@ -17,30 +18,24 @@ MOST_EVENTS = 20
 def trajectory_summary(run: Any) -> Summary:
     """The state at the last time, and the wheels' events."""
     t, end = run["time"].values, run.isel(time=-1)
-    parts = (run["event_time_s"].values, run["event_wheel"].values, run["event_what"].values)
+    columns = (run["event_time_s"].values, run["event_wheel"].values, run["event_what"].values)
     events = [
         {"t_s": float(at), "wheel": str(name), "what": str(what)}
-        for at, name, what in zip(*parts, strict=True)
+        for at, name, what in zip(*columns, strict=True)
     ]
     state = {name: end[name].values.tolist() for name in ("omega_B", "sun_B", "wheel_speed_rad_s")}
-    wheels = (
-        f", wheels {vector(state['wheel_speed_rad_s'])} rad/s" if state["wheel_speed_rad_s"] else ""
-    )
-    lines = [
-        f"at t = {t[-1]:zg} s: rate {rate_text(state['omega_B'])}, Sun {vector(state['sun_B'])}{wheels}",
-        *(
-            f"  {event['wheel']} {event['what']} at {event['t_s']:z.3f} s"
-            for event in events[:MOST_EVENTS]
-        ),
-    ]
+    speeds = state["wheel_speed_rad_s"]
+    wheels = f", wheels {number_text(speeds)} rad/s" if speeds else ""
+    rate, sun = rate_text(state["omega_B"]), number_text(state["sun_B"])
+    lines = [f"at t = {t[-1]:zg} s: rate {rate}, Sun {sun}{wheels}"]
+    for event in events[:MOST_EVENTS]:
+        lines.append(f"  {event['wheel']} {event['what']} at {event['t_s']:z.3f} s")
     if len(events) > MOST_EVENTS:
         lines.append(f"  and {len(events) - MOST_EVENTS} more wheel events")
     return Summary({"t_s": float(t[-1]), **state, "events": events}, lines)
 
 
 def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.motion import trajectory_figure
-
     yield Drawing(
         "trajectory",
         lambda: trajectory_figure(run),
@@ -50,51 +45,90 @@ def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
     )
 
 
-def impact_summary(hit: Any) -> Summary:
-    """Rates, speed and impulse just after the impact, in the middle of the cases where there are many."""
-    numbers = {}
-    for name in ("omega_B", "wheel_speed_rad_s", "velocity_B", "impulse_B"):
-        values = hit[name].values.reshape(-1, hit[name].shape[-1])
-        numbers[name] = np.median(values, axis=0).tolist()
-    cases = int(np.prod(hit["omega_B"].shape[:-1]))
-    head = "after the impact" if cases == 1 else f"after {cases} impacts, medians"
-    units = {name: str(hit[name].attrs["units"]) for name in numbers}
-    return Summary(
-        {"cases": cases, **numbers},
-        [head, *(f"  {n} {vector(v)} {units[n]}" for n, v in numbers.items())],
+@styled
+def trajectory_figure(run: Any) -> Any:
+    """Components and size of the body rate (deg/s), and the speeds of the wheels if there are any, against time."""
+    wheels, rows = run.sizes.get("wheel", 0), 2 if run.sizes.get("wheel", 0) else 1
+    ratios = (3, 2)[:rows]
+    figure, grid = axes_grid(
+        10, 3.6 * rows**0.7, rows, sharex=True, squeeze=False, height_ratios=ratios
     )
+    t, omega = run["time"].values, np.degrees(run["omega_B"].values)
+    rates, speeds = grid[0, 0], grid[-1, 0]
+    for k, axis in enumerate("xyz"):
+        label, dashes = rf"$\omega_{axis}$", ("-", "--", ":")[k]
+        rates.plot(t, omega[:, k], color=COLOURS[k], ls=dashes, lw=1.2, label=label)
+    rates.plot(t, np.linalg.norm(omega, axis=1), color=COLOURS[6], lw=1.6, label=r"$|\omega|$")
+    rates.set_ylabel("body rate (deg/s)")
+    for k in range(wheels):
+        name = named(run["wheel"].values[k]) if "wheel" in run.coords else f"wheel {k + 1}"
+        speed = run["wheel_speed_rad_s"].values[:, k]
+        speeds.plot(t, speed, color=COLOURS[k % 7], lw=1.4, label=name)
+        speeds.set_ylabel("wheel speed (rad/s)")
+    for axes in grid[:, 0]:
+        axes.legend(ncols=4, **ABOVE)
+    speeds.set_xlabel("time (s)")
+    return figure
+
+
+def impact_summary(hit: Any) -> Summary:
+    """Rates, speed and impulse just after the impact, in the middle of the cases if there are many."""
+    cases = int(np.prod(hit["omega_B"].shape[:-1]))
+    numbers, lines = {}, ["after the impact" if cases == 1 else f"after {cases} impacts, medians"]
+    for name in ("omega_B", "wheel_speed_rad_s", "velocity_B", "impulse_B"):
+        values = np.median(hit[name].values.reshape(-1, hit[name].shape[-1]), axis=0)
+        numbers[name] = values.tolist()
+        text = f"{number_text(numbers[name])} {hit[name].attrs['units']}"
+        lines.append(f"  {name} {rate_text(values) if name == 'omega_B' else text}")
+    return Summary({"cases": cases, **numbers}, lines)
 
 
 def spin_down_summary(fit: Any) -> Summary:
     """Coefficients with their sigmas, the friction, the residual."""
-    sigma = np.sqrt(np.diag(fit["covariance"].values))
-    names = ("c1_rad_s", "c2_per_s", "c3_rad_s")
-    numbers = {
-        name: float(fit[name]) for name in (*names, "coulomb_N_m", "viscous_N_m_s", "rms_rad_s")
-    }
-    found = [
-        f"{n[:2]} = {numbers[n]:.6g} +- {s:.2g} {fit[n].attrs['units']}"
-        for n, s in zip(names, sigma, strict=True)
-    ]
-    return Summary(
-        numbers | {"sigma": sigma.tolist(), "samples": fit.sizes["time"]},
-        [
-            f"wheel speed c1 exp(c2 t) + c3 through {fit.sizes['time']} samples: {', '.join(found)}; "
-            f"rms {numbers['rms_rad_s']:.3g} rad s-1",
-            f"  friction: {numbers['coulomb_N_m']:.5g} N m, and {numbers['viscous_N_m_s']:.5g} N m s times the speed",
-        ],
+    sigma, names = np.sqrt(np.diag(fit["covariance"].values)), ("c1_rad_s", "c2_per_s", "c3_rad_s")
+    frictions = "coulomb_N_m", "viscous_N_m_s"
+    numbers = {name: float(fit[name]) for name in (*names, *frictions, "rms_rad_s")}
+    coefficients = ", ".join(
+        f"{name[:2]} = {with_sigma(numbers[name], error, fit[name].attrs['units'])}"
+        for name, error in zip(names, sigma, strict=True)
     )
+    coulomb, viscous, rms = (number_text(numbers[name]) for name in (*frictions, "rms_rad_s"))
+    lines = [
+        f"wheel speed c1 exp(c2 t) + c3 through {fit.sizes['time']} samples: {coefficients}; rms {rms} rad s-1",
+        f"  friction: {coulomb} N m, and {viscous} N m s times the speed",
+    ]
+    return Summary(numbers | {"sigma": sigma.tolist(), "samples": fit.sizes["time"]}, lines)
 
 
 def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.motion import spin_down_figure
-
     curves = {"recorded": fit["recorded_rad_s"].values, "fitted": fit["fitted_rad_s"].values}
+    title = "A wheel that runs down, and c1 exp(c2 t) + c3"
     yield Drawing(
         "spin-down",
-        lambda: spin_down_figure(
-            fit["time"].values, curves, "A wheel that runs down, and c1 exp(c2 t) + c3"
-        ),
+        lambda: spin_down_figure(fit["time"].values, curves, title),
         "Size of a wheel's speed against time as recorded and as fitted.",
         "A wheel that runs down: as recorded, and c1 exp(c2 t) + c3.",
     )
+
+
+@styled
+def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str = "") -> Any:
+    """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
+    published = (
+        "Spin-down of the wheel, computed from published friction (no measured record is public)"
+    )
+    figure, axes = axes_grid(7, 4, title=title or published)
+    for k, (label, speed) in enumerate(curves.items()):
+        axes.plot(t_s / 60, speed, "-" if k == 0 else "--", color=COLOURS[k], label=label)
+    axes.set(xlabel="time (min)", ylabel="wheel speed (rad/s)")
+    axes.set_ylim(bottom=-20)
+    axes.axhline(0, lw=0.5, color=COLOURS[7])
+    axes.legend()
+    return figure
+
+
+KINDS.update(
+    trajectory=Kind("simulate", "trajectory", trajectory_summary, trajectory_drawings),
+    impact=Kind("impact", "impact", impact_summary),
+    spin_down=Kind("spin_down", "spin-down", spin_down_summary, spin_down_drawings),
+)

@@ -1,4 +1,4 @@
-"""What a motion leads to: runs of one strategy, strategies side by side, both as one tree."""
+"""What a motion leads to: the runs of one strategy, or of several."""
 
 from __future__ import annotations
 
@@ -6,189 +6,196 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
-from sunspin.landing.tally import quantity, tally
-from sunspin.output.kind import Context, Drawing, Summary, Table
-from sunspin.output.kinds.collision import collision_drawings, collision_summary
-from sunspin.output.text import capital, with_sigma
+from sunspin.landing.tally import Estimate, density, quantity, tally
+from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
+from sunspin.output.text import counted, with_sigma
 
-SHOWN = (
-    "touch_leg",
-    "touch_panel",
-    "touch_body",
-    "rest_leg",
-    "rest_panel",
-    "leg_tip_speed",
-    "antenna_share",
-    "antenna_at_rest",
-    "rz_time_below_-0.5",
-    "rate_before",
-    "rate_after",
+PRINTED = (
+    *("touch_leg", "touch_panel", "touch_body", "rest_leg", "rest_panel", "leg_tip_speed"),
+    *("antenna_share", "antenna_at_rest", "rz_time_below_-0.5", "rate_before", "rate_after"),
 )
 """What is printed of a tally, in this order."""
 
+FINER = 2
+"""Bins of the runs drawn as one, 0.05 wide."""
 
-def _shown(found: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """A line for each quantity that is known, in the unit in which it is shown."""
-    for name in SHOWN:
-        if name in found:
-            one = quantity(name)
-            value, error = (found[name][key] * one.scale for key in ("value", "error"))
-            yield f"  {one.heading}: {value:.4f} +- {error:.4f}"
+HATCHES = ("", "//", "..", "xx")
 
 
 def outcomes_summary(runs: Any) -> Summary:
     """Estimates over the runs of one strategy."""
-    found = {
-        q: {"value": float(e.value), "error": float(e.error)}
-        for q, e in tally(runs).items()
+    estimates = {
+        name: {"value": float(e.value), "error": float(e.error)}
+        for name, e in tally(runs).items()
         if np.isfinite(e.value)
     }
+    lines, left = run_lines(runs, estimates), runs.attrs.get("not_told")
     return Summary(
-        {"runs": runs.sizes["run"], "estimates": found}, _lines(runs, found), _not_told(runs)
+        {"runs": runs.sizes["run"], "estimates": estimates}, lines, [left] if left else []
     )
 
 
-def _lines(runs: Any, found: Mapping[str, Mapping[str, float]]) -> list[str]:
+def run_lines(runs: Any, estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """The estimates of a strategy in words, with the number of its runs."""
     failed = int((runs["outcome"].values != 0).sum())
     head = f"wheels {runs.attrs['strategy']}: {runs.sizes['run']} runs"
     head += f", {failed} of them could not be computed" if failed else ""
-    return [head, *_shown(found)]
+    return [head, *estimate_lines(estimates)]
 
 
-def _not_told(data: Any) -> list[str]:
-    return [data.attrs["not_told"]] if data.attrs.get("not_told") else []
-
-
-def strategies_summary(table: Any) -> Summary:
-    """Estimates of each strategy."""
-    found, lines = {}, []
-    for name in table["strategy"].values:
-        at = table.sel(strategy=name)
-        parts = (at["quantity"].values, at["value"].values, at["error"].values)
-        found[str(name)] = {
-            str(q): {"value": float(v), "error": float(e)}
-            for q, v, e in zip(*parts, strict=True)
-            if np.isfinite(v)
-        }
-        lines += [f"wheels {name}: {table.attrs['runs']} runs", *_shown(found[str(name)])]
-    keys = ("runs", "seed", "candidates")
-    numbers = {key: int(table.attrs[key]) for key in keys} | {
-        "not_told": table.attrs["not_told"],
-        "strategies": found,
-    }
-    return Summary(numbers, lines, _not_told(table))
-
-
-def landing_summary(tree: Any) -> Summary:
-    """The same, with the runs that could not be computed."""
-    told = strategies_summary(tree["strategies"].to_dataset())
-    lines: list[str] = []
-    for name, runs in runs_of(tree).items():
-        lines += _lines(runs, told["strategies"][name])
-    numbers = dict(told)
-    if "collision" in tree:
-        numbers["collision"] = found = collision_summary(tree["collision"].to_dataset())
-        lines += found.lines
-    return Summary(numbers, lines, told.notes)
-
-
-def runs_of(tree: Any) -> dict[str, xr.Dataset]:
-    """The runs of each strategy, in the order of the strategies."""
-    return {
-        str(name): tree[f"runs/{name}"].to_dataset()
-        for name in tree["strategies"]["strategy"].values
-    }
+def estimate_lines(estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A line for each estimate that is printed."""
+    lines = []
+    for name in PRINTED:
+        if name in estimates:
+            value, error = (
+                estimates[name][key] * quantity(name).scale for key in ("value", "error")
+            )
+            lines.append(
+                f"  {quantity(name).text}: {with_sigma(value, error, quantity(name).unit)}"
+            )
+    return lines
 
 
 def outcomes_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
     return runs_drawings({str(runs.attrs["strategy"]): runs})
 
 
-def strategies_drawings(table: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures import outcomes as figures
-
-    yield Drawing(
-        "strategies",
-        lambda: figures.strategies_figure(table),
-        "What touches first, on what it rests, antenna, speeds and height of the Sun for each command to the wheel.",
-        "Means over the runs; bars: one standard error.",
-    )
-
-
-def runs_drawings(runs: Mapping[str, xr.Dataset]) -> Iterator[Drawing]:
-    """Figures of the runs of some strategies, those for which the runs tell enough."""
-    from sunspin.output.figures import outcomes as figures
-
+def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
+    """Figures of the runs of some strategies, those for which the runs have the quantities."""
     yield Drawing(
         "sun-height",
-        lambda: figures.sun_height_figure(runs),
+        lambda: sun_height_figure(runs),
         "Probability density of the height of the Sun over the lander between collision and landing, one curve per command to the "
         "wheel.",
         "How the Sun stood between collision and landing: r_z is 1 with the Sun overhead, -1 underneath; bars: one standard error.",
     )
-    if all(np.isfinite(found["up_z"]).any() for found in runs.values()):
+    if all(np.isfinite(each["up_z"]).any() for each in runs.values()):
         yield Drawing(
             "distributions",
-            lambda: figures.distributions_figure(runs),
+            lambda: distributions_figure(runs),
             "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time.",
             "At the landing and on the way to it, over the runs of each command to the wheel; bars: one standard error.",
         )
-    if all("point_kind" in found.coords for found in runs.values()):
+    if all("point_kind" in each.coords for each in runs.values()):
         yield Drawing(
             "first-contact",
-            lambda: figures.first_contact_figure(runs),
+            lambda: first_contact_figure(runs),
             "Probability of each leg and panel to touch the ground first, by command to the wheel.",
             "What touches the ground first; a corner that panels share counts for each of them; bars: one standard error of the "
             "simulation.",
         )
 
 
-def landing_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
-    yield from strategies_drawings(tree["strategies"].to_dataset(), context)
-    yield from runs_drawings(runs_of(tree))
-    if "collision" in tree:
-        yield from collision_drawings(tree["collision"].to_dataset(), context)
-
-
-def landing_datasets(tree: Any, _: Context) -> dict[str, xr.Dataset]:
-    """The runs of each strategy and their comparison, a file each."""
-    runs = {f"outcomes-{name.replace(':', '-')}": data for name, data in runs_of(tree).items()}
-    return {"strategies": tree["strategies"].to_dataset()} | runs
-
-
-def strategies_tables(table: Any) -> Iterator[Table]:
-    """A row for each quantity, a column for each strategy: mean and one standard error over the runs."""
-    import pandas as pd
-
-    rows = []
-    for name in table["quantity"].values.astype(str):
-        about, at = quantity(name), table.sel(quantity=name)
-        if np.isfinite(at["value"]).any():
-            values, errors = at["value"].values * about.scale, at["error"].values * about.scale
-            texts = [with_sigma(v, e) for v, e in zip(values, errors, strict=True)]
-            rows.append([name, capital(about.heading), *texts])
-    names = table["strategy"].values.astype(str)
-    frame = pd.DataFrame(rows, columns=["quantity", "what", *names])
-    shown = {"what": "quantity"} | {name: strategy_name(name) for name in names}
-    yield Table("strategies", frame, "Commands to the wheel (one standard error)", shown)
-
-
-def landing_tables(tree: Any) -> Iterator[Table]:
-    return strategies_tables(tree["strategies"].to_dataset())
-
-
-STRATEGY_NAMES = {
-    "off": "off at touchdown",
-    "held": "held at speed",
-    "brake": "braked at touchdown",
-    "after_rest": "held, off after rest",
-}
-
-
 def strategy_name(name: str) -> str:
     """A command to the wheel in plain words."""
     if name.startswith("delay:"):
-        return f"off after {float(name[6:]) / 60:g} min"
-    return STRATEGY_NAMES.get(name, name)
+        seconds = float(name[6:])
+        return f"off after {seconds:g} s" if seconds < 120 else f"off after {seconds / 60:.3g} min"
+    known = {"off": "off at touchdown", "brake": "braked", "after_rest": "off after rest"}
+    return known.get(name, named(name))
+
+
+@styled
+def sun_height_figure(runs: dict[str, Any]) -> Any:
+    """Densities of r_z between collision and landing, one per strategy, area 1, bars of one standard error (paper, Fig. 13)."""
+    figure, axes = axes_grid(7.5, 4.2, title="Height of the Sun on the way to the landing")
+    for k, (name, each) in enumerate(runs.items()):
+        curve = density(each, merge=FINER)
+        value, edges = (
+            curve["density"].values,
+            np.append(curve["rz"] - 1 / curve.sizes["rz"], 1.0),
+        )
+        style = {"color": COLOURS[k % 8], "lw": 1.6, "fill": k == 0, "alpha": 1 if k else 0.45}
+        label = f"{strategy_name(name)}: {counted(each.sizes['run'], 'run')}"
+        axes.stairs(value, edges, label=label, **style)
+        axes.errorbar(curve["rz"], value, curve["error"], fmt="none", ecolor=COLOURS[k % 8], lw=1)
+    axes.set(xlim=(-1, 1), xlabel="$r_z$, cosine of the angle between the Sun and the z axis")
+    axes.set_ylabel("probability density")
+    axes.set_ylim(bottom=0)
+    axes.legend(title="wheel", loc="upper left")
+    return figure
+
+
+DISTRIBUTIONS = (
+    ("up_z", (-1, 1, 41), "cosine of z axis to the ground's normal at contact", ""),
+    ("leg_tip_speed", (0, 2, 51), "fastest leg tip at first contact (m/s)", " (s/m)"),
+    ("antenna_share", (0, 1, 26), "share of time, orbiter in the antenna's cone", ""),
+)
+"""Quantity -> edges of the bins (first, last, number), titles of its axes."""
+
+
+@styled
+def distributions_figure(runs: dict[str, Any], published_tip_speed: float | None = None) -> Any:
+    """Distributions over runs for each strategy: z axis against the ground's normal, fastest leg tip, antenna's share of time.
+
+    `published_tip_speed` (m/s): the paper's estimate, drawn as a line.
+    """
+    figure, grid = axes_grid(11.5, 3.9, 1, 3, "At the landing, and on the way to it")
+    for axes, (name, bins, label, unit) in zip(grid, DISTRIBUTIONS, strict=True):
+        edges, width = np.linspace(*bins), (bins[1] - bins[0]) / (bins[2] - 1)
+        if not any(np.isfinite(each[name].values).any() for each in runs.values()):
+            say_why_empty(axes, "not determined by this vehicle")
+        for k, (strategy, each) in enumerate(runs.items()):
+            values = each[name].values[np.isfinite(each[name].values)]
+            share = np.histogram(values, edges)[0] / max(values.size, 1)
+            error = np.sqrt(share * (1 - share) / max(values.size, 1)) / width
+            style = {"color": COLOURS[k % 8], "ls": ("-", "--", "-.", ":")[k % 4]}
+            axes.stairs(share / width, edges, lw=1.6, label=strategy_name(strategy), **style)
+            middle = (edges[1:] + edges[:-1]) / 2
+            axes.errorbar(middle, share / width, error, fmt="none", ecolor=COLOURS[k % 8], lw=0.8)
+        axes.set(xlabel=label, ylabel=f"probability density{unit}", xlim=bins[:2])
+        axes.set_ylim(bottom=0)
+    if published_tip_speed is not None:
+        label = f"paper: {published_tip_speed:g} m/s"
+        grid[1].axvline(published_tip_speed, color=COLOURS[6], lw=1, ls=":", label=label)
+    grid[1].legend()
+    return figure
+
+
+@styled
+def first_contact_figure(runs: dict[str, Any]) -> Any:
+    """Which leg or panel touches the ground first, by strategy; corners that panels share count for each of them."""
+    title = "What touches the ground first; a shared corner counts for each panel"
+    figure, axes = axes_grid(8.5, 4, title=title)
+    labels: list[str] = []
+    for k, (name, each) in enumerate(runs.items()):
+        estimates = _first_contacts(each)
+        value, error = np.transpose(list(estimates.values()))
+        labels, width = list(estimates), 0.8 / len(runs)
+        place = np.arange(len(labels)) + width * (k - (len(runs) - 1) / 2)
+        style = {"color": COLOURS[k % 8], "hatch": HATCHES[k % 4], "ec": "white", "capsize": 2}
+        bars = within_one(value, error)
+        axes.bar(place, value, width, yerr=bars, label=strategy_name(name), **style)
+    axes.set_xticks(range(len(labels)), labels)
+    axes.set_ylabel("probability of touching first")
+    axes.legend(title="wheel")
+    return figure
+
+
+def _first_contacts(runs: Any) -> dict[str, Estimate]:
+    estimates, touched = tally(runs), runs["contact_point"].values
+    contacts, legs = {}, runs["point_leg"].values
+    for leg in range(int(legs.max()) + 1):
+        share = float(np.mean(legs[touched][touched >= 0] == leg))
+        error = np.sqrt(share * (1 - share) / runs.sizes["run"])
+        contacts[f"leg {leg + 1}"] = Estimate(share, float(error))
+    names = {f"touch_panel_{p}": f"panel {named(p)}" for p in runs["panel"].values}
+    names["touch_body"] = "bare body"
+    return contacts | {text: estimates[name] for name, text in names.items() if name in estimates}
+
+
+def within_one(value: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Errors (2, n) below and above that lead to no probability below zero or above one."""
+    return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
+
+
+def say_why_empty(axes: Any, why: str) -> None:
+    """Say on empty axes why they are, and leave out the ticks of their scale."""
+    axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", fontsize=9)
+    axes.set_yticks([])
+
+
+KINDS.update(outcomes=Kind("outcomes", "outcomes", outcomes_summary, outcomes_drawings))

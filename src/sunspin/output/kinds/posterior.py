@@ -1,4 +1,4 @@
-"""Posteriors, and what they predict."""
+"""Posteriors: the rate at the first sample, by solution."""
 
 from __future__ import annotations
 
@@ -7,160 +7,155 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from sunspin.estimate.posterior.period import period_sentences
-from sunspin.estimate.posterior.predict import intervals
 from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
-from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
+from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
-from sunspin.output.text import digits_of
+from sunspin.output.kinds.predictions import (
+    degrees_text,
+    predictions_drawings,
+    predictions_summary,
+    predictions_tables,
+)
+from sunspin.output.text import number_text, with_sigma
 
 MOST_SOLUTIONS = 12
 """Solutions that are printed."""
 
+SHOWN_DRAWS = 3000
+"""Draws of the figure."""
+
+MOST_ROUNDS = 8
+"""Rounds of sampling that are named on the axis."""
+
 
 def posterior_summary(tree: Any) -> Summary:
-    """The verdict, the angular speed, the solutions, what the verdict rests on, and the predictions where there are any."""
+    """The verdict, the angular speed, the solutions, what the verdict rests on, and the predictions if there are any."""
     numbers = main_numbers(tree)
     if "passes" in tree.children:
-        found = tree["passes"].to_dataset()
-        numbers["passes"] = [
-            pass_numbers(found, 0)
-            | {"solutions": [motion_numbers(found, 0, k) for k in range(found.sizes["solution"])]}
-        ]
-    rate = numbers["rate_rad_s"]
-    lines = [
-        numbers["verdict"],
-        *(["  synthetic telemetry: not measured"] if numbers["synthetic_telemetry"] else []),
-    ]
-    speed, low, high = _degrees(rate)
-    lines.append(f"  angular speed at the first sample {speed} deg/s, 90 % in {low} to {high}")
+        passes = tree["passes"].to_dataset()
+        motions = [motion_numbers(passes, 0, k) for k in range(passes.sizes["solution"])]
+        numbers["passes"] = [pass_numbers(passes, 0) | {"solutions": motions}]
+    lines = [numbers["verdict"]]
+    if numbers["synthetic_telemetry"]:
+        lines.append("  synthetic telemetry: not measured")
+    speed = degrees_text(numbers["rate_rad_s"])
+    lines.append(f"  angular speed at the first sample {speed} deg/s, 90 %")
     for solution in numbers["solutions"][:MOST_SOLUTIONS]:
-        digits = digits_of(np.degrees(solution["sigma"]))
-        omega, sigma = (
-            ", ".join(f"{x:z.{digits}f}" for x in np.degrees(solution[key]))
-            for key in ("omega_B", "sigma")
-        )
-        rough = (
-            ", which is rough: few draws have weight"
-            if solution["effective_draws"] < TOO_FEW
-            else ""
-        )
-        error = f"+- ({sigma}) deg/s{rough}"
+        omega = with_sigma(*np.degrees([solution["omega_B"], solution["sigma"]]), "deg/s")
+        few = solution["effective_draws"] < TOO_FEW
+        rough = ", which is rough: few draws have weight" if few else ""
         lines.append(
-            f"  probability {solution['probability']:.3f}  omega ({omega}) {error}  chi-square {solution['chi_square']:.0f}"
+            f"  probability {solution['probability']:.3f}  omega {omega}{rough}  chi-square {solution['chi_square']:.0f}"
         )
-    worth = f"worth {numbers['effective_draws']:.0f} draws, Pareto k {numbers['pareto_k']:.2f}"
-    lines.append(f"  predictive p {numbers['p_value']:.3g}, {worth}")
+    size = f"effective sample size {numbers['effective_draws']:.0f}"
+    p_value = number_text(numbers["p_value"], 3)
+    lines.append(f"  predictive p {p_value}, {size}, Pareto k {numbers['pareto_k']:.2f}")
     numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}
     if numbers.get("noise_from", "given") != "given":
-        lines.append(f"  noise of panel readings: {numbers['noise']:.3g}, {numbers['noise_from']}")
-    priors = json.loads(tree.attrs["priors"])
-    lines.append(
-        "  priors, relative sigmas: " + ", ".join(f"{key} {what}" for key, what in priors.items())
-    )
+        noise = number_text(numbers["noise"], 3)
+        lines.append(f"  noise of panel readings: {noise}, {numbers['noise_from']}")
+    priors = ", ".join(f"{key} {text}" for key, text in json.loads(tree.attrs["priors"]).items())
+    lines.append(f"  priors, relative sigmas: {priors}")
     if "hypotheses" in tree.attrs:
         numbers["hypotheses"] = json.loads(tree.attrs["hypotheses"])
-        lines.append(
-            "  probabilities: "
-            + ", ".join(f"{what} {weight:.2g}" for what, weight in numbers["hypotheses"].items())
-        )
+        models = (f"{name} {share:.2g}" for name, share in numbers["hypotheses"].items())
+        lines.append(f"  probabilities: {', '.join(models)}")
     if "period" in tree.children:
-        seen = tree["period"].to_dataset()
-        lines += [f"  {said}" for said in period_sentences(seen)]
+        period = tree["period"].to_dataset()
+        lines += [f"  {text}" for text in period_sentences(period)]
         numbers["period"] = {
-            "told": bool(seen.attrs["told"]),
-            "effective_draws": float(seen.attrs["effective_draws"]),
-        } | {
-            name: seen[name].values.tolist()
-            for name in ("probability", "solution_probability", "rate_quantile")
+            "told": bool(period.attrs["told"]),
+            "effective_draws": float(period.attrs["effective_draws"]),
         }
+        for name in ("probability", "solution_probability", "rate_quantile"):
+            numbers["period"][name] = period[name].values.tolist()
     if "predictions" in tree.children:
         predicted = predictions_summary(tree["predictions"].to_dataset())
         return Summary(numbers | predicted, lines + predicted.lines)
     return Summary(numbers, lines)
 
 
-def predictions_summary(found: Any) -> Summary:
-    """Medians and intervals at each time."""
-    table, lines = intervals(found), []
-    for i, (t, label) in enumerate(zip(found["predicted_s"].values, labels(found), strict=True)):
-        row = {r["quantity"]: r for r in table if r["t_s"] == t}
-        behind = (
-            ", after the collision"
-            if "after_collision" in found and found["after_collision"].values[i]
-            else ""
-        )
-        speed, low, high = _degrees(row["rate"])
-        lines.append(f"  at {label}{behind} (90 % of the draws):")
-        lines.append(f"    angular speed {speed} deg/s ({low} to {high})")
-        for name, key in (("z from H", "z_to_momentum"), ("z from the Sun", "z_to_sun")):
-            median, low, high = (
-                np.degrees(row[key][which]) for which in ("median", "low_90", "high_90")
-            )
-            lines.append(f"    {name} {median:.1f} deg ({low:.1f} to {high:.1f})")
-        lines.append(
-            f"    the Sun within {np.degrees(row['sun_off']['high_90']):.1f} deg of its mean direction in the body"
-        )
-    collision = str(found.attrs.get("collision", ""))
-    return Summary(
-        {"predicted": table},
-        lines + ([f"    collision: {collision}"] if collision.startswith("a leg") else []),
-    )
-
-
-def _degrees(rate: dict[str, Any]) -> list[str]:
-    """Median and ends of the 90 % interval of an angular speed, deg/s."""
-    values = [float(np.degrees(rate[key])) for key in ("median", "low_90", "high_90")]
-    digits = digits_of((values[2] - values[1]) / 2)
-    return [f"{value:.{digits}f}" for value in values]
-
-
-def labels(found: Any) -> list[str]:
-    """The times of predictions as they were asked for."""
-    if "asked" in found.coords:
-        return [str(text) for text in found["asked"].values]
-    return [f"{t:g} s" for t in found["predicted_s"].values]
-
-
 def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.posterior import corner_figure, search_figure
-
-    note = synthetic_note(tree)
     yield Drawing(
         "corner",
         lambda: corner_figure(tree),
         "Draws of the components of the body rate and its size against each other, by solution.",
-        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a solution."
-        + note,
+        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a solution.",
     )
     if {"search", "sampling"} <= set(tree.children):
         yield Drawing(
             "search",
             lambda: search_figure(tree),
-            "Hypotheses before and after each window, and the log evidence of each round.",
-            "How the search went: hypotheses fitted and kept over growing windows; and the sampling: log evidence of each round "
-            "with the share of effective draws and Pareto's k." + note,
+            "Trial solutions before and after each window, and the log evidence of each round.",
+            "How the search went: trial solutions fitted and kept over growing windows; and the sampling: log evidence of each "
+            "round with the share of effective draws and Pareto's k.",
         )
     if "predictions" in tree.children:
         yield from predictions_drawings(tree["predictions"].to_dataset(), context)
 
 
-def predictions_drawings(found: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.predicted import predicted_figure
+@styled
+def corner_figure(tree: Any) -> Any:
+    """Components of the rate at the first sample and its size, every pair of them, one colour to a solution."""
+    word = f": {named(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
+    title = f"Body rate of {named(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
+    figure, grid = axes_grid(9, 9, 4, 4, title, sharex="col")
+    omega = np.degrees(tree["posterior"]["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS])
+    solution = tree["posterior"]["solution_id"].values.ravel()[:SHOWN_DRAWS]
+    value = np.column_stack([omega, np.linalg.norm(omega, axis=1)])
+    names = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", r"$|\omega|$")
+    for i, j in np.ndindex(4, 4):
+        axes = grid[i, j]
+        axes.tick_params(labelsize=7)
+        if j > i:
+            axes.axis("off")
+            continue
+        edges = np.histogram_bin_edges(value[:, i], 60)
+        for k in np.unique(solution):
+            own, color = value[solution == k], COLOURS[int(k) % 8]
+            if i == j:
+                axes.hist(own[:, i], edges, histtype="stepfilled", color=color, alpha=0.7)
+            else:
+                style = {"ms": 1.5, "alpha": 0.4, "color": color, "rasterized": True}
+                axes.plot(own[:, j], own[:, i], ".", **style)
+        if i == j:
+            axes.set_yticks([])
+        if i == 3:
+            axes.set_xlabel(f"{names[j]} (deg/s)")
+            axes.tick_params(axis="x", labelrotation=45)
+        if j == 0 and i > 0:
+            axes.set_ylabel(f"{names[i]} (deg/s)")
+    return figure
 
-    yield Drawing(
-        "predicted",
-        lambda: predicted_figure(found, labels(found)),
-        "Draws of the angular speed, the components of the rate, the direction of the Sun and the angles of z at each time.",
-        "What the body did at other times; thick and thin bars: 50 and 90 % of the draws."
-        + synthetic_note(found),
-    )
+
+@styled
+def search_figure(tree: Any) -> Any:
+    """Trial solutions before and after each window, and the log evidence of each round of sampling."""
+    search, sampling = tree["search"], tree["sampling"]
+    figure, (left, right) = axes_grid(9, 3.6, 1, 2, "Search and sampling")
+    stage = np.arange(search.sizes["stage"])
+    for k, (name, label) in enumerate({"hypotheses": "fitted", "kept": "kept"}.items()):
+        count = np.maximum(search[name].values, 1)
+        left.semilogy(stage, count, "os"[k] + "-", color=COLOURS[k], label=label)
+    left.set_xticks(stage, [str(n) for n in search["samples"].values], fontsize=7)
+    left.set(xlabel="samples in the window", ylabel="trial solutions")
+    left.legend()
+    right.plot(sampling["log_evidence"].values, "o-", color=COLOURS[0])
+    right.set(xlabel="round, effective share, Pareto's k", ylabel="log evidence")
+    rounds = np.arange(0, sampling.sizes["round"], -(-sampling.sizes["round"] // MOST_ROUNDS) or 1)
+    shares, tails = sampling["effective_share"].values[rounds], sampling["pareto_k"].values[rounds]
+    texts = [f"{i}\n{s:.0%}\n{k:.2f}" for i, s, k in zip(rounds, shares, tails, strict=True)]
+    right.set_xticks(rounds, texts, fontsize=7)
+    return figure
 
 
 def posterior_tables(tree: Any) -> Iterator[Table]:
+    import pandas as pd
+
     solutions, sigma = tree["solutions"], sigmas(tree["solutions"])
     columns: dict[str, Any] = {
         "probability": solutions["probability"].values,
@@ -194,10 +189,13 @@ def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
     return {f"motion-solution-{run.attrs['solution']}": run for run in motions}
 
 
-PREDICTED = ("t_s", "quantity", "median", "low_90", "high_90")
-
-
-def predictions_tables(found: Any) -> Iterator[Table]:
-    frame = pd.DataFrame(intervals(found))
-    shown = {name: name.replace("_", " ") for name in PREDICTED}
-    yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", shown)
+KINDS.update(
+    posterior=Kind(
+        "posterior",
+        "posterior",
+        posterior_summary,
+        posterior_drawings,
+        posterior_tables,
+        posterior_datasets,
+    )
+)

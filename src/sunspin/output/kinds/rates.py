@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.estimate.terms.period import reading_words, unheard
-from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
-from sunspin.output.kinds.rate_words import clock_of, rate_at
-from sunspin.output.text import digits_of
+from sunspin.output.text import clock_text, number_text, rate_text, with_range, with_sigma
 from sunspin.vehicle.timeline import utc_after
 
 AS_STATED = "as stated"
@@ -23,39 +22,69 @@ MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 
+class RateAt(NamedTuple):
+    """The rate of the likeliest solution of a pass, deg/s: least, mean and largest speed; rate (3) and its sigma (3), all solutions
+    counted, at the sample nearest to the middle, `at_s` s from the epoch.
+
+    The mean rate is neither: of a body that tumbles, x and y average out, and the size of the mean is not the speed.
+    """
+
+    low: float
+    mean: float
+    high: float
+    at_s: float
+    omega: np.ndarray
+    sigma: np.ndarray
+
+
+def rate_at(result: Any, k: int) -> RateAt:
+    """The rate of pass number `k` of a result of `rates`."""
+    at = np.flatnonzero(result["pass_of"].values == k)
+    t, omega = result["time"].values[at], np.degrees(result["omega_B"].values[at])
+    speed = np.linalg.norm(omega, axis=1)
+    middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    variance = np.diagonal(result["omega_cov_B"].values[at[middle]])
+    every, best = result["omega_sigma_all_B"].values[k], result["omega_sigma_B"].values[k, 0]
+    variance = variance + np.nan_to_num(np.maximum(every**2 - best**2, 0.0))  # of other solutions
+    low, mean, high = float(speed.min()), float(speed.mean()), float(speed.max())
+    return RateAt(low, mean, high, float(t[middle]), omega[middle], np.degrees(np.sqrt(variance)))
+
+
 def rates_summary(result: Any) -> Summary:
-    """The verdict, and the motions of each pass, deg/s."""
-    found = [_pass(result, k) for k in range(result.sizes["pass_id"])]
-    texts, counts = np.unique(result["why"].values, return_counts=True)
+    """The verdict, and the solutions of each pass, deg/s."""
+    passes, lines = [], [result.attrs["verdict"]]
+    for k in range(result.sizes["pass_id"]):
+        numbers, line = _pass(result, k)
+        passes.append(numbers)
+        lines.append(line)
+    texts, counts = np.unique(result["why"].values.astype(str), return_counts=True)
+    left_out = str(result.attrs.get("panels_left_out", ""))
     numbers: dict[str, Any] = {
         "verdict": result.attrs["verdict"],
         "source": result.attrs["source"],
-        "passes": [numbers for numbers, _ in found],
+        "passes": passes,
         "acceleration_noise": result.attrs["acceleration_noise"],
         "max_rate_deg_s": float(np.degrees(result.attrs["max_rate_rad_s"])),
-        "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)},
+        "samples": dict(zip(texts.tolist(), counts.tolist(), strict=True)),
         "synthetic_telemetry": bool(result.attrs.get("synthetic", 0)),
-        "panels_left_out": [
-            name for name in result.attrs.get("panels_left_out", "").split(", ") if name
-        ],
+        "panels_left_out": [name for name in left_out.split(", ") if name],
     }
-    lines = [result.attrs["verdict"], *(line for _, line in found)]
     if "periods" in result.attrs:
         numbers["periods"] = json.loads(result.attrs["periods"])
-        lines += [f"  {_period(result, one)}" for one in numbers["periods"]]
-    counted = [f"  {count:6d} samples  {text}" for text, count in zip(texts, counts, strict=True)]
-    silent = [
-        f"  panel {', '.join(numbers['panels_left_out'])} never reads anything: dead, or never in the Sun; left out"
-    ]
-    lines += silent if numbers["panels_left_out"] else []
+        lines += [f"  {_period(result, period)}" for period in numbers["periods"]]
+    if left_out:
+        lines.append(
+            f"  panel {left_out} never reads anything: dead, or never in the Sun; left out"
+        )
     numbers |= {
         name: result.attrs[name] for name in ("noise", "noise_from") if name in result.attrs
     }
     if numbers.get("noise_from", "given") != "given":
-        lines.append(
-            f"  error of panel readings: {numbers['noise']:.3g} (median), {numbers['noise_from']}"
-        )
-    return Summary(numbers, [*lines, *_columns_unseen(result, numbers["passes"]), *counted])
+        size = number_text(numbers["noise"], 3)
+        lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
+    lines += _columns_unseen(result, passes)
+    lines += [f"  {count:6d} samples  {text}" for text, count in numbers["samples"].items()]
+    return Summary(numbers, lines)
 
 
 def _period(result: Any, one: dict[str, Any]) -> str:
@@ -77,77 +106,63 @@ def _period(result: Any, one: dict[str, Any]) -> str:
 def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     """Changes of columns that look the same in the telemetry as the file as it is written, with the rates of the first decided
     pass."""
-    sure = [
-        k
-        for k, one in enumerate(passes)
-        if one["decided"] and one["columns_checked"] == "unchecked"
-    ]
+    sure = [k for k, p in enumerate(passes) if p["decided"] and p["columns_checked"] == "unchecked"]
     if not sure or "columns_unseen" not in result.attrs:
         return []
-    rate = rate_at(result, sure[0])
-    digits = digits_of(rate.sigma)
-
-    def shown(omega: np.ndarray) -> str:
-        return f"({', '.join(f'{value:z.{digits}f}' for value in omega)})"
-
+    rate, changes = rate_at(result, sure[0]), json.loads(result.attrs["columns_unseen"])
     unseen = []
-    for one in json.loads(result.attrs["columns_unseen"]):
-        matrix = np.array(one["matrix"])
-        unseen.append(
-            f"with {one['what']} it would be {shown(np.linalg.det(matrix) * matrix @ rate.omega)} deg/s"
-        )
-    more = (
-        f"; and with {len(unseen) - MOST_UNSEEN} other changes another"
-        if len(unseen) > MOST_UNSEEN
-        else ""
-    )
+    for change in changes[:MOST_UNSEEN]:
+        matrix = np.array(change["matrix"])
+        omega = np.linalg.det(matrix) * matrix @ np.radians(rate.omega)
+        unseen.append(f"with {change['what']} it would be {rate_text(omega)}")
+    rest = len(changes) - MOST_UNSEEN
+    more = f"; and with {rest} other changes another" if rest > 0 else ""
+    stated = f"{rate_text(np.radians(rate.omega))} at {clock_text(result, rate.at_s)}"
     return [
-        f"  columns unchecked: the file as it is written gives {shown(rate.omega)} deg/s at {clock_of(result, rate.at_s)}; this "
-        f"telemetry looks the same if the file is wrong in one of these ways: {'; '.join(unseen[:MOST_UNSEEN])}{more}"
+        f"  columns unchecked: the file as it is written gives {stated}; this telemetry looks the same if the file is wrong in one "
+        f"of these ways: {'; '.join(unseen)}{more}"
     ]
 
 
 def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     at = np.flatnonzero(result["pass_of"].values == k)
-    t = result["time"].values[at]
-    n = int(np.isfinite(result["probability"].values[k]).sum())
-    sigma = np.degrees(result["omega_sigma_all_B"].values[k])
-    mean = np.degrees(result["omega_mean_B"].values[k, :n])
-    probability = result["probability"].values[k, :n]
-    numbers = pass_numbers(result, k)
-    numbers |= {
+    t, rate = result["time"].values[at], rate_at(result, k)
+    probability = result["probability"].values[k]
+    n = int(np.isfinite(probability).sum())
+    mean = np.degrees(result["omega_mean_B"].values[k, :n]).tolist()
+    numbers = pass_numbers(result, k) | {
         "start_s": float(t[0]),
         "end_s": float(t[-1]),
-        "sigma_deg_s": sigma.tolist(),
+        "sigma_deg_s": np.degrees(result["omega_sigma_all_B"].values[k]).tolist(),
         "solutions": [
-            {"omega_deg_s": m.tolist()} | motion_numbers(result, k, i) for i, m in enumerate(mean)
+            {"omega_deg_s": omega} | motion_numbers(result, k, i) for i, omega in enumerate(mean)
         ],
-    }
-    others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
-    rate = rate_at(result, k)
-    numbers |= {
         "speed_deg_s": [rate.low, rate.mean, rate.high],
         "at_s": rate.at_s,
         "omega_at_deg_s": rate.omega.tolist(),
     }
-    best = (
-        f"speed {rate.speed} deg/s; omega {rate.components} deg/s at {clock_of(result, rate.at_s)}"
+    speed = with_range(rate.mean, rate.low, rate.high, float(rate.sigma.min()))
+    others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
+    line = (
+        f"  {t[0]:z10.0f} s  {len(at):3d} samples  speed {speed} deg/s; omega {with_sigma(rate.omega, rate.sigma, 'deg/s')} at "
+        f"{clock_text(result, rate.at_s)}  probability {probability[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     )
-    best += f"  probability {probability[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
     if numbers.get("model", AS_STATED) != AS_STATED:
-        best += f"  likeliest: {numbers['model']} (probability {numbers['model_probability']:.2f})"
-    return numbers, f"  {t[0]:z10.0f} s  {len(at):3d} samples  {best}"
+        line += f"  likeliest: {numbers['model']} (probability {numbers['model_probability']:.2f})"
+    return numbers, line
 
 
 def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
     from sunspin.output.figures.rates import rates_figure
 
+    sure, look = result["decided"].values, "look at what is said of each, and at all solutions"
+    others = "" if sure.all() else f"; of the others {look}"
     yield Drawing(
         "rates",
         lambda: rates_figure(result, context.telemetry),
         "The three components of the body rate against time in each pass, with bands of one sigma.",
-        f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
-        + synthetic_note(result),
+        "Body rate of the likeliest solution of each pass, body axes; bands: one sigma of that solution. "
+        f"{int(sure.sum())} of {sure.size} passes are decided{others}.",
     )
     if "residual" in result:
         from sunspin.output.figures.residuals import residuals_figure
@@ -158,8 +173,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "Residuals of each sensor in sigmas against time in each pass, with the limit of three sigma.",
             "Size of the difference between readings and what the likeliest solution predicts, all numbers of a reading together, "
             "in sigmas of what was assumed: noise, and of panels also other light. Farther out than six: at the edge. A wave, or "
-            "many readings beyond three sigma, speak against the solution."
-            + synthetic_note(result),
+            "many readings beyond three sigma, speak against the solution.",
         )
     if context.telemetry is None or context.vehicle is None:
         return
@@ -174,46 +188,39 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             lambda: panel_signals_figure(samples, runs, vehicle),
             "Signal of each panel against time in up to four passes: samples as dots, the solution's prediction as a line.",
             "Panel signals of the passes with the most samples: dots are samples, lines what the likeliest solution predicts, with "
-            "one factor for each pass." + synthetic_note(result),
+            "one factor for each pass.",
         )
-
-
-def _decided(result: Any) -> str:
-    sure = result["decided"].values
-    others = (
-        "" if sure.all() else "; of the others look at what is said of each, and at all motions"
-    )
-    return f"{int(sure.sum())} of {sure.size} passes are decided{others}."
 
 
 def rates_tables(result: Any) -> Iterator[Table]:
     import pandas as pd
 
-    epoch = result.attrs.get("epoch_utc")
-    utc = ["" if epoch is None else utc_after(float(t), epoch, 3) for t in result["time"].values]
+    epoch, frame, number = (
+        result.attrs.get("epoch_utc"),
+        result.attrs.get("frame_N"),
+        result["pass_of"].values,
+    )
+    time, rate, sun, q = (result[name].values for name in ("time", "omega_B", "sun_B", "B_from_N"))
     columns: dict[str, Any] = {
-        "time_s": result["time"].values,
-        "utc": utc,
-        "pass": result["pass_of"].values,
+        "time_s": time,
+        "utc": ["" if epoch is None else utc_after(t, epoch, 3) for t in time.tolist()],
+        "pass": number,
+        "pass_id": result["pass_id"].values[number],
     }
-    columns["pass_id"] = result["pass_id"].values[result["pass_of"].values]
     for k, axis in enumerate("xyz"):
-        columns[f"omega_{axis}_B_rad_s"] = result["omega_B"].values[:, k]
+        columns[f"omega_{axis}_B_rad_s"] = rate[:, k]
         columns[f"sigma_{axis}_rad_s"] = np.sqrt(result["omega_cov_B"].values[:, k, k])
     columns |= in_degrees(columns)
-    for k, axis in enumerate("xyz"):
-        columns[f"sun_{axis}_B"] = result["sun_B"].values[:, k]
-    for k, part in enumerate("xyzw"):
-        columns[f"q_{part}_B_from_N"] = result["B_from_N"].values[:, k]
+    columns |= {f"sun_{axis}_B": sun[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"q_{axis}_B_from_N": q[:, k] for k, axis in enumerate("xyzw")}
     columns["sun_sigma_rad"] = result["sun_sigma_rad"].values
     if "turn_sigma_rad" in result:  # the root mean square of the angle by which the attitude is off
         angles = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
         columns["attitude_sigma_rad"] = np.hypot(*angles)
-    frame = (
-        "z to the Sun, local"
-        if result.attrs.get("frame_N") == SUN_Z_LOCAL
-        else result.attrs.get("frame_N")
-    )
-    comment = f"time_s from {epoch}; best motion of each pass; body axes; N: {frame}"
+    frame = "z to the Sun, local" if frame == SUN_Z_LOCAL else frame
+    comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {frame}"
     yield passes_table(result)
     yield Table("rates", pd.DataFrame(columns), comment=comment)
+
+
+KINDS.update(rates=Kind("rates", "rates", rates_summary, rates_drawings, rates_tables))

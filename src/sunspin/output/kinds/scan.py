@@ -9,11 +9,14 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.scan.volume import near_minimum
-from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note, vector
-from sunspin.output.text import counted, rate_text
+from sunspin.output.figures import COLOURS, axes_grid, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
+from sunspin.output.text import counted, number_text, rate_text
 
 DIMS = ("omega_x", "omega_y", "omega_z")
 DEFAULT_FACTOR = 1.1
+LEAST = 1e-6
+"""Smaller misfits are drawn as this: the colours go with the logarithm."""
 
 
 def misfit(scan: Any) -> xr.DataArray:
@@ -22,76 +25,87 @@ def misfit(scan: Any) -> xr.DataArray:
     return volume.transpose(*DIMS)
 
 
-def chosen(scan: Any) -> tuple[np.ndarray, dict[str, float]]:
-    """The motions (n, 3) near the smallest misfit, and the factor or threshold by which they were chosen."""
+def near(scan: Any) -> tuple[np.ndarray, str]:
+    """The motions (n, 3) near the smallest misfit, and by what they were chosen."""
     if isinstance(scan, xr.Dataset) and "near_minimum" in scan:
-        said = scan["near_minimum"].attrs
-        return scan["near_minimum"].values, {
-            key: float(said[key]) for key in ("factor", "threshold") if key in said
-        }
-    return near_minimum(misfit(scan), DEFAULT_FACTOR), {"factor": DEFAULT_FACTOR}
+        points, by = scan["near_minimum"].values, scan["near_minimum"].attrs
+    else:
+        points, by = near_minimum(misfit(scan), DEFAULT_FACTOR), {"factor": DEFAULT_FACTOR}
+    if "factor" in by:
+        return points, f"within {float(by['factor']):g} times the smallest"
+    return points, f"below {float(by.get('threshold', np.nan)):g}"
 
 
 def scan_summary(scan: Any) -> Summary:
     """The smallest misfit, where it is, how many motions come near it, the lines fitted to them."""
-    volume, (points, by) = misfit(scan), chosen(scan)
+    volume, (points, chosen) = misfit(scan), near(scan)
     values = [
         volume.sel(dict(zip(DIMS, p.tolist(), strict=True)), method="nearest").item()
         for p in points
     ]
-    best = points[np.argmin(values)].tolist()
     numbers: dict[str, Any] = {
         "metric": str(volume.name),
         "rows": int(volume.size),
         "minimum": float(volume.min()),
-        "best_omega_B": best,
+        "best_omega_B": points[np.argmin(values)].tolist(),
         "near_minimum_points": len(points),
     }
-    against = (
-        f" against {volume.attrs['directions']} directions" if "directions" in volume.attrs else ""
-    )
-    near = f"within {by['factor']:g} times it" if "factor" in by else f"below {by['threshold']:g}"
-    lines = [
-        f"{volume.size} motions{against}: smallest {volume.name} {numbers['minimum']:.4f} at {rate_text(best)}; "
-        f"{counted(len(points), 'point')} {near}"
-    ]
+    directions = volume.attrs.get("directions")
+    against = f" against {directions} directions" if directions is not None else ""
+    best = f"{numbers['minimum']:.4f} at {rate_text(numbers['best_omega_B'])}"
+    text = f"{volume.size} motions{against}: smallest {volume.name} {best}; {counted(len(points), 'point')} {chosen}"
     if isinstance(scan, xr.Dataset) and "point" in scan:
-        told = lines_summary(scan)
-        return Summary(numbers | {"lines": told["lines"]}, lines + told.lines)
-    return Summary(numbers, lines)
+        lines = lines_summary(scan)
+        return Summary(numbers | lines, [text, *lines.lines])
+    return Summary(numbers, [text])
 
 
 def lines_summary(lines: Any) -> Summary:
     """Points and directions of fitted lines."""
-    found: list[dict[str, Any]] = [
-        {"point": p.tolist(), "direction": d.tolist(), "points": int(c)}
-        for p, d, c in zip(
-            lines["point"].values, lines["direction"].values, lines["count"].values, strict=True
-        )
+    columns = (lines[name].values.tolist() for name in ("point", "direction", "count"))
+    rows = [
+        {"point": p, "direction": d, "points": int(n)} for p, d, n in zip(*columns, strict=True)
     ]
     text = [
-        f"  line through {vector(x['point'])} rad/s along {vector(x['direction'])}" for x in found
+        f"  line through {rate_text(row['point'])} along {number_text(row['direction'])}"
+        for row in rows
     ]
-    return Summary({"lines": found}, text)
+    return Summary({"lines": rows}, text)
 
 
 def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.scan import scan_figure
-
-    volume, (points, by) = misfit(scan), chosen(scan)
+    volume, (points, chosen) = misfit(scan), near(scan)
     metric = "EMD" if volume.name == "emd" else "E"
-    near = (
-        f"within {by['factor']:g} times the smallest {metric}"
-        if "factor" in by
-        else f"below {by.get('threshold', np.nan):g}"
-    )
     yield Drawing(
         "scan",
         lambda: scan_figure(volume, points),
         f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} {near}; any may be the true one."
-        + synthetic_note(scan),
+        f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} with an {metric} {chosen}; any may be "
+        "the true one.",
     )
+
+
+@styled
+def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
+    """The smallest misfit over omega_z for every omega_x and omega_y, and `points` (n, 3), the motions near the smallest of all."""
+    figure, axes = axes_grid(7.5, 5.6)
+    least = np.maximum(volume.min("omega_z").transpose("omega_y", "omega_x").values, LEAST)
+    rate_x, rate_y = (np.degrees(volume[name].values) for name in DIMS[:2])
+    high = max(np.nanmax(least), 1.001 * np.nanmin(least))
+    style = {"shading": "nearest", "cmap": "cividis_r", "rasterized": True}
+    image = axes.pcolormesh(rate_x, rate_y, least, norm="log", vmax=high, **style)
+    metric = "EMD" if volume.name == "emd" else "E"
+    figure.colorbar(image, ax=axes, label=f"smallest {metric} over $\\omega_z$")
+    label = "motions that fit nearly as well as the best"
+    circles = {"ms": 5, "mfc": "none", "mec": COLOURS[1], "mew": 1.2}
+    axes.plot(*np.degrees(points[:, :2]).T, "o", label=label, **circles)
+    axes.set(xlabel=r"$\omega_x$ (deg/s)", ylabel=r"$\omega_y$ (deg/s)")
+    for side, axis in (("top", "x"), ("right", "y")):  # the grid is that of the options, rad/s
+        second = getattr(axes, f"secondary_{axis}axis")(side, functions=(np.radians, np.degrees))
+        second.tick_params(labelsize=8)
+        second.set(**{f"{axis}label": rf"$\omega_{axis}$ (rad/s)"})
+    figure.legend(loc="outside lower center")
+    return figure
 
 
 def scan_tables(scan: Any) -> Iterator[Table]:
@@ -101,8 +115,15 @@ def scan_tables(scan: Any) -> Iterator[Table]:
     if "point" not in scan or "direction" not in scan:
         return
     columns: dict[str, Any] = {"points": scan["count"].values}
-    for name in ("point", "direction"):
-        unit = "_rad_s" if name == "point" else ""
+    for name, unit in (("point", "_rad_s"), ("direction", "")):
         columns |= {f"{name}_{a}{unit}": scan[name].values[:, k] for k, a in enumerate("xyz")}
-    shown = {name: name.replace("_rad_s", " (rad/s)").replace("_", " ") for name in columns}
+    columns |= {f"point_{a}_deg_s": np.degrees(columns[f"point_{a}_rad_s"]) for a in "xyz"}
+    shown = {"points": "points"} | {f"point_{a}_deg_s": f"point {a} (deg/s)" for a in "xyz"}
+    shown |= {f"direction_{a}": f"direction {a}" for a in "xyz"}
     yield Table("lines", pd.DataFrame(columns), "Lines fitted to the near-minimum set", shown)
+
+
+KINDS.update(
+    scan=Kind("scan", "scan", scan_summary, scan_drawings, scan_tables),
+    lines=Kind("lines", "lines", lines_summary),
+)

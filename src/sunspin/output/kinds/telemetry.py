@@ -1,4 +1,4 @@
-"""Telemetry, directions to the Sun, the quality and the health of panels."""
+"""Telemetry and directions to the Sun."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
-from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
-from sunspin.telemetry.health import NOISE, named_panels
-from sunspin.telemetry.sun import is_reconstructed
+from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, axes_grid, named, styled
+from sunspin.output.figures.time_axis import PAUSE, Passes, long_gaps, passes_together, time_axis
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
+from sunspin.output.text import number_text
+from sunspin.telemetry.sun import STATUS_TEXT, SunStatus, is_reconstructed
 
-SETS = 8
-"""Sets of panels named on the console, the most frequent ones; `--json` has all."""
+MOST_JOINED = 80
+"""Samples up to which dotted lines connect them."""
 
-HARDLY = 1e-6
-"""A probability below this is none to a reader."""
+UNKNOWN_WAY = np.radians(60.0)
+"""Angle between directions beyond which no line connects them."""
 
 
 def telemetry_summary(samples: Any) -> Summary:
@@ -34,15 +37,39 @@ def telemetry_summary(samples: Any) -> Summary:
 
 
 def telemetry_drawings(samples: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.telemetry import signals_figure
-
     if "panel" in samples.coords:
         yield Drawing(
             "telemetry",
             lambda: signals_figure(samples),
             "Signals of the panels against time.",
-            "Signals of the panels as read." + synthetic_note(samples),
+            "Signals of the panels as read.",
         )
+
+
+@styled
+def signals_figure(telemetry: xr.Dataset) -> Any:
+    """Signals of the panels against time."""
+    figure, axes = axes_grid(10, 3.8, title="Panel signals")
+    place = passes_together(telemetry["time"].values)
+    _signals(axes, telemetry, place)
+    time_axis(axes, telemetry, place)
+    return figure
+
+
+def _signals(axes: Any, telemetry: xr.Dataset, place: Passes) -> None:
+    name, label = (
+        ("power_W", "power (W)") if "power_W" in telemetry else ("current_A", "current (A)")
+    )
+    hours = telemetry["time"].values / 3600
+    gaps = long_gaps(hours)
+    x = np.insert(place.x(hours), gaps, np.nan)
+    line = ".:" if hours.size <= MOST_JOINED else "."  # lines between many samples hide them
+    for k, panel in enumerate(telemetry["panel"].values):
+        broken = np.insert(telemetry[name].sel(panel=panel).values, gaps, np.nan)
+        text = f"panel {named(panel)}"
+        axes.plot(x, broken, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=text)
+    axes.set_ylabel(label)
+    axes.legend(ncols=8, columnspacing=0.8, handletextpad=0.2, **ABOVE)
 
 
 def sun_summary(sun: Any) -> Summary:
@@ -63,21 +90,18 @@ def sun_summary(sun: Any) -> Summary:
         *status_lines(sun),
     ]
     if numbers["median_sigma_deg"] is not None:
-        noise = (
-            "given"
-            if numbers["noise_from"] == "given"
-            else f"{numbers['noise']:.3g}, {numbers['noise_from']}"
+        size = "" if numbers["noise_from"] == "given" else f"{number_text(numbers['noise'], 3)}, "
+        lines.append(
+            f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {size}{numbers['noise_from']})"
         )
-        lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {noise})")
     return Summary(numbers, lines)
 
 
 def status_counts(sun: Any) -> dict[str, int]:
-    """Number of samples per status sentence."""
+    """Number of samples per status sentence, the most frequent first."""
     texts, numbers = np.unique(sun["status_text"].values, return_counts=True)
-    return dict(
-        sorted(zip(texts.tolist(), numbers.tolist(), strict=True), key=lambda item: -item[1])
-    )
+    order = np.argsort(-numbers, kind="stable")
+    return dict(zip(texts[order].tolist(), numbers[order].tolist(), strict=True))
 
 
 def status_lines(sun: Any) -> list[str]:
@@ -85,125 +109,105 @@ def status_lines(sun: Any) -> list[str]:
 
 
 def sun_drawings(sun: Any, context: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.telemetry import sun_directions_figure
+    if "time" in sun.coords:
+        yield Drawing(
+            "sun",
+            lambda: sun_directions_figure(sun, context.telemetry),
+            "Panel signals, components of the direction to the Sun with error bars, and the misfit Delta of every sample against "
+            "time.",
+            "Panel signals; direction to the Sun in body axes, bars: one sigma; grey marks: samples that give no direction, by "
+            "reason; how badly the best direction explains a sample (Delta, no unit).",
+        )
 
-    if "time" not in sun.coords:
-        return
-    yield Drawing(
-        "sun",
-        lambda: sun_directions_figure(sun, context.telemetry),
-        "Panel signals, components of the direction to the Sun with error bars, and the misfit Delta of every sample against time.",
-        "Panel signals; direction to the Sun in body axes, bars: one sigma; grey marks: samples that give no direction, by reason; "
-        "how badly the best direction explains a sample (Delta, no unit)." + synthetic_note(sun),
+
+@styled
+def sun_directions_figure(
+    sun: xr.Dataset, telemetry: xr.Dataset | None = None, events: Mapping[str, float] | None = None
+) -> Any:
+    """Panel signals if given, Sun direction components and Delta against time; samples without a direction by reason.
+
+    `events`: name -> s of the telemetry's clock, marked by lines across all three.
+    """
+    hours = (sun["time"].values if "time" in sun.coords else np.arange(sun.sizes["time"])) / 3600
+    rows, height = (2, 5.6) if telemetry is None else (3, 8.5)
+    title = "Panel signals and the directions to the Sun that follow from them"
+    ratios = (3, 3, 1.6)[3 - rows :]
+    figure, grid = axes_grid(10, height, rows, 1, title, sharex=True, height_ratios=ratios)
+    place = passes_together(3600 * hours)
+    x, direction, error = place.x(hours), sun["sun_B"].values, sun["sigma_rad"].values
+    known = np.isfinite(direction[:, 0])
+    if telemetry is not None:
+        _signals(grid[0], telemetry, place)
+    middle, low = grid[-2:]
+    for k, axis in enumerate("xyz"):
+        style = {"fmt": ".", "ms": 5, "lw": 0.8, "color": COLOURS[k], "label": f"$n_{axis}$"}
+        middle.errorbar(x[known], direction[known, k], error[known], **style)
+    for piece in connected(hours, sun):
+        for k in range(3):
+            style = {"lw": 0.6, "alpha": 0.6, "color": COLOURS[k], "zorder": 1}
+            middle.plot(x[piece], direction[piece, k], "-", **style)
+    markers = {SunStatus.ARC: "|", SunStatus.REGION: "x", SunStatus.DARK: "v", SunStatus.RULE: "s"}
+    for status in SunStatus:
+        at = sun["status"].values == status
+        if status not in (SunStatus.OK, SunStatus.UNCHECKED) and at.any():
+            text = f"{STATUS_TEXT[status].split(':')[0].split(';')[0]} ({at.sum()})"
+            height = np.full(at.sum(), -1.1 - 0.05 * (int(status) - 2))
+            marker = markers.get(status, "d")
+            middle.plot(x[at], height, marker, ms=4, color=COLOURS[7], label=text)
+    middle.set(ylim=(-1.5, 1.15), ylabel="Sun direction, body axes")
+    middle.legend(ncols=4, fontsize=7, columnspacing=0.8, handletextpad=0.2, **ABOVE)
+    checked, unchecked = (
+        sun["status"].values == status for status in (SunStatus.OK, SunStatus.UNCHECKED)
     )
+    delta = np.maximum(sun["delta"].values, 1e-4)
+    low.semilogy(x[checked], delta[checked], ".", color=COLOURS[6], ms=4)
+    if unchecked.any():
+        text = "exactly three panels lit: 0 whatever the powers"
+        zero = np.full(unchecked.sum(), 1e-4)
+        low.plot(x[unchecked], zero, "x", color=COLOURS[7], ms=4, label=text)
+        low.legend(**ABOVE)
+    low.set(ylim=(5e-5, 60 if events else 1), ylabel=r"$\Delta$")  # room for the names of events
+    time_axis(low, sun, place)
+    for k, (event, second) in enumerate((events or {}).items()):
+        at = float(place.x(np.asarray(second / 3600)))
+        for axes in grid:
+            axes.axvline(at, lw=0.8, color=COLOURS[6], alpha=0.6, zorder=0)
+        style = {"ha": "right" if k % 2 == 0 and k else "left", "va": "center", "bbox": ON_PAPER}
+        low.text(at, 20 / 4 ** (k % 3), f" {event}", fontsize=7, **style)
+    return figure
+
+
+def connected(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
+    """Indices of the directions that a line connects: successive ones of one phase, no more than `PAUSE` usual steps apart, and not
+    so far from each other that the way between them is not known.
+
+    A few samples without a direction in between do not break the line, as in the paper's figure.
+    """
+    known = np.flatnonzero(np.isfinite(sun["sun_B"].values[:, 0]))
+    direction = sun["sun_B"].values[known]
+    far = (direction[1:] * direction[:-1]).sum(axis=1) < np.cos(UNKNOWN_WAY)
+    phase = sun["phase"].values.astype(str) if "phase" in sun.coords else np.full(hours.size, "")
+    usual = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
+    parted = (phase[known[1:]] != phase[known[:-1]]) | (np.diff(hours[known]) > PAUSE * usual) | far
+    return [piece for piece in np.split(known, np.flatnonzero(parted) + 1) if piece.size > 1]
 
 
 def sun_tables(sun: Any) -> Iterator[Table]:
     """A row for each sample: direction, misfit, error, and why there is no direction."""
-    table = sun[["sun_B", "delta", "sigma_rad", "status_text"]]
-    flat = table.drop_vars("sun_B").drop_vars(
-        [name for name in ("panel", "axis") if name in table.coords], errors="ignore"
-    )
-    frame = flat.to_dataframe()
-    for k, axis in enumerate("xyz"):
-        frame.insert(k, f"sun_{axis}_B", sun["sun_B"].values[:, k])
-    frame.index.name = "time_s"
+    import pandas as pd
+
+    time = sun["time"].values if "time" in sun.coords else np.arange(sun.sizes["time"])
+    columns = {"time_s": time}
+    columns |= {f"sun_{axis}_B": sun["sun_B"].values[:, k] for k, axis in enumerate("xyz")}
+    names = ("delta", "sigma_rad", "status_text", "utc", "phase")
+    columns |= {name: sun[name].values for name in names if name in sun.variables}
     shown = {"time_s": "time (s)", "delta": "Delta", "sigma_rad": "error (rad)"}
     shown |= {f"sun_{axis}_B": f"Sun {axis}" for axis in "xyz"} | {"status_text": "status"}
     comment = f"time_s from {sun.attrs.get('epoch_utc')}; body axes; sigma_rad is the rms angle of the error"
-    yield Table("sun", frame.reset_index(), "Sun direction of each sample", shown, comment)
+    yield Table("sun", pd.DataFrame(columns), "Sun direction of each sample", shown, comment)
 
 
-def quality_summary(quality: Any) -> Summary:
-    """What is used of the samples, and the gain of each panel."""
-    texts, counts = np.unique(quality["why"].values.astype(str), return_counts=True)
-    names = [str(name) for name in quality["panel"].values]
-    gain, sigma = quality["gain"].values, quality["gain_sigma"].values
-    dead = [name for name, is_dead in zip(names, quality["dead"].values, strict=True) if is_dead]
-    numbers = {
-        "samples": {str(text): int(count) for text, count in zip(texts, counts, strict=True)},
-        "dead": dead,
-        "gain": dict(zip(names, gain.tolist(), strict=True)),
-        "gain_sigma": dict(zip(names, sigma.tolist(), strict=True)),
-    }
-    lines = [f"  {count:6d}  {text}" for text, count in numbers["samples"].items()]
-    lines += [
-        f"  panel {n}: gain {g:.4g} +- {s:.2g}" for n, g, s in zip(names, gain, sigma, strict=True)
-    ]
-    lines += [f"  panels that never see light: {', '.join(dead)}"] if dead else []
-    return Summary(
-        numbers, [f"quality of {len(quality['use'])} samples of {len(names)} panels", *lines]
-    )
-
-
-def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.telemetry import gains_figure
-
-    yield Drawing(
-        "panel-quality",
-        lambda: gains_figure(quality),
-        "Gain of each panel with its error bar.",
-        "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light."
-        + synthetic_note(quality),
-    )
-
-
-def health_summary(health: Any) -> Summary:
-    """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
-    seen = dict(
-        zip(_joined(health, "impossible_lit"), health["samples"].values.tolist(), strict=True)
-    )
-    chance = dict(zip(seen, health["largest"].values.tolist(), strict=True))
-    numbers = {
-        "allowed": _joined(health, "allowed_lit"),
-        "impossible": seen,
-        "explanations": [list(lost) for lost in named_panels(health, "lost")],
-        "noise_probability": {
-            pattern: value for pattern, value in chance.items() if np.isfinite(value)
-        },
-    }
-    lines = health_lines(numbers)
-    return Summary(numbers, lines or ["no set of lit panels is one that the Sun cannot light"])
-
-
-def _joined(health: Any, name: str) -> list[str]:
-    return ["-".join(panels) for panels in named_panels(health, name)]
-
-
-def health_lines(numbers: Mapping[str, Any]) -> list[str]:
-    """The numbers of :func:`health_summary` in words; none where no pattern is impossible."""
-    if not numbers["impossible"]:
-        return []
-    often = sorted(numbers["impossible"].items(), key=lambda one: -one[1])
-    seen = ", ".join(f"{pattern} ({n})" for pattern, n in often[:SETS])
-    seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
-    if made_by := numbers.get("made_by"):
-        verb = "makes" if made_by == NOISE else "make"
-        return [f"  sets of lit panels that the Sun cannot light, as {made_by} {verb} them: {seen}"]
-    lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
-    why = (
-        f"the loss or shading of {lost} would explain them"
-        if lost
-        else "no loss of panels explains them"
-    )
-    chance = numbers["noise_probability"]
-    likely = max(chance.values(), default=0.0)
-    noise = (
-        f"; noise alone makes the likeliest of them with a probability of at most {likely:.2g}"
-        if likely > HARDLY
-        else ""
-    )
-    noise = noise or ("; noise alone does not make them" if chance else "")
-    return [f"  sets of lit panels that the Sun cannot light: {seen}; {why}{noise}"]
-
-
-def health_drawings(health: Any, _: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.telemetry import health_figure
-
-    yield Drawing(
-        "panel-health",
-        lambda: health_figure(health),
-        "Which panels were lit together although the Sun cannot light them so, and how often.",
-        "Sets of panels that were lit together and that the Sun alone cannot light; a panel whose loss explains them is marked."
-        + synthetic_note(health),
-    )
+KINDS.update(
+    telemetry=Kind("telemetry", "telemetry", telemetry_summary, telemetry_drawings),
+    sun_directions=Kind("sun", "sun", sun_summary, sun_drawings, sun_tables),
+)

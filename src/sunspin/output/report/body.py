@@ -11,12 +11,12 @@ import xarray as xr
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
+from sunspin.base.errors import SunspinError
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
 from sunspin.output.report.views import GREY, INK, Motions, View, float32, line, styled
-from sunspin.output.text import capital
+from sunspin.output.text import capital, clock_text
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.timeline import utc_after
 
 MOST_FRAMES = 300
 """Instants of a motion that are shown."""
@@ -261,16 +261,15 @@ def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.S
 
 def _wheels(vehicle: Vehicle, speeds: np.ndarray) -> str:
     """The speeds of the wheels in words."""
-    known = zip(vehicle.wheels, speeds, strict=False)
     return "".join(
-        f", {wheel.name} {speed:.0f} rad/s" if np.isfinite(speed) else f", {wheel.name} not known"
-        for wheel, speed in known
+        f", {wheel.name} {f'{speed:.0f} rad/s' if np.isfinite(speed) else 'not known'}"
+        for wheel, speed in zip(vehicle.wheels, speeds, strict=False)
     )
 
 
 def _clock(data: xr.Dataset, seconds: float) -> str:
-    epoch = str(data.attrs.get("epoch_utc", ""))
     try:
-        return utc_after(seconds, epoch)[11:19] + " UTC" if epoch else f"{seconds:.1f} s"
-    except ValueError:
+        text = clock_text(data, seconds)
+    except SunspinError:  # an epoch that is none
         return f"{seconds:.1f} s"
+    return f"{text[11:19]} UTC" if text.endswith("Z") else f"{seconds:.1f} s"

@@ -26,9 +26,6 @@ FIRST_SENTENCES = 5
 MAX_PICTURES = 12_000_000
 """Bytes of figures in a page; what is beyond stays in the folder and is named."""
 
-LONGEST = 400
-"""Characters of an entry of the summary."""
-
 HIDDEN = (
     "figures",
     "sentences",
@@ -175,9 +172,7 @@ def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
         if key not in HIDDEN:
             nested = value.items() if isinstance(value, dict) else [("", value)]
             for name, item in nested:
-                text = number_text(item, 4)
-                text = text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
-                found.append((f"{key} {name}".replace("_", " ").strip(), text))
+                found.append((f"{key} {name}".replace("_", " ").strip(), number_text(item)))
     return found
 
 

@@ -6,8 +6,6 @@ import re
 from collections import Counter
 from typing import Any
 
-import numpy as np
-
 from sunspin.output.text import number_text
 
 VERDICTS = {
@@ -44,9 +42,6 @@ CHAINS = {
 
 FIGURE = re.compile(r"figure_\d+")
 """Ids of the rows that only say which pictures show what a figure of the paper shows."""
-
-LONG = 160
-"""Longer values are cut in the table and whole in summary.json."""
 
 WITHOUT = "no telemetry"
 """What the heading of the section says whose tests need no telemetry."""
@@ -138,10 +133,8 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
         "part": str(row.get("part", "")),
         "section": str(row.get("section", "")),
         "what": str(row.get("what", "")),
-        "published": "–"
-        if row.get("published") is None
-        else _cut(number_text(row["published"], 4)),
-        "ours": _cut(number_text(row.get("ours"), 4)),
+        "published": "–" if row.get("published") is None else number_text(row["published"]),
+        "ours": number_text(row.get("ours")),
         "interval": between(row.get("low"), row.get("high")),
         "before": between(row.get("prior_low"), row.get("prior_high")),
         "chain": CHAINS.get(chain, f"from the motions of {chain}" if chain else ""),
@@ -155,22 +148,13 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
 
 
 def between(low: Any, high: Any) -> str:
-    """An interval as text: pair by pair where both ends are lists, nothing where one is missing."""
+    """An interval as text, with three digits and no more than five decimals: pair by pair if both ends are lists, nothing if one
+    is missing."""
     if low is None or high is None:
         return ""
     if isinstance(low, list) and isinstance(high, list) and len(low) == len(high):
-        return _cut(
-            "; ".join(text for pair in zip(low, high, strict=True) if (text := between(*pair)))
-        )
-    return _cut(f"{_short(low)} to {_short(high)}")
-
-
-def _short(value: Any) -> str:
-    """Four figures, and no more than five decimals of a small number: ends of an interval are no precise numbers."""
-    if isinstance(value, float) and np.isfinite(value) and abs(value) < 1:
-        value = round(value, 5)
-    return number_text(value, 3)
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= LONG else text[: LONG - 1] + "…"
+        return "; ".join(text for pair in zip(low, high, strict=True) if (text := between(*pair)))
+    return " to ".join(
+        number_text(round(end, 5) if isinstance(end, float) and abs(end) < 1 else end, 3)
+        for end in (low, high)
+    )

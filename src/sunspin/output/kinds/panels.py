@@ -1,0 +1,137 @@
+"""Quality and health of panels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, named, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
+from sunspin.output.text import number_text, with_sigma
+from sunspin.telemetry.health import NOISE, named_panels
+
+SETS = 8
+"""Sets of panels named on the console, the most frequent ones; `--json` has all."""
+
+HARDLY = 1e-6
+"""A probability below this is none to a reader."""
+
+
+def quality_summary(quality: Any) -> Summary:
+    """What is used of the samples, and the gain of each panel."""
+    texts, counts = np.unique(quality["why"].values.astype(str), return_counts=True)
+    names = quality["panel"].values.astype(str)
+    gain, sigma = quality["gain"].values, quality["gain_sigma"].values
+    numbers = {
+        "samples": dict(zip(texts.tolist(), counts.tolist(), strict=True)),
+        "dead": names[quality["dead"].values.astype(bool)].tolist(),
+        "gain": dict(zip(names.tolist(), gain.tolist(), strict=True)),
+        "gain_sigma": dict(zip(names.tolist(), sigma.tolist(), strict=True)),
+    }
+    lines = [f"quality of {len(quality['use'])} samples of {len(names)} panels"]
+    lines += [f"  {count:6d}  {text}" for text, count in numbers["samples"].items()]
+    for name, value, error in zip(names, gain, sigma, strict=True):
+        lines.append(f"  panel {name}: gain {with_sigma(value, error)}")
+    if numbers["dead"]:
+        lines.append(f"  panels that never see light: {', '.join(numbers['dead'])}")
+    return Summary(numbers, lines)
+
+
+def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
+    yield Drawing(
+        "panel-quality",
+        lambda: gains_figure(quality),
+        "Gain of each panel with its error bar.",
+        "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light.",
+    )
+
+
+@styled
+def gains_figure(quality: Any) -> Any:
+    """Gain of each panel with one sigma; dead panels crossed."""
+    figure, axes = axes_grid(7, 3.6, title="Gains of the panels")
+    place, gain, dead = (
+        np.arange(quality.sizes["panel"]),
+        quality["gain"].values,
+        quality["dead"].values.astype(bool),
+    )
+    axes.errorbar(place, gain, quality["gain_sigma"], fmt="o", color=COLOURS[0], capsize=3)
+    axes.plot(place[dead], gain[dead], "x", ms=10, color=COLOURS[1])
+    axes.set_xticks(place, [named(name) for name in quality["panel"].values])
+    axes.set(xlabel="panel", ylabel="gain (unit of the vehicle's gains)")
+    return figure
+
+
+def health_summary(health: Any) -> Summary:
+    """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
+    impossible = _joined(health, "impossible_lit")
+    chance = zip(impossible, health["largest"].values.tolist(), strict=True)
+    numbers = {
+        "allowed": _joined(health, "allowed_lit"),
+        "impossible": dict(zip(impossible, health["samples"].values.tolist(), strict=True)),
+        "explanations": [list(lost) for lost in named_panels(health, "lost")],
+        "noise_probability": {lit: value for lit, value in chance if np.isfinite(value)},
+    }
+    none = "no set of lit panels is one that the Sun cannot light"
+    return Summary(numbers, health_lines(numbers) or [none])
+
+
+def _joined(health: Any, name: str) -> list[str]:
+    return ["-".join(panels) for panels in named_panels(health, name)]
+
+
+def health_lines(numbers: Mapping[str, Any]) -> list[str]:
+    """The numbers of :func:`health_summary` in words; none if no pattern is impossible."""
+    if not numbers["impossible"]:
+        return []
+    often = sorted(numbers["impossible"].items(), key=lambda item: -item[1])
+    seen = ", ".join(f"{lit} ({n})" for lit, n in often[:SETS])
+    seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
+    head = "  sets of lit panels that the Sun cannot light"
+    if made_by := numbers.get("made_by"):
+        return [f"{head}, as {made_by} {'makes' if made_by == NOISE else 'make'} them: {seen}"]
+    lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
+    why = f"the loss or shading of {lost} would explain" if lost else "no loss of panels explains"
+    likely, noise = max(numbers["noise_probability"].values(), default=0.0), ""
+    if likely > HARDLY:
+        noise = f"; noise alone makes the likeliest of them with a probability of at most {number_text(likely, 2)}"
+    elif numbers["noise_probability"]:
+        noise = "; noise alone does not make them"
+    return [f"{head}: {seen}; {why} them{noise}"]
+
+
+def health_drawings(health: Any, _: Context) -> Iterator[Drawing]:
+    yield Drawing(
+        "panel-health",
+        lambda: health_figure(health),
+        "Which panels were lit together although the Sun cannot light them so, and how often.",
+        "Sets of panels that were lit together and that the Sun alone cannot light; a panel whose loss explains them is marked.",
+    )
+
+
+@styled
+def health_figure(health: Any) -> Any:
+    """Sets of panels that were lit together and cannot be, a row each with its samples; panels whose loss explains all marked."""
+    lit, lost = (health[name].values.astype(bool) for name in ("impossible_lit", "lost"))
+    some = "Lit together, which the Sun alone cannot do"
+    title = some if len(lit) else "Nothing was lit that the Sun cannot light"
+    figure, axes = axes_grid(7, 1.6 + 0.35 * max(len(lit), 3), title=title)
+    row, column = np.nonzero(lit)
+    axes.plot(column, row, "s", ms=11, color=COLOURS[4], label="lit")
+    for k, place in enumerate(np.flatnonzero(lost[:1].any(axis=0))):
+        text = None if k else "its loss explains them"
+        axes.axvline(place, color=COLOURS[1], lw=1.4, ls="--", label=text)
+    axes.set_yticks(range(len(lit)), [f"{n} samples" for n in health["samples"].values])
+    axes.set_xticks(range(lit.shape[1]), [named(name) for name in health["panel"].values])
+    axes.set(xlabel="panel", xlim=(-0.6, lit.shape[1] - 0.4))
+    axes.set_ylim((len(lit) - 0.4, -0.6) if len(lit) else (1, 0))
+    axes.legend(ncols=2, **ABOVE)
+    return figure
+
+
+KINDS.update(
+    panel_quality=Kind("panel_quality", "panel-quality", quality_summary, quality_drawings),
+    panel_health=Kind("panel_health", "panel-health", health_summary, health_drawings),
+)

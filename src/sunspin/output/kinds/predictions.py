@@ -1,0 +1,130 @@
+"""What a posterior predicts at other times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sunspin.estimate.posterior.predict import intervals
+from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
+from sunspin.output.text import with_range
+
+
+def predictions_summary(predictions: Any) -> Summary:
+    """Medians and intervals at each time."""
+    table, lines, times = intervals(predictions), [], predictions["predicted_s"].values
+    collided = predictions.get("after_collision", np.zeros(len(times), bool))
+    for t, label, after in zip(times, labels(predictions), collided, strict=True):
+        row = {r["quantity"]: r for r in table if r["t_s"] == t}
+        off = np.degrees(row["sun_off"]["high_90"])
+        lines += [
+            f"  at {label}{', after the collision' if after else ''} (90 % of the draws):",
+            f"    angular speed {degrees_text(row['rate'])} deg/s",
+            f"    z from H {degrees_text(row['z_to_momentum'])} deg",
+            f"    z from the Sun {degrees_text(row['z_to_sun'])} deg",
+            f"    the Sun within {off:.1f} deg of its mean direction in the body",
+        ]
+    collision = str(predictions.attrs.get("collision", ""))
+    lines += [f"    collision: {collision}"] if collision.startswith("a leg") else []
+    return Summary({"predicted": table}, lines)
+
+
+def degrees_text(row: Mapping[str, float]) -> str:
+    """Median and ends of the 90 % interval of an angle or angular speed, in degrees."""
+    return with_range(*(float(np.degrees(row[key])) for key in ("median", "low_90", "high_90")))
+
+
+def labels(predictions: Any) -> list[str]:
+    """The times of predictions as they were asked for."""
+    if "asked" in predictions.coords:
+        return predictions["asked"].values.astype(str).tolist()
+    return [f"{t:g} s" for t in predictions["predicted_s"].values]
+
+
+def predictions_drawings(predictions: Any, _: Context) -> Iterator[Drawing]:
+    yield Drawing(
+        "predicted",
+        lambda: predicted_figure(predictions, labels(predictions)),
+        "Draws of the angular speed, the components of the rate, the direction of the Sun and the angles of z at each time.",
+        "What the body did at other times; thick and thin bars: 50 and 90 % of the draws.",
+    )
+
+
+@styled
+def predicted_figure(
+    predictions: xr.Dataset, labels: list[str], truth: xr.Dataset | None = None
+) -> Any:
+    """A row for each time: angular speed, components of the rate, direction of the Sun, angles of z from the Sun and from H.
+
+    `predictions`: of :func:`sunspin.estimate.posterior.predict.predict`; `labels`: the times in words; `truth`: the same of one
+    motion.
+    """
+    count = predictions.sizes["predicted_s"]
+    dashed = "" if truth is None else "; dashed: the truth"
+    name = named(predictions.attrs.get("vehicle", "the body"))
+    title = f"What {name} did: draws of the posterior{dashed}"
+    figure, grid = axes_grid(13, 2.7 * count + 0.6, count, 4, title, squeeze=False)
+    for i, (label, (speed, rates, sky, angles)) in enumerate(zip(labels, grid, strict=True)):
+        draws = predictions.isel(predicted_s=i, chain=0)
+        true = None if truth is None else truth.isel(predicted_s=i, chain=0, draw=0)
+        spreads = [
+            (speed, "rate", None, COLOURS[0], ""),
+            *((rates, "omega_B", k, COLOURS[k], rf"$\omega_{a}$") for k, a in enumerate("xyz")),
+            (angles, "z_to_momentum", None, COLOURS[3], "z and H"),
+            (angles, "z_to_sun", None, COLOURS[4], "z and Sun"),
+        ]
+        for axes, quantity, k, color, text in spreads:
+            index = ... if k is None else (..., k)
+            exact = None if true is None else np.degrees(true[quantity].values)[index]
+            _spread(axes, np.degrees(draws[quantity].values)[index], color, text, exact)
+        for data, style in (
+            (draws, {"marker": ".", "ms": 1.5, "alpha": 0.3, "color": COLOURS[5]}),
+            (true, {"marker": "+", "ms": 9, "color": COLOURS[6]}),
+        ):
+            if data is not None:
+                x, y, z = np.atleast_2d(data["sun_B"].values).T
+                height = np.degrees(np.arcsin(np.clip(z, -1, 1)))
+                sky.plot(np.degrees(np.arctan2(y, x)), height, ls="", rasterized=True, **style)
+        sky.set(xlim=(-180, 180), ylim=(-90, 90), xticks=range(-180, 181, 90))
+        sky.set(yticks=range(-90, 91, 45), ylabel="height of the Sun (deg)")
+        speed.set_ylabel(f"{label}\ndraws", fontsize=9)
+        rates.legend(fontsize=7)
+        angles.legend(fontsize=7)
+    units = ("angular speed (deg/s)", "components of the rate (deg/s)")
+    units += ("azimuth of the Sun about z (deg)", "angle (deg)")
+    for axes, text in zip(grid[-1], units, strict=True):
+        axes.set_xlabel(text)
+    return figure
+
+
+def _spread(axes: Any, values: np.ndarray, color: str, label: str, true: Any) -> None:
+    """A histogram with its 50 % and 90 % intervals as bars below."""
+    values = values[np.isfinite(values)]
+    axes.hist(values, 50, histtype="stepfilled", color=color, alpha=0.6, label=label)
+    for level, width in ((0.9, 1.5), (0.5, 4.0)):
+        ends = np.quantile(values, [0.5 - level / 2, 0.5 + level / 2])
+        style = {"solid_capstyle": "butt", "clip_on": False, "zorder": 5}
+        axes.plot(ends, [0, 0], color=color, lw=width, **style)
+    if true is not None:
+        axes.axvline(float(true), color=COLOURS[6], lw=0.9, ls="--")
+    axes.set_yticks([])
+
+
+def predictions_tables(predictions: Any) -> Iterator[Table]:
+    import pandas as pd
+
+    names = ("t_s", "quantity", "median", "low_90", "high_90")
+    shown = {name: name.replace("_", " ") for name in names}
+    frame = pd.DataFrame(intervals(predictions))
+    yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", shown)
+
+
+KINDS.update(
+    predictions=Kind(
+        "predictions", "predictions", predictions_summary, predictions_drawings, predictions_tables
+    )
+)

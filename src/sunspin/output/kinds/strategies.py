@@ -1,0 +1,177 @@
+"""Strategies compared, and the landing: strategies, their runs and the collision as one tree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sunspin.landing.tally import quantity
+from sunspin.output.figures import COLOURS, axes_grid, styled
+from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
+from sunspin.output.kinds.collision import collision_drawings, collision_summary
+from sunspin.output.kinds.outcomes import (
+    HATCHES,
+    estimate_lines,
+    run_lines,
+    runs_drawings,
+    say_why_empty,
+    strategy_name,
+    within_one,
+)
+from sunspin.output.text import capital, with_sigma
+
+
+def strategies_summary(table: Any) -> Summary:
+    """Estimates of each strategy."""
+    estimates, lines = {}, []
+    for name in table["strategy"].values.astype(str):
+        at = table.sel(strategy=name)
+        columns = (at[key].values for key in ("quantity", "value", "error"))
+        estimates[name] = {
+            str(q): {"value": float(v), "error": float(e)}
+            for q, v, e in zip(*columns, strict=True)
+            if np.isfinite(v)
+        }
+        lines += [f"wheels {name}: {table.attrs['runs']} runs", *estimate_lines(estimates[name])]
+    numbers: dict[str, Any] = {k: int(table.attrs[k]) for k in ("runs", "seed", "candidates")}
+    numbers |= {"not_told": table.attrs["not_told"], "strategies": estimates}
+    return Summary(numbers, lines, [numbers["not_told"]] if numbers["not_told"] else [])
+
+
+def strategies_drawings(table: Any, _: Context) -> Iterator[Drawing]:
+    yield Drawing(
+        "strategies",
+        lambda: strategies_figure(table),
+        "What touches first, on what it rests, antenna, speeds and height of the Sun for each command to the wheel.",
+        "Means over the runs; bars: one standard error.",
+    )
+
+
+STACKS = (("touches the ground first", "touch"), ("comes to rest on", "rest"))
+DOTS = (
+    (
+        *("antenna's cone holds the orbiter", "probability"),
+        {
+            "antenna_share": "in flight",
+            "antenna_at_contact": "at contact",
+            "antenna_at_rest": "at rest",
+        },
+    ),
+    (
+        *("speed at first contact", "mean speed over ground (m/s)"),
+        {"contact_speed": "point that touches", "leg_tip_speed": "fastest leg tip"},
+    ),
+    (
+        *("Sun below the body's equator", "share of the time"),
+        {"rz_time_below_0": "$r_z$ < 0", "rz_time_below_-0.5": "$r_z$ < -0.5"},
+    ),
+    (
+        *("angular speed", "mean (deg/s)"),
+        {"rate_before": "before the collision", "rate_after": "after it"},
+    ),
+)
+"""Title, axis, and quantities with their labels."""
+
+
+@styled
+def strategies_figure(table: Any) -> Any:
+    """What touches first, on what it rests, antenna, speeds and lost upright axis for each strategy, with standard errors."""
+    title = f"Momentum-wheel strategies after the touchdown: {table.attrs['runs']} runs each, one standard error"
+    figure, grid = axes_grid(11, 6.4, 2, 3, title)
+    names = table["strategy"].values.astype(str)
+    known, places = set(table["quantity"].values), np.arange(len(names))
+    for axes, (title, prefix) in zip(grid.flat, STACKS, strict=False):
+        bottom = np.zeros(len(names))
+        for k, (kind, label) in enumerate(
+            {"leg": "leg", "panel": "panel", "body": "bare body"}.items()
+        ):
+            if f"{prefix}_{kind}" in known:
+                at = table.sel(quantity=f"{prefix}_{kind}")
+                style = {"color": COLOURS[k], "hatch": HATCHES[k], "alpha": 0.85, "ec": "white"}
+                axes.bar(places, at["value"], 0.65, bottom, label=label, **style)
+                bottom = bottom + at["value"].values
+                bars = within_one(bottom, at["error"].values)
+                axes.errorbar(places, bottom, bars, fmt="none", ecolor="black", lw=1, capsize=2)
+        axes.set(title=title, ylabel="probability", ylim=(0, 1.22))
+        if not np.any(bottom):
+            say_why_empty(axes, "not determined without a hull")
+    for axes, (title, label, quantities) in zip(grid.flat[2:], DOTS, strict=True):
+        for k, (name, text) in enumerate(quantities.items()):
+            if name in known:
+                at = table[["value", "error"]].sel(quantity=name) * quantity(name).scale
+                value, error = at["value"].values, at["error"].values
+                bars = error if "(" in label else within_one(value, error)  # a share has no unit
+                style = {"fmt": "osD"[k], "ms": 5, "color": COLOURS[k], "capsize": 2}
+                axes.errorbar(places + 0.12 * (k - 0.5), value, bars, label=text, **style)
+        axes.set(title=title, ylabel=label, ylim=(0, 1.3 * max(axes.dataLim.y1, 1e-3)))
+        if not known & set(quantities):
+            say_why_empty(axes, "not determined by this vehicle and scenario")
+    for axes in grid.flat:
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(ncols=3, loc="upper center", columnspacing=1, handletextpad=0.3)
+        axes.set_xticks(places, [strategy_name(name).replace("off ", "off\n") for name in names])
+        axes.set_xlim(-0.6, len(names) - 0.4)
+    return figure
+
+
+def strategies_tables(table: Any) -> Iterator[Table]:
+    """A row for each quantity, a column for each strategy: mean and one standard error over the runs."""
+    import pandas as pd
+
+    rows = []
+    for name in table["quantity"].values.astype(str):
+        about, at = quantity(name), table.sel(quantity=name)
+        if np.isfinite(at["value"]).any():
+            values, errors = at["value"].values * about.scale, at["error"].values * about.scale
+            texts = [with_sigma(v, e) for v, e in zip(values, errors, strict=True)]
+            rows.append([name, capital(about.heading), *texts])
+    names = table["strategy"].values.astype(str)
+    frame = pd.DataFrame(rows, columns=["quantity", "what", *names])
+    shown = {"what": "quantity"} | {name: strategy_name(name) for name in names}
+    yield Table("strategies", frame, "Commands to the wheel (one standard error)", shown)
+
+
+def landing_summary(tree: Any) -> Summary:
+    """The strategies, with the runs that could not be computed, and the collision."""
+    numbers, lines = strategies_summary(tree["strategies"].to_dataset()), []
+    for name, runs in runs_of(tree).items():
+        lines += run_lines(runs, numbers["strategies"][name])
+    if "collision" in tree:
+        numbers["collision"] = collision = collision_summary(tree["collision"].to_dataset())
+        lines += collision.lines
+    return Summary(numbers, lines, numbers.notes)
+
+
+def runs_of(tree: Any) -> dict[str, Any]:
+    """The runs of each strategy, in the order of the strategies."""
+    names = tree["strategies"]["strategy"].values.astype(str)
+    return {name: tree[f"runs/{name}"].to_dataset() for name in names}
+
+
+def landing_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
+    yield from strategies_drawings(tree["strategies"].to_dataset(), context)
+    yield from runs_drawings(runs_of(tree))
+    if "collision" in tree:
+        yield from collision_drawings(tree["collision"].to_dataset(), context)
+
+
+def landing_tables(tree: Any) -> Iterator[Table]:
+    return strategies_tables(tree["strategies"].to_dataset())
+
+
+def landing_datasets(tree: Any, _: Context) -> dict[str, Any]:
+    """The runs of each strategy and their comparison, a file each."""
+    runs = {f"outcomes-{name.replace(':', '-')}": data for name, data in runs_of(tree).items()}
+    return {"strategies": tree["strategies"].to_dataset()} | runs
+
+
+KINDS.update(
+    strategies=Kind(
+        "outcomes", "strategies", strategies_summary, strategies_drawings, strategies_tables
+    ),
+    landing=Kind(
+        "outcomes", "", landing_summary, landing_drawings, landing_tables, landing_datasets
+    ),
+)
