@@ -14,6 +14,13 @@ NEEDED = {
     "--data": ("reproduce",),
     "--best-delay": ("outcomes",),
     "--printed-lines": ("outcomes",),
+    "--omega": ("simulate", "outcomes"),
+    "--omega-x": ("scan",),
+    "--omega-y": ("scan",),
+    "--omega-z": ("scan",),
+    "--rate": ("posterior",),
+    "--gyro": ("posterior",),
+    "--max-rate": ("rates",),
 }
 """Option -> commands that had it."""
 
