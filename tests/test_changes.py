@@ -249,7 +249,7 @@ def test_the_command_lists_changes_and_says_them(tmp_path):
     assert "833" in (tmp_path / "run" / "vehicle.toml").read_text()
 
 
-SIMULATE = "simulate philae --omega 0,0,0 --sun 0,0,1 --duration 1"
+SIMULATE = "simulate philae --omega-deg-s 0,0,0 --sun 0,0,1 --duration 1"
 
 
 @pytest.mark.parametrize(
@@ -257,8 +257,11 @@ SIMULATE = "simulate philae --omega 0,0,0 --sun 0,0,1 --duration 1"
     [
         (f"{SIMULATE} --set study.mask=everywhere", "does not use that assumption"),
         (f"{SIMULATE} --set study.leed_s=3", "did you mean lead_s?"),
-        ("outcomes philae --set wheel.speed_rad_s=833", "give --scan scan.nc, or give --omega"),
-        ("outcomes philae --scan scan.nc --omega 0,0,1", "give one of them"),
+        (
+            "outcomes philae --set wheel.speed_rad_s=833",
+            "give --scan scan.nc, or give --omega-deg-s",
+        ),
+        ("outcomes philae --scan scan.nc --omega-deg-s 0,0,60", "give one of them"),
         ("outcomes philae --lead 5 --set study.lead_s=30", "--lead and --set study.lead_s say"),
         (
             f"{SIMULATE} --wheel-speed 800 --set wheel[wheel].speed_rad_s=833",
@@ -292,13 +295,13 @@ def test_what_a_command_does_not_use_is_said_and_not_listed():
 
 def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
     """--friction wherever a wheel runs; --restitution and --damper where there may be a blow."""
-    usual = "simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 60".split()
+    usual = "simulate philae --omega-deg-s 6,0,0 --sun 0,0,1 --duration 60".split()
     said = [command(*usual, *more).output.splitlines() for more in ((), ("--friction", "printed"))]
     assert (
         said[1][0].startswith("Changed for this run: wheel.friction = printed")
         and said[0][-1] != said[1][-1]
     )
-    options = "--omega 0.1,-0.2,0.1 --runs 50 --strategy off --friction printed"
+    options = "--omega-deg-s 6,-12,6 --runs 50 --strategy off --friction printed"
     words = ("outcomes", "philae", *options.split())
     ran = [
         command(*words, *more)

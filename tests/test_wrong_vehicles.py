@@ -202,9 +202,9 @@ def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
             "scan",
             "vehicle.toml",
             "telemetry.csv",
-            f"--omega-x={axis}",
-            "--omega-y=0",
-            "--omega-z=0",
+            f"--omega-x-deg-s={axis}",
+            "--omega-y-deg-s=0",
+            "--omega-z-deg-s=0",
         )
         assert judge(told).what == "refused" and "omega_x has a rate twice" in told.err
 

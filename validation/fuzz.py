@@ -138,7 +138,7 @@ def make_stock(folder: Path) -> None:
             0,
             "simulate",
             "philae",
-            "--omega=0.1,0,0",
+            "--omega-deg-s=6,0,0",
             "--sun=0,0.6,0.8",
             "--duration=20",
             "--out",
@@ -200,8 +200,8 @@ def command_table() -> dict[str, click.Command]:
 
 def base(command: str) -> list[str]:
     """Arguments with which a command does its work on the stock."""
-    grid = ["--omega-x=0:0.02:0.02", "--omega-y=-0.03:-0.03:1", "--omega-z=0.05:0.05:1"]
-    start = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
+    grid = ["--omega-x-deg-s=0:1.2:1.2", "--omega-y-deg-s=-1.8:-1.8:60", "--omega-z-deg-s=3:3:60"]
+    start = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
     known = {
         "check": ["vehicle.toml", "telemetry.csv"],
         "sun": ["vehicle.toml", "telemetry.csv"],

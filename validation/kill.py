@@ -33,8 +33,8 @@ STORE = "--store=STORE"
 """The folder of the rows in the arguments of `TARGETS`."""
 
 TARGETS = {
-    "scan": "scan philae TELEMETRY --from=90 --to=2800 --workers=2 --lines=0 --omega-x=-0.5:1:0.05 --omega-y=-0.5:1:0.05 "
-    f"--omega-z=-0.3:0.3:0.04 {STORE}",
+    "scan": "scan philae TELEMETRY --from=90 --to=2800 --workers=2 --lines=0 --omega-x-deg-s=-30:60:3 --omega-y-deg-s=-30:60:3 "
+    f"--omega-z-deg-s=-18:18:2.4 {STORE}",
     "posterior": "posterior philae --prior=inertia=0 --prior=friction=0 --prior=wheel_speed=0 --draws=1000 --workers=2 --from=100 "
     f"--to=1500 --prior=max_rate_rad_s=0.05 {STORE}",
     "outcomes": f"outcomes philae --runs=5000 --workers=2 {STORE}",

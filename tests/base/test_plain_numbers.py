@@ -168,13 +168,13 @@ def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
         or odd in ("True", "nan", "inf", "-inf")
     ):
         pass
-    assert values.numbers(f"1,{good}", "--omega") == [1, float(good)]
+    assert values.numbers(f"1,{good}", "--omega-deg-s") == [1, float(good)]
     for wrong in (
-        lambda: values.numbers(f"1,{odd}", "--omega"),
+        lambda: values.numbers(f"1,{odd}", "--omega-deg-s"),
         lambda: _seconds(odd),
         lambda: values.period(f"{odd}+-1@10", None),
         lambda: values.prior(f"inertia={odd}"),
-        lambda: values.grid(f"0:1:{odd}", "--omega-x"),
+        lambda: values.grid(f"0:1:{odd}", "--omega-x-deg-s"),
         lambda: values.times(odd, None),
     ):
         with pytest.raises(InputError):

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -93,7 +94,7 @@ def test_results_of_something_else_are_not_overwritten(start, tmp_path):
         in sunspin(
             "simulate",
             "philae",
-            "--omega=0,0,0",
+            "--omega-deg-s=0,0,0",
             "--sun=0,0,1",
             "--duration=1",
             "--out",
@@ -108,7 +109,7 @@ def test_simulate_and_its_events(tmp_path):
     done = sunspin(
         "simulate",
         "philae",
-        "--omega",
+        "--omega-deg-s",
         "0,0,0",
         "--sun",
         "0.1959,0.5690,0.7986",
@@ -135,12 +136,12 @@ def test_scan_of_the_start_files(start):
         "E",
         "--to",
         160,
-        "--omega-x",
-        "0:0.04:0.01",
-        "--omega-y",
-        "-0.05:-0.01:0.01",
-        "--omega-z",
-        "0.03:0.07:0.01",
+        "--omega-x-deg-s",
+        ",".join(str(math.degrees(rate)) for rate in (0.01, 0.02, 0.03)),
+        "--omega-y-deg-s",
+        ",".join(str(math.degrees(rate)) for rate in (-0.04, -0.03, -0.02)),
+        "--omega-z-deg-s",
+        ",".join(str(math.degrees(rate)) for rate in (0.04, 0.05, 0.06)),
         "--lines",
         0,
         "--json",
@@ -159,10 +160,10 @@ def test_scan_of_the_start_files(start):
         ["sun", "no-such-vehicle", "x.csv"],
         ["nonsense"],
         ["sun", "philae"],
-        ["simulate", "philae", "--omega", "1,2", "--sun", "0,0,1", "--duration", "1"],
-        ["simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,2", "--duration", "1"],
-        ["simulate", "philae", "--omega", "0,0,0", "--sun", "0,0,1", "--duration", "1e30"],
-        ["scan", "philae", "missing.csv", "--omega-x", "0:1:1e-12"],
+        ["simulate", "philae", "--omega-deg-s", "60,120", "--sun", "0,0,1", "--duration", "1"],
+        ["simulate", "philae", "--omega-deg-s", "0,0,0", "--sun", "0,0,2", "--duration", "1"],
+        ["simulate", "philae", "--omega-deg-s", "0,0,0", "--sun", "0,0,1", "--duration", "1e30"],
+        ["scan", "philae", "missing.csv", "--omega-x-deg-s", "0:60:1e-10"],
         ["reproduce", "--workers", "0"],
         ["reproduce", "--telemetry", "missing.csv", "--out", "never"],
     ],

@@ -19,7 +19,7 @@ from sunspin.cli import values
 from sunspin.cli.common import COMMANDS
 from sunspin.output.folder import results_folder
 
-START = ["--omega=0.1,0,0", "--sun=0.1959,0.5690,0.7986"]
+START = ["--omega-deg-s=6,0,0", "--sun=0.1959,0.5690,0.7986"]
 
 
 @pytest.fixture
@@ -58,8 +58,8 @@ def refused(outcome, *words):
             r"takes a number \(found nothing\); for example --prior inertia=0.1",
         ),
         (
-            lambda: values.observation("gyro", "0,1,2", 3),
-            r"5 numbers .*\(found 0,1,2\); for example --gyro 0.1,0,-0.2,1,0.5",
+            lambda: values.observation("gyro", "0,1,2"),
+            r"5 numbers .*\(found 0,1,2\); for example --gyro-deg-s 0.1,0,-0.2,1,0.5",
         ),
     ],
 )
@@ -319,8 +319,12 @@ def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
 
 
 def test_a_grid_without_its_step_is_told_its_form(sunspin):
-    told = sunspin("scan", "philae", "philae", "--omega-x=0:1")
-    refused(told, "--omega-x must be low:high:step in rad/s (found 0:1)", "--omega-x=-0.1:0.1:0.02")
+    told = sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60")
+    refused(
+        told,
+        "--omega-x-deg-s must be low:high:step in deg/s (found 0:60)",
+        "--omega-x-deg-s=-6:6:1",
+    )
 
 
 def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):

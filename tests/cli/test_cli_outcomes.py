@@ -52,7 +52,7 @@ def test_the_collision_against_the_trajectory():
 
 def test_a_vehicle_without_legs_and_hull(tmp_path):
     sunspin("init", tmp_path / "mine")
-    given = ("--omega", "0.1,0,0.2", "--sun", "0,0,1", "--after", 100, "--runs", 20)
+    given = ("--omega-deg-s", "6,0,12", "--sun", "0,0,1", "--after", 100, "--runs", 20)
     done = sunspin(
         "outcomes",
         tmp_path / "mine" / "vehicle.toml",
@@ -87,8 +87,8 @@ def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_to
     """No rate before or after a collision that there is not, no panel that touches."""
     (tmp_path / "lander.toml").write_text(LANDER)
     given = (
-        "--omega",
-        "0.05,0,0.1",
+        "--omega-deg-s",
+        "3,0,6",
         "--sun",
         "0,0,1",
         "--after",
@@ -115,9 +115,9 @@ def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_to
         (["philae", "--strategy", "sometimes"], "no wheel strategy of this name"),
         (["philae", "--scan", "nowhere.nc"], "there is no such file"),
         (["philae", "--vertical", "1,2"], "--vertical takes"),
-        (["philae", "--omega", "1,2"], "--omega takes 3 numbers"),
+        (["philae", "--omega-deg-s", "60,120"], "--omega-deg-s takes 3 numbers"),
         (["philae", "--after", "-5"], "after_s must be positive"),
-        (["skcube", "--omega", "0,0,1"], "--sun is missing"),
+        (["skcube", "--omega-deg-s", "0,0,60"], "--sun is missing"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, text, tmp_path):
@@ -177,7 +177,7 @@ def test_times_of_another_vehicle_come_from_its_timeline(tmp_path):
         + event.format("second_touchdown", 5)
     )
     (tmp_path / "mine" / "timeline.toml").write_text(text, "utf-8")
-    given = ("--omega", "0.1,0,0.2", "--sun", "0,0,1", "--runs", 20, "--collision-speed", 0)
+    given = ("--omega-deg-s", "6,0,12", "--sun", "0,0,1", "--runs", 20, "--collision-speed", 0)
     sunspin("outcomes", tmp_path / "mine" / "vehicle.toml", *given, "--out", tmp_path / "out")
     with xr.open_dataset(tmp_path / "out" / "outcomes-off.nc", engine="h5netcdf") as runs:
         assert json.loads(runs.attrs["scenario"])["after_s"] == pytest.approx(240.0, abs=1e-9)

@@ -16,6 +16,13 @@ NEEDED = {
     "--noise": ("rates",),
     "--no-wirings": ("rates",),
     "--printed-lines": ("outcomes",),
+    "--omega": ("simulate", "outcomes"),
+    "--omega-x": ("scan",),
+    "--omega-y": ("scan",),
+    "--omega-z": ("scan",),
+    "--rate": ("posterior",),
+    "--gyro": ("posterior",),
+    "--max-rate": ("rates",),
 }
 """Option -> commands that had it."""
 

@@ -21,9 +21,9 @@ ELSEWHERE = {
 }
 SMALLER = {
     "--runs": "100",
-    "--omega-x": "-0.1:0.1:0.1",
-    "--omega-y": "-0.1:0.1:0.1",
-    "--omega-z": "-0.1:0.1:0.1",
+    "--omega-x-deg-s": "-6:6:6",
+    "--omega-y-deg-s": "-6:6:6",
+    "--omega-z-deg-s": "-6:6:6",
 }
 """Options that say how much is computed, and what stands in their place when an example is run: the same lines are printed."""
 

@@ -72,7 +72,7 @@ def test_every_command_on_another_satellite(maker, tmp_path):
     assert "samples" in fine(sunspin("check", *files))
     fine(sunspin("sun", *files, "--out", tmp_path / "sun"))
     about = json.loads(
-        fine(sunspin("rates", *files, "--max-rate", 5, "--json", "--out", tmp_path / "rates"))
+        fine(sunspin("rates", *files, "--max-rate-deg-s", 5, "--json", "--out", tmp_path / "rates"))
     )
     assert sum(about["samples"].values()) == len(craft.truth["time"])
     with xr.open_dataset(tmp_path / "rates" / "rates.nc", engine="h5netcdf") as result:
@@ -147,7 +147,13 @@ def test_corrupted_results_are_refused_by_export(tmp_path):
     craft = satellites.six_faces(tmp_path, np.random.default_rng(0), n=10)
     fine(
         sunspin(
-            "rates", craft.vehicle, craft.telemetry, "--max-rate", 5, "--out", tmp_path / "rates"
+            "rates",
+            craft.vehicle,
+            craft.telemetry,
+            "--max-rate-deg-s",
+            5,
+            "--out",
+            tmp_path / "rates",
         )
     )
     original = (tmp_path / "rates" / "rates.nc").read_bytes()

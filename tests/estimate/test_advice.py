@@ -101,7 +101,7 @@ def test_give_a_smaller_largest_rate():
 
     o, motion = observations(vehicle, data)[0], Motion(Body.of(vehicle), 1e-5, 0.5)
     limit = np.radians(
-        printed(r"faster than ([\d.]+) deg/s, give it as `--max-rate`", slower(finest(o)))
+        printed(r"faster than ([\d.]+) deg/s, give it as `--max-rate-deg-s`", slower(finest(o)))
     )
     assert (
         coarse(o, motion, 1.0) and not coarse(o, motion, limit) and coarse(o, motion, 1.02 * limit)

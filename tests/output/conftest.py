@@ -125,8 +125,8 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
         data = str(vehicle), str(telemetry)
         sunspin("sun", *data, "--out", str(root / "sun"))
-        sunspin("rates", *data, "--max-rate", "5", "--out", str(root / "rates"))
-        grid = [f"--omega-{axis}=-0.1:0.1:0.05" for axis in "xyz"]
+        sunspin("rates", *data, "--max-rate-deg-s", "5", "--out", str(root / "rates"))
+        grid = [f"--omega-{axis}-deg-s=-6:6:3" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
         known = [
             f"--prior={key}=0" for key in ("inertia", "friction", "wheel_speed", "steady_torque")
@@ -140,7 +140,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             "--out",
             str(root / "posterior"),
         )
-        motion = "--omega", "0.02,-0.03,0.05", "--sun", "0.5,0.4,0.768"
+        motion = "--omega-deg-s", "1.146,-1.719,2.865", "--sun", "0.5,0.4,0.768"
         sunspin(
             "simulate", str(vehicle), *motion, "--duration", "300", "--out", str(root / "simulate")
         )

@@ -129,9 +129,9 @@ def test_a_scan_takes_a_calibrated_threshold():
         str(CASE.folder / "telemetry.csv"),
         "--from=25200",
         "--to=27899",
-        "--omega-x=-0.3:0.3:0.3",
-        "--omega-y=-0.3:0.3:0.3",
-        "--omega-z=0:0.2:0.2",
+        "--omega-x-deg-s=-18:18:18",
+        "--omega-y-deg-s=-18:18:18",
+        "--omega-z-deg-s=0:12:12",
         "--lines=0",
         "--json",
     ]

@@ -19,7 +19,7 @@ from validation.corrupt import Corrupt
 from validation.fuzz import Fuzz
 from validation.hostile import TABLE_BOMBS
 
-START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
+START = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
 
 
 @pytest.fixture
@@ -174,9 +174,11 @@ def test_devices_and_pipes_are_no_files(command, home):
 
 def test_grids_by_typo_are_refused_with_an_estimate(home):
     files = "scan", "vehicle.toml", "telemetry.csv", "--to=160"
-    huge = [f"--omega-{x}=-0.5:0.5:0.0001" for x in "xyz"]
+    huge = [f"--omega-{x}-deg-s=-30:30:0.006" for x in "xyz"]
     assert "2.8e+04 h of one core and 3e+04 GB" in refused(*files, *huge)
-    refused(*files, "--omega-x=0:1:1e-12", words=["h of one core", "GB of memory", "larger step"])
+    refused(
+        *files, "--omega-x-deg-s=0:60:1e-10", words=["h of one core", "GB of memory", "larger step"]
+    )
     refused(
         "simulate",
         "philae",
@@ -196,7 +198,7 @@ def test_grids_by_typo_are_refused_with_an_estimate(home):
     refused(
         "simulate",
         "philae",
-        "--omega=1e5,0,0",
+        "--omega-deg-s=6e6,0,0",
         "--sun=0,0.6,0.8",
         "--duration=1e4",
         "--step=1e3",
@@ -211,9 +213,23 @@ def test_results_that_no_machine_holds_are_refused_with_an_estimate():
         ensemble(Waves(n_rows=10**13))
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "1e308", "1e-308"])
+def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
+    refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "number"])
+    refused(
+        "simulate",
+        "philae",
+        f"--omega-deg-s=0,{value},0",
+        START[1],
+        "--duration=1",
+        words=["--omega-deg-s"],
+    )
+    refused("sun", "vehicle.toml", "telemetry.csv", f"--noise={value}", words=["--noise"])
+
+
 def test_a_lead_of_ages_is_a_sentence(home):
     """Back in time friction makes a wheel faster without bound."""
-    given = ["--omega=0,0,1", START[1], "--after=1", "--collision-speed=0", "--runs=4"]
+    given = ["--omega-deg-s=0,0,60", START[1], "--after=1", "--collision-speed=0", "--runs=4"]
     refused("outcomes", "vehicle.toml", *given, "--lead=1e20", words=["steps", "unit"])
 
 
@@ -222,9 +238,9 @@ def test_too_many_turns_between_samples_are_refused(home):
         "rates",
         "vehicle.toml",
         "telemetry.csv",
-        "--max-rate=1e6",
+        "--max-rate-deg-s=1e6",
         "--acceleration-noise=1e-4",
-        words=["whole turns", "--max-rate"],
+        words=["whole turns", "--max-rate-deg-s"],
     )
 
 

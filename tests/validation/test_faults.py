@@ -14,7 +14,7 @@ from sources import nodes_if
 from sunspin.output.folder import results_folder, write_whole
 from validation.kill import environment, is_whole, same
 
-START = ["--omega=0.1,0,0", "--sun=0,0.6,0.8"]
+START = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]
 SOURCES = Path(__file__).parents[2] / "src"
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from dataclasses import replace
 
 import click
 
 from sunspin.base.errors import OutputError, sentence
-from sunspin.cli.common import claim, data_option, deliver, on_terminal, output_options, read_both
-from sunspin.cli.orbit import orbit_options
+from sunspin.cli.common import PATH, read_both, shared
 
 COPY = "calibrated.toml"
 """The vehicle's copy in a results folder."""
@@ -18,16 +17,15 @@ COPY = "calibrated.toml"
 @click.command("calibrate-sensors")
 @click.argument("vehicle")
 @click.argument("telemetry")
-@output_options(out=False)
-@data_option
-@orbit_options
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    "target",
+    type=PATH,
     help="The calibrated copy of the vehicle file (FILE.toml), or a results "
     "folder for it; neither may have one yet.",
 )
-def calibrate_sensors(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma, out) -> None:
+@shared("--data", "--tle", "--tle-shift-sigma", out=False)
+def calibrate_sensors(vehicle, telemetry, target, data, elements, shift_sigma, output) -> None:
     """Calibrate panels, Sun sensors, magnetometer and gyro by the telemetry itself, and write a copy of the vehicle file.
 
     Gains of panels come from how bright samples in full Sun are. With orbital elements the strength of the field and its angle to
@@ -48,18 +46,18 @@ def calibrate_sensors(vehicle, telemetry, as_json, quiet, data, elements, shift_
 
     craft, samples = read_both(vehicle, telemetry, data)
     orbit = orbit_of(craft, samples, elements, shift_sigma)
-    copy = None if out is None else out if out.suffix == ".toml" else out / COPY
+    copy = None if target is None else target if target.suffix == ".toml" else target / COPY
     if copy is not None and os.path.lexists(copy):
         raise OutputError(
             sentence("this file is there already", do="choose another --out", where=str(copy))
         )
-    folder = out if copy != out else None
-    claim(folder, "calibrate-sensors")
-    result = run(craft, samples, orbit, progress=on_terminal(quiet))
+    output = replace(output, folder=target if copy != target else None)
+    output.claim()
+    result = run(craft, samples, orbit, progress=output.progress)
     lines = []
     if copy is not None:
         text = rewritten(vehicle_text(vehicle), new_values(result))
         parse_vehicle(text, str(copy))  # what is written can be read
         write_whole(copy, lambda part: part.write_text(text, "utf-8"))
         lines = [f"Calibrated copy: {copy}"]
-    deliver(result, folder, as_json, quiet, vehicle, samples, lines=lines, main=COPY)
+    output.deliver(result, vehicle, samples, lines=lines, main=COPY)

@@ -5,17 +5,14 @@ from __future__ import annotations
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import data_option, find_telemetry, output_options, report
-from sunspin.cli.orbit import orbit_options
+from sunspin.cli.common import find_telemetry, shared
 
 
 @click.command()
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
-@output_options(out=False)
-@data_option
-@orbit_options
-def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> None:
+@shared("--data", "--tle", "--tle-shift-sigma", out=False)
+def check(vehicle, telemetry, data, elements, shift_sigma, output) -> None:
     """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
 
     With orbital elements, say too whether the telemetry was taken in that orbit: whether strength of the field, its angle to the
@@ -41,4 +38,4 @@ def check(vehicle, telemetry, as_json, quiet, data, elements, shift_sigma) -> No
         summary, lines = summary | about, lines + more
     elif elements is not None:
         raise InputError(sentence("elements are compared with telemetry", do="give TELEMETRY too"))
-    report(summary, lines, as_json, quiet)
+    output.report(summary, lines)

@@ -7,8 +7,9 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +19,7 @@ import click
 
 from sunspin.base.errors import InputError, printable, sentence
 from sunspin.cli import gone
-from sunspin.cli.values import sensible, strict
+from sunspin.cli.values import Numbers, strict
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -99,7 +100,6 @@ class Group(click.Group):
             one for one in found if isinstance(one, click.Command) and one.name == cmd_name
         )
         for parameter in command.params:
-            parameter.callback = parameter.callback or sensible
             parameter.type = strict(parameter.type)
         return command
 
@@ -124,70 +124,177 @@ class Group(click.Group):
             raise
 
 
-def output_options(default: str | None = None, out: bool = True) -> Callable:
-    """--json, --quiet and, where a command writes results, --out."""
+@dataclass(frozen=True)
+class Output:
+    """--out, --json and --quiet of a command: where its result goes and how it is printed."""
 
-    def decorate(command: Callable) -> Callable:
-        command = click.option("--quiet", is_flag=True, help="Print nothing but errors.")(command)
-        command = click.option(
-            "--json", "as_json", is_flag=True, help="Print the summary as JSON."
-        )(command)
-        if not out:
-            return command
-        return click.option(
-            "--out",
-            type=click.Path(path_type=Path),
-            default=default,
-            show_default=default is not None,
-            help="Results folder; made if needed.",
-        )(command)
+    command: str
+    folder: Path | None
+    as_json: bool
+    quiet: bool
 
-    return decorate
+    @property
+    def progress(self) -> bool:
+        """Whether to show a progress bar."""
+        return not self.quiet and os.isatty(2)
+
+    def claim(self) -> None:
+        """Refuse a results folder before the work, not after it."""
+        if self.folder is not None:
+            from sunspin.output.folder import results_folder
+
+            results_folder(self.folder, self.command)
+
+    def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
+        """Print the summary as JSON, or the lines for a person."""
+        if self.as_json:
+            from sunspin.output.folder import plain
+
+            text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
+            # half characters of file names become escapes
+            click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))
+        elif not self.quiet:
+            for line in lines:
+                indent = line[: len(line) - len(line.lstrip(" "))]
+                click.echo(line if line.isprintable() else indent + printable(line))
+
+    def deliver(
+        self,
+        result: Any,
+        vehicle: Any = None,
+        telemetry: Any = None,
+        also: Mapping[str, Any] | None = None,
+        lines: Sequence[str] = (),
+        main: str = "",
+    ) -> None:
+        """Save a result where a folder is given, and print its summary; `also` and `lines`: more of it; `main`: its file."""
+        import_module("sunspin.output.result")
+        summary = result.sunspin.summary()
+        lines_shown = [*summary.lines, *lines, *summary.notes]
+        if self.folder is not None:
+            command = shlex.join(["sunspin", *sys.argv[1:]])
+            inputs = {"vehicle": vehicle, "telemetry": telemetry, "command": command}
+            folder = result.sunspin.save(self.folder, **inputs, also=also, lines=lines)
+            lines_shown += [
+                f"Results: {folder / main}",
+                f"A page to look into it: sunspin report {folder}",
+            ]
+        self.report({**summary, **(also or {})}, lines_shown)
 
 
-def data_option(command: Callable) -> Callable:
-    return click.option(
+PATH = click.Path(path_type=Path)
+POSITIVE = click.FloatRange(0, min_open=True)
+
+SHARED = {
+    "--from": click.option(
+        "--from",
+        "begin",
+        help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.",
+    ),
+    "--to": click.option("--to", "end", help="Use samples up to this time (same forms as --from)."),
+    "--period": click.option(
+        "--period",
+        "periods",
+        multiple=True,
+        metavar="S+-SIGMA@TIME",
+        help="Rotation period (s) from radio fading or a light curve, for example 13.0+-0.5@15:50: the precession, the spin "
+        "or their sum. Used to weight the solutions. Repeatable.",
+    ),
+    "--tle": click.option(
+        "--tle",
+        "--omm",
+        "--ephemeris",
+        "elements",
+        type=PATH,
+        help="Orbit file: elements as TLE or OMM, or positions as OEM, CSV or SPK. Default: [orbit] of the vehicle file.",
+    ),
+    "--tle-shift-sigma": click.option(
+        "--tle-shift-sigma",
+        "shift_sigma",
+        type=POSITIVE,
+        help="1-sigma along-track uncertainty of the orbit in s. Default: from the age of the elements.",
+    ),
+    "--wheel-speed": click.option(
+        "--wheel-speed",
+        type=Numbers(),
+        metavar="RAD/S,...",
+        help="Wheel speeds (rad/s) at the first instant. Default: wheel.speed_rad_s of the vehicle file.",
+    ),
+    "--wheel-mode": click.option(
+        "--wheel-mode",
+        type=click.Choice(["coast", "hold", "brake"]),
+        default="coast",
+        show_default=True,
+        help="Wheel control: coast (motor off, friction slows it), hold (constant speed) or brake (the vehicle's torque).",
+    ),
+    "--factor": click.option(
+        "--factor",
+        type=click.FloatRange(1, min_open=True),
+        default=1.1,
+        show_default=True,
+        help="Near-minimum factor: motions with less than this times the least EMD.",
+    ),
+    "--store": click.option(
+        "--store",
+        type=PATH,
+        help="Checkpoint folder: the same command resumes from it after an interruption. Other inputs need another folder.",
+    ),
+    "--scheduler": click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
+        'Needs pip install "sunspin[cluster]".',
+    ),
+    "--data": click.option(
         "--data",
         envvar="SUNSPIN_DATA",
-        type=click.Path(path_type=Path),
+        type=PATH,
         help="Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
-    )(command)
-
-
-def wheel_mode_option(
-    about: str = "coast: motor off, friction slows the wheel; hold: the motor keeps its speed; brake: with the "
-    "vehicle's brake torque.",
-) -> Callable:
-    modes = click.Choice(["coast", "hold", "brake"])
-    return click.option("--wheel-mode", type=modes, default="coast", show_default=True, help=about)
-
-
-def factor_option(command: Callable) -> Callable:
-    least = click.FloatRange(1, min_open=True)
-    return click.option(
-        "--factor", type=least, default=1.1, show_default=True, help="Near-minimum factor."
-    )(command)
-
-
-def store_option(
-    about: str = "Folder that keeps what is computed: after a crash, a power cut or Ctrl-C the same command goes on "
-    "where it stopped. Other inputs need another folder.",
-) -> Callable:
-    return click.option("--store", type=click.Path(path_type=Path), help=about)
-
-
-def run_options(command: Callable) -> Callable:
-    """--seed, --workers."""
-    command = click.option(
-        "--workers", type=click.IntRange(1, 4096), help="Threads; default one per core."
-    )(command)
-    return click.option(
+    ),
+    "--seed": click.option(
         "--seed",
         type=click.IntRange(0),
         default=0,
         show_default=True,
         help="Seed of all random choices.",
-    )(command)
+    ),
+    "--workers": click.option(
+        "--workers",
+        type=click.IntRange(1, 4096),
+        help="Computations side by side. Default: one per core. The result does not depend on it.",
+    ),
+}
+"""Options that mean the same in every command that has them."""
+
+
+def shared(*names: str, out: bool | str = True) -> Callable:
+    """The options of `SHARED` with these names, and --out, --json and --quiet, which the command receives as one `output`.
+
+    `out`: the default results folder, False for a command without one.
+    """
+
+    def decorate(function: Callable) -> Callable:
+        @wraps(function)
+        def command(as_json: bool, quiet: bool, out: Path | None = None, **given: Any) -> None:
+            name = click.get_current_context().command.name or ""
+            function(output=Output(name, out, as_json, quiet), **given)
+
+        quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+        as_json = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+        folder = click.option(
+            "--out",
+            type=PATH,
+            default=out if isinstance(out, str) else None,
+            show_default=isinstance(out, str),
+            help="Results folder; made if needed.",
+        )
+        options = [*(SHARED[name] for name in names), *([folder] if out else []), as_json, quiet]
+        decorated: Callable = command
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
 
 
 def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Path:
@@ -243,70 +350,3 @@ def read_both(vehicle: Any, telemetry: str, data: Path | None) -> tuple[Vehicle,
 
     craft = load_vehicle(vehicle)
     return craft, read_telemetry(find_telemetry(telemetry, data), craft)
-
-
-def report(summary: dict[str, Any], lines: list[str], as_json: bool, quiet: bool) -> None:
-    """Print the summary as JSON, or the lines for a person."""
-    if as_json:
-        from sunspin.output.folder import plain
-
-        text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
-        click.echo(
-            text.encode("utf-8", "backslashreplace").decode("utf-8")
-        )  # half characters of file names become escapes
-    elif not quiet:
-        for line in lines:
-            click.echo(
-                line
-                if line.isprintable()
-                else line[: len(line) - len(line.lstrip(" "))] + printable(line)
-            )
-
-
-def claim(out: Path | None, command: str) -> None:
-    """Refuse a results folder before the work, not after it."""
-    if out is not None:
-        from sunspin.output.folder import results_folder
-
-        results_folder(out, command)
-
-
-def deliver(
-    result: Any,
-    out: Path | None,
-    as_json: bool,
-    quiet: bool,
-    vehicle: Any,
-    telemetry: Any = None,
-    also: Mapping[str, Any] | None = None,
-    lines: Sequence[str] = (),
-    main: str = "",
-) -> None:
-    """Save a result where a folder is given, and print what it says of itself; `also` and `lines`: more of it; `main`: its file."""
-    import_module("sunspin.output.result")
-    summary = result.sunspin.summary()
-    told = [*summary.lines, *lines, *summary.notes]
-    if out is not None:
-        command = shlex.join(["sunspin", *sys.argv[1:]])
-        folder = result.sunspin.save(
-            out, vehicle=vehicle, telemetry=telemetry, command=command, also=also, lines=lines
-        )
-        told += [f"Results: {folder / main}", f"A page to look into it: sunspin report {folder}"]
-    report({**summary, **(also or {})}, told, as_json, quiet)
-
-
-def announced(command: str, quiet: bool) -> Callable[[str], None] | None:
-    """What says a line on standard error when work begins; None if `quiet`, or where a terminal shows a progress line."""
-    if quiet or os.isatty(2):
-        return None
-
-    def say(line: str) -> None:
-        with suppress(OSError):  # a log that cannot be written stops no work
-            print(f"sunspin: {command}: {printable(line)}", file=sys.stderr, flush=True)
-
-    return say
-
-
-def on_terminal(quiet: bool) -> bool:
-    """Whether to show a progress bar."""
-    return not quiet and os.isatty(2)

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import claim, deliver, output_options, report
+from sunspin.cli.common import PATH, shared
 
 
 @click.command()
-@click.argument("folder", metavar="A", type=click.Path(path_type=Path))
-@click.argument(
-    "others", metavar="B|KERNELS...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@click.argument("folder", metavar="A", type=PATH)
+@click.argument("others", metavar="B|KERNELS...", nargs=-1, required=True, type=PATH)
 @click.option("--frame", help="With kernels: the body's frame in them, for example ROS_LANDER.")
 @click.option(
     "--base", default="J2000", show_default=True, help="With kernels: an inertial frame of theirs."
 )
 @click.option("--epoch", help="With kernels: UTC of time zero, where the results have none.")
-@output_options()
-def compare(folder, others, frame, base, epoch, out, as_json, quiet) -> None:
+@shared()
+def compare(folder, others, frame, base, epoch, output) -> None:
     """What changed between two results folders of `reproduce`, `rates`, `posterior` or `outcomes`: row by row, against each error.
 
     With SPICE attitude kernels (C-kernel, frames, clock, leap seconds) in the place of B: the rates of A against theirs. With
@@ -36,34 +32,20 @@ def compare(folder, others, frame, base, epoch, out, as_json, quiet) -> None:
         from sunspin.output.compare import compare as run
 
         if frame is not None:
-            raise InputError(
-                sentence(
-                    "--frame belongs to kernels",
-                    got=str(others[0]),
-                    do="leave it out between two folders",
-                )
-            )
-        claim(out, "compare")
-        deliver(run(folder, others[0]), out, as_json, quiet, None, main="comparison.csv")
+            what, do = "--frame belongs to kernels", "leave it out between two folders"
+            raise InputError(sentence(what, got=str(others[0]), do=do))
+        output.claim()
+        output.deliver(run(folder, others[0]), main="comparison.csv")
         return
     if missing := next((other for other in others if not other.exists()), None):
         raise InputError(sentence("there is no such file or folder", where=str(missing)))
-    if out is not None:
-        raise InputError(
-            sentence(
-                "--out is for two results folders",
-                got=str(others[0]),
-                do="leave it out with kernels",
-            )
-        )
+    if output.folder is not None:
+        what, do = "--out is for two results folders", "leave it out with kernels"
+        raise InputError(sentence(what, got=str(others[0]), do=do))
+    if frame is None:
+        do = "name the body's frame in the kernels, or give two results folders"
+        raise InputError(sentence("--frame is missing", do=do))
     from sunspin.output.export.against import against_kernels
 
-    if frame is None:
-        raise InputError(
-            sentence(
-                "--frame is missing",
-                do="name the body's frame in the kernels, or give two results folders",
-            )
-        )
     summary, line = against_kernels(folder, others, frame, base, epoch)
-    report(summary, [line], as_json, quiet)
+    output.report(summary, [line])

@@ -6,13 +6,13 @@ from importlib import resources
 
 import click
 
-from sunspin.cli.common import output_options, report
+from sunspin.cli.common import shared
 
 
 @click.command("compile")
 @click.argument("vehicles", metavar="[VEHICLE]...", nargs=-1)
-@output_options(out=False)
-def compile_kernels(vehicles, as_json, quiet) -> None:
+@shared(out=False)
+def compile_kernels(vehicles, output) -> None:
     """Compile now what scans of these vehicles run, so that the first scan need not wait for it.
 
     A vehicle's kernels take about half a minute and are kept for this machine's kind of processor. Other vehicles with wheels,
@@ -31,9 +31,5 @@ def compile_kernels(vehicles, as_json, quiet) -> None:
         str(resources.files("sunspin").joinpath("template", "vehicle.toml")),
     ]
     folder = compile_for([load_vehicle(name) for name in names])
-    report(
-        {"vehicles": names, "folder": str(folder)},
-        [f"Scans of {len(names)} vehicles are ready: {folder}"],
-        as_json,
-        quiet,
-    )
+    lines = [f"Scans of {len(names)} vehicles are ready: {folder}"]
+    output.report({"vehicles": names, "folder": str(folder)}, lines)

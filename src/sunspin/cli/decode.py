@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from sunspin.cli.common import output_options, report
+from sunspin.cli.common import PATH, Output, shared
 
 
 @click.command()
-@click.argument("raw", type=click.Path(path_type=Path))
+@click.argument("raw", type=PATH)
 @click.option(
     "--decoder",
     type=click.Choice(["skcube"]),
@@ -18,8 +18,8 @@ from sunspin.cli.common import output_options, report
     show_default=True,
     help="Whose frames these are.",
 )
-@output_options(default="skcube")
-def decode(raw: Path, decoder: str, out: Path, as_json: bool, quiet: bool) -> None:
+@shared(out="skcube")
+def decode(raw: Path, decoder: str, output: Output) -> None:
     """Decode raw beacons of skCUBE, a table for each kind of beacon: skcube_adcs.csv, skcube_pwr.csv and so on.
 
     RAW is a folder or zip of frames as the collector publishes them, or an export of frames from SatNOGS DB (CSV or JSON). Beacons
@@ -33,7 +33,7 @@ def decode(raw: Path, decoder: str, out: Path, as_json: bool, quiet: bool) -> No
     from sunspin.telemetry.decoders.skcube import beacons_csv, decode_beacons
 
     beacons = decode_beacons(raw)
-    folder = results_folder(out, "decode")
+    folder = results_folder(output.folder, "decode")
     files: dict[str, str] = {}
     for kind in beacons.rows:
         text, target = beacons_csv(beacons, kind), folder / f"{decoder}_{kind.lower()}.csv"
@@ -43,9 +43,5 @@ def decode(raw: Path, decoder: str, out: Path, as_json: bool, quiet: bool) -> No
     lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in beacons.kinds.items()]
     lines += [f"{n:6d}  not read: {why}" for why, n in beacons.unread.items()]
     attitude = {"attitude_beacons": beacons.kinds.get("ADCS", 0), "file": files.get("ADCS")}
-    report(
-        {"frames": beacons.kinds, "unread": beacons.unread, "files": files, **attitude},
-        lines,
-        as_json,
-        quiet,
-    )
+    summary = {"frames": beacons.kinds, "unread": beacons.unread, "files": files, **attitude}
+    output.report(summary, lines)

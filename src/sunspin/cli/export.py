@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from sunspin.cli.common import output_options, report
+from sunspin.cli.common import PATH, POSITIVE, shared
 
 FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
     "--format",
     "form",
@@ -30,19 +28,19 @@ FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
 )
 @click.option(
     "--step",
-    type=click.FloatRange(0, min_open=True),
+    type=POSITIVE,
     help="Write an attitude every so many s, interpolated along the "
     "motion between the samples; default: at the samples.",
 )
-@output_options(default="export")
-def export(folder, form, frame, epoch, step, out, as_json, quiet) -> None:
+@shared(out="export")
+def export(folder, form, frame, epoch, step, output) -> None:
     """Attitude and rates of a results folder in formats that other tools read.
 
     aem and aem-xml: CCSDS attitude ephemeris message; ck: SPICE kernels (.bc, .tsc, .tf); netcdf: with CF attributes; parquet.
 
     \b
     Example:
-      sunspin simulate philae --omega 0.1,0,0 --sun 0,0,1 --duration 600 --out run
+      sunspin simulate philae --omega-deg-s 6,0,0 --sun 0,0,1 --duration 600 --out run
       sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
     from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
@@ -51,7 +49,7 @@ def export(folder, form, frame, epoch, step, out, as_json, quiet) -> None:
 
     data, source = read_results(folder)
     attitude = attitude_of(data, frame, epoch, step)
-    target = results_folder(out, "export")
+    target = results_folder(output.folder, "export")
     if form == "ck":
         from sunspin.output.export.ck import write_ck
 
@@ -71,4 +69,4 @@ def export(folder, form, frame, epoch, step, out, as_json, quiet) -> None:
     frame = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
     line = f"{counted(samples, 'attitude')} in {counted(segments, 'segment')}, frame {frame}"
     summary = about | {"segments": segments, "files": files}
-    report(summary, [line, *(f"  {path}" for path in files)], as_json, quiet)
+    output.report(summary, [line, *(f"  {path}" for path in files)])

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from sunspin.cli.common import output_options, report
+from sunspin.cli.common import PATH, Output, shared
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@output_options(out=False)
-def init(folder: Path, as_json: bool, quiet: bool) -> None:
+@click.argument("folder", metavar="DIR", type=PATH)
+@shared(out=False)
+def init(folder: Path, output: Output) -> None:
     """Write a commented vehicle.toml and a telemetry.csv to start from. Existing files are never overwritten.
 
     \b
@@ -27,4 +27,4 @@ def init(folder: Path, as_json: bool, quiet: bool) -> None:
         f"Wrote {vehicle} and {telemetry} (synthetic samples).",
         f"Next: sunspin check {vehicle} {telemetry}",
     ]
-    report({"vehicle": str(vehicle), "telemetry": str(telemetry)}, lines, as_json, quiet)
+    output.report({"vehicle": str(vehicle), "telemetry": str(telemetry)}, lines)

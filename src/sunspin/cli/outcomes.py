@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import click
 
 from sunspin.cli.changes import READING, Changeable, opened, set_options
-from sunspin.cli.common import (
-    claim,
-    deliver,
-    factor_option,
-    on_terminal,
-    output_options,
-    run_options,
-    store_option,
-)
-from sunspin.cli.values import numbers
+from sunspin.cli.common import PATH, shared
+from sunspin.cli.values import Numbers
 from sunspin.cli.values import vertical as read_vertical
 
 
@@ -40,20 +29,23 @@ from sunspin.cli.values import vertical as read_vertical
 )
 @click.option(
     "--scan",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="scan.nc of `sunspin scan`: candidates are its near-minimum set.",
 )
-@factor_option
 @click.option(
-    "--omega",
+    "--omega-deg-s",
+    "omega_B",
+    type=Numbers(3, deg_s=True),
+    metavar="X,Y,Z",
     multiple=True,
-    help="A candidate body rate, rad/s (0.1 rad/s: 5.73 deg/s): x,y,z; may be given several times.",
+    help="A candidate body rate, deg/s. Repeatable.",
 )
 @click.option(
-    "--sun", "sun_B", help="Unit vector to the Sun at the candidates' instant, body axes: x,y,z."
-)
-@click.option(
-    "--wheel-speed", help="Wheel speeds then, rad/s, separated by commas; default: the vehicle's."
+    "--sun",
+    "sun_B",
+    type=Numbers(3),
+    metavar="X,Y,Z",
+    help="Unit vector to the Sun at the candidates' instant, body axes.",
 )
 @click.option("--lead", type=float, help="From touchdown to the candidates' instant, s.")
 @click.option("--before", type=float, help="From there to the collision, s.")
@@ -73,24 +65,19 @@ from sunspin.cli.values import vertical as read_vertical
 @click.option(
     "--data",
     envvar="SUNSPIN_DATA",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder with philae_spk/, from which "
     "--condition reads the kernel (or set SUNSPIN_DATA); without it the facts that come with the case are used.",
 )
-@store_option("Folder that keeps what is computed; the same command resumes.")
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://host:8786 or `local`."
-)
 @set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"), idle=READING)
-@output_options()
-@run_options
+@shared("--wheel-speed", "--factor", "--store", "--scheduler", "--seed", "--workers")
 def outcomes(
     vehicle,
     strategies,
     runs,
     scan,
     factor,
-    omega,
+    omega_B,
     sun_B,
     wheel_speed,
     lead,
@@ -104,23 +91,21 @@ def outcomes(
     store,
     scheduler,
     sets,
-    out,
-    as_json,
-    quiet,
     seed,
     workers,
+    output,
     **short,
 ) -> None:
     """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
 
     A built-in case (philae) knows its times, speeds and, as candidates, its published lines. For another vehicle give at
-    least --omega (or --scan), --sun and --after; a timeline.toml beside the vehicle file gives the times as well. With --out,
+    least --omega-deg-s (or --scan), --sun and --after; a timeline.toml beside the vehicle file gives the times as well. With --out,
     writes outcomes-STRATEGY.nc, strategies.nc and figures.
 
     \b
     Examples:
       sunspin outcomes philae --runs 20000 --strategy off --strategy held --out landing
-      sunspin outcomes vehicle.toml --omega 0.1,0,0.2 --sun 0,0,1 --after 600 --collision-speed 0 --runs 1000
+      sunspin outcomes vehicle.toml --omega-deg-s 6,0,12 --sun 0,0,1 --after 600 --collision-speed 0 --runs 1000
     """
     from sunspin.landing.scenario import scenario_of, strategy_of
     from sunspin.landing.strategies import compare, compared
@@ -134,8 +119,8 @@ def outcomes(
         "before_s": before,
         "after_s": after,
         "landing_speed_m_s": landing_speed,
-        "wheel_speed_rad_s": numbers(wheel_speed, "--wheel-speed") if wheel_speed else None,
-        "sun_B": numbers(sun_B, "--sun", 3) if sun_B else None,
+        "wheel_speed_rad_s": wheel_speed,
+        "sun_B": sun_B,
         "vertical": read_vertical(vertical),
         "restitution": assumed.collision.restitution,
         "damper": assumed.collision.damper,
@@ -144,22 +129,21 @@ def outcomes(
     if collision_speed is not None:
         given["collision_speed_m_s"] = collision_speed or None
     scenario = scenario_of(vehicle, craft, given)
-    candidates, whose = starts(craft, [numbers(text, "--omega", 3) for text in omega], scan, factor)
-    claim(out, "outcomes")
-    options: dict[str, Any] = {
-        "workers": workers,
-        "scheduler": scheduler,
-        "progress": on_terminal(quiet),
-    }
-    table, found = compare(craft, candidates, wanted, runs, seed, scenario, store=store, **options)
+    candidates, whose = starts(craft, list(omega_B), scan, factor)
+    output.claim()
+    table, found = compare(
+        craft,
+        candidates,
+        wanted,
+        runs,
+        seed,
+        scenario,
+        store=store,
+        workers=workers,
+        scheduler=scheduler,
+        progress=output.progress,
+    )
     weighted = against_kernel(craft.name, next(iter(found.values())), data) if condition else None
     tree = made.mark(compared(table, found, weighted))
-    deliver(
-        tree,
-        out,
-        as_json,
-        quiet,
-        made.file,
-        also={"candidates_from": whose},
-        lines=[f"Candidates: {whose}"],
-    )
+    about, lines = {"candidates_from": whose}, [f"Candidates: {whose}"]
+    output.deliver(tree, made.file, also=about, lines=lines)

@@ -7,26 +7,8 @@ import logging
 import click
 
 from sunspin.cli.changes import Changeable, opened, say_idle, set_options
-from sunspin.cli.common import (
-    claim,
-    data_option,
-    deliver,
-    find_telemetry,
-    on_terminal,
-    output_options,
-    run_options,
-    store_option,
-    wheel_mode_option,
-)
-from sunspin.cli.values import (
-    field,
-    instants_of,
-    observation,
-    period_option,
-    periods_of,
-    prior,
-    times,
-)
+from sunspin.cli.common import find_telemetry, shared
+from sunspin.cli.values import field, instants_of, observation, periods_of, prior, times
 
 BLOW = ("body.mass_kg", "leg", "collision")
 """What only predictions beyond a collision use."""
@@ -35,12 +17,6 @@ BLOW = ("body.mass_kg", "leg", "collision")
 @click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
-@click.option(
-    "--from",
-    "begin",
-    help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.",
-)
-@click.option("--to", "end", help="Use samples up to this time, likewise.")
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option(
     "--prior",
@@ -51,16 +27,18 @@ BLOW = ("body.mass_kg", "leg", "collision")
     "one may turn the body in this stretch, 300 unless given, 0: none). Repeatable.",
 )
 @click.option(
-    "--rate",
+    "--rate-deg-s",
     "rates",
     multiple=True,
-    help="An angular speed seen otherwise: T,VALUE,SIGMA (s, rad/s). Repeatable.",
+    metavar="T,VALUE,SIGMA",
+    help="Extra observation of the angular speed, in s and deg/s. Repeatable.",
 )
 @click.option(
-    "--gyro",
+    "--gyro-deg-s",
     "gyros",
     multiple=True,
-    help="A body rate seen otherwise: T,X,Y,Z,SIGMA (s, rad/s). Repeatable.",
+    metavar="T,X,Y,Z,SIGMA",
+    help="Extra observation of the body rate, in s and deg/s. Repeatable.",
 )
 @click.option(
     "--field",
@@ -69,13 +47,11 @@ BLOW = ("body.mass_kg", "leg", "collision")
     help="A magnetic direction in the body, and its known angle from the Sun: "
     "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.",
 )
-@wheel_mode_option("What the wheels do in this stretch.")
 @click.option(
     "--predict",
     help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
     "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.",
 )
-@period_option("The draws are weighted by it beside the posterior, with what it decides.")
 @click.option(
     "--draws",
     type=click.IntRange(100, 1_000_000),
@@ -83,11 +59,8 @@ BLOW = ("body.mass_kg", "leg", "collision")
     show_default=True,
     help="Draws in the result.",
 )
-@store_option()
 @set_options("collision", short=("friction", "restitution", "damper"), idle=("hull", "antenna"))
-@output_options()
-@run_options
-@data_option
+@shared("--from", "--to", "--wheel-mode", "--period", "--store", "--seed", "--workers", "--data")
 def posterior(
     vehicle,
     telemetry,
@@ -104,12 +77,10 @@ def posterior(
     draws,
     store,
     sets,
-    out,
-    as_json,
-    quiet,
     seed,
     workers,
     data,
+    output,
     **short,
 ) -> None:
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
@@ -128,21 +99,20 @@ def posterior(
     from sunspin.telemetry.case import timeline_of
     from sunspin.telemetry.reader import read_telemetry
 
-    if quiet:
+    if output.quiet:
         logging.getLogger("sunspin").setLevel(logging.ERROR)
     made = opened(vehicle, sets, short)
     craft = made.craft
     if predict is None:
         say_idle(made.changes, BLOW)
     samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
-    seen = [observation("rate", text, 1) for text in rates] + [
-        observation("gyro", text, 3) for text in gyros
-    ]
+    seen = [observation("rate", text) for text in rates]
+    seen += [observation("gyro", text) for text in gyros]
     seen += [field(text) for text in fields]
     asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
     evidence = periods_of(periods, samples)
     first_s, last_s = instants_of(samples, begin, end)
-    claim(out, "posterior")
+    output.claim()
     tree = run(
         craft,
         samples,
@@ -156,11 +126,11 @@ def posterior(
         draws=draws,
         workers=workers,
         store=store,
-        progress=on_terminal(quiet),
+        progress=output.progress,
         periods=evidence,
     )
     if asked is not None:
         with_predictions(
             craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision, workers
         )
-    deliver(made.mark(tree), out, as_json, quiet, made.file, samples)
+    output.deliver(made.mark(tree), made.file, samples)

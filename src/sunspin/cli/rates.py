@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
+from contextlib import suppress
 
 import click
 
-from sunspin.base.errors import InputError, sentence
-from sunspin.cli.common import (
-    announced,
-    claim,
-    data_option,
-    deliver,
-    on_terminal,
-    output_options,
-    read_both,
-)
-from sunspin.cli.orbit import orbit_options
-from sunspin.cli.values import between, period_option, periods_of
+from sunspin.base.errors import InputError, printable, sentence
+from sunspin.cli.common import POSITIVE, read_both, shared
+from sunspin.cli.values import between, periods_of
 from sunspin.cli.values import effort as effort_given
 from sunspin.vehicle.sensors import VARIABLES
 
@@ -28,29 +21,28 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.command()
 @click.argument("vehicle")
 @click.argument("telemetry")
-@output_options()
-@data_option
 @click.option(
     "--source",
     type=click.Choice(["panels", "sun_sensor"]),
-    help="Where the Sun comes from; default: what is there.",
+    help="Source of the Sun direction. Default: whichever the file contains.",
 )
 @click.option(
-    "--max-rate",
-    type=click.FloatRange(0, min_open=True),
-    help="No rate is faster, deg/s; default: the vehicle's, "
-    "else one and a half turns in the usual interval.",
+    "--max-rate-deg-s",
+    "max_rate",
+    type=POSITIVE,
+    help="Upper limit of the angular speed in deg/s. Default: from the vehicle file, else 1.5 revolutions per sampling "
+    "interval.",
 )
 @click.option(
     "--acceleration-noise",
-    type=click.FloatRange(0, min_open=True),
+    type=POSITIVE,
     help="Angular acceleration noise, rad/s^1.5; default: the "
     "vehicle's, else what the data support best.",
 )
 @click.option(
     "--gap",
-    type=click.FloatRange(0, min_open=True),
-    help="A longer gap parts two passes, s; default: six intervals.",
+    type=POSITIVE,
+    help="Gap in s that starts a new pass. Default: six sampling intervals.",
 )
 @click.option(
     "--pass",
@@ -59,17 +51,10 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     help="Only this pass, numbered from zero as in passes.csv.",
 )
 @click.option(
-    "--from",
-    "begin",
-    help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.",
-)
-@click.option("--to", "end", help="Use samples up to this time, likewise.")
-@click.option(
     "--no-column-tests",
     is_flag=True,
     help="Where a pass does not fit, do not try other columns, axes and signs of panels and sensors.",
 )
-@orbit_options
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
@@ -81,24 +66,15 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "needed. Counted in motions, so that every machine gives the same. A search that was cut short says so and is never decided.",
 )
 @click.option(
-    "--workers",
-    type=click.IntRange(1, 4096),
-    help="Processes that estimate passes side by side; default one per core. The result does not depend on it.",
-)
-@period_option("The motions of its pass are weighted by it, and what it decides is said.")
-@click.option(
     "--without",
     multiple=True,
     type=click.Choice(list(UNUSED)),
     help="Do not use this sensor; repeatable.",
 )
+@shared("--from", "--to", "--tle", "--tle-shift-sigma", "--period", "--workers", "--data")
 def rates(
     vehicle,
     telemetry,
-    out,
-    as_json,
-    quiet,
-    data,
     source,
     max_rate,
     acceleration_noise,
@@ -114,6 +90,8 @@ def rates(
     workers,
     periods,
     without,
+    data,
+    output,
 ) -> None:
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
@@ -144,17 +122,19 @@ def rates(
     whole = begin is None and end is None and not unused
     used = file if whole else assess(craft, between(samples, begin, end).drop_vars(unused))
     evidence = periods_of(periods, samples)
-    claim(out, "rates")
+    output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
-        raise InputError(
-            sentence(
-                "--no-orbit says not to use an orbit, and elements or their shift are given",
-                do="give one",
-            )
-        )
-    say = announced("rates", quiet)
-    if not no_orbit and elements_of(craft, elements, shift_sigma) is not None and say is not None:
-        say(f"{samples.sizes['time']} samples; they judge the elements first")
+        what = "--no-orbit says not to use an orbit, and elements or their shift are given"
+        raise InputError(sentence(what, do="give one"))
+    announce = None
+    if not output.quiet and not output.progress:  # a terminal shows a progress line in its place
+
+        def announce(line: str) -> None:
+            with suppress(OSError):  # a log that cannot be written stops no work
+                print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
+
+        if not no_orbit and elements_of(craft, elements, shift_sigma) is not None:
+            announce(f"{samples.sizes['time']} samples; they judge the elements first")
     known = (None, None, {}, []) if no_orbit else orbit_used(file, elements, shift_sigma)
     orbit, calibration, orbit_summary, orbit_lines = known
     result = run(
@@ -171,7 +151,7 @@ def rates(
         periods=evidence,
         effort=effort,
         workers=worker_count(workers),
-        progress=say or on_terminal(quiet),
+        progress=announce or output.progress,
     )
     from sunspin.output.check.samples import (
         doubts,
@@ -180,6 +160,4 @@ def rates(
     about, lines = doubts(used, vehicle)
     doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
     lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]
-    deliver(
-        result, out, as_json, quiet, vehicle, samples, also=doubted | orbit_summary, lines=lines
-    )
+    output.deliver(result, vehicle, samples, also=doubted | orbit_summary, lines=lines)

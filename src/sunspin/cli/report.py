@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from sunspin.cli.common import output_options, report
+from sunspin.cli.common import PATH, Output, shared
 
 
 @click.command(name="report")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@output_options(out=False)
-def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
+@click.argument("folder", metavar="DIR", type=PATH)
+@shared(out=False)
+def report_page(folder: Path, output: Output) -> None:
     """One page to look into, from a results folder: DIR/report.html, complete in itself, to open from disk or send away.
 
     DIR is the --out of an earlier command.
@@ -26,9 +26,4 @@ def report_page(folder: Path, as_json: bool, quiet: bool) -> None:
 
     target = write_report(folder)
     size = target.stat().st_size
-    report(
-        {"report": str(target), "bytes": size},
-        [f"Report: {target} ({size_text(size)})"],
-        as_json,
-        quiet,
-    )
+    output.report({"report": str(target), "bytes": size}, [f"Report: {target} ({size_text(size)})"])

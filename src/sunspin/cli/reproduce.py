@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from sunspin.cli.changes import SHORT, Changeable, asked, set_options
-from sunspin.cli.common import on_terminal, output_options, report, run_options
+from sunspin.cli.common import PATH, shared
 
 
 @click.command(cls=Changeable)
-@output_options(default="results")
-@run_options
 @click.option(
     "--telemetry",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Panel powers to use in the place of the synthetic ones. Start "
     "from a copy of telemetry.csv in an earlier results folder.",
 )
 @click.option(
     "--vehicle",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Vehicle file of another body with one wheel and legs.",
 )
 @click.option(
@@ -48,19 +44,9 @@ from sunspin.cli.common import on_terminal, output_options, report, run_options
     help="Every n-th grid point only: a quick look.",
 )
 @set_options("study", "collision", short=tuple(SHORT))
+@shared("--seed", "--workers", out="results")
 def reproduce(
-    out: Path,
-    as_json: bool,
-    quiet: bool,
-    seed: int,
-    workers: int | None,
-    telemetry: Path | None,
-    vehicle: Path | None,
-    candidates: str,
-    calibrate: int | None,
-    coarser: int,
-    sets: tuple[str, ...],
-    **short: str | None,
+    telemetry, vehicle, candidates, calibrate, coarser, sets, seed, workers, output, **short
 ) -> None:
     """Run the whole Philae study: every figure and table of the paper beside what this run gives.
 
@@ -76,7 +62,7 @@ def reproduce(
     from sunspin.philae.reproduction import reproduce as run
 
     written = run(
-        out,
+        output.folder,
         telemetry,
         vehicle=vehicle,
         candidates=candidates,
@@ -85,6 +71,6 @@ def reproduce(
         workers=workers,
         coarser=coarser,
         changes=asked(sets, short),
-        progress=on_terminal(quiet),
+        progress=output.progress,
     )
-    report(written.summary, written.lines, as_json, quiet)
+    output.report(written.summary, written.lines)

@@ -5,49 +5,53 @@ from __future__ import annotations
 import click
 
 from sunspin.cli.changes import LANDING, SEEING, Changeable, opened, set_options
-from sunspin.cli.common import claim, deliver, output_options, wheel_mode_option
-from sunspin.cli.values import numbers
+from sunspin.cli.common import POSITIVE, shared
+from sunspin.cli.values import Numbers
 
 
 @click.command(cls=Changeable)
 @click.argument("vehicle")
 @click.option(
-    "--omega", required=True, help="Body rate at the start, rad/s (0.1 rad/s: 5.73 deg/s): x,y,z."
+    "--omega-deg-s",
+    "omega_B",
+    type=Numbers(3, deg_s=True),
+    metavar="X,Y,Z",
+    required=True,
+    help="Body rate at the start, deg/s.",
 )
 @click.option(
-    "--sun", "sun_B", required=True, help="Unit vector to the Sun at the start, body axes: x,y,z."
-)
-@click.option(
-    "--wheel-speed", help="Wheel speeds, rad/s, separated by commas; default: the vehicle's."
+    "--sun",
+    "sun_B",
+    type=Numbers(3),
+    metavar="X,Y,Z",
+    required=True,
+    help="Unit vector to the Sun at the start, body axes.",
 )
 @click.option("--duration", type=float, required=True, help="Length in s; negative runs backward.")
 @click.option(
     "--step",
-    type=click.FloatRange(0, min_open=True),
+    type=POSITIVE,
     default=1.0,
     show_default=True,
     help="Output step in s.",
 )
-@wheel_mode_option()
 @click.option(
     "--stopped-at", type=float, help="When a wheel at rest had stopped, s (to run backward)."
 )
 @set_options(short=("friction",), idle=(*LANDING, *SEEING))
-@output_options()
+@shared("--wheel-speed", "--wheel-mode")
 def simulate(
     vehicle,
-    omega,
+    omega_B,
     sun_B,
-    wheel_speed,
     duration,
     step,
-    wheel_mode,
     stopped_at,
     sets,
     friction,
-    out,
-    as_json,
-    quiet,
+    wheel_speed,
+    wheel_mode,
+    output,
 ) -> None:
     """One trajectory: body rates, the Sun in body axes, wheel speeds, attitude, wheel events.
 
@@ -55,23 +59,18 @@ def simulate(
 
     \b
     Example:
-      sunspin simulate philae --omega 0.1,0,0 --sun 0.1959,0.5690,0.7986 --duration 2760 --out run
+      sunspin simulate philae --omega-deg-s 6,0,0 --sun 0.1959,0.5690,0.7986 --duration 2760 --out run
     """
     from sunspin.dynamics.extent import check_work, output_times
     from sunspin.dynamics.propagate import propagate
 
     made = opened(vehicle, sets, {"friction": friction}, {"wheel_speed": wheel_speed})
     vehicle, craft = made.file, made.craft
-    speeds = (
-        numbers(wheel_speed, "--wheel-speed")
-        if wheel_speed
-        else [wheel.speed_rad_s for wheel in craft.wheels]
-    )
+    speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
     t = output_times(duration, step)
-    start = numbers(omega, "--omega", 3), numbers(sun_B, "--sun", 3)
-    check_work(craft, start[0], speeds, duration)
-    claim(out, "simulate")
+    check_work(craft, omega_B, speeds, duration)
+    output.claim()
     run = propagate(
-        craft, *start, speeds or None, t, wheel_mode=wheel_mode, stopped_at_s=stopped_at
+        craft, omega_B, sun_B, speeds or None, t, wheel_mode=wheel_mode, stopped_at_s=stopped_at
     )
-    deliver(run, out, as_json, quiet, vehicle, main="trajectory.nc")
+    output.deliver(run, vehicle, main="trajectory.nc")

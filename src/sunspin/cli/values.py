@@ -19,26 +19,55 @@ MAX_GRID = 100_000
 
 
 def strict(kind: click.ParamType) -> click.ParamType:
-    """A click type that takes no empty text, which as a path would be the present folder; one of numbers takes what `plain_number`
-    takes and no more of Python's forms."""
-    if "convert" in vars(kind):
-        return kind
-    made, is_number = (
-        copy(kind),
-        isinstance(kind, click.types.FloatParamType | click.types.IntParamType),
-    )
+    """A copy of a click type that refuses empty text, which as a path would be the present folder, forms of numbers that only
+    Python knows, and numbers that are infinite, none, or beyond all measure."""
+    checked, is_float = copy(kind), isinstance(kind, click.types.FloatParamType)
 
     def convert(
         value: Any, parameter: click.Parameter | None, context: click.Context | None
     ) -> Any:
         if isinstance(value, str) and not value.strip():
-            made.fail("the value is empty", parameter, context)
-        if isinstance(value, str) and is_number and math.isnan(plain_number(value)):
-            made.fail(f"{value!r} is not a valid {kind.name}.", parameter, context)
-        return kind.convert(value, parameter, context)
+            checked.fail("the value is empty", parameter, context)
+        if isinstance(value, str) and (is_float or isinstance(kind, click.types.IntParamType)):
+            if math.isnan(plain_number(value)):
+                checked.fail(f"{value!r} is not a valid {kind.name}.", parameter, context)
+        number = type(kind).convert(kind, value, parameter, context)
+        if is_float and parameter is not None:
+            positive = isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open
+            sizes = SIZES.removeprefix("0 or ") if positive else SIZES
+            _check_number(parameter.opts[0], number, sizes)
+        return number
 
-    vars(made).update(convert=convert)
-    return made
+    vars(checked).update(convert=convert)
+    return checked
+
+
+class Numbers(click.ParamType):
+    """Comma-separated numbers of an option, `count` of them if it is given; in rad/s where the option takes deg/s."""
+
+    name = "numbers"
+
+    def __init__(self, count: int | None = None, deg_s: bool = False) -> None:
+        self.count, self.deg_s = count, deg_s
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> list[float]:
+        assert param is not None
+        values = numbers(value, param.opts[0], self.count)
+        return [math.radians(each) for each in values] if self.deg_s else values
+
+
+class Grid(click.ParamType):
+    """low:high:step in deg/s, or values separated by commas, as an array in rad/s."""
+
+    name = "low:high:step"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> np.ndarray:
+        assert param is not None
+        return grid(value, param.opts[0])
 
 
 def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
@@ -52,20 +81,6 @@ def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
                 do="1 is the usual effort",
             )
         )
-    return given
-
-
-def sensible(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
-    """Refuse numbers that are infinite, none, or beyond all measure."""
-    name, kind = parameter.opts[0], parameter.type
-    sizes = (
-        SIZES.removeprefix("0 or ")
-        if isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open
-        else SIZES
-    )
-    for value in given if isinstance(given, tuple) else (given,):
-        if isinstance(value, float):
-            _check_number(name, value, sizes)
     return given
 
 
@@ -101,34 +116,25 @@ def numbers(text: str | None, name: str, count: int | None = None, form: str = "
 
 
 def grid(text: str, name: str) -> np.ndarray:
-    """low:high:step, or values separated by commas."""
+    """low:high:step in deg/s, or values separated by commas; the result is in rad/s."""
     import numpy as np
 
     from sunspin.estimate.scan.volume import check_size
 
     if ":" not in text:
-        return np.array(numbers(text, name))
-    parts, do = (
-        text.split(":"),
-        f"for example {name}=-0.1:0.1:0.02, which is 5.73 deg/s to each side",
-    )
-    if len(parts) != 3:
-        raise InputError(sentence(f"{name} must be low:high:step in rad/s", got=text, do=do))
-    low, high, step = numbers(",".join(parts), name, 3)
+        return np.radians(numbers(text, name))
+    parts, do = text.split(":"), f"for example {name}=-6:6:1"
+    low, high, step = numbers(",".join(parts), name, 3) if len(parts) == 3 else (0, 0, 0)
     count = (high - low) / step + 1 if step > 0 and high >= low else math.nan
     if not math.isfinite(count):
-        what = f"{name} must be low:high:step in rad/s, low to high and with a positive step"
+        what = f"{name} must be low:high:step in deg/s, low to high and with a positive step"
         raise InputError(sentence(what, got=text, do=do))
     if count > MAX_GRID:
         check_size(count, 1, 1)
-        raise InputError(
-            sentence(
-                f"{name} has {count:.3g} values, more than {MAX_GRID}",
-                got=text,
-                do="use a larger step",
-            )
-        )
-    return np.linspace(low, low + step * round((high - low) / step), round((high - low) / step) + 1)
+        what = f"{name} has {count:.3g} values, more than {MAX_GRID}"
+        raise InputError(sentence(what, got=text, do="use a larger step"))
+    steps = round((high - low) / step)
+    return np.radians(np.linspace(low, low + step * steps, steps + 1))
 
 
 def vertical(text: str | None) -> Any:
@@ -151,10 +157,11 @@ def prior(text: str) -> tuple[str, float]:
     return key.strip(), numbers(value, f"--prior {key.strip()}", 1)[0]
 
 
-def observation(kind: str, text: str, count: int) -> dict[str, Any]:
-    """T,VALUES,SIGMA of something seen otherwise."""
-    t, *value, sigma = numbers(text, f"--{kind}", count + 2)
-    return {"kind": kind, "t_s": t, "value": value, "sigma": sigma}
+def observation(kind: str, text: str) -> dict[str, Any]:
+    """T,VALUE,SIGMA of an angular speed or T,X,Y,Z,SIGMA of a body rate, in deg/s; the result is in rad/s."""
+    t, *value, sigma = numbers(text, f"--{kind}-deg-s", {"rate": 3, "gyro": 5}[kind])
+    value = [math.radians(each) for each in value]
+    return {"kind": kind, "t_s": t, "value": value, "sigma": math.radians(sigma)}
 
 
 def field(text: str) -> dict[str, Any]:
@@ -179,18 +186,6 @@ def period(text: str, epoch_utc: str | None) -> Any:
         )
     return Period(
         next(iter(times(when, epoch_utc, "--period"))), *numbers(f"{value},{sigma}", "--period", 2)
-    )
-
-
-def period_option(what: str) -> Any:
-    """--period of a command, with what it does there."""
-    return click.option(
-        "--period",
-        "periods",
-        multiple=True,
-        metavar="S+-SIGMA@TIME",
-        help="A period seen from outside, such as 13.0+-0.5@15:50 "
-        f"(s; UTC or s from the epoch): of the precession, the spin or their sum. {what} Repeatable.",
     )
 
 

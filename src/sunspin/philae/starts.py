@@ -25,7 +25,7 @@ def starts(
     """
     if scan is not None and omega:
         raise InputError(
-            sentence("candidates come from --scan or from --omega", do="give one of them")
+            sentence("candidates come from --scan or from --omega-deg-s", do="give one of them")
         )
     if omega:
         return np.array(omega), "as given"
@@ -54,14 +54,16 @@ def _printed(craft: Vehicle) -> tuple[np.ndarray, str]:
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "line_L1" not in case.published:
         raise InputError(
-            sentence("no candidate motions are given", do="give --omega x,y,z or --scan scan.nc")
+            sentence(
+                "no candidate motions are given", do="give --omega-deg-s x,y,z or --scan scan.nc"
+            )
         )
     if not moves_and_sees_alike(craft, case.vehicle):
         raise InputError(
             sentence(
                 "the printed lines were found for another body, wheel or panels than these",
                 got=_told(craft.said),
-                do="scan these with the same --set and give --scan scan.nc, or give --omega",
+                do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
             )
         )
     return published_candidates(case), "the lines that the paper prints"

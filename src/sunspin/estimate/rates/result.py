@@ -195,7 +195,7 @@ def slower(limit_rad_s: float) -> str:
     """What to do where the search is fine enough up to `limit_rad_s` only, which is given in three figures, rounded down."""
     limit = np.degrees(limit_rad_s)
     figure = 10.0 ** (np.floor(np.log10(limit)) - 2)
-    return f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as `--max-rate`"
+    return f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as `--max-rate-deg-s`"
 
 
 def cures(

@@ -109,7 +109,7 @@ def first_tracks(
             sentence(
                 "too many whole turns fit between two samples to try them all",
                 got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
-                do="give a smaller --max-rate (max_rate_rad_s)",
+                do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
             )
         )
     suns, rates, apart = starts(o, index, motion, rate_max, trust)
@@ -349,7 +349,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
             sentence(
                 "no rate up to the largest allowed takes the Sun from one sample to the next",
                 got=f"largest rate {rate_max:.4g} rad/s",
-                do="raise --max-rate, or check the times and the directions",
+                do="raise --max-rate-deg-s, or check the times and the directions",
             )
         )
     track = distinct(joined(tracks), o.t_s)
