@@ -92,7 +92,7 @@ def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkey
     low, _, high = believed(_found(), few, 0.1, False, "").speed[0]
     assert high - low > 0.5 * sigmas(few["solutions"]).min()
     assert "which is rough: few draws have weight" in str(posterior_summary(few))
-    assert "+- (" in str(posterior_summary(tree)) and "rough" not in str(posterior_summary(tree))
+    assert " ± " in str(posterior_summary(tree)) and "rough" not in str(posterior_summary(tree))
 
 
 @pytest.mark.parametrize(("most", "rounds"), [(1.0, 2), (1e12, 5)])
