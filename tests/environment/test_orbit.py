@@ -318,7 +318,7 @@ def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
     )
     change = (pulled["momentum_B"] - calm["momentum_B"]).values[1]
     assert 0.2 < np.linalg.norm(change) / (300 * np.linalg.norm(torque)) < 1.5
-    local = SunAlongZ.of(orbit)
+    local = SunAlongZ(orbit)
     np.testing.assert_allclose(local.at(0.0).sun_N[0], [0, 0, 1], atol=1e-12)
     there, turned = orbit.at(t), local.at(t)
     for name in ("field_N", "nadir_N", "albedo_light_N", "nadir_turn_N"):

@@ -181,15 +181,10 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
         line, at = line.strip(), f"{where}, line {number}"
         if not line or line.startswith("#"):
             continue
-        if first is None and line.startswith("2 ") and len(line) > 60:
-            raise InputError(
-                sentence(
-                    "line 2 of the elements comes before line 1",
-                    do="exchange the two lines",
-                    where=at,
-                )
-            )
-        if first is None and line.startswith("1 ") and len(line) > 60:
+        if first is None and line.startswith(("1 ", "2 ")):
+            if line[0] == "2" and len(line) > 60:
+                what = "line 2 of the elements comes before line 1"
+                raise InputError(sentence(what, do="exchange the two lines", where=at))
             first = _checked(line, LINE_1, at)
         elif first is not None:
             if not line.startswith("2 "):
@@ -198,15 +193,6 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
                 )
             yield _from_lines(first, _checked(line, LINE_2, at), name, at)
             name, first = "", None
-        elif line.startswith(("1 ", "2 ")):
-            raise InputError(
-                sentence(
-                    "a line of elements has 69 characters",
-                    got=f"{len(line)}",
-                    do="copy it whole",
-                    where=at,
-                )
-            )
         else:
             name = line.removeprefix("0 ").strip()[:100]
     if first is not None:

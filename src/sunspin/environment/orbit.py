@@ -205,10 +205,6 @@ class SunAlongZ:
     orbit: Orbit
     frame_N: str = SUN_Z_LOCAL
 
-    @classmethod
-    def of(cls, orbit: Orbit) -> SunAlongZ:
-        return cls(orbit)
-
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
         here = self.orbit.at(t_s)
         matrix = _along_z(here.sun_N)
