@@ -216,4 +216,14 @@ def rates_tables(result: Any) -> Iterator[Table]:
     )
     comment = f"time_s from {epoch}; best motion of each pass; body axes; N: {frame}"
     yield passes_table(result)
+    if result.sizes.get("estimate"):
+        frame = (
+            result[["estimate_value", "estimate_sigma", "estimate_unit"]]
+            .to_dataframe()
+            .reset_index()
+            .dropna()
+        )
+        shown = {"pass_id": "pass", "estimate": "estimate", "estimate_value": "value"}
+        shown |= {"estimate_sigma": "±", "estimate_unit": "unit"}
+        yield Table("estimates", frame, "Estimated with the motion", shown)
     yield Table("rates", pd.DataFrame(columns), comment=comment)
