@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.output.kind import Context, Drawing, Summary, Table, synthetic_note
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
@@ -149,6 +149,16 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         f"Body rate of the likeliest motion of each pass, body axes; bands: one sigma of that motion. {_decided(result)}"
         + synthetic_note(result),
     )
+    if result.attrs.get("frame_N") == J2000 and "turn_sigma_rad" in result:
+        from sunspin.output.figures.rates import attitude_figure
+
+        yield Drawing(
+            "attitude",
+            lambda: attitude_figure(result),
+            "The four components of the attitude quaternion against time in each pass.",
+            "Attitude of the likeliest solution of each pass: rotation from J2000 to body axes, scalar last (w). Above each pass "
+            "the root mean square of the angle by which it may be off." + synthetic_note(result),
+        )
     if "residual" in result:
         from sunspin.output.figures.residuals import residuals_figure
 
