@@ -18,7 +18,7 @@ def test_the_true_motion_of_a_fast_tumble_is_found_and_another_is_not():
         1.0, np.random.default_rng(np.random.SeedSequence(11, spawn_key=(0,)))
     )
     result = ss.rates(vehicle, data)
-    assert np.nansum(result["weight"].values[0][near(result, run)]) > DECIDED
+    assert np.nansum(result["probability"].values[0][near(result, run)]) > DECIDED
     assert result["cost"].values[0, 0] <= result["cost_limit"].values[0]
     other = twin(1.0, np.random.default_rng(4))[2].assign_coords(time=run["time"])
     assert not near(result, other).any()

@@ -12,12 +12,14 @@ import xarray as xr
 
 import sunspin as ss
 from cubes import FACES
+from sunspin.environment.frames import J2000
 from sunspin.output.curves import dense
 from sunspin.output.figures import save
-from sunspin.output.figures.rates import rates_figure, sources
+from sunspin.output.figures.rates import attitude_figure, rates_figure, sources
 from sunspin.output.figures.residuals import residuals_figure
 from sunspin.output.figures.time_axis import passes_together
-from sunspin.output.kinds.rates import rate_at
+from sunspin.output.kind import Context
+from sunspin.output.kinds.rates import rate_at, rates_drawings
 from sunspin.output.kinds.telemetry import sun_directions_figure
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
@@ -43,15 +45,13 @@ def tumble(
     power = ss.panel_power(CUBE, run["sun_B"].values)
     power = power + noise * np.random.default_rng(seed).normal(size=power.shape)
     samples = telemetry_dataset(CUBE, t, power, run["sun_B"].values, "2026-01-01T00:00:00Z", {})
+    covariance = np.tile(np.diag([1e-8, 4e-8, 9e-8]), (n, 1, 1))
     result = xr.Dataset(
         {
             "omega_B": run["omega_B"],
             "sun_B": run["sun_B"],
             "pass_of": ("time", np.zeros(n, dtype=int)),
-            "omega_cov_B": (
-                ("time", "axis", "axis2"),
-                np.tile(np.diag([1e-8, 4e-8, 9e-8]), (n, 1, 1)),
-            ),
+            "omega_cov_B": (("time", "axis", "axis2"), covariance),
             "omega_sigma_all_B": (("pass_id", "axis"), [[3e-4, 1e-4, 1e-4]]),
             "probability": (("pass_id", "solution"), [[1.0]]),
             "omega_sigma_B": (("pass_id", "solution", "axis"), [[[1e-4, 1e-4, 1e-4]]]),
@@ -158,6 +158,16 @@ def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
     assert dense(result.drop_vars("curve_pass_of")) == []
 
 
+def test_the_attitude_is_drawn_where_an_orbit_gives_it():
+    result = with_curve(tumble(20, 30.0)[0]).assign(decided=("pass_id", [True]))
+    sigmas = {f"{name}_sigma_rad": ("time", np.full(20, 0.03)) for name in ("sun", "turn")}
+    known = result.assign(sigmas).assign_attrs(frame_N=J2000)
+    drawn, others = ([x.name for x in rates_drawings(one, Context())] for one in (known, result))
+    assert "attitude" in drawn and "attitude" not in others
+    axes = attitude_figure(known).axes[0]
+    assert axes.get_title().endswith("one sigma 2.4 deg") and len(axes.lines) == 4
+
+
 @pytest.mark.parametrize("passes", [2, 5, 30])
 def test_passes_far_apart_stand_side_by_side(passes):
     one = np.arange(0.0, 600.0, 30.0)
@@ -181,10 +191,8 @@ def test_passes_far_apart_stand_side_by_side(passes):
 
 
 def test_values_are_told_in_words():
-    assert (
-        number_text([[2], [2, 3]]) == "((2); (2, 3))"
-        and number_text([["2"], ["2", "3"]]) == "2; 2-3"
-    )
+    assert number_text([[2], [2, 3]]) == "((2); (2, 3))"
+    assert number_text([["2"], ["2", "3"]]) == "2; 2-3"
     assert number_text(True) == "yes" and number_text([None, False]) == "(none, no)"
 
 

@@ -130,10 +130,8 @@ def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
     assert tree.attrs["kind"] == "posterior" and tree["predictions"].attrs["kind"] == "predictions"
     summary = tree.sunspin.summary()
     printed = json.loads((user_runs["posterior"] / "summary.json").read_text("utf-8"))
-    assert (
-        summary["verdict"] == printed["verdict"]
-        and len(summary["predicted"]) == len(printed["predicted"]) == 20
-    )
+    assert summary["verdict"] == printed["verdict"]
+    assert len(summary["predicted"]) == len(printed["predicted"]) == 20
     for name in ("corner", "search", "predicted"):
         assert isinstance(tree.sunspin.plot(name), Figure)
     found = tree["predictions"].to_dataset()

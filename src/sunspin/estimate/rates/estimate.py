@@ -212,7 +212,8 @@ def rates(
         of the best solution, all solutions counted. What may be believed, and the motions at the sample nearest to the middle: the
         variables of `passes.csv` (:func:`sunspin.estimate.passes.table`); `model`, `model_probability`: the hypothesis of the
         motion (:mod:`sunspin.estimate.rates.alternatives`) and its probability, NaN where the effort left none for others; `misfit`
-        (pass_id, sensor, figure) and `residual` (sensor, time), sigmas, of the best solution.
+        (pass_id, sensor, figure) and `residual` (sensor, time), sigmas, of the best solution;
+        `estimate_value`, `estimate_sigma` (pass_id, estimate): what was estimated with it.
         On `sample`: `why`: what became of each sample of the file. attrs: `verdict`, `source`, the settings; `sensors_late_s`,
         `sensors_late_sigma_s`; `columns_doubt`, where other columns or a sensor left out would make a pass fit.
 

@@ -25,7 +25,7 @@ from sunspin.estimate.rates.hypotheses import Hypothesis
 from sunspin.estimate.rates.images import images_of
 from sunspin.estimate.rates.link import linked
 from sunspin.estimate.rates.noise import settled
-from sunspin.estimate.rates.residuals import Fitted, residuals
+from sunspin.estimate.rates.residuals import Fitted, estimates, residuals
 from sunspin.estimate.rates.search import (
     distinct,
     distinct_index,
@@ -58,7 +58,8 @@ class Pass(NamedTuple):
     """The modes of one pass, best first, with weights that add to one; `index` are all of its samples, `kept` those that the
     smoother has used, on which `cost` is counted. `mean` (K, 3) is the rate averaged over all samples, with `mean_sigma` (K, 3);
     `residual`: by sensor (K, n), see :func:`sunspin.estimate.rates.residuals.residuals`; `model`: the hypothesis that holds most
-    of the weight, and how much of it; `before`: the weights without periods seen from outside, where there are any."""
+    of the weight, and how much of it; `before`: the weights without periods seen from outside, where there are any; `estimates`: of
+    each mode what was estimated with it, see :func:`sunspin.estimate.rates.residuals.estimates`."""
 
     index: np.ndarray
     kept: np.ndarray
@@ -69,6 +70,7 @@ class Pass(NamedTuple):
     residual: dict[str, np.ndarray]
     model: tuple[str, float] = (AS_READ, 1.0)
     before: np.ndarray | None = None
+    estimates: tuple[dict[str, tuple[str, float, float]], ...] = ()
 
     def take(self, order: np.ndarray, weight: np.ndarray) -> Pass:
         """The modes `order` with these weights."""
@@ -88,6 +90,7 @@ class Pass(NamedTuple):
             left,
             self.model,
             before,
+            self.estimates and tuple(self.estimates[k] for k in order),
         )
 
 
@@ -211,14 +214,8 @@ def completed(
     between = Dense.of(one.o, np.arange(len(one.o)), one.kept, fit.seen, one.motion)
     track, sigma = with_spread(o, one.motion, between.mean_map(), fit, one.clock)
     whole = between.filled(replace(track, attitude=fit.seen.attitude, omega=fit.seen.omega))
-    left = {}
-    if whole_story:
-        left = residuals(
-            stated.o.freed(),
-            one.kept,
-            whole,
-            Fitted(o, fit.track, fit.error, one.motion, one.clock),
-        )
+    at = Fitted(o, fit.track, fit.error, one.motion, one.clock)
+    left = residuals(stated.o.freed(), one.kept, whole, at) if whole_story else {}
     hidden = sum(term.hidden_variance(np.diff(o.t_s)) for term in o.of_motion)
     whole.covariance[..., 3:, 3:] += hidden * np.eye(3)
     whole = replace(whole, log_weight=trial.log_evidence)
@@ -231,6 +228,7 @@ def completed(
         whole.omega.mean(axis=1),
         np.sqrt(sigma**2 + hidden / len(o)),
         left,
+        estimates=estimates(fit, at),
     )
 
 
@@ -256,9 +254,9 @@ def stacked(modes: list[Pass]) -> Pass:
         np.concatenate([getattr(one, name) for one in modes])
         for name in ("weight", "mean", "mean_sigma")
     )
-    return Pass(
-        first.index, first.kept, joined([one.track for one in modes]), weight, mean, sigma, left
-    )
+    track, told = joined([one.track for one in modes]), [one.estimates for one in modes]
+    estimated = tuple(one for part in told for one in part)
+    return Pass(first.index, first.kept, track, weight, mean, sigma, left, estimates=estimated)
 
 
 def likeliest(shares: list[tuple[str, float]]) -> tuple[str, float]:

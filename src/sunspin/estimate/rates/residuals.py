@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.rates.common_errors import Clock, places_of, with_common
+from sunspin.estimate.rates.common_errors import Clock, Common, places_of, with_common
 from sunspin.estimate.rates.dense import Dense
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.magnetometer import Magnetometer
@@ -61,6 +61,38 @@ def residuals(
         found[term.called] = np.full(omega.shape[:2], np.nan)
         found[term.called][:, 1:] = np.where(term.pairs(), left, np.nan)
     return found
+
+
+def estimates(fit: Common, at: Fitted) -> tuple[dict[str, tuple[str, float, float]], ...]:
+    """Of each mode what was estimated with it: name -> unit, value, one sigma. Gains are factors on those of the vehicle file,
+    moments of inertia in units of the mean one, the Earth's light is the mean over the pass in axes of N."""
+    places, body = places_of(at.o, at.motion, at.clock), at.motion.body
+    every, each = np.eye(places.n), []
+    for k, x in enumerate(places.unknowns):
+        if x.kind in ("steady_torque", "gyro_zero", "gyro_scale", "clock", "panel_zero"):
+            each.append((x.name, x.unit, x.centre, x.sigma * every[k]))
+    for i, j in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] if len(body.errors) else ():
+        name = f"inertia_{'xyz'[i]}{'xyz'[j]}"
+        each.append((name, "1", body.inertia[i, j], body.errors[:, i, j] @ every[places.inertia]))
+    for term, place in places.sun:
+        if not isinstance(term, Panels):
+            continue
+        free, rows = term.gain_unknowns, every[place]
+        for k, name in enumerate(term.names if len(free) else ()):
+            each.append((f"gain_{name}", "1", term.gain[k], free[:, k] @ rows[: len(free)]))
+        if term.earth is not None:
+            beam, known = term.earth.beam_N.mean(axis=0), term.earth.known_N
+            for k, axis in enumerate("xyz"):
+                centre = 0.0 if known is None else float(known[:, k].mean())
+                slope = beam[:, k] @ rows[len(free) : len(free) + len(beam)]
+                each.append((f"earth_light_{axis}", "full Sun", centre, slope))
+    return tuple(
+        {
+            name: (unit, float(centre + slope @ error), float(np.sqrt(slope @ covariance @ slope)))
+            for name, unit, centre, slope in each
+        }
+        for error, covariance in zip(fit.error, fit.covariance, strict=True)
+    )
 
 
 def _at_samples(

@@ -241,9 +241,19 @@ def believed(
         checked = UNCHECKED if list(told) == ["Sun"] else AS_STATED
         solutions = p.weight, omega, sigma, speeds(omega, covariance)
         rows.append(PassMotions(len(t), t[0], t[-1], t[at], *solutions, said, checked))
+    best = [p.estimates[0] if p.estimates else {} for p in found]
+    units = {name: row[0] for one in best for name, row in one.items()}
+    values = np.full((len(found), len(units), 2), np.nan)
+    for k, one in enumerate(best):
+        for name, (_, *value) in one.items():
+            values[k, list(units).index(name)] = value
     return table(rows, epoch_utc) | {
         "misfit": (("pass_id", "sensor", "figure"), misfits),
         "residual": (("sensor", "time"), residual),
+        "estimate_value": (("pass_id", "estimate"), values[..., 0]),
+        "estimate_sigma": (("pass_id", "estimate"), values[..., 1]),
+        "estimate_unit": ("estimate", [units[name] for name in units]),
+        "estimate": list(units),
         "sensor": names,
         "figure": ["readings", "beyond", "chance"],
         "model": ("pass_id", _models(found, motion)),

@@ -80,6 +80,31 @@ def component(axes: Any, result: xr.Dataset, number: int, k: int, label: str | N
     axes.plot(minutes, mean, color=COLOURS[k], lw=1, label=label)
 
 
+@styled
+def attitude_figure(result: xr.Dataset) -> Any:
+    """The attitude in space of the best solution of each pass, as a quaternion, with its rms error in the title."""
+    passes = chosen_passes(result)
+    title = f"Attitude of {named(result.attrs['vehicle'])}: rotation from {result.attrs['frame_N']} to body axes"
+    layout = {"sharey": True, "squeeze": False}
+    figure, (grid,) = axes_grid(max(7.5, 2.1 * len(passes)), 3.2, 1, len(passes), title, **layout)
+    sigmas = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
+    error = np.degrees(np.hypot(*sigmas))
+    for axes, number in zip(grid, passes, strict=True):
+        at, fine = (result[name].values == number for name in ("pass_of", "curve_pass_of"))
+        t, begin = result["curve_time"].values[fine], result["time"].values[at][0]
+        for k, part in enumerate("xyzw"):
+            curve = result["curve_B_from_N"].values[fine, k]
+            axes.plot((t - begin) / 60, curve, lw=1, color=COLOURS[k], label=part)
+        rms = np.sqrt(np.mean(error[at] ** 2))
+        axes.set_title(f"{clock_text(result, begin)}\none sigma {rms:.2g} deg", fontsize=8)
+        axes.set_xlabel("time (min)")
+        axes.set_ylim(-1.05, 1.05)
+    grid[0].set_ylabel("quaternion (1)")
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
 def sources(result: xr.Dataset) -> str:
     """The sensors that a motion was found from, in words."""
     seen = {

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.environment.frames import SUN_Z_LOCAL
+from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
@@ -164,6 +164,16 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         "Body rate of the likeliest solution of each pass, body axes; bands: one sigma of that solution. "
         f"{int(sure.sum())} of {sure.size} passes are decided{others}.",
     )
+    if result.attrs.get("frame_N") == J2000 and "turn_sigma_rad" in result:
+        from sunspin.output.figures.rates import attitude_figure
+
+        yield Drawing(
+            "attitude",
+            lambda: attitude_figure(result),
+            "The four components of the attitude quaternion against time in each pass.",
+            "Attitude of the likeliest solution of each pass: rotation from J2000 to body axes, scalar last (w). Above each pass "
+            "the root mean square of the angle by which it may be off.",
+        )
     if "residual" in result:
         from sunspin.output.figures.residuals import residuals_figure
 
@@ -220,6 +230,16 @@ def rates_tables(result: Any) -> Iterator[Table]:
     frame = "z to the Sun, local" if frame == SUN_Z_LOCAL else frame
     comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {frame}"
     yield passes_table(result)
+    if result.sizes.get("estimate"):
+        frame = (
+            result[["estimate_value", "estimate_sigma", "estimate_unit"]]
+            .to_dataframe()
+            .reset_index()
+            .dropna()
+        )
+        shown = {"pass_id": "pass", "estimate": "estimate", "estimate_value": "value"}
+        shown |= {"estimate_sigma": "±", "estimate_unit": "unit"}
+        yield Table("estimates", frame, "Estimated with the motion", shown)
     yield Table("rates", pd.DataFrame(columns), comment=comment)
 
 
