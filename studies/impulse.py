@@ -21,7 +21,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.tables import read_table
 from sunspin.landing.flight import angle_about
 from sunspin.landing.outcomes import outcomes
@@ -116,7 +116,7 @@ def seen_in(case: Case, folder: Path) -> Seen:
     size = float(np.linalg.norm(change))
     if not (np.isfinite(size) and size > 0):
         what = "the trajectory kernel holds no collision"
-        raise InputError(sentence(what, do="download it again", where=str(path)))
+        raise InputError(what, do="download it again", where=str(path))
     to_sun, about = (float(x[0]) for x in angle_about(change[None], sun[None], up[None]))
     return Seen(size, to_sun, about)
 
@@ -126,14 +126,14 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
     path = folder.joinpath(*SUN)
     if not path.is_file():
         do = "docs/data.md says where they come from"
-        raise InputError(sentence("the Sun's directions are not there", do=do, where=str(path)))
+        raise InputError("the Sun's directions are not there", do=do, where=str(path))
     try:
         values = read_table(path).cells.iloc[:, 1:5].astype(float).to_numpy()
     except ValueError:
         values = np.zeros((0, 4))
     if values.shape[1] < 4 or not len(values) or not values[0, 0] <= tdb_s <= values[-1, 0]:
         what = "the file has no direction of the Sun at the collision"
-        raise InputError(sentence(what, do="download it again", where=str(path)))
+        raise InputError(what, do="download it again", where=str(path))
     sun = np.array([np.interp(tdb_s, values[:, 0], values[:, k]) for k in (1, 2, 3)])
     return sun / np.linalg.norm(sun)
 
@@ -228,7 +228,7 @@ def main(arguments: list[str] | None = None) -> None:
     given, case = parser.parse_args(arguments), load_case("philae")
     if given.data is None:
         do = "give --data, or set SUNSPIN_DATA (docs/data.md)"
-        raise InputError(sentence("the landing kernel is not in this repository", do=do))
+        raise InputError("the landing kernel is not in this repository", do=do)
     seen, out = seen_in(case, Path(given.data)), rows_folder(given.out)
     each = {}
     for source in SOURCES:

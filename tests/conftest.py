@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sunspin.base.cache import is_writable
+from sunspin.base.atomic_write import is_writable
 
 pytest_plugins = ["evidence"]
 

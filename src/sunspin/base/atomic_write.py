@@ -75,3 +75,12 @@ def hold(file: Any) -> None:
             raise BlockingIOError(*error.args) from None
     else:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def is_writable(folder: Path) -> bool:
+    """Make a folder, for this user alone, where it is not there yet; whether files can be written into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)

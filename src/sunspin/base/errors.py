@@ -10,7 +10,12 @@ from datetime import date, time
 
 
 class SunspinError(ValueError):
-    """Base of all errors raised on purpose; ``str(error)`` is one sentence for the user."""
+    """Base of all errors raised on purpose; ``str(error)`` is one sentence for the user, built by :func:`sentence`."""
+
+    def __init__(
+        self, what: str, *, got: object = None, do: str | None = None, where: str | None = None
+    ) -> None:
+        super().__init__(sentence(what, got=got, do=do, where=where))
 
 
 class VehicleError(SunspinError):

@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.errors import TelemetryError
 
 DEEPEST = 8
 """Objects inside of each other; no telemetry has more."""
@@ -30,16 +30,16 @@ def json_rows(text: str, where: str, most_columns: int, most_cells: int) -> pd.D
         at = f"{where}, line {line}"
         if not isinstance(item, dict):
             what = "a row of a JSON file must be an object"
-            raise TelemetryError(sentence(what, got=str(item)[:60], where=at))
+            raise TelemetryError(what, got=str(item)[:60], where=at)
         rows.append(dict(_cells(item, "", at, 0)))
         lines.append(line)
         names.update(dict.fromkeys(rows[-1]))
         if len(names) > most_columns:
             what = f"the file has more than {most_columns} columns"
-            raise TelemetryError(sentence(what, where=at))
+            raise TelemetryError(what, where=at)
         if len(rows) * len(names) > most_cells:
             what = f"the file has more than {most_cells:.0e} cells"
-            raise TelemetryError(sentence(what, do="cut it into parts", where=at))
+            raise TelemetryError(what, do="cut it into parts", where=at)
     cells = [[row.get(name, "") for name in names] for row in rows]
     return pd.DataFrame(cells, lines, list(names), dtype=object)
 
@@ -59,13 +59,13 @@ def _objects(text: str, where: str) -> Iterator[tuple[int, Any]]:
                 f"this is not valid JSON ({error.msg})",
                 f"{where}, line {number + error.lineno - 1}",
             )
-            raise TelemetryError(sentence(what, do="one object a line", where=at)) from None
+            raise TelemetryError(what, do="one object a line", where=at) from None
         except RecursionError:
             what = "the file is nested too deeply to be telemetry"
-            raise TelemetryError(sentence(what, where=where)) from None
+            raise TelemetryError(what, where=where) from None
         except ValueError as error:  # a key twice, or a whole number of thousands of digits
             what, at = f"this JSON cannot be read ({str(error)[:100]})", f"{where}, line {number}"
-            raise TelemetryError(sentence(what, where=at)) from None
+            raise TelemetryError(what, where=at) from None
         page = item.get(PAGE) if isinstance(item, dict) else item if whole else None
         yield from enumerate(page, 1) if isinstance(page, list) else [(number, item)]
 
@@ -79,7 +79,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _cells(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, str]]:
     if depth > DEEPEST:
         what = f"objects lie more than {DEEPEST} deep in each other"
-        raise TelemetryError(sentence(what, where=where))
+        raise TelemetryError(what, where=where)
     if isinstance(item, str) and item[:1] == "{" and item[-1:] == "}":
         try:
             item = json.loads(item, object_pairs_hook=_once)

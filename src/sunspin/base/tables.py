@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pandas as pd
 
-from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.errors import TelemetryError
 from sunspin.base.json_rows import json_rows
 from sunspin.base.untrusted import decoded, plain_number, read_bytes
 
@@ -83,7 +83,7 @@ class Table(NamedTuple):
                         "write plain decimals with a point, such as -1.5e-3",
                         self.place(i, name),
                     )
-                    raise TelemetryError(sentence(what, got=cells[i], do=do, where=where))
+                    raise TelemetryError(what, got=cells[i], do=do, where=where)
         return values
 
     def place(self, row: int, name: str) -> str:
@@ -103,15 +103,15 @@ def read_table(path: Path) -> Table:
         cells = _of_columns(columns)
     elif content.startswith(b"CDF"):
         do = "convert it to NetCDF-4 (nccopy -k nc4)"
-        raise TelemetryError(sentence("this is NetCDF of version 3", do=do, where=where))
+        raise TelemetryError("this is NetCDF of version 3", do=do, where=where)
     else:
         text = decoded(content, where, TelemetryError, "save it as CSV in UTF-8")
         if not text.strip():
             do = "a CSV with a header and one row per sample"
-            raise TelemetryError(sentence("the file is empty", do=do, where=where))
+            raise TelemetryError("the file is empty", do=do, where=where)
         if "\0" in text:
             do = "save it as CSV in UTF-8"
-            raise TelemetryError(sentence("the file holds binary data", do=do, where=where))
+            raise TelemetryError("the file holds binary data", do=do, where=where)
         if text.lstrip()[0] in "{[":
             cells = json_rows(text, where, MAX_COLUMNS, MAX_CELLS)
         elif RAW_FRAME.fullmatch(text.splitlines()[0].strip()):
@@ -119,7 +119,7 @@ def read_table(path: Path) -> Table:
         else:
             cells, comments = _csv(text, where)
     if cells.empty:
-        raise TelemetryError(sentence("the file holds no samples", where=where))
+        raise TelemetryError("the file holds no samples", where=where)
     return Table(cells, comments, hashlib.sha256(content).hexdigest(), where, data)
 
 
@@ -146,18 +146,16 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
             )
         except csv.Error as error:
             do = "close the quotes, or remove them"
-            raise TelemetryError(
-                sentence(f"this is not valid CSV ({error})", do=do, where=at)
-            ) from None
+            raise TelemetryError(f"this is not valid CSV ({error})", do=do, where=at) from None
         width = width or n
         if n != width:
             what = f"the row has {n} values but the header names {width} columns"
-            raise TelemetryError(sentence(what, do="complete or remove the row", where=at))
+            raise TelemetryError(what, do="complete or remove the row", where=at)
         if n > MAX_COLUMNS:
             what = f"the file has more than {MAX_COLUMNS} columns"
-            raise TelemetryError(sentence(what, got=n, where=where))
+            raise TelemetryError(what, got=n, where=where)
     if len(rows) < 2:
-        raise TelemetryError(sentence("the file has a header but no samples", where=where))
+        raise TelemetryError("the file has a header but no samples", where=where)
     cells = pd.read_csv(
         io.StringIO("\n".join(rows.values())), sep=mark, header=None, dtype=object, na_filter=False
     )
@@ -168,7 +166,7 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
             do = "write a header above it"
         else:
             what, do = "two columns share a name", "rename one"
-        raise TelemetryError(sentence(what, got=name or "an empty cell", do=do, where=where))
+        raise TelemetryError(what, got=name or "an empty cell", do=do, where=where)
     cells = cells.iloc[1:].set_axis(list(rows)[1:]).set_axis(header.tolist(), axis=1)
     return (cells.map(_with_point) if mark == ";" else cells), comments
 
@@ -187,7 +185,7 @@ def _raw_frames(text: str, where: str) -> pd.DataFrame:
                 continue
             what = "a line of raw frames is a time, a bar and the frame in hexadecimal digits"
             at = f"{where}, line {number}"
-            raise TelemetryError(sentence(what, got=line[:60], do="remove the line", where=at))
+            raise TelemetryError(what, got=line[:60], do="remove the line", where=at)
         rows[number] = cells + [""] * (len(FRAME_COLUMNS) - len(cells))
     return pd.DataFrame.from_dict(rows, "index", dtype=object, columns=list(FRAME_COLUMNS))
 
@@ -198,22 +196,20 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
         import pyarrow.parquet as pq
     except ImportError:
         do = 'pip install "sunspin[parquet]", or save the file as CSV'
-        raise TelemetryError(
-            sentence("reading Parquet needs pyarrow", do=do, where=where)
-        ) from None
+        raise TelemetryError("reading Parquet needs pyarrow", do=do, where=where) from None
     try:
         about = pq.read_metadata(pa.BufferReader(content))
         if about.num_rows * max(about.num_columns, 1) > MAX_CELLS:
             what = f"the file has more than {MAX_CELLS:.0e} cells"
             got = f"{about.num_rows} rows of {about.num_columns}"
-            raise TelemetryError(sentence(what, got=got, do="cut it into parts", where=where))
+            raise TelemetryError(what, got=got, do="cut it into parts", where=where)
         table = pq.read_table(pa.BufferReader(content))
         return {str(name): table[name].to_numpy() for name in table.column_names}
     except TelemetryError:
         raise
     except Exception as error:  # a damaged file makes the library raise whatever comes
         what = f"this Parquet file cannot be read ({str(error)[:200]})"
-        raise TelemetryError(sentence(what, where=where)) from None
+        raise TelemetryError(what, where=where) from None
 
 
 def _netcdf(content: bytes, where: str) -> tuple[dict[str, np.ndarray], xr.Dataset]:
@@ -229,7 +225,7 @@ def _netcdf(content: bytes, where: str) -> tuple[dict[str, np.ndarray], xr.Datas
     axis = "time" if "time" in data.sizes else max(sizes, key=sizes.__getitem__, default=None)
     if axis is None:
         what = "the NetCDF file has no dimension of samples"
-        raise TelemetryError(sentence(what, do="name it time", where=where))
+        raise TelemetryError(what, do="name it time", where=where)
     columns: dict[str, np.ndarray] = {}
     for name, variable in data.variables.items():
         if variable.dims == (axis,):

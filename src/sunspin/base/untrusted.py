@@ -97,14 +97,12 @@ def decoded(
 def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
     """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
     if "<!" in text.replace("<!--", ""):
-        raise InputError(
-            sentence("the XML defines entities", do=f"give a plain {kind}", where=where)
-        )
+        raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
         raise InputError(
-            sentence(f"this is not valid XML ({error})", do="give the whole file", where=where)
+            f"this is not valid XML ({error})", do="give the whole file", where=where
         ) from None
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import click
 
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.errors import OutputError
 from sunspin.cli.common import PATH, read_both, shared
 
 COPY = "calibrated.toml"
@@ -48,9 +48,7 @@ def calibrate_sensors(vehicle, telemetry, target, data, elements, shift_sigma, o
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     copy = None if target is None else target if target.suffix == ".toml" else target / COPY
     if copy is not None and os.path.lexists(copy):
-        raise OutputError(
-            sentence("this file is there already", do="choose another --out", where=str(copy))
-        )
+        raise OutputError("this file is there already", do="choose another --out", where=str(copy))
     output = replace(output, folder=target if copy != target else None)
     output.claim()
     result = run(craft, samples, orbit, progress=output.progress)

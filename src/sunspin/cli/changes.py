@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
@@ -113,11 +113,11 @@ def asked(
     for change in changes:
         if option := options.get(re.sub(r"\[[^\]]*\]", "", change.key)):
             what = f"{option} and --set {change.key} say the same thing"
-            raise InputError(sentence(what, do="give one of them"))
+            raise InputError(what, do="give one of them")
         if _among(change.key, TABLES) and not _among(change.key, _of_command("uses")):
             read_assumptions([change])  # a misspelt one is refused with the nearest name
             what, do = "this command does not use that assumption", "`--set list` shows all"
-            raise InputError(sentence(what, got=change.key, do=do))
+            raise InputError(what, got=change.key, do=do)
     return (
         changes_of([f"{SHORT[name][0]}={given[name]}" for name in short if name in given]) + changes
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.cli.common import find_telemetry, shared
 
 
@@ -37,5 +37,5 @@ def check(vehicle, telemetry, data, elements, shift_sigma, output) -> None:
         about, more = about_orbit(assessment, elements, shift_sigma)
         summary, lines = summary | about, lines + more
     elif elements is not None:
-        raise InputError(sentence("elements are compared with telemetry", do="give TELEMETRY too"))
+        raise InputError("elements are compared with telemetry", do="give TELEMETRY too")
     output.report(summary, lines)

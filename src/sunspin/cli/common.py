@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from sunspin.base.errors import InputError, printable, sentence
+from sunspin.base.errors import InputError, printable
 from sunspin.cli import gone
 from sunspin.cli.values import Numbers, strict
 
@@ -307,9 +307,7 @@ def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Pa
         from sunspin.telemetry.case import case_telemetry
 
         if (own := case_telemetry(vehicle)) is None:
-            raise InputError(
-                sentence("TELEMETRY is missing", do="only a built-in case comes with its own")
-            )
+            raise InputError("TELEMETRY is missing", do="only a built-in case comes with its own")
         return own
     if path == "-":
         return _from_standard_input()
@@ -333,7 +331,7 @@ def _from_standard_input() -> Path:
 
     if sys.stdin is None or sys.stdin.isatty():
         raise InputError(
-            sentence("nothing is piped into standard input", do="pipe telemetry in, or name a file")
+            "nothing is piped into standard input", do="pipe telemetry in, or name a file"
         )
     folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
     path, size = Path(folder) / "standard-input", 0

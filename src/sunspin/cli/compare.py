@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.cli.common import PATH, shared
 
 
@@ -33,18 +33,18 @@ def compare(folder, others, frame, base, epoch, output) -> None:
 
         if frame is not None:
             what, do = "--frame belongs to kernels", "leave it out between two folders"
-            raise InputError(sentence(what, got=str(others[0]), do=do))
+            raise InputError(what, got=str(others[0]), do=do)
         output.claim()
         output.deliver(run(folder, others[0]), main="comparison.csv")
         return
     if missing := next((other for other in others if not other.exists()), None):
-        raise InputError(sentence("there is no such file or folder", where=str(missing)))
+        raise InputError("there is no such file or folder", where=str(missing))
     if output.folder is not None:
         what, do = "--out is for two results folders", "leave it out with kernels"
-        raise InputError(sentence(what, got=str(others[0]), do=do))
+        raise InputError(what, got=str(others[0]), do=do)
     if frame is None:
         do = "name the body's frame in the kernels, or give two results folders"
-        raise InputError(sentence("--frame is missing", do=do))
+        raise InputError("--frame is missing", do=do)
     from sunspin.output.export.against import against_kernels
 
     summary, line = against_kernels(folder, others, frame, base, epoch)

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import click
 
-from sunspin.base.errors import InputError, printable, sentence
+from sunspin.base.errors import InputError, printable
 from sunspin.cli.common import POSITIVE, read_both, shared
 from sunspin.cli.values import between, periods_of
 from sunspin.cli.values import effort as effort_given
@@ -125,7 +125,7 @@ def rates(
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit says not to use an orbit, and elements or their shift are given"
-        raise InputError(sentence(what, do="give one"))
+        raise InputError(what, do="give one")
     announce = None
     if not output.quiet and not output.progress:  # a terminal shows a progress line in its place
 

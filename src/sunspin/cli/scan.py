@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.cli.changes import LANDING, Changeable, opened, say_idle, set_options
 from sunspin.cli.common import POSITIVE, find_telemetry, shared
-from sunspin.cli.values import Grid, instants_of
+from sunspin.cli.values import Numbers, instants_of
 
 
 @click.command(cls=Changeable)
@@ -16,7 +16,8 @@ from sunspin.cli.values import Grid, instants_of
 @click.option(
     "--omega-x-deg-s",
     "omega_x",
-    type=Grid(),
+    type=Numbers(grid=True),
+    metavar="LOW:HIGH:STEP",
     default="-30:60:0.9",
     show_default=True,
     help="Grid of omega_x, deg/s: low:high:step, or values with commas.",
@@ -24,7 +25,8 @@ from sunspin.cli.values import Grid, instants_of
 @click.option(
     "--omega-y-deg-s",
     "omega_y",
-    type=Grid(),
+    type=Numbers(grid=True),
+    metavar="LOW:HIGH:STEP",
     default="-30:60:0.9",
     show_default=True,
     help="Grid of omega_y, deg/s.",
@@ -32,7 +34,8 @@ from sunspin.cli.values import Grid, instants_of
 @click.option(
     "--omega-z-deg-s",
     "omega_z",
-    type=Grid(),
+    type=Numbers(grid=True),
+    metavar="LOW:HIGH:STEP",
     default="-18:18:0.9",
     show_default=True,
     help="Grid of omega_z, deg/s.",
@@ -121,7 +124,7 @@ def scan(
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
     if metric == "E" and made.assumptions.changes:
         what, do = "mask and target weights are those of EMD", "leave one of them out"
-        raise InputError(sentence(what, got="--metric E", do=do))
+        raise InputError(what, got="--metric E", do=do)
     target = track if metric == "E" else track["sun_B"].values[:, 2]
     output.claim()
     volume = run_scan(

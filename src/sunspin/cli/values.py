@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.untrusted import SIZES, is_sensible, plain_number
 
 if TYPE_CHECKING:
@@ -43,31 +43,22 @@ def strict(kind: click.ParamType) -> click.ParamType:
 
 
 class Numbers(click.ParamType):
-    """Comma-separated numbers of an option, `count` of them if it is given; in rad/s where the option takes deg/s."""
+    """Comma-separated numbers of an option, `count` of them if it is given, in rad/s if the option takes deg/s; or a `grid`,
+    low:high:step in deg/s, as an array in rad/s."""
 
     name = "numbers"
 
-    def __init__(self, count: int | None = None, deg_s: bool = False) -> None:
-        self.count, self.deg_s = count, deg_s
+    def __init__(self, count: int | None = None, deg_s: bool = False, grid: bool = False) -> None:
+        self.count, self.deg_s, self.grid = count, deg_s, grid
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> list[float]:
+    ) -> list[float] | np.ndarray:
         assert param is not None
+        if self.grid:
+            return grid(value, param.opts[0])
         values = numbers(value, param.opts[0], self.count)
         return [math.radians(each) for each in values] if self.deg_s else values
-
-
-class Grid(click.ParamType):
-    """low:high:step in deg/s, or values separated by commas, as an array in rad/s."""
-
-    name = "low:high:step"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> np.ndarray:
-        assert param is not None
-        return grid(value, param.opts[0])
 
 
 def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
@@ -75,18 +66,16 @@ def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
     given = math.inf if text == "inf" else plain_number(text)
     if not given > 0:
         raise InputError(
-            sentence(
-                f"{parameter.opts[0]} must be a positive number or inf",
-                got=text,
-                do="1 is the usual effort",
-            )
+            f"{parameter.opts[0]} must be a positive number or inf",
+            got=text,
+            do="1 is the usual effort",
         )
     return given
 
 
 def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
     if not is_sensible(value):
-        raise InputError(sentence(f"{name} must be {sizes}", got=str(value)))
+        raise InputError(f"{name} must be {sizes}", got=str(value))
 
 
 EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
@@ -111,7 +100,7 @@ def numbers(text: str | None, name: str, count: int | None = None, form: str = "
             if form
             else f"for example {name}{'=' if name.startswith('--prior ') else ' '}{','.join(EXAMPLE[: count or 3])}"
         )
-        raise InputError(sentence(f"{name} takes {wanted}", got=text or "nothing", do=do))
+        raise InputError(f"{name} takes {wanted}", got=text or "nothing", do=do)
     return values
 
 
@@ -128,11 +117,11 @@ def grid(text: str, name: str) -> np.ndarray:
     count = (high - low) / step + 1 if step > 0 and high >= low else math.nan
     if not math.isfinite(count):
         what = f"{name} must be low:high:step in deg/s, low to high and with a positive step"
-        raise InputError(sentence(what, got=text, do=do))
+        raise InputError(what, got=text, do=do)
     if count > MAX_GRID:
         check_size(count, 1, 1)
         what = f"{name} has {count:.3g} values, more than {MAX_GRID}"
-        raise InputError(sentence(what, got=text, do="use a larger step"))
+        raise InputError(what, got=text, do="use a larger step")
     steps = round((high - low) / step)
     return np.radians(np.linspace(low, low + step * steps, steps + 1))
 
@@ -146,9 +135,7 @@ def vertical(text: str | None) -> Any:
         return math.radians(values[0])
     if len(values) == 3:
         return tuple(values)
-    raise InputError(
-        sentence("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text)
-    )
+    raise InputError("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text)
 
 
 def prior(text: str) -> tuple[str, float]:
@@ -178,11 +165,9 @@ def period(text: str, epoch_utc: str | None) -> Any:
     sigma, _, when = rest.partition("@")
     if not (value and sigma and when):
         raise InputError(
-            sentence(
-                "--period takes SECONDS+-SIGMA@TIME",
-                got=text,
-                do="for example --period 13.0+-0.5@15:50",
-            )
+            "--period takes SECONDS+-SIGMA@TIME",
+            got=text,
+            do="for example --period 13.0+-0.5@15:50",
         )
     return Period(
         next(iter(times(when, epoch_utc, "--period"))), *numbers(f"{value},{sigma}", "--period", 2)
@@ -203,9 +188,7 @@ def times(text: str, epoch_utc: str | None, option: str = "--predict") -> dict[f
         if ":" not in part:
             times[numbers(part, option, 1, WHEN)[0]] = f"{part} s"
         elif epoch_utc is None:
-            raise InputError(
-                sentence("the telemetry has no epoch, so a time must be in s", got=part)
-            )
+            raise InputError("the telemetry has no epoch, so a time must be in s", got=part)
         else:
             utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
             times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
@@ -227,7 +210,7 @@ def between(samples: Any, begin: str | None, end: str | None) -> Any:
         there = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"
         raise InputError(
-            sentence("no samples lie between --from and --to", got=got, do=f"the file has {there}")
+            "no samples lie between --from and --to", got=got, do=f"the file has {there}"
         )
     return samples.isel(time=np.flatnonzero(inside))
 

@@ -19,7 +19,7 @@ import dask.config
 import numpy as np
 from distributed import Client, KilledWorker, LocalCluster, WorkerPlugin, as_completed, rpc
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
@@ -57,7 +57,7 @@ def on_cluster(
                 yield running.pop(task), task.result()  # waited for anew if it is lost by now
         except (KilledWorker, CancelledError) as error:
             what = "the cluster has dropped a chunk of rows, perhaps as its workers ended for lack of memory"
-            raise InputError(sentence(what, got=str(error), do="use a smaller chunk")) from None
+            raise InputError(what, got=str(error), do="use a smaller chunk") from None
         finally:
             with suppress(Exception):  # they may already be out of reach
                 client.cancel([shared, *running])
@@ -89,7 +89,7 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
     except (OSError, ValueError, TimeoutError) as error:
         what = f"no Dask scheduler with workers answers at {scheduler}"
         do = 'start it, or give "local", an address like tcp://host:8786 or a Dask client'
-        raise InputError(sentence(what, got=str(error) or "no answer", do=do)) from None
+        raise InputError(what, got=str(error) or "no answer", do=do) from None
     return client
 
 

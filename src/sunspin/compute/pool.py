@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 from typing import Any
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 
 def worker_count(workers: int | None) -> int:
@@ -32,7 +32,7 @@ def worker_count(workers: int | None) -> int:
 def whole(name: str, value: Any) -> int:
     """A positive whole number, or `InputError`."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 1:
-        raise InputError(sentence(f"{name} must be a positive whole number", got=value))
+        raise InputError(f"{name} must be a positive whole number", got=value)
     return int(value)
 
 
@@ -62,7 +62,7 @@ def processes(workers: int) -> Generator[Executor | None]:
         if not isinstance(error, BrokenExecutor):
             raise
         what = "a worker process was ended from outside, perhaps for lack of memory"
-        raise InputError(sentence(what, do="free memory or use fewer workers")) from None
+        raise InputError(what, do="free memory or use fewer workers") from None
     finally:
         pool.shutdown(cancel_futures=True)
 

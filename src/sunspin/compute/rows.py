@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from tqdm import tqdm
 
-from sunspin.base.errors import InputError, Interrupted, sentence
+from sunspin.base.errors import InputError, Interrupted
 from sunspin.compute.pool import whole, worker_count
 from sunspin.compute.store import open_store
 
@@ -91,7 +91,7 @@ def ensemble(
     cluster = scheduler is not None and not isinstance(scheduler, Executor)
     if cluster and find_spec("distributed") is None:
         what = "a scheduler needs Dask, which is not installed"
-        raise InputError(sentence(what, do='pip install "sunspin[cluster]"'))
+        raise InputError(what, do='pip install "sunspin[cluster]"')
     outputs = function.outputs.items()
     size = n_rows * sum(np.dtype(kind).itemsize * int(np.prod(s)) for _, (kind, s) in outputs)
     if hasattr(os, "sysconf"):
@@ -99,7 +99,7 @@ def ensemble(
         if size > MEMORY_SHARE * memory:
             what = f"the results of {n_rows:.3g} rows would take {size / 1e9:.2g} GB of memory"
             got = f"a machine with {memory / 1e9:.2g} GB"
-            raise InputError(sentence(what, got=got, do="ask for fewer rows"))
+            raise InputError(what, got=got, do="ask for fewer rows")
     out = {name: np.zeros((n_rows, *shape), kind) for name, (kind, shape) in outputs}
     chunk = min(chunk, max(LEAST_CHUNK, -(-n_rows // n_workers)))
     chunks = (slice(k, min(k + chunk, n_rows)) for k in range(0, n_rows, chunk))
@@ -124,7 +124,7 @@ def ensemble(
                 wanted = {name: (v.dtype.str, v[rows].shape) for name, v in out.items()}
                 if given != wanted:
                     what = f"the row function must return {wanted}"
-                    raise InputError(sentence(what, got=str(given)))
+                    raise InputError(what, got=str(given))
                 for name, array in values.items():
                     out[name][rows] = array
                 if save is not None:
@@ -137,7 +137,7 @@ def ensemble(
         if store is None:
             what = f"interrupted after {done} of {n_rows} rows, of which nothing is kept without a store"
             do = "give one to be able to resume"
-        raise Interrupted(sentence(what, do=do)) from None
+        raise Interrupted(what, do=do) from None
     return out
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sunspin.base.atomic_write import PART, hold, make_folder, sweep, write_whole
-from sunspin.base.errors import InputError, OutputError, sentence
+from sunspin.base.errors import InputError, OutputError
 from sunspin.compute.identity import code, fingerprint
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def open_store(
     def cannot_write(error: OSError) -> OutputError:
         what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
         do = "free space and run the same command, or choose another store"
-        return OutputError(sentence(what, do=do, where=str(folder)))
+        return OutputError(what, do=do, where=str(folder))
 
     def save(rows: slice) -> None:
         arrays: dict[str, Any] = {name: array[rows] for name, array in out.items()}
@@ -62,7 +62,7 @@ def open_store(
                 missing = _read(folder, digest, chunk, out)  # what another run has written by now
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
-            raise InputError(sentence(what, do=do, where=str(folder))) from None
+            raise InputError(what, do=do, where=str(folder)) from None
         except OSError as error:
             raise cannot_write(error) from None
         yield save, missing
@@ -79,7 +79,7 @@ def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
         elif path.name != LOCK and not PART.fullmatch(path.name):
             what = "this is no store, or one of other inputs or of another version of sunspin"
             do = "give the same inputs or choose another folder"
-            raise InputError(sentence(what, got=path.name, do=do, where=str(folder)))
+            raise InputError(what, got=path.name, do=do, where=str(folder))
     ends = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
     return [
         slice(k, min(k + chunk, stop)) for start, stop in ends for k in range(start, stop, chunk)

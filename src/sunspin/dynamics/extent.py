@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.vehicle import Vehicle
 
 MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
@@ -18,18 +18,14 @@ def output_times(duration: float, step: float) -> np.ndarray:
     """Output times from 0 in steps to the duration, which is the last one whether or not it is a multiple of the step."""
     if not (np.isfinite(duration) and np.isfinite(step)):
         raise InputError(
-            sentence(
-                "--duration and --step must be finite", got=f"{duration} s in steps of {step} s"
-            )
+            "--duration and --step must be finite", got=f"{duration} s in steps of {step} s"
         )
     if abs(duration) / step > MAX_SAMPLES:
         raise InputError(
-            sentence(
-                f"{abs(duration) / step:.3g} output times are more than {MAX_SAMPLES:g} and would take some "
-                f"{abs(duration) / step * BYTES_PER_SAMPLE / 1e9:.2g} GB of memory",
-                got=f"{duration} s in steps of {step} s",
-                do="use a larger --step",
-            )
+            f"{abs(duration) / step:.3g} output times are more than {MAX_SAMPLES:g} and would take some "
+            f"{abs(duration) / step * BYTES_PER_SAMPLE / 1e9:.2g} GB of memory",
+            got=f"{duration} s in steps of {step} s",
+            do="use a larger --step",
         )
     count = int(np.floor(abs(duration) / step + 1e-9))
     t = np.copysign(np.arange(count + 1) * step, duration)
@@ -53,11 +49,9 @@ def check_work(vehicle: Vehicle, omega: list[float], speeds: list[float], durati
     angle = float(max(rate, np.linalg.norm(omega)) * abs(duration))
     if angle > MAX_ANGLE_RAD:
         raise InputError(
-            sentence(
-                f"the body turns by up to {angle:.3g} rad in this time, more than {MAX_ANGLE_RAD:g}, which would take some "
-                f"{angle * SECONDS_PER_RAD:.2g} s",
-                got=f"{duration:g} s at {angle / abs(duration):.3g} rad/s "
-                f"({np.degrees(angle / abs(duration)):.3g} deg/s)",
-                do="check that rates are in rad/s, or run it in parts from Python (sunspin.propagate)",
-            )
+            f"the body turns by up to {angle:.3g} rad in this time, more than {MAX_ANGLE_RAD:g}, which would take some "
+            f"{angle * SECONDS_PER_RAD:.2g} s",
+            got=f"{duration:g} s at {angle / abs(duration):.3g} rad/s "
+            f"({np.degrees(angle / abs(duration)):.3g} deg/s)",
+            do="check that rates are in rad/s, or run it in parts from Python (sunspin.propagate)",
         )

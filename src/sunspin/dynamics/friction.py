@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.base.provenance import provenance
 from sunspin.vehicle import FloatArray, Friction, frozen_array
 
@@ -203,30 +203,22 @@ def _record(t_s: npt.ArrayLike, wheel_speed_rad_s: npt.ArrayLike) -> tuple[Float
     t, speed = np.asarray(t_s, dtype=np.float64), np.asarray(wheel_speed_rad_s, dtype=np.float64)
     if t.ndim != 1 or t.shape != speed.shape or t.size < MIN_SAMPLES:
         raise MotionError(
-            sentence(
-                f"a spin-down needs {MIN_SAMPLES} or more times and as many speeds",
-                got=f"{t.shape} and {speed.shape}",
-            )
+            f"a spin-down needs {MIN_SAMPLES} or more times and as many speeds",
+            got=f"{t.shape} and {speed.shape}",
         )
     if not (np.all(np.isfinite(t)) and np.all(np.isfinite(speed)) and np.all(np.diff(t) > 0)):
-        raise MotionError(
-            sentence("the times of a spin-down must increase, and times and speeds be finite")
-        )
+        raise MotionError("the times of a spin-down must increase, and times and speeds be finite")
     if np.any(speed == 0) or np.any(np.sign(speed) != np.sign(speed[0])):
         raise MotionError(
-            sentence(
-                "the wheel stops or reverses within the record",
-                do="cut the record before the wheel stops",
-            )
+            "the wheel stops or reverses within the record",
+            do="cut the record before the wheel stops",
         )
     speed = np.abs(speed)
     if not speed[-1] < speed[0]:
         raise MotionError(
-            sentence(
-                "the wheel does not slow down",
-                got=f"{speed[0]:g} to {speed[-1]:g} rad/s",
-                do="cut to the decaying part",
-            )
+            "the wheel does not slow down",
+            got=f"{speed[0]:g} to {speed[-1]:g} rad/s",
+            do="cut to the decaying part",
         )
     return t, speed
 

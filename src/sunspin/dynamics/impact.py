@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.dynamics.gyrostat import free_inertia
 from sunspin.dynamics.wheel_modes import COMMANDS
@@ -84,12 +84,12 @@ def impact(
         batch = np.broadcast_shapes(*shapes)
     except ValueError:
         raise InputError(
-            sentence("the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes)
+            "the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes
         ) from None
     inverse = np.linalg.inv(free_inertia(vehicle, [not h for h in held]))
     for name, value in (("restitution", restitution), ("damper", damper)):
         if not 0 <= value <= 1:
-            raise InputError(sentence(f"{name} must be a share between 0 and 1", got=value))
+            raise InputError(f"{name} must be a share between 0 and 1", got=value)
     impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip, damper)
     impulse = impulse if restitution == 0 else (1 + restitution) * impulse
     kick = np.cross(tip, impulse) @ inverse
@@ -132,9 +132,7 @@ def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:
     vectors = np.asarray(value, dtype=np.float64)
     if vectors.ndim == 0 or vectors.shape[-1] != 3 or not np.all(np.isfinite(vectors)):
         raise InputError(
-            sentence(
-                f"{name} must be finite with three components last", got=f"shape {vectors.shape}"
-            )
+            f"{name} must be finite with three components last", got=f"shape {vectors.shape}"
         )
     return vectors
 
@@ -147,10 +145,8 @@ def _speeds(vehicle: Vehicle, value: npt.ArrayLike | None) -> np.ndarray:
         speeds = speeds[..., None]
     if speeds.ndim == 0 or speeds.shape[-1] != n or not np.all(np.isfinite(speeds)):
         raise InputError(
-            sentence(
-                f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
-                got="none" if value is None else f"shape {np.shape(value)}",
-            )
+            f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
+            got="none" if value is None else f"shape {np.shape(value)}",
         )
     return speeds
 
@@ -160,11 +156,9 @@ def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
     if isinstance(leg, str):
         if leg not in names:
             raise InputError(
-                sentence(
-                    f"vehicle {vehicle.name!r} has no leg of this name",
-                    got=leg,
-                    do=f"known: {names or 'none'}",
-                )
+                f"vehicle {vehicle.name!r} has no leg of this name",
+                got=leg,
+                do=f"known: {names or 'none'}",
             )
         return vehicle.legs[names.index(leg)].tip_B_m
     index = np.asarray(leg)
@@ -176,11 +170,9 @@ def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
         return _vectors(leg, "leg")
     if index.size and not (0 <= index.min() and index.max() < len(names)):
         raise InputError(
-            sentence(
-                f"vehicle {vehicle.name!r} has {len(names)} leg(s)",
-                got=leg,
-                do="count them from 0, or give a point",
-            )
+            f"vehicle {vehicle.name!r} has {len(names)} leg(s)",
+            got=leg,
+            do="count them from 0, or give a point",
         )
     return np.array([item.tip_B_m for item in vehicle.legs])[index]
 
@@ -189,9 +181,7 @@ def _held(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> list[bool]:
     modes = [wheel_mode] * len(vehicle.wheels) if isinstance(wheel_mode, str) else list(wheel_mode)
     if len(modes) != len(vehicle.wheels) or any(mode not in COMMANDS for mode in modes):
         raise InputError(
-            sentence(
-                f"wheel_mode must be one of {', '.join(COMMANDS)}, or one per wheel", got=wheel_mode
-            )
+            f"wheel_mode must be one of {', '.join(COMMANDS)}, or one per wheel", got=wheel_mode
         )
     return [mode == "hold" for mode in modes]
 

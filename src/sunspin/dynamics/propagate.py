@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.base.provenance import provenance
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
@@ -183,10 +183,7 @@ def _times(t_s: npt.ArrayLike) -> np.ndarray:
         or not (np.all(steps > 0) or np.all(steps < 0))
     ):
         raise MotionError(
-            sentence(
-                "t_s must be finite times that all increase, or all decrease",
-                got=f"shape {t.shape}",
-            )
+            "t_s must be finite times that all increase, or all decrease", got=f"shape {t.shape}"
         )
     return t
 
@@ -194,7 +191,7 @@ def _times(t_s: npt.ArrayLike) -> np.ndarray:
 def _tolerance(rtol: float) -> float:
     """heyoka's tolerance is per step; a thousand steps must stay within `rtol`."""
     if not 0 < rtol < 1:
-        raise MotionError(sentence("rtol must be between 0 and 1", got=rtol))
+        raise MotionError("rtol must be between 0 and 1", got=rtol)
     return max(rtol * 1e-3, float(np.finfo(float).eps))
 
 
@@ -202,7 +199,7 @@ def _vector(value: npt.ArrayLike, name: str) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise MotionError(
-            sentence(f"{name} must be three finite numbers", got=f"shape {vector.shape}: {value}")
+            f"{name} must be three finite numbers", got=f"shape {vector.shape}: {value}"
         )
     return vector
 
@@ -217,10 +214,8 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
     )
     if speeds.shape != (n,) or not np.all(np.isfinite(speeds)):
         raise MotionError(
-            sentence(
-                f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
-                got=wheel_speed_rad_s,
-            )
+            f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
+            got=wheel_speed_rad_s,
         )
     return speeds
 
@@ -233,19 +228,15 @@ def _start(
     omega, sun = _vector(omega_B, "omega_B"), _vector(sun_B, "sun_B")
     if abs(np.linalg.norm(sun) - 1) > SUN_LENGTH_TOLERANCE:
         raise MotionError(
-            sentence(
-                "sun_B must be a unit vector",
-                got=f"length {np.linalg.norm(sun):.6g}",
-                do="divide it by its length",
-            )
+            "sun_B must be a unit vector",
+            got=f"length {np.linalg.norm(sun):.6g}",
+            do="divide it by its length",
         )
     speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
     fastest = max(np.abs(omega).max(), np.abs(speeds).max(initial=0.0))
     if fastest > MAX_RATE:
         raise MotionError(
-            sentence(
-                f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"
-            )
+            f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"
         )
     plan = m.schedules(vehicle, wheel_mode)
     stopped = (
@@ -254,9 +245,7 @@ def _start(
         else (stopped_at_s,) * len(vehicle.wheels)
     )
     if len(stopped) != len(vehicle.wheels):
-        raise MotionError(
-            sentence("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
-        )
+        raise MotionError("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
     attitude = forces.attitude(B_from_N, sun)
     bodies = Bodies.of(vehicle)
     carried = forces.carried(
@@ -349,10 +338,8 @@ def _piece(run: _Run, ta, t_stop: float):
             )
     if target == run.t:
         raise MotionError(
-            sentence(
-                f"the body turns too fast to be followed at t = {run.t:zg} s",
-                do="check the rates' unit",
-            )
+            f"the body turns too fast to be followed at t = {run.t:zg} s",
+            do="check the rates' unit",
         )
     ta.pars[:] = values
     ta.state[:] = run.y
@@ -364,10 +351,7 @@ def _piece(run: _Run, ta, t_stop: float):
     run.t = float(ta.time if run.pending is not None else target)
     if not np.all(np.isfinite(run.y)):
         raise MotionError(
-            sentence(
-                f"the motion left the range of numbers at t = {run.t:zg} s",
-                do="check the rates' unit",
-            )
+            f"the motion left the range of numbers at t = {run.t:zg} s", do="check the rates' unit"
         )
     return dense
 
@@ -376,7 +360,7 @@ def _change_modes(run: _Run, ta) -> None:
     """Handle what ended the piece: an event of a wheel, or the known stop of a stuck wheel on the way back."""
     if len(run.events) > MAX_EVENTS:
         raise MotionError(
-            sentence(f"more than {MAX_EVENTS} wheel events by t = {run.t:zg} s: the wheel chatters")
+            f"more than {MAX_EVENTS} wheel events by t = {run.t:zg} s: the wheel chatters"
         )
     if run.pending is not None:
         wheel, is_breakaway = divmod(run.pending, 2)
@@ -438,10 +422,8 @@ def _breakaway(run: _Run, i: int) -> None:
     """The torque that keeps wheel i stuck reaches the friction limit."""
     if run.backward:
         raise MotionError(
-            sentence(
-                f"wheel {run.vehicle.wheels[i].name!r} cannot have been stuck before t = {run.t:z.6g} s: friction was too weak",
-                do="give the time it stopped as stopped_at_s, or begin later",
-            )
+            f"wheel {run.vehicle.wheels[i].name!r} cannot have been stuck before t = {run.t:z.6g} s: friction was too weak",
+            do="give the time it stopped as stopped_at_s, or begin later",
         )
     before = run.wheels[i]
     p, inertia = (
@@ -474,18 +456,14 @@ def _require_known_past(run: _Run, i: int) -> None:
     state, stopped = run.wheels[i], run.stopped_at[i]
     if state.turning is m.Turning.STUCK and stopped is None:
         raise MotionError(
-            sentence(
-                f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t:z.6g} s and a wheel that "
-                "sticks forgets its past",
-                do="give the time it stopped as stopped_at_s",
-            )
+            f"wheel {run.vehicle.wheels[i].name!r} is at rest at t = {run.t:z.6g} s and a wheel that "
+            "sticks forgets its past",
+            do="give the time it stopped as stopped_at_s",
         )
     if state.turning is m.Turning.STUCK and stopped is not None and stopped >= run.t:
         if stopped > run.t:
             raise MotionError(
-                sentence(
-                    f"stopped_at_s = {stopped:g} s lies after t = {run.t:zg} s, at which the wheel is already at rest"
-                )
+                f"stopped_at_s = {stopped:g} s lies after t = {run.t:zg} s, at which the wheel is already at rest"
             )
         _release_backward(run, i)
 

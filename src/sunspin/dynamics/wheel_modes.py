@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.dynamics import gyrostat as g
 from sunspin.solve.linear import symmetric_inverse
 from sunspin.vehicle import Vehicle, Wheel
@@ -61,11 +61,9 @@ def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:
             for item, wheel in zip(wheel_mode, vehicle.wheels, strict=True)
         )
     raise MotionError(
-        sentence(
-            "wheel_mode must be a command, a schedule [(t_s, command), ...] or one of these per wheel",
-            got=wheel_mode,
-            do=f"the vehicle has {n} wheel(s)",
-        )
+        "wheel_mode must be a command, a schedule [(t_s, command), ...] or one of these per wheel",
+        got=wheel_mode,
+        do=f"the vehicle has {n} wheel(s)",
     )
 
 
@@ -84,26 +82,22 @@ def _schedule(item: Any, wheels: Sequence[Wheel]) -> Schedule:
     elif _is_schedule(item):
         entries = tuple((float(t), str(command)) for t, command in item)
     else:
-        raise MotionError(sentence("a wheel's mode must be a command or a schedule", got=item))
+        raise MotionError("a wheel's mode must be a command or a schedule", got=item)
     times = [t for t, _ in entries]
     if (
         any(not later > earlier for earlier, later in zip(times, times[1:], strict=False))
         or np.isnan(times).any()
     ):
-        raise MotionError(sentence("the times of a wheel schedule must increase", got=times))
+        raise MotionError("the times of a wheel schedule must increase", got=times)
     for _, command in entries:
         if command not in COMMANDS:
-            raise MotionError(
-                sentence(f"wheel mode must be one of {', '.join(COMMANDS)}", got=command)
-            )
+            raise MotionError(f"wheel mode must be one of {', '.join(COMMANDS)}", got=command)
         if command == "brake":
             for wheel in wheels:
                 if wheel.brake_torque_N_m is None:
                     raise MotionError(
-                        sentence(
-                            f"wheel {wheel.name!r} has no brake",
-                            do="add brake_torque_N_m to it in the vehicle file",
-                        )
+                        f"wheel {wheel.name!r} has no brake",
+                        do="add brake_torque_N_m to it in the vehicle file",
                     )
     return entries
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.environment.frames import SUN_Z_LOCAL
 from sunspin.environment.surroundings import Environment, Surroundings
 
@@ -67,23 +67,17 @@ def circular(
         or not (np.isfinite(normal).all() and np.isfinite(nadir).all())
     ):
         raise InputError(
-            sentence(
-                "normal and nadir of an orbit must be three finite numbers each",
-                got=f"{normal_N}, {nadir_N}",
-            )
+            "normal and nadir of an orbit must be three finite numbers each",
+            got=f"{normal_N}, {nadir_N}",
         )
     if not 0 < rate_rad_s < np.inf:
-        raise InputError(
-            sentence("the rate of an orbit must be positive, in rad/s", got=rate_rad_s)
-        )
+        raise InputError("the rate of an orbit must be positive, in rad/s", got=rate_rad_s)
     across = np.cross(np.cross(normal, nadir), normal)
     if (
         np.linalg.norm(across) < 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)
         or not normal.any()
     ):
-        raise InputError(
-            sentence("the nadir lies along the orbit's normal", do="give a nadir across it")
-        )
+        raise InputError("the nadir lies along the orbit's normal", do="give a nadir across it")
     normal, nadir = (
         tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across)
     )

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.untrusted import decoded, plain_number, read_bytes, xml_root
 
 MAX_FILE_BYTES = 10_000_000
@@ -92,9 +92,7 @@ class Elements:
             from sgp4.api import SGP4_ERRORS
 
             what = f"these elements cannot be propagated to the telemetry: {SGP4_ERRORS[int(error[error > 0][0])]}"
-            raise InputError(
-                sentence(what, do="give elements of the telemetry's time", where=self.where)
-            )
+            raise InputError(what, do="give elements of the telemetry's time", where=self.where)
         return 1e3 * place, 1e3 * speed
 
     def require(self, jd: np.ndarray) -> None:
@@ -153,17 +151,15 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
         found = list(_lines(text, where))
     if not found:
         raise InputError(
-            sentence(
-                "no orbital elements here",
-                do="give two lines that begin with 1 and 2, or an OMM",
-                where=where,
-            )
+            "no orbital elements here",
+            do="give two lines that begin with 1 and 2, or an OMM",
+            where=where,
         )
     numbers = sorted({one.number for one in found})
     if len(numbers) > 1:
         what = f"the file has elements of {len(numbers)} satellites"
         do = "keep those of yours"
-        raise InputError(sentence(what, got=", ".join(map(str, numbers[:4])), do=do, where=where))
+        raise InputError(what, got=", ".join(map(str, numbers[:4])), do=do, where=where)
     return tuple(sorted(found, key=lambda one: one.epoch_jd))
 
 
@@ -184,45 +180,33 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
         if first is None and line.startswith(("1 ", "2 ")):
             if line[0] == "2" and len(line) > 60:
                 what = "line 2 of the elements comes before line 1"
-                raise InputError(sentence(what, do="exchange the two lines", where=at))
+                raise InputError(what, do="exchange the two lines", where=at)
             first = _checked(line, LINE_1, at)
         elif first is not None:
             if not line.startswith("2 "):
                 raise InputError(
-                    sentence("line 2 of the elements must follow their line 1", got=line, where=at)
+                    "line 2 of the elements must follow their line 1", got=line, where=at
                 )
             yield _from_lines(first, _checked(line, LINE_2, at), name, at)
             name, first = "", None
         else:
             name = line.removeprefix("0 ").strip()[:100]
     if first is not None:
-        raise InputError(sentence("line 1 of the elements has no line 2", do="add it", where=where))
+        raise InputError("line 1 of the elements has no line 2", do="add it", where=where)
 
 
 def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     if len(line) != 69:
         raise InputError(
-            sentence(
-                "a line of elements has 69 characters",
-                got=f"{len(line)}",
-                do="copy it whole",
-                where=at,
-            )
+            "a line of elements has 69 characters", got=f"{len(line)}", do="copy it whole", where=at
         )
     total = sum(int(c) if c in DIGITS else c == "-" for c in line[:68]) % 10
     if line[68] != str(total):
         what = f"the checksum of the line is {total}, but its last character says {line[68]!r}"
-        raise InputError(
-            sentence(what, do="the line was damaged or edited: copy it anew", where=at)
-        )
+        raise InputError(what, do="the line was damaged or edited: copy it anew", where=at)
     if not form.fullmatch(line):
         raise InputError(
-            sentence(
-                "the columns are not those of a line of elements",
-                got=line,
-                do="copy it anew",
-                where=at,
-            )
+            "the columns are not those of a line of elements", got=line, do="copy it anew", where=at
         )
     return line
 
@@ -231,15 +215,11 @@ def _from_lines(first: str, second: str, name: str, at: str) -> Elements:
     if first[2:7] != second[2:7]:
         what = "the two lines are of different satellites"
         raise InputError(
-            sentence(
-                what, got=f"{first[2:7]} and {second[2:7]}", do="keep those of yours", where=at
-            )
+            what, got=f"{first[2:7]} and {second[2:7]}", do="keep those of yours", where=at
         )
     if not 1 <= float(first[20:32]) < 367:
         raise InputError(
-            sentence(
-                "the epoch's day of the year must be from 1 to 366", got=first[20:32], where=at
-            )
+            "the epoch's day of the year must be from 1 to 366", got=first[20:32], where=at
         )
     return _elements((first, second), name, at)
 
@@ -249,15 +229,11 @@ def _elements(given: tuple, name: str, at: str) -> Elements:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise InputError(
-            sentence(f"the elements cannot be read ({error})", do="copy them anew", where=at)
+            f"the elements cannot be read ({error})", do="copy them anew", where=at
         ) from None
     if satellite.error or not satellite.no_kozai > 0:
         raise InputError(
-            sentence(
-                "the elements are those of no orbit",
-                do="check mean motion and eccentricity",
-                where=at,
-            )
+            "the elements are those of no orbit", do="check mean motion and eccentricity", where=at
         )
     return Elements(
         given, int(satellite.satnum), name, (satellite.jdsatepoch, satellite.jdsatepochF), at
@@ -276,31 +252,22 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
     missing = [key for key in KEYS if key not in known]
     if missing:
         raise InputError(
-            sentence(
-                "the OMM lacks a key", got=missing[0], do="give the whole message", where=where
-            )
+            "the OMM lacks a key", got=missing[0], do="give the whole message", where=where
         )
     theory = known.get("MEAN_ELEMENT_THEORY", "SGP4")
     if theory.upper().replace("/", "") not in ("SGP4", "SGP", "SGPSGP4"):
         raise InputError(
-            sentence(
-                "the OMM's elements are not for SGP4",
-                got=theory,
-                do="give SGP4 elements",
-                where=where,
-            )
+            "the OMM's elements are not for SGP4", got=theory, do="give SGP4 elements", where=where
         )
     for key in KEYS[1:]:
         if np.isnan(plain_number(known[key])):
-            raise InputError(sentence(f"{key} must be a number", got=known[key], where=where))
+            raise InputError(f"{key} must be a number", got=known[key], where=where)
     epoch = known["EPOCH"].rstrip("Z")
     if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?", epoch, re.ASCII):
         raise InputError(
-            sentence(
-                "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0",
-                got=known["EPOCH"],
-                where=where,
-            )
+            "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0",
+            got=known["EPOCH"],
+            where=where,
         )
     known["EPOCH"] = epoch if "." in epoch else epoch + ".0"
     wanted = {key: known[key] for key in (*KEYS, *ASSUMED)}
@@ -327,17 +294,13 @@ def _json(text: str, where: str) -> list[dict[str, Any]]:
     try:
         table = json.loads(text)
     except (ValueError, RecursionError):
-        raise InputError(
-            sentence("this is not valid JSON", do="give the whole file", where=where)
-        ) from None
+        raise InputError("this is not valid JSON", do="give the whole file", where=where) from None
     table = table if isinstance(table, list) else [table]
     if not all(isinstance(one, dict) for one in table):
         raise InputError(
-            sentence(
-                "the JSON is not an OMM",
-                do="give a list of messages with the keys of an OMM",
-                where=where,
-            )
+            "the JSON is not an OMM",
+            do="give a list of messages with the keys of an OMM",
+            where=where,
         )
     return table
 

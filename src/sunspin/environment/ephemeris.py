@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.lazy import lazy
 from sunspin.base.tables import TelemetryError, read_table
 from sunspin.base.untrusted import (
@@ -158,7 +158,7 @@ class Ephemeris:
             got = f"{utc_of(self.span_jd[0])} to {utc_of(self.span_jd[1])}, but not {utc_of(float(jd[missing][0]))}"
             do = "give one that does, or only the telemetry that it covers"
             what = "the ephemeris does not cover the telemetry"
-            raise InputError(sentence(what, got=got, do=do, where=self.where))
+            raise InputError(what, got=got, do=do, where=self.where)
 
     @staticmethod
     def _at(stretch: Stretch, t_s: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -270,22 +270,20 @@ def _ephemeris(tables: list[_Table], number: str, name: str, where: str) -> Ephe
     stretches = [one for table in tables for one in _stretches(table, where)]
     if not stretches:
         what = f"the ephemeris has no {FEWEST} positions in a row"
-        raise InputError(
-            sentence(what, do="give one with a position every minute or so", where=where)
-        )
+        raise InputError(what, do="give one with a position every minute or so", where=where)
     stretches.sort(key=lambda one: one.jd + one.t_s[0] / DAY_S)
     if (worst := max(one.error_m() for one in stretches)) > COARSEST_M:
         step = float(np.median(np.diff(stretches[0].t_s)))
         what = f"the positions are {step:.0f} s apart, between which an orbit is known to {worst:.0f} m only"
         do = f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit"
-        raise InputError(sentence(what, do=do, where=where))
+        raise InputError(what, do=do, where=where)
     return Ephemeris(tuple(stretches), number[:100], name[:100], where)
 
 
 def _stretches(table: _Table, where: str) -> list[Stretch]:
     if np.any(np.diff(table.t_s) <= 0):
         what, do = "the times of the ephemeris do not increase", "sort its rows, remove repeats"
-        raise InputError(sentence(what, do=do, where=where))
+        raise InputError(what, do=do, where=where)
     radius = np.linalg.norm(table.place, axis=1)
     if not np.all((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M)):
         bad = radius[~((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M))][0]
@@ -294,7 +292,7 @@ def _stretches(table: _Table, where: str) -> list[Stretch]:
             f"{bad / 1e3:.6g} km from its centre",
         )
         raise InputError(
-            sentence(what, got=got, do="check the unit (km in an OEM) and the centre", where=where)
+            what, got=got, do="check the unit (km in an OEM) and the centre", where=where
         )
     when = _instants(table, where)
     place, speed = _in_J2000(table, when, where)
@@ -312,7 +310,7 @@ def _stretches(table: _Table, where: str) -> list[Stretch]:
         if np.nanmax(np.append(off, 0.0)) > VELOCITY_M_S and np.nanmedian(off) > VELOCITY_M_S / 10:
             what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the middle"
             do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
-            raise InputError(sentence(what, do=do, where=where))
+            raise InputError(what, do=do, where=where)
         found.append(stretch)
     return found
 
@@ -323,7 +321,7 @@ def _instants(table: _Table, where: str) -> Instants:
         when = Instants.of(_iso(table.epoch), table.t_s)
     except ValueError:
         raise InputError(
-            sentence("this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where)
+            "this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where
         ) from None
     tai_ahead = when.tt_ahead * DAY_S - 32.184
     tt_ahead = tai_ahead + 32.184
@@ -342,9 +340,7 @@ def _instants(table: _Table, where: str) -> Instants:
     if table.scale not in behind:
         do = f"give one of {', '.join(behind)}"
         raise InputError(
-            sentence(
-                "the time system of the ephemeris is not known", got=table.scale, do=do, where=where
-            )
+            "the time system of the ephemeris is not known", got=table.scale, do=do, where=where
         )
     return when.later(-behind[table.scale])
 
@@ -361,9 +357,7 @@ def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np
         turn = np.swapaxes(earth_from_J2000(when), -1, -2)
         return (turn @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
     do = f"give positions in one of {', '.join(sorted(INERTIAL))}, TEME, ITRF"
-    raise InputError(
-        sentence("the frame of the ephemeris is not known", got=table.frame, do=do, where=where)
-    )
+    raise InputError("the frame of the ephemeris is not known", got=table.frame, do=do, where=where)
 
 
 # -------------------------------------------------------------------------------------------------------------------------- OEM
@@ -391,7 +385,7 @@ def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
             cells = line.split()
             if len(cells) not in (4, 7, 10):
                 what = "a line of an OEM has a time, three coordinates and three of velocity"
-                raise InputError(sentence(what, got=line, where=f"{where}, line {number}"))
+                raise InputError(what, got=line, where=f"{where}, line {number}")
             rows.append((cells[0], cells[1:7]))
     tables += [_oem_table(meta, rows, where)] if rows else []
     return meta, tables
@@ -419,7 +413,7 @@ def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
         tables += [_oem_table(meta, rows, where)] if rows else []
     if not tables:
         what, do = "the XML is no OEM with positions", "give an OEM, a CSV or an SPK"
-        raise InputError(sentence(what, do=do, where=where))
+        raise InputError(what, do=do, where=where)
     return meta, tables
 
 
@@ -427,11 +421,11 @@ def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: s
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
             raise InputError(
-                sentence("the OEM lacks a key", got=key, do="give the whole message", where=where)
+                "the OEM lacks a key", got=key, do="give the whole message", where=where
             )
     if meta["CENTER_NAME"].upper() != "EARTH":
         what = "the positions of the OEM are not about the Earth"
-        raise InputError(sentence(what, got=meta["CENTER_NAME"], where=where))
+        raise InputError(what, got=meta["CENTER_NAME"], where=where)
     return _table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
 
 
@@ -446,9 +440,7 @@ def _table(
     try:
         times = np.array([_iso(time) for time, _ in rows], dtype="datetime64[us]")
     except ValueError as error:
-        raise InputError(
-            sentence(f"a time of the ephemeris cannot be read ({error})", where=where)
-        ) from None
+        raise InputError(f"a time of the ephemeris cannot be read ({error})", where=where) from None
     t_s = (times - times[0]) / np.timedelta64(1, "us") / 1e6
     values = np.array(
         [
@@ -465,12 +457,10 @@ def _table(
     if odd:
         do = "write plain decimals, such as -6778.137"
         raise InputError(
-            sentence("a coordinate of the ephemeris is no number", got=odd[0], do=do, where=where)
+            "a coordinate of the ephemeris is no number", got=odd[0], do=do, where=where
         )
     if not np.isfinite(values[:, :3]).all():
-        raise InputError(
-            sentence("a coordinate of the ephemeris is missing or not finite", where=where)
-        )
+        raise InputError("a coordinate of the ephemeris is missing or not finite", where=where)
     return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
 
 
@@ -506,21 +496,17 @@ def _csv(path: Path) -> _Table:
     if not unit or missing:
         do = "name them time_utc, x_km, y_km, z_km (or x_m, ...), and vx_km_s, ... if you have velocities"
         got = "columns " + ", ".join(table.header)
-        raise InputError(
-            sentence("the table has no columns of an ephemeris", got=got, do=do, where=where)
-        )
+        raise InputError("the table has no columns of an ephemeris", got=got, do=do, where=where)
     if not frames:
         what = "the ephemeris does not say its frame"
         raise InputError(
-            sentence(
-                what, do="add a first line such as `# frame: J2000` (or TEME, ITRF)", where=where
-            )
+            what, do="add a first line such as `# frame: J2000` (or TEME, ITRF)", where=where
         )
     fast = next((one for one in ("km_s", "m_s") if f"vx_{one}" in table.header), None)
     names = [*wanted, *(f"v{axis}_{fast}" for axis in "xyz" if fast)]
     if absent := [name for name in names if name not in table.header]:
         what = f"the column {absent[0]!r} of velocity is missing"
-        raise InputError(sentence(what, where=where))
+        raise InputError(what, where=where)
     rows = [(row[0], row[1:]) for row in table.cells[names].to_numpy().tolist()]
     return _table(
         rows, 1e3 if unit == "km" else 1.0, 1e3 if fast == "km_s" else 1.0, "UTC", frames[0], where
@@ -537,19 +523,19 @@ def _spk(path: Path) -> _Table:
         import spiceypy  # noqa: F401
     except ImportError:
         raise InputError(
-            sentence("an SPK needs spiceypy", do='pip install "sunspin[spice]"', where=where)
+            "an SPK needs spiceypy", do='pip install "sunspin[spice]"', where=where
         ) from None
     script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
     try:
         printed = elsewhere(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
     except Elsewhere as error:
-        raise InputError(sentence(f"the SPK cannot be used ({error})", where=where)) from None
+        raise InputError(f"the SPK cannot be used ({error})", where=where) from None
     values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)
     if not len(values):
-        raise InputError(sentence("the SPK has no states", where=where))
+        raise InputError("the SPK has no states", where=where)
     if not (np.abs(values) < LARGEST).all():
         do = "give the whole file"
-        raise InputError(sentence("the SPK holds a number beyond any orbit", do=do, where=where))
+        raise InputError("the SPK holds a number beyond any orbit", do=do, where=where)
     begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
     epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
     return _Table(

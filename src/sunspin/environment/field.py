@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.lazy import lazy
 
 if TYPE_CHECKING:
@@ -63,9 +63,7 @@ def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
     year = 2000 + (jd - 2451544.5) / 365.25
     if not YEARS[0] <= year < YEARS[1]:
         what = f"the Earth's field is known from {YEARS[0]:.0f} to {YEARS[1]:.0f} (IGRF-14)"
-        raise InputError(
-            sentence(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry")
-        )
+        raise InputError(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry")
     step = 1e4
     low, high = step * np.floor(radius_m[0] / step), step * np.ceil(radius_m[1] / step)
     return _field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))

@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from tqdm import tqdm
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 USUAL = 1.5e7
 """What an estimate may take unless it is told otherwise: about a minute and a half of one core."""
@@ -135,10 +135,6 @@ def allowed(effort: float) -> float:
         or not effort > 0
     ):
         raise InputError(
-            sentence(
-                "effort must be a positive number, or infinity",
-                got=effort,
-                do="1 is the usual effort",
-            )
+            "effort must be a positive number, or infinity", got=effort, do="1 is the usual effort"
         )
     return USUAL * float(effort)

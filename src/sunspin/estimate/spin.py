@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.solve.rotations import seen_turned
 
 PHASE_STEP = 0.7
@@ -157,7 +157,7 @@ def fit_spin(
         np.asarray(t_s, dtype=np.float64)
     )  # of all samples, with a direction or not
     if not low < high:
-        raise InputError(sentence("rate_range must be (low, high) in rad/s", got=(low, high)))
+        raise InputError("rate_range must be (low, high) in rad/s", got=(low, high))
     scan_rate, scan_E, drift = _scan(t, along, across, low, high)
     middle, half = (t[0] + t[-1]) / 2, (t[-1] - t[0]) / 2
     fits = [
@@ -195,19 +195,15 @@ def _checked(
     if t.ndim != 1 or n.shape != (t.size, 3) or not np.all(np.diff(t) > 0):
         shapes = f"{t.shape}, {n.shape}"
         raise InputError(
-            sentence(
-                "t_s must be increasing times (n) and sun_B their directions (n, 3)", got=shapes
-            )
+            "t_s must be increasing times (n) and sun_B their directions (n, 3)", got=shapes
         )
     if axis.shape != (3,) or abs(np.linalg.norm(axis) - 1) > 1e-3:
-        raise InputError(sentence("axis_B must be a unit vector of three components", got=axis_B))
+        raise InputError("axis_B must be a unit vector of three components", got=axis_B)
     known = np.all(np.isfinite(n), axis=1)
     if known.sum() < degree + 4:
         raise InputError(
-            sentence(
-                f"a rate of degree {degree} needs at least {degree + 4} directions",
-                got=f"{known.sum()} of {t.size} samples",
-            )
+            f"a rate of degree {degree} needs at least {degree + 4} directions",
+            got=f"{known.sum()} of {t.size} samples",
         )
     return t[known], n[known], axis / np.linalg.norm(axis)
 

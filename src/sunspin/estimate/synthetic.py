@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
 from sunspin.telemetry.synthetic import (
@@ -99,12 +99,10 @@ def _truth(truth: Truth | Mapping[str, Any]) -> Truth:
     missing = [name for name in ("omega_B", "sun_B", "t_s") if name not in truth]
     if unknown or missing:
         raise InputError(
-            sentence(
-                f"a truth has the fields {', '.join(names)}",
-                got=", ".join(
-                    [f"unknown {name}" for name in unknown] + [f"no {name}" for name in missing]
-                ),
-            )
+            f"a truth has the fields {', '.join(names)}",
+            got=", ".join(
+                [f"unknown {name}" for name in unknown] + [f"no {name}" for name in missing]
+            ),
         )
     return Truth(**truth)
 
@@ -116,7 +114,7 @@ def _scale(truth: Truth, vehicle: Vehicle) -> float:
             return 1.0
         return noise / (NOISE_OF_LARGEST * float(vehicle.input_gains.max()))
     if not (np.isfinite(truth.scale) and truth.scale > 0):
-        raise InputError(sentence("the scale of a twin must be positive", got=truth.scale))
+        raise InputError("the scale of a twin must be positive", got=truth.scale)
     return float(truth.scale)
 
 
@@ -132,12 +130,12 @@ def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarra
         or (given.ndim == 0 and given < 0)
     ):
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
-        raise InputError(sentence(what, got=given.shape or float(given)))
+        raise InputError(what, got=given.shape or float(given))
     return given if given.ndim else drawn_tilts(vehicle, float(given), rng)
 
 
 def _noise(truth: Truth, vehicle: Vehicle) -> float:
     noise = truth.noise if truth.noise is not None else vehicle.telemetry.noise or 0.0
     if not (np.isfinite(noise) and noise >= 0):
-        raise InputError(sentence("the noise of a twin must be zero or positive", got=noise))
+        raise InputError("the noise of a twin must be zero or positive", got=noise)
     return float(noise)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.vehicle import Vehicle
 
 KINDS = ("leg", "panel", "body")
@@ -131,10 +131,8 @@ def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
     outward, distances = shape.outward_B, shape.distances_m
     if outward is None or distances is None:
         raise InputError(
-            sentence(
-                "this shape has no facet to rest on",
-                do="give a hull with a volume around the centre of mass",
-            )
+            "this shape has no facet to rest on",
+            do="give a hull with a volume around the centre of mass",
         )
     down = -up_B
     facet = np.full(len(up_B), -1)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
@@ -84,7 +84,7 @@ def candidates_of(vehicle: Vehicle, given: Any, scenario: sc.Scenario) -> Candid
         or not np.all(np.isfinite(omega))
     ):
         raise InputError(
-            sentence("candidates must be rates (m, 3) in rad/s, finite", got=f"shape {omega.shape}")
+            "candidates must be rates (m, 3) in rad/s, finite", got=f"shape {omega.shape}"
         )
     m, n_wheel = len(omega), len(vehicle.wheels)
     own = wheel_speeds(vehicle, list(scenario.wheel_speed_rad_s) or None)
@@ -107,10 +107,8 @@ def candidates_of(vehicle: Vehicle, given: Any, scenario: sc.Scenario) -> Candid
         shapes = f"{sun.shape}, {speeds.shape}, {weight.shape}"
         wanted = f"({m}, 3), ({m}, {n_wheel}), ({m},)"
         raise InputError(
-            sentence(
-                f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {wanted}",
-                got=shapes,
-            )
+            f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {wanted}",
+            got=shapes,
         )
     likely = np.nan_to_num(np.exp(weight - np.nanmax(weight)))
     return Candidates(
@@ -472,9 +470,9 @@ def outcomes(
         :func:`sunspin.landing.tally.tally` turns it into probabilities with their standard errors.
     """
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
-        raise InputError(sentence("n must be a positive whole number of runs", got=n))
+        raise InputError("n must be a positive whole number of runs", got=n)
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(sentence("seed must be zero or a positive whole number", got=seed))
+        raise InputError("seed must be zero or a positive whole number", got=seed)
     vehicle.require_inertia()
     scenario = scenario or own_scenario(vehicle)
     rows = OutcomeRows(
@@ -499,8 +497,6 @@ def own_scenario(vehicle: Vehicle) -> sc.Scenario:
     if vehicle.name in case_names():
         return sc.case_scenario(replace(load_case(vehicle.name), vehicle=vehicle))
     raise InputError(
-        sentence(
-            f"nothing is known of what happens to {vehicle.name!r}",
-            do="give scenario=Scenario(...) with times and speeds",
-        )
+        f"nothing is known of what happens to {vehicle.name!r}",
+        do="give scenario=Scenario(...) with times and speeds",
     )

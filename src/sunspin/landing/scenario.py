@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.untrusted import is_sensible, plain_number
 from sunspin.dynamics.wheel_modes import Schedule, schedules
 from sunspin.landing.contact import Shape, legs_down, shape_of
@@ -79,16 +79,11 @@ class Scenario:
             object.__setattr__(self, name, tuple(float(x) for x in np.ravel(getattr(self, name))))
         sun = np.array(self.sun_B)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) < 1e-2:
-            raise InputError(
-                sentence("sun_B must be a unit vector of three components", got=self.sun_B)
-            )
+            raise InputError("sun_B must be a unit vector of three components", got=self.sun_B)
         axis = np.array(self.collision_axis_B)
         if axis.shape != (3,) or not (np.all(np.isfinite(axis)) and np.linalg.norm(axis) > 0):
             raise InputError(
-                sentence(
-                    "collision_axis_B must be three numbers, not all zero",
-                    got=self.collision_axis_B,
-                )
+                "collision_axis_B must be three numbers, not all zero", got=self.collision_axis_B
             )
         object.__setattr__(self, "collision_axis_B", tuple(axis / np.linalg.norm(axis)))
         if isinstance(self.orbiter, str):
@@ -97,31 +92,25 @@ class Scenario:
             known = np.shape(self.orbiter) == (3,) and np.linalg.norm(self.orbiter) > 0
         if not known:
             raise InputError(
-                sentence(
-                    'orbiter must be "above_horizon", "any" or three numbers', got=self.orbiter
-                )
+                'orbiter must be "above_horizon", "any" or three numbers', got=self.orbiter
             )
         self._check_times_and_speeds()
 
     def _check_times_and_speeds(self) -> None:
         for name in ("restitution", "damper"):
             if not 0 <= getattr(self, name) <= 1:
-                raise InputError(
-                    sentence(f"{name} must be a share between 0 and 1", got=getattr(self, name))
-                )
+                raise InputError(f"{name} must be a share between 0 and 1", got=getattr(self, name))
         for name in ("before_s", "lead_s"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(
-                    sentence(
-                        f"{name} must be zero or a positive time in s", got=getattr(self, name)
-                    )
+                    f"{name} must be zero or a positive time in s", got=getattr(self, name)
                 )
         for name in ("after_s", "landing_speed_m_s", "collision_speed_m_s"):
             value: float | None = getattr(self, name)
             if value is None and name == "collision_speed_m_s":
                 continue
             if value is None or not (np.isfinite(value) and value > 0):
-                raise InputError(sentence(f"{name} must be positive", got=value))
+                raise InputError(f"{name} must be positive", got=value)
 
     @property
     def collision_s(self) -> float:
@@ -184,7 +173,7 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     """
     if case.timeline is None or "kernel_speed_before" not in case.published:
         raise InputError(
-            sentence(f"case {case.name!r} knows of no landing", do="give a Scenario of your own")
+            f"case {case.name!r} knows of no landing", do="give a Scenario of your own"
         )
     published, times = (
         case.published,
@@ -226,10 +215,7 @@ def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scena
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in known:
             raise InputError(
-                sentence(
-                    f"{option} is missing",
-                    do=f"no times and directions are known of {craft.name!r}",
-                )
+                f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"
             )
     return Scenario(**known)
 
@@ -274,9 +260,7 @@ def strategy_of(vehicle: Vehicle, given: Any) -> Strategy:
         found = Strategy("schedule", tuple((float(t), str(command)) for t, command in given))
     else:
         known = f"{', '.join(NAMED)}, delay:SECONDS"
-        raise InputError(
-            sentence("there is no wheel strategy of this name", got=given, do=f"known: {known}")
-        )
+        raise InputError("there is no wheel strategy of this name", got=given, do=f"known: {known}")
     schedules(vehicle, found.schedule)
     return found
 
@@ -292,7 +276,7 @@ def _seconds(text: str) -> float:
     value = plain_number(text)
     if not (is_sensible(value) and value >= 0):
         what = "a delay must be zero or a positive number of seconds below 1e30"
-        raise InputError(sentence(what, got=text, do="for example delay:600"))
+        raise InputError(what, got=text, do="for example delay:600")
     return value
 
 
@@ -320,10 +304,7 @@ def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
     elif np.shape(wanted) == (3,) and np.linalg.norm(wanted) > 0:
         return np.atleast_2d(np.array(wanted, float) / np.linalg.norm(wanted)), "one direction"
     raise InputError(
-        sentence(
-            'vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers',
-            got=wanted,
-        )
+        'vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers', got=wanted
     )
 
 
@@ -343,10 +324,8 @@ def _legs_down(vehicle: Vehicle, shape: Shape | None) -> tuple[np.ndarray, str]:
     found = spiral()[legs_down(shape, spiral())]
     if not len(found):
         raise InputError(
-            sentence(
-                "no leg of this vehicle can be its lowest point",
-                do="check the hull, or give a vertical",
-            )
+            "no leg of this vehicle can be its lowest point",
+            do="check the hull, or give a vertical",
         )
     return found, "every direction for which an end of a leg was the lowest point at the touchdown"
 

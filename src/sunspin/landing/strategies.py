@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.landing.outcomes import outcomes, own_scenario
@@ -78,9 +78,7 @@ def compare(
             why = "; ".join(
                 OUTCOME_TEXT[Outcome(code)] for code in np.unique(runs[name]["outcome"].values)
             )
-            raise InputError(
-                sentence(f"no run of the strategy {name!r} could be computed", got=why)
-            )
+            raise InputError(f"no run of the strategy {name!r} could be computed", got=why)
     names = list(runs)
     tallies = {name: tally(found) for name, found in runs.items()}
     quantities = list(tallies[names[0]])
@@ -163,7 +161,7 @@ def best_delay(
         `metric`, `best_s`, and `spread_s`, the central 68 % of the best delay over resampled runs.
     """
     if not vehicle.wheels:
-        raise InputError(sentence(f"vehicle {vehicle.name!r} has no wheel to switch off"))
+        raise InputError(f"vehicle {vehicle.name!r} has no wheel to switch off")
     scenario = scenario or own_scenario(vehicle)
     if delays_s is None:
         end = scenario.landing_s
@@ -179,11 +177,9 @@ def best_delay(
     if each[0] is None or not np.isfinite(each[0]).any():
         known = ", ".join(table["quantity"].values)
         raise InputError(
-            sentence(
-                "these runs do not tell the quantity to be made largest",
-                got=metric,
-                do=f"known: {known}",
-            )
+            "these runs do not tell the quantity to be made largest",
+            got=metric,
+            do=f"known: {known}",
         )
     values = np.array(each)
     values = values[:, np.isfinite(values).all(axis=0)]
@@ -223,7 +219,7 @@ def settling(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, Any]]:
         (N); the coefficient of friction that is needed; time to stop (s).
     """
     if not vehicle.legs:
-        raise InputError(sentence(f"vehicle {vehicle.name!r} has no legs to stand on"))
+        raise InputError(f"vehicle {vehicle.name!r} has no legs to stand on")
     feet = len(vehicle.legs)
     lever = float(np.mean([np.linalg.norm(leg.tip_B_m) for leg in vehicle.legs]))
     weight = vehicle.require_mass() * gravity_m_s2 / feet

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.landing.contact import KINDS
 
 LOW_RZ = (-0.5, -0.2, 0.0)
@@ -97,10 +97,8 @@ def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Est
     w = np.ones_like(x) if weights is None else np.asarray(weights, dtype=np.float64)
     if x.shape != w.shape or x.ndim != 1 or np.any(w < 0):
         raise InputError(
-            sentence(
-                "an estimate needs values (n) and as many weights, none negative",
-                got=(x.shape, w.shape),
-            )
+            "an estimate needs values (n) and as many weights, none negative",
+            got=(x.shape, w.shape),
         )
     use = np.isfinite(x) & (w > 0)
     if not use.any():
@@ -148,9 +146,7 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
     """
     share = runs["rz_share"].values.astype(np.float64)
     if merge < 1 or share.shape[1] % merge:
-        raise InputError(
-            sentence(f"merge must divide the number of bins, {share.shape[1]}", got=merge)
-        )
+        raise InputError(f"merge must divide the number of bins, {share.shape[1]}", got=merge)
     share = share.reshape(len(share), -1, merge).sum(axis=2)
     width = 2.0 / share.shape[1]
     pairs = [estimate(column, weights) for column in share.T]

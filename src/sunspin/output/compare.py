@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sunspin.base.errors import InputError, printable, sentence
+from sunspin.base.errors import InputError, printable
 from sunspin.base.provenance import provenance
 from sunspin.base.untrusted import LARGEST, SMALLEST, is_own, read_bytes
 from sunspin.landing.tally import quantity
@@ -66,11 +66,11 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     for folder in folders:
         if not is_own(folder / MARKER):
             what = "this is no results folder of sunspin"
-            raise InputError(sentence(what, got=str(folder), do="give what --out named"))
+            raise InputError(what, got=str(folder), do="give what --out named")
     command, second = (maker(folder / MARKER) for folder in folders)
     if command != second or command not in NUMBERS:
         what, known = "only two results of one command can be compared", " or ".join(NUMBERS)
-        raise InputError(sentence(what, got=f"{command} and {second}", do=f"give two of {known}"))
+        raise InputError(what, got=f"{command} and {second}", do=f"give two of {known}")
     files = [folder / "summary.json" for folder in folders]
     content = [read_bytes(path, MAX_SUMMARY_BYTES, "summary", InputError, do) for path in files]
     try:
@@ -99,10 +99,10 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         raise
     except (LookupError, OverflowError, RecursionError, TypeError, ValueError, AttributeError) as e:
         what = f"a summary holds something else than `sunspin {command}` writes ({type(e).__name__}: {e})"
-        raise InputError(sentence(what, got=got, do=do)) from None
+        raise InputError(what, got=got, do=do) from None
     if not rows:
         what, same = "the two results have nothing in common", "compare results of the same data"
-        raise InputError(sentence(what, got=got, do=same))
+        raise InputError(what, got=got, do=same)
     rows.sort(key=lambda row: (np.isnan(row["error"]), -row["size"]))
     columns = {name: ("row", np.array([row[name] for row in rows])) for name in rows[0]}
     return xr.Dataset(columns, attrs=provenance("comparison", command=command, **attrs))

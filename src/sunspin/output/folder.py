@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base import atomic_write
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.errors import OutputError
 from sunspin.base.provenance import described
 from sunspin.base.untrusted import is_own
 from sunspin.output.kind import Drawing, Table
@@ -43,29 +43,23 @@ def results_folder(path: Any, command: str) -> Path:
         if is_own(marker):
             if (made := maker(marker)) != command:
                 raise OutputError(
-                    sentence(
-                        f"the folder holds results of `sunspin {made}`",
-                        do="choose another --out",
-                        where=str(folder),
-                    )
-                )
-        elif {*folder.iterdir()} - atomic_write.left(folder):
-            raise OutputError(
-                sentence(
-                    "the folder is not empty and not a results folder",
+                    f"the folder holds results of `sunspin {made}`",
                     do="choose another --out",
                     where=str(folder),
                 )
+        elif {*folder.iterdir()} - atomic_write.left(folder):
+            raise OutputError(
+                "the folder is not empty and not a results folder",
+                do="choose another --out",
+                where=str(folder),
             )
         atomic_write.sweep(folder)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(
-            sentence(
-                f"results cannot be written here ({error.strerror or error})",
-                do="choose another --out",
-                where=str(folder),
-            )
+            f"results cannot be written here ({error.strerror or error})",
+            do="choose another --out",
+            where=str(folder),
         ) from None
     return folder
 
@@ -82,11 +76,9 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
         return atomic_write.write_whole(target, write)
     except OSError as error:
         raise OutputError(
-            sentence(
-                f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
-                do="free space or choose another --out",
-                where=str(target),
-            )
+            f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
+            do="free space or choose another --out",
+            where=str(target),
         ) from None
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 RENAMED = {
     "weight": "probability",
@@ -28,7 +28,7 @@ def refuse_former(kind: object, names: Iterable[object], where: str | None = Non
     new = [f"`{name}` is `{now}` now" for name, now in RENAMED.items() if name in present]
     if new and kind in ("rates", "posterior"):
         what = f"this result was written by an earlier version: {', '.join(new)}"
-        raise InputError(sentence(what, do="run the command again", where=where))
+        raise InputError(what, do="run the command again", where=where)
 
 
 class Summary(dict[str, Any]):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 if TYPE_CHECKING:
     from sunspin.output.kind import Kind, Summary
@@ -36,7 +36,7 @@ class Result:
             what = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
             do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
             raise InputError(
-                sentence(f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do)
+                f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do
             )
         nodes = self._data.subtree if isinstance(self._data, xr.DataTree) else [self._data]
         names = {name for node in nodes for name in (*node.dims, *getattr(node, "data_vars", ()))}
@@ -76,16 +76,12 @@ class Result:
         known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
         if not known:
             raise InputError(
-                sentence(
-                    f"a result of kind {self._data.attrs['kind']!r} has no figure",
-                    do="print its summary()",
-                )
+                f"a result of kind {self._data.attrs['kind']!r} has no figure",
+                do="print its summary()",
             )
         if name is not None and name not in known:
             raise InputError(
-                sentence(
-                    "there is no figure of this name", got=name, do=f"known: {', '.join(known)}"
-                )
+                "there is no figure of this name", got=name, do=f"known: {', '.join(known)}"
             )
         return known[name or next(iter(known))].make()
 

@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 from sunspin.base.atomic_write import make_folder
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.errors import OutputError
 
 TEMPLATES = ("vehicle.toml", "telemetry.csv")
 
@@ -19,9 +19,7 @@ def write_templates(folder: Path) -> list[Path]:
     for target in targets:
         if os.path.lexists(target):
             raise OutputError(
-                sentence(
-                    "this file is there already", do="choose another folder", where=str(target)
-                )
+                "this file is there already", do="choose another folder", where=str(target)
             )
     written: list[Path] = []
     try:
@@ -34,10 +32,8 @@ def write_templates(folder: Path) -> list[Path]:
         for target in written:
             target.unlink(missing_ok=True)
         raise OutputError(
-            sentence(
-                f"files cannot be written here ({error.strerror or error})",
-                do="choose another folder",
-                where=str(folder),
-            )
+            f"files cannot be written here ({error.strerror or error})",
+            do="choose another folder",
+            where=str(folder),
         ) from None
     return targets

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
@@ -267,11 +267,9 @@ def compute(
     rebound, case = scan.rebound, scan.rebound.case
     if source != "published" and carries.reasons:
         raise TelemetryError(
-            sentence(
-                "nothing can be concluded from these readings",
-                got="; ".join(carries.reasons),
-                do="check the panels' columns, gains and units",
-            )
+            "nothing can be concluded from these readings",
+            got="; ".join(carries.reasons),
+            do="check the panels' columns, gains and units",
         )
     found = (
         calibration(case, rebound, scan.table, twins, seed, workers=workers, progress=progress)
@@ -333,19 +331,15 @@ def compute(
 def _refuse_unfit(scan: Scanned, found: Calibration | None) -> None:
     if found is None:
         raise TelemetryError(
-            sentence(
-                "the threshold of the set is not calibrated for these data",
-                do="run without --calibrate 0: it takes a minute",
-            )
+            "the threshold of the set is not calibrated for these data",
+            do="run without --calibrate 0: it takes a minute",
         )
     if found.unusual(scan.smallest):
         raise TelemetryError(
-            sentence(
-                "no motion of the model fits the heights of the Sun",
-                got=f"a smallest EMD of {scan.smallest:.4f}, where {found.n} synthetic rebounds like these data have "
-                f"{found.emd_min.min():.4f} to {found.emd_min.max():.4f}",
-                do="check the vehicle, the wheel's command and the panels' gains",
-            )
+            "no motion of the model fits the heights of the Sun",
+            got=f"a smallest EMD of {scan.smallest:.4f}, where {found.n} synthetic rebounds like these data have "
+            f"{found.emd_min.min():.4f} to {found.emd_min.max():.4f}",
+            do="check the vehicle, the wheel's command and the panels' gains",
         )
 
 
@@ -368,7 +362,7 @@ def _from_posterior(
     )
     if tree.attrs["verdict_word"] == "not explained":
         raise TelemetryError(
-            sentence("no motion explains the readings of the rebound", got=tree.attrs["verdict"])
+            "no motion explains the readings of the rebound", got=tree.attrs["verdict"]
         )
     drawn = tree["posterior"].to_dataset()
     omega, sun, speeds = (
@@ -402,25 +396,21 @@ def _from_file(path: Path) -> np.ndarray:
     """Rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4."""
     if not path.is_file():
         raise InputError(
-            sentence(
-                "--candidates takes scan, posterior, published or a file, and there is no such file",
-                got=str(path),
-                do="give a table with columns omega_x, omega_y, omega_z in rad/s",
-            )
+            "--candidates takes scan, posterior, published or a file, and there is no such file",
+            got=str(path),
+            do="give a table with columns omega_x, omega_y, omega_z in rad/s",
         )
     table = read_table(path)
     names = ("omega_x", "omega_y", "omega_z")
     if missing := [name for name in names if name not in table.header]:
         what = "candidates need columns omega_x, omega_y, omega_z, rad/s"
         got = f"no {', '.join(missing)}"
-        raise InputError(sentence(what, got=got, where=str(path)))
+        raise InputError(what, got=got, where=str(path))
     omega = table.numbers(names)
     if not len(omega) or not np.all(np.isfinite(omega)):
         raise InputError(
-            sentence(
-                "candidates must be finite rates, one row each",
-                got=f"{len(omega)} rows",
-                where=str(path),
-            )
+            "candidates must be finite rates, one row each",
+            got=f"{len(omega)} rows",
+            where=str(path),
         )
     return omega

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.landing.tally import Estimate, effective_runs, estimate
 from sunspin.telemetry.case import Case
 from sunspin.vehicle.timeline import utc_seconds
@@ -67,11 +67,9 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
     facts = _read(path, lambda states: _facts(case, states))
     if not all(0 <= value < 1e3 * LARGEST for value in facts.values()):
         raise InputError(
-            sentence(
-                "the trajectory kernel holds no speeds of this landing",
-                do="download it again",
-                where=str(path),
-            )
+            "the trajectory kernel holds no speeds of this landing",
+            do="download it again",
+            where=str(path),
         )
     return facts
 
@@ -91,7 +89,7 @@ def _read(path: Path, asked: Callable[[_KernelStates], T]) -> T:
     except spice_errors() as error:
         short = " ".join(str(error).split()).strip("= ")[:200]
         what = f"the trajectory kernel cannot be read ({short})"
-        raise InputError(sentence(what, do="download it again", where=str(path))) from None
+        raise InputError(what, do="download it again", where=str(path)) from None
 
 
 def _facts(case: Case, states: _KernelStates) -> dict[str, float]:
@@ -149,20 +147,16 @@ class _KernelStates:
             import spiceypy
         except ImportError:
             raise InputError(
-                sentence(
-                    "reading a trajectory kernel needs spiceypy", do='pip install "sunspin[spice]"'
-                )
+                "reading a trajectory kernel needs spiceypy", do='pip install "sunspin[spice]"'
             ) from None
         if not path.is_file():
             raise InputError(
-                sentence(
-                    "the trajectory kernel is not there",
-                    do="docs/data.md says where it comes from",
-                    where=str(path),
-                )
+                "the trajectory kernel is not there",
+                do="docs/data.md says where it comes from",
+                where=str(path),
             )
         damaged = InputError(
-            sentence("the trajectory kernel is damaged", do="download it again", where=str(path))
+            "the trajectory kernel is damaged", do="download it again", where=str(path)
         )
         if not _has_spk_summaries(path):
             raise damaged
@@ -192,7 +186,7 @@ def weights(runs: xr.Dataset, facts: dict[str, float], sigma_m_s: float = SIGMA_
     Runs must start from the speed before, or the speeds mean nothing. Those that failed weigh 0.
     """
     if not sigma_m_s > 0:
-        raise InputError(sentence("sigma_m_s must be positive", got=sigma_m_s))
+        raise InputError("sigma_m_s must be positive", got=sigma_m_s)
     jump = runs["velocity_change"].values - facts["velocity_change"]
     speed = runs["speed_after"].values - facts["speed_after"]
     return np.nan_to_num(np.exp(-0.5 * (jump**2 + speed**2) / sigma_m_s**2), nan=0.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.errors import TelemetryError
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
 from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
@@ -89,10 +89,8 @@ def delta_limit(sun: xr.Dataset) -> float:
     checked = sun["delta"].values[sun["status"].values == SunStatus.OK]
     if checked.size < 2 * LEAST_RUN:
         raise TelemetryError(
-            sentence(
-                "too few samples with more than three lit panels to tell what Delta is usual",
-                got=f"{checked.size}",
-            )
+            "too few samples with more than three lit panels to tell what Delta is usual",
+            got=f"{checked.size}",
         )
     return DELTA_SIGMAS * MAD_TO_SIGMA * float(np.median(checked))
 
@@ -111,10 +109,7 @@ def clean_from(sun: xr.Dataset) -> int:
         return 0
     if end + 1 == checked.size:
         raise TelemetryError(
-            sentence(
-                "no sample is clean: Delta is large to the end",
-                do="check the panels' gains and names",
-            )
+            "no sample is clean: Delta is large to the end", do="check the panels' gains and names"
         )
     return int(checked[end + 1])
 
@@ -125,7 +120,7 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     before = sun.isel(time=np.flatnonzero(sun["time"].values < touchdown))
     if before.sizes["time"] == 0:
         raise TelemetryError(
-            sentence("no sample before the first touchdown", do="check the times of the telemetry")
+            "no sample before the first touchdown", do="check the times of the telemetry"
         )
     first = clean_from(before)
     time = before["time"].values - before["time"].values[first]

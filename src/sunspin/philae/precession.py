@@ -17,7 +17,7 @@ import xarray as xr
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row
@@ -101,15 +101,13 @@ def swing(
         Unit vector.
     """
     if not 0 < compared_s <= duration_s:
-        raise InputError(
-            sentence("compared_s must be positive and at most duration_s", got=compared_s)
-        )
+        raise InputError("compared_s must be positive and at most duration_s", got=compared_s)
     starts, axis = (
         np.atleast_2d(np.asarray(omega_B, dtype=np.float64)),
         np.asarray(axis_B, dtype=np.float64),
     )
     if axis.shape != (3,) or abs(np.linalg.norm(axis) - 1) > 1e-3:
-        raise InputError(sentence("axis_B must be a unit vector of three components", got=axis_B))
+        raise InputError("axis_B must be a unit vector of three components", got=axis_B)
     t = np.arange(0.0, duration_s + STEP_S / 2, STEP_S)
     parts = t <= compared_s, t >= duration_s - compared_s
     found = [

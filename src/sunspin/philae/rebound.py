@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.toml import read_toml
 from sunspin.compute.identity import plain
 from sunspin.dynamics import gyrostat
@@ -163,10 +163,8 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
     part = sun.isel(time=np.flatnonzero((time >= start) & (time < end)))
     if part.sizes["time"] == 0:
         raise TelemetryError(
-            sentence(
-                "there is no sample between first touchdown and collision",
-                do="check the times of the telemetry",
-            )
+            "there is no sample between first touchdown and collision",
+            do="check the times of the telemetry",
         )
     part = part.assign_coords(
         utc_s=("time", part["time"].values, {"units": "s", "long_name": "time since the epoch"})
@@ -257,11 +255,9 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     told = is_reconstructed(samples["status"])
     if not told.any():
         raise TelemetryError(
-            sentence(
-                "no sample between first touchdown and collision gives a direction of the Sun",
-                got=f"{len(told)} samples there",
-                do="check the columns of the telemetry",
-            )
+            "no sample between first touchdown and collision gives a direction of the Sun",
+            got=f"{len(told)} samples there",
+            do="check the columns of the telemetry",
         )
     own = samples["sun_B"].values
     apart = (

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import version
 from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
 from sunspin.output.kind import Drawing, Table
@@ -151,11 +151,9 @@ def reproduce(
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         raise InputError(
-            sentence(
-                "the telemetry lies in the results folder, which is written anew",
-                do="copy it to another place first",
-                where=str(telemetry),
-            )
+            "the telemetry lies in the results folder, which is written anew",
+            do="copy it to another place first",
+            where=str(telemetry),
         )
     folder = results_folder(out, "reproduce")
     with Gallery() as gallery:

@@ -20,7 +20,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.landing.tally import Estimate
 from sunspin.philae.templates import Template, templates
 from sunspin.telemetry.case import Case
@@ -137,9 +137,7 @@ def row(
         key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__
     }
     if unknown := sorted(set(given) - template.needs):
-        raise InputError(
-            sentence(f"the row's texts do not name {', '.join(unknown)}", where=template.where)
-        )
+        raise InputError(f"the row's texts do not name {', '.join(unknown)}", where=template.where)
     fields = {"paper": {key: one.value for key, one in case.published.items()}} | values | given
     texts = {
         key: template.fill(key, fields)
@@ -166,9 +164,7 @@ def row(
         found["source"] = source_of(found.pop("place"))
         made = Row(**found)
     except (KeyError, TypeError) as error:
-        raise InputError(
-            sentence(f"the row lacks a field ({error})", where=template.where)
-        ) from None
+        raise InputError(f"the row lacks a field ({error})", where=template.where) from None
     if made.tolerance is not None and not {"agrees", "holds"} & set(values):
         made = replace(made, agrees=_within(made, most))
     return made
@@ -177,9 +173,7 @@ def row(
 def _template_of(case: Case, name: str) -> Template:
     found = templates(case).get(name)
     if found is None:
-        raise InputError(
-            sentence("a row has no table in rows.toml", got=name, do="add one with its texts")
-        )
+        raise InputError("a row has no table in rows.toml", got=name, do="add one with its texts")
     return found
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.philae.collision import KERNEL, condition, kernel_facts
 from sunspin.philae.rebound import moves_and_sees_alike, published_candidates
@@ -24,9 +24,7 @@ def starts(
     those of the case's own body: for another they are refused.
     """
     if scan is not None and omega:
-        raise InputError(
-            sentence("candidates come from --scan or from --omega-deg-s", do="give one of them")
-        )
+        raise InputError("candidates come from --scan or from --omega-deg-s", do="give one of them")
     if omega:
         return np.array(omega), "as given"
     if scan is not None:
@@ -54,17 +52,13 @@ def _printed(craft: Vehicle) -> tuple[np.ndarray, str]:
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "line_L1" not in case.published:
         raise InputError(
-            sentence(
-                "no candidate motions are given", do="give --omega-deg-s x,y,z or --scan scan.nc"
-            )
+            "no candidate motions are given", do="give --omega-deg-s x,y,z or --scan scan.nc"
         )
     if not moves_and_sees_alike(craft, case.vehicle):
         raise InputError(
-            sentence(
-                "the printed lines were found for another body, wheel or panels than these",
-                got=_told(craft.said),
-                do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
-            )
+            "the printed lines were found for another body, wheel or panels than these",
+            got=_told(craft.said),
+            do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )
     return published_candidates(case), "the lines that the paper prints"
 
@@ -84,10 +78,8 @@ def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Da
         or not np.isfinite(runs["speed_after"]).any()
     ):
         raise InputError(
-            sentence(
-                "--condition needs collisions of a case with a trajectory kernel",
-                do="use it with philae",
-            )
+            "--condition needs collisions of a case with a trajectory kernel",
+            do="use it with philae",
         )
     there = data if data is not None and data.joinpath(*KERNEL).is_file() else None
     return condition(case, runs, None if there is None else kernel_facts(case, there))

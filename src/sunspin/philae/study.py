@@ -15,7 +15,7 @@ from typing import Any
 
 import xarray as xr
 
-from sunspin.base.errors import InputError, MotionError, TelemetryError, sentence
+from sunspin.base.errors import InputError, MotionError, TelemetryError
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
@@ -448,11 +448,9 @@ def require_wheel(vehicle: Vehicle) -> None:
     vehicle.require_mass()
     if len(vehicle.wheels) != 1 or not vehicle.legs:
         raise InputError(
-            sentence(
-                "the study is of a lander with one wheel and legs",
-                got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs",
-                do="copy the vehicle file of philae and change it",
-            )
+            "the study is of a lander with one wheel and legs",
+            got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs",
+            do="copy the vehicle file of philae and change it",
         )
 
 

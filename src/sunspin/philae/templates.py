@@ -14,7 +14,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.toml import read_toml
 from sunspin.telemetry.case import Case
 
@@ -48,7 +48,7 @@ class Template:
             return self.texts[key].format_map(fields)
         except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                sentence(f"the row's {key} cannot be filled ({error!r})", where=self.where)
+                f"the row's {key} cannot be filled ({error!r})", where=self.where
             ) from None
 
 
@@ -70,7 +70,7 @@ def parse_templates(text: str, where: str) -> Mapping[str, Template]:
 
 def _template(table: Any, where: str) -> Template:
     if not isinstance(table, dict):
-        raise InputError(sentence("a row is a table of texts and values", got=table, where=where))
+        raise InputError("a row is a table of texts and values", got=table, where=where)
     texts, values = {}, {}
     for key, value in table.items():
         if key in TEXTS or NOTE.fullmatch(key) or (key == "published" and isinstance(value, str)):
@@ -79,17 +79,13 @@ def _template(table: Any, where: str) -> Template:
             values[key] = value
         else:
             raise InputError(
-                sentence(
-                    "a row has no such key",
-                    got=key,
-                    do=f"known: {', '.join((*TEXTS, *VALUES))}",
-                    where=where,
-                )
+                "a row has no such key",
+                got=key,
+                do=f"known: {', '.join((*TEXTS, *VALUES))}",
+                where=where,
             )
         if not isinstance(value, str if key in texts else VALUES[key]) or value == "":
-            raise InputError(
-                sentence(f"{key} is not of the kind that it has to be", got=value, where=where)
-            )
+            raise InputError(f"{key} is not of the kind that it has to be", got=value, where=where)
     return Template(texts, values, _fields(texts, where), where)
 
 
@@ -103,7 +99,5 @@ def _fields(texts: Mapping[str, str], where: str) -> frozenset[str]:
             if name is not None
         ]
     except ValueError as error:
-        raise InputError(
-            sentence(f"braces do not enclose a field ({error})", where=where)
-        ) from None
+        raise InputError(f"braces do not enclose a field ({error})", where=where) from None
     return frozenset(re.split(r"[.\[]", name)[0] for name in named)

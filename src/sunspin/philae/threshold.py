@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.base import atomic_write
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
@@ -113,15 +113,13 @@ def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]
 def check_confidence(n: int, confidence: float) -> int:
     """Which of n ordered twins, from 0, sets the threshold of this confidence; refuses what n twins cannot tell."""
     if not 0 < confidence < 1:
-        raise InputError(sentence("a confidence must lie between 0 and 1", got=confidence))
+        raise InputError("a confidence must lie between 0 and 1", got=confidence)
     at = ceil(confidence * (n + 1)) - 1
     if at >= n:
         raise InputError(
-            sentence(
-                "too few twins for this confidence",
-                got=f"{n} twins, {confidence:g}",
-                do="ask for more twins",
-            )
+            "too few twins for this confidence",
+            got=f"{n} twins, {confidence:g}",
+            do="ask for more twins",
         )
     return at
 
@@ -345,9 +343,7 @@ def from_json(text: str, where: str, source: str) -> Calibration:
             raise ValueError("lists of numbers of equal length are needed")
         return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            sentence(f"this is no calibration of a threshold ({error})", where=where)
-        ) from None
+        raise InputError(f"this is no calibration of a threshold ({error})", where=where) from None
 
 
 def calibration(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import version
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.philae.twin_philae import philae_twin
@@ -60,10 +60,10 @@ def twin(
     if truth is None:
         if isinstance(source, Case) and source.name == "philae":
             return philae_twin(seed, **landing)
-        raise InputError(sentence("a twin needs a truth", do="give omega_B, sun_B and t_s"))
+        raise InputError("a twin needs a truth", do="give omega_B, sun_B and t_s")
     if landing:
         raise InputError(
-            sentence("a twin with a truth takes no options of the landing", got=", ".join(landing))
+            "a twin with a truth takes no options of the landing", got=", ".join(landing)
         )
     return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
 

@@ -37,7 +37,7 @@ import xarray as xr
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
 from sunspin.telemetry.case import Case, load_case
@@ -210,9 +210,7 @@ def drawn_panels(
         with suppress(InputError):
             return tilt, behind(vehicle, shown_B, tilt)
     raise InputError(
-        sentence(
-            f"no Sun makes panels show this direction in {MAX_DRAWS} draws", got=f"sigmas {sigmas}"
-        )
+        f"no Sun makes panels show this direction in {MAX_DRAWS} draws", got=f"sigmas {sigmas}"
     )
 
 
@@ -229,10 +227,7 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     sun /= np.linalg.norm(sun)
     if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
         raise InputError(
-            sentence(
-                "no Sun makes panels turned so far show the published direction",
-                do="take another seed",
-            )
+            "no Sun makes panels turned so far show the published direction", do="take another seed"
         )
     return sun
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import xarray as xr
 
-from sunspin.base.errors import InputError, TelemetryError, sentence
+from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.telemetry.reader import read_telemetry
@@ -67,10 +67,8 @@ class Case:
         path = case_telemetry(self.name)
         if path is None:
             raise TelemetryError(
-                sentence(
-                    f"case {self.name!r} comes without telemetry",
-                    do="read yours with read_telemetry(path, vehicle)",
-                )
+                f"case {self.name!r} comes without telemetry",
+                do="read yours with read_telemetry(path, vehicle)",
             )
         return read_telemetry(path, self.vehicle)
 
@@ -78,10 +76,8 @@ class Case:
         """The timeline, or an `InputError` that says where to add it."""
         if self.timeline is None:
             raise InputError(
-                sentence(
-                    f"case {self.name!r} has no timeline",
-                    do="add a timeline.toml with its events to the case's folder",
-                )
+                f"case {self.name!r} has no timeline",
+                do="add a timeline.toml with its events to the case's folder",
             )
         return self.timeline
 
@@ -122,11 +118,9 @@ def load_case(name: str, changes: Changes = None) -> Case:
     """
     if name not in case_names():
         raise InputError(
-            sentence(
-                "there is no built-in case of this name",
-                got=name,
-                do=f"known: {', '.join(case_names())}",
-            )
+            "there is no built-in case of this name",
+            got=name,
+            do=f"known: {', '.join(case_names())}",
         )
     folder = _root() / name
     timeline, published = folder / "timeline.toml", folder / "published.toml"
@@ -173,15 +167,11 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
     for key, entry in table.items():
         if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:
             raise InputError(
-                sentence(
-                    f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}",
-                    where=f"{where}, {key}",
-                )
+                f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}",
+                where=f"{where}, {key}",
             )
         if not all(entry[text].strip() for text in ("unit", "what", "place")):
-            raise InputError(
-                sentence("unit, what and place must not be empty", where=f"{where}, {key}")
-            )
+            raise InputError("unit, what and place must not be empty", where=f"{where}, {key}")
         figures[key] = Published(**{**entry, "value": _tuples(entry["value"])})
     return _frozen(figures)
 

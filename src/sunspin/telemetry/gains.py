@@ -44,7 +44,7 @@ COMMON_SHARE = 0.5
 """Error that all gains share, as a part of the scatter of brightness: where negative readings are cut to zero the noise of dark
 panels has a mean, which the difference takes from the lit ones (0.3 % at a noise of 0.5 %)."""
 
-OPPOSITE = -0.999
+OPPOSITE = -0.99
 """Cosine of the angle between two opposite panels, at most."""
 
 WEAK_SIGMAS = 3.0

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
@@ -296,14 +296,12 @@ def noise_alone(
     n_panel = len(vehicle.inputs)
     if readings.ndim != 2 or readings.shape[1] != n_panel:
         raise InputError(
-            sentence(
-                f"powers must have one column for each of the {n_panel} panels", got=readings.shape
-            )
+            f"powers must have one column for each of the {n_panel} panels", got=readings.shape
         )
     if not (np.isfinite(sigma) and sigma > 0):
-        raise InputError(sentence("sigma must be the positive noise of a reading", got=sigma))
+        raise InputError("sigma must be the positive noise of a reading", got=sigma)
     if not (np.isfinite(lit_threshold) and lit_threshold >= 0):
-        raise InputError(sentence("lit_threshold must be zero or positive", got=lit_threshold))
+        raise InputError("lit_threshold must be zero or positive", got=lit_threshold)
     response = vehicle.response_in()
     scale = response.largest  # so that the unknown is of the size of the readings
     each = np.broadcast_to(np.hypot(1.0, np.asarray(besides) / sigma), readings.shape)

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.base.untrusted import plain_number
@@ -83,7 +83,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     if path.suffix == ".toml":
         what = "this is a vehicle's file and not telemetry"
         do = "give the vehicle first and then a table of samples"
-        raise TelemetryError(sentence(what, do=do, where=str(path)))
+        raise TelemetryError(what, do=do, where=str(path))
     table = read_table(path)
     if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
         return stored_telemetry(table.data, vehicle, path)
@@ -91,7 +91,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     if "frame" in header and form.time_column not in header and header & {"timestamp", "observer"}:
         what = "the file holds raw frames and no readings"
         do = "turn them into a table first, as `sunspin decode` does for skCUBE"
-        raise TelemetryError(sentence(what, do=do, where=str(path)))
+        raise TelemetryError(what, do=do, where=str(path))
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, optional=bool(sensors))
     received = _received(form, table)
@@ -138,7 +138,7 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
     if twice := [name for name in columns if columns.count(name) > 1]:
         what = "two panels read one column"
         do = f"name the column of each under [telemetry.columns] in the vehicle file{OR_CHANNEL}"
-        raise TelemetryError(sentence(what, got=twice[0], do=do, where=table.where))
+        raise TelemetryError(what, got=twice[0], do=do, where=table.where)
     return columns
 
 
@@ -150,7 +150,7 @@ def _refuse(
         row, k = np.argwhere(bad)[0]
         got = table.cells[names[k]].iat[row] or "an empty cell"
         do = 'correct it, or set bad_rows = "flag" under [telemetry] in the vehicle file'
-        raise TelemetryError(sentence(what, got=got, do=do, where=table.place(row, names[k])))
+        raise TelemetryError(what, got=got, do=do, where=table.place(row, names[k]))
 
 
 def _values(vehicle: Vehicle, table: Table, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +196,7 @@ def _at_reference(
         return values, {}
     if strange := [name for name in form.temperature_columns if name not in panels]:
         what = "telemetry.temperature_columns names a panel that the vehicle has not"
-        raise TelemetryError(sentence(what, got=strange[0]))
+        raise TelemetryError(what, got=strange[0])
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
         column = column_of(table, name, f"temperature of panel {panel}")
@@ -246,7 +246,7 @@ def _times(
     fixed = None if form.epoch_utc is None else parse_utc(form.epoch_utc)
     if form.epoch_utc is not None and fixed is None:
         what = "telemetry.epoch_utc of the vehicle is not an ISO-8601 time"
-        raise TelemetryError(sentence(what, got=form.epoch_utc))
+        raise TelemetryError(what, got=form.epoch_utc)
     if form.time_format == "utc":
         moments = [moment for cell in cells if (moment := parse_utc(cell)) is not None]
         if len(moments) < len(cells):
@@ -264,7 +264,7 @@ def _times(
             fixed = UNIX_ZERO + timedelta(seconds=round(float(np.nanmedian(received - numbers)), 3))
         if fixed is None:
             what = "elapsed times need telemetry.epoch_utc in the vehicle file"
-            raise TelemetryError(sentence(what))
+            raise TelemetryError(what)
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
@@ -273,7 +273,7 @@ def _times(
 def _no_time(kind: str, table: Table, form: TelemetryForm, row: int, do: str) -> TelemetryError:
     got = table.cells[form.time_column].iat[row] or "an empty cell"
     where = table.place(row, form.time_column)
-    return TelemetryError(sentence(f"{kind} is expected", got=got, do=do, where=where))
+    return TelemetryError(f"{kind} is expected", got=got, do=do, where=where)
 
 
 OTHER_FORM = "correct it, or set time_format under [telemetry] in the vehicle file"
@@ -301,7 +301,7 @@ def _one_clock(cells: list[str], table: Table, form: TelemetryForm) -> None:
         i = zones.index(None)
         what = "other times of this file have a time zone and this one has none"
         do, where = "give each its zone, or Z for UTC", table.place(i, form.time_column)
-        raise TelemetryError(sentence(what, got=cells[i], do=do, where=where))
+        raise TelemetryError(what, got=cells[i], do=do, where=where)
 
 
 def _in_order(
@@ -343,7 +343,7 @@ def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table) -> np.ndar
             f"{table.where}, line {table.cells.index[i]}",
             table.cells[form.time_column].iat[i],
         )
-        raise TelemetryError(sentence("time does not increase", got=got, do=do, where=where))
+        raise TelemetryError("time does not increase", got=got, do=do, where=where)
     return np.where(late, np.uint8(4), np.uint8(0))
 
 
@@ -393,12 +393,10 @@ def column_of(
         near = _nearest(name, table.header if free is None else free)
         do = f"add it, or name the right column under [{section}] in the vehicle file"
         raise TelemetryError(
-            sentence(
-                f"column {name!r} ({what}) is missing",
-                got="columns " + ", ".join(table.header),
-                do=do if near is None else f"did you mean {near!r}? {do[0].upper()}{do[1:]}",
-                where=table.where,
-            )
+            f"column {name!r} ({what}) is missing",
+            got="columns " + ", ".join(table.header),
+            do=do if near is None else f"did you mean {near!r}? {do[0].upper()}{do[1:]}",
+            where=table.where,
         )
     return name
 

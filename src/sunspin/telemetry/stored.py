@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.vehicle import Vehicle
@@ -40,12 +40,7 @@ def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Datas
     if wrong := _wrong(data, vehicle, known):
         do = "give the vehicle.toml that lies beside it, or the file from which it was read"
         raise TelemetryError(
-            sentence(
-                "the stored telemetry is not that of this vehicle",
-                got=wrong,
-                do=do,
-                where=str(path),
-            )
+            "the stored telemetry is not that of this vehicle", got=wrong, do=do, where=str(path)
         )
     return data
 

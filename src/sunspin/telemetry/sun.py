@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.units import WrongUnit, panel_unit
@@ -162,9 +162,9 @@ def sun_directions(
         Powers of other panels than the vehicle's; a noise that is not positive, a threshold that is negative or no number.
     """
     if noise is not None and not (np.isfinite(noise) and noise > 0):
-        raise InputError(sentence("the noise of a panel reading must be positive", got=noise))
+        raise InputError("the noise of a panel reading must be positive", got=noise)
     if lit_threshold is not None and not (np.isfinite(lit_threshold) and lit_threshold >= 0):
-        raise InputError(sentence("lit_threshold must be zero or positive", got=lit_threshold))
+        raise InputError("lit_threshold must be zero or positive", got=lit_threshold)
     power, base = _powers(vehicle, telemetry)
     noise = noise if noise is not None else vehicle.telemetry.noise
     threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
@@ -264,10 +264,8 @@ def signals(telemetry: xr.Dataset) -> np.ndarray:
     name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
     if name is None:
         raise InputError(
-            sentence(
-                "the telemetry has no panel powers or currents",
-                do="give a file with a column per panel",
-            )
+            "the telemetry has no panel powers or currents",
+            do="give a file with a column per panel",
         )
     return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
 
@@ -280,9 +278,7 @@ def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | 
     power = np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
     if power.ndim != 2 or power.shape[1] != n_panel:
         raise InputError(
-            sentence(
-                f"powers must have one column for each of the {n_panel} panels", got=power.shape
-            )
+            f"powers must have one column for each of the {n_panel} panels", got=power.shape
         )
     return power, None
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.errors import OutputError
 from sunspin.base.provenance import provenance
 from sunspin.solve.rotations import tangents
 from sunspin.vehicle import Vehicle
@@ -133,15 +133,13 @@ def write_new(path: Path, text: str, force: bool) -> None:
     """Write a text file whole, or say why not; an existing file is replaced only with `force`."""
     if path.exists() and not force:
         raise OutputError(
-            sentence("the file exists", do="choose another name or add --force", where=str(path))
+            "the file exists", do="choose another name or add --force", where=str(path)
         )
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
         raise OutputError(
-            sentence(
-                f"the file cannot be written ({error.strerror or error})",
-                do="choose another place",
-                where=str(path),
-            )
+            f"the file cannot be written ({error.strerror or error})",
+            do="choose another place",
+            where=str(path),
         ) from None

@@ -40,8 +40,6 @@ LEAST_SAMPLES = 5
 FINEST = 1e5
 """Readings over their noise, which words of 16 bits hold: more is another unit."""
 
-OTHER_UNIT = "one of them is in another unit"
-
 SHUFFLES = 99
 """Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many random orders of its readings
 among the panels, which noise does in one file of a hundred, however small."""
@@ -78,6 +76,7 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
         return None
     if vehicle.gain_unit == unit and (wrong := _against_gains(vehicle, value, largest)):
         return wrong
+    other_unit = "one of them is in another unit"
     full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
     limits = {"noise": form.noise, "lit_threshold": form.lit_threshold}
     above = [key for key, limit in limits.items() if limit is not None and full < limit]
@@ -85,11 +84,11 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
         key = above[0]
         what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {key} ({limits[key]:g} {unit})"
         scales = "scale, voltage_scale" if form.has_voltages else "scale"
-        return WrongUnit(f"{what}: {OTHER_UNIT}", "telemetry", f"{scales} or {key}")
+        return WrongUnit(f"{what}: {other_unit}", "telemetry", f"{scales} or {key}")
     if form.noise is not None and full > FINEST * form.noise:
         times = f"more than {FINEST:g} times the stated noise ({form.noise:g})"
         what = f"readings of {full:.3g} are {times}, which no telemetry resolves"
-        return WrongUnit(f"{what}: {OTHER_UNIT}", "telemetry", "scale or noise")
+        return WrongUnit(f"{what}: {other_unit}", "telemetry", "scale or noise")
     return None
 
 

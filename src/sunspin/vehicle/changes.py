@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.untrusted import LARGEST, plain_number
 from sunspin.vehicle.part import keys_of, part_in
 from sunspin.vehicle.parts import GAIN_UNITS, Friction
@@ -73,7 +73,7 @@ def changes_of(given: Changes) -> tuple[Change, ...]:
         match = CHANGE.fullmatch(text)
         if match is None:
             do = "write KEY=VALUE, KEY*=FACTOR or KEY+=STEP, for example wheel.speed_rad_s=833"
-            raise InputError(sentence("this is not a valid change of a value", got=text, do=do))
+            raise InputError("this is not a valid change of a value", got=text, do=do)
         changes.append(Change(match[1], match[2], read_value(match[3])))
     return tuple(changes)
 
@@ -137,12 +137,12 @@ def path_to(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
             known = ", ".join(names) if any(names) else f"0 to {len(node) - 1}"
             if index is None and len(node) > 1:
                 what, do = f"there are {len(node)} of these", f"say which in brackets: {known}"
-                raise InputError(sentence(what, got=key, do=do))
+                raise InputError(what, got=key, do=do)
             index = "0" if index is None else index
             places = [*filter(None, names), *map(str, range(len(node)))]
             if index not in places:
                 what = f"there is no [{index}] here"
-                raise InputError(sentence(what, got=key, do=f"known: {known}"))
+                raise InputError(what, got=key, do=f"known: {known}")
             enter(names.index(index) if index in names else int(index))
             if step[0] == "[":
                 continue
@@ -151,7 +151,7 @@ def path_to(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
             holder[field] = {}
             node = holder[field]
         if not isinstance(node, dict) or step[0] == "[":
-            raise InputError(sentence("there is nothing to set by this key", got=key, do=LIST))
+            raise InputError("there is nothing to set by this key", got=key, do=LIST)
         if step == "gain":
             step = next((name for name in GAIN_UNITS if name in node), step)
         if step in COEFFICIENTS and "spin_down" in node and path:
@@ -181,7 +181,7 @@ def _combined(old: Any, operator: str, operand: Any, key: str) -> Any:
     numbers = [x for x in (old, operand) if isinstance(x, int | float) and abs(x) <= LARGEST]
     if len(numbers) < 2 or any(isinstance(x, bool) for x in numbers):
         got = f"{shown(old)} {operator} {shown(operand)}"
-        raise InputError(sentence(f"{operator} needs numbers", got=got, where=key))
+        raise InputError(f"{operator} needs numbers", got=got, where=key)
     return old * operand if operator == "*=" else old + operand
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, PlainValidator, StrictBool, ValidationInfo
 
-from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError
 from sunspin.solve.rotations import seen_turned
 from sunspin.vehicle.notebook import vehicle_html
 from sunspin.vehicle.part import (
@@ -116,23 +116,17 @@ class TelemetryForm(Part):
         ]
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
-            raise VehicleError(
-                sentence(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}")
-            )
+            raise VehicleError(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}")
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
-            raise VehicleError(
-                sentence(what, do='set quantity = "power_W", or leave the voltages out')
-            )
+            raise VehicleError(what, do='set quantity = "power_W", or leave the voltages out')
         if (
             self.time_format == "elapsed"
             and self.epoch_utc is None
             and self.receive_time_column is None
         ):
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
-            raise VehicleError(
-                sentence(what, do="add the UTC of time zero, or receive_time_column")
-            )
+            raise VehicleError(what, do="add the UTC of time zero, or receive_time_column")
 
     @property
     def has_voltages(self) -> bool:
@@ -145,7 +139,7 @@ def _require_symmetric(what: str, tensor: np.ndarray) -> None:
     if off.max() > SYMMETRY_TOLERANCE * np.abs(tensor).max():
         i, j = np.unravel_index(np.argmax(off), (3, 3))
         found = f"element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}"
-        raise VehicleError(sentence(f"{what} must be symmetric, but {found}", do="make them equal"))
+        raise VehicleError(f"{what} must be symmetric, but {found}", do="make them equal")
 
 
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
@@ -155,7 +149,7 @@ def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
     tensor = as_array(given)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
         shown = given.tolist() if isinstance(given, np.ndarray) else given
-        raise VehicleError(sentence(f"{key} must be three rows of three finite numbers", got=shown))
+        raise VehicleError(f"{key} must be three rows of three finite numbers", got=shown)
     _require_symmetric(key, tensor)
     sigma = as_array(raw.get("sigma", 0.0)) if isinstance(raw, Mapping) else np.zeros(())
     if sigma.ndim == 2:
@@ -165,18 +159,14 @@ def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] <= 0:
         raise VehicleError(
-            sentence(
-                f"{key} must be positive definite, its principal moments are {shown}",
-                do="check signs and units",
-            )
+            f"{key} must be positive definite, its principal moments are {shown}",
+            do="check signs and units",
         )
     if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
         raise VehicleError(
-            sentence(
-                f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
-                "sum of the other two",
-                do="check the tensor (a products-of-inertia sign or a unit may be wrong)",
-            )
+            f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
+            "sum of the other two",
+            do="check the tensor (a products-of-inertia sign or a unit may be wrong)",
         )
     return frozen_array(tensor)
 
@@ -219,7 +209,7 @@ class Vehicle(Part):
         for key, most in LIMITS.items():
             if len(getattr(self, key)) > most:
                 raise VehicleError(
-                    sentence(f"a vehicle has at most {most} {key}", got=len(getattr(self, key)))
+                    f"a vehicle has at most {most} {key}", got=len(getattr(self, key))
                 )
         for key in ("panels", "wheels", "legs", "hull"):
             _require_distinct([part.name for part in getattr(self, key)], key)
@@ -317,10 +307,8 @@ class Vehicle(Part):
         """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
         if self.inertia_kg_m2 is None:
             raise VehicleError(
-                sentence(
-                    f"vehicle {self.name!r} has no inertia and its motion cannot be computed",
-                    do="add inertia_kg_m2 under [body] of its file",
-                )
+                f"vehicle {self.name!r} has no inertia and its motion cannot be computed",
+                do="add inertia_kg_m2 under [body] of its file",
             )
         return self.inertia_kg_m2
 
@@ -328,10 +316,8 @@ class Vehicle(Part):
         """The mass in kg, or a `VehicleError` that says where to add it."""
         if self.mass_kg is None:
             raise VehicleError(
-                sentence(
-                    f"vehicle {self.name!r} has no mass and an impact cannot be computed",
-                    do="add mass_kg under [body] of its file",
-                )
+                f"vehicle {self.name!r} has no mass and an impact cannot be computed",
+                do="add mass_kg under [body] of its file",
             )
         return self.mass_kg
 
@@ -339,14 +325,14 @@ class Vehicle(Part):
         """One sigma of a panel reading, in the unit of the readings, or a `VehicleError` that says where to add it."""
         if self.telemetry.noise is None:
             what = f"vehicle {self.name!r} does not say how noisy its panel readings are"
-            raise VehicleError(sentence(what, do="add noise under [telemetry] of its file"))
+            raise VehicleError(what, do="add noise under [telemetry] of its file")
         return self.telemetry.noise
 
     def require_panels(self) -> tuple[Panel, ...]:
         """The panels, or a `VehicleError` that says where to add them."""
         if not self.panels:
             what = f"vehicle {self.name!r} has no solar panel"
-            raise VehicleError(sentence(what, do="add a [[panel]] table for each to its file"))
+            raise VehicleError(what, do="add a [[panel]] table for each to its file")
         return self.panels
 
     def with_friction(self, name: str) -> Vehicle:
@@ -356,10 +342,8 @@ class Vehicle(Part):
             if name not in wheel.alternative_frictions:
                 known = ", ".join(sorted(wheel.alternative_frictions)) or "none"
                 raise VehicleError(
-                    sentence(
-                        f"wheel {wheel.name!r} has no friction called {name!r}",
-                        do=f"known alternatives: {known}",
-                    )
+                    f"wheel {wheel.name!r} has no friction called {name!r}",
+                    do=f"known alternatives: {known}",
                 )
             wheels.append(replace(wheel, friction=wheel.alternative_frictions[name]))
         return replace(self, wheels=tuple(wheels))
@@ -368,9 +352,7 @@ class Vehicle(Part):
 def _require_distinct(names: list[str], key: str) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise VehicleError(
-            sentence(f"two {key} share the name {repeated[0]!r}", do="give each its own name")
-        )
+        raise VehicleError(f"two {key} share the name {repeated[0]!r}", do="give each its own name")
 
 
 def _require_wheels_fit(vehicle: Vehicle) -> None:
@@ -380,13 +362,11 @@ def _require_wheels_fit(vehicle: Vehicle) -> None:
         tensor = tensor - wheel.inertia_kg_m2 * np.outer(wheel.axis_B, wheel.axis_B)
     if vehicle.wheels and np.linalg.eigvalsh(tensor)[0] <= 0:
         raise VehicleError(
-            sentence(
-                "the wheels' axial inertia exceeds that of the whole vehicle, wheels included",
-                got=", ".join(
-                    f"{wheel.name}: {wheel.inertia_kg_m2:g} kg m2" for wheel in vehicle.wheels
-                ),
-                do="give inertia_kg_m2 of the whole vehicle with its wheels",
-            )
+            "the wheels' axial inertia exceeds that of the whole vehicle, wheels included",
+            got=", ".join(
+                f"{wheel.name}: {wheel.inertia_kg_m2:g} kg m2" for wheel in vehicle.wheels
+            ),
+            do="give inertia_kg_m2 of the whole vehicle with its wheels",
         )
 
 
@@ -400,15 +380,13 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
                 f"channel {channel.name!r} names a panel that the vehicle does not have",
                 f"panels: {[*vehicle.panel_names]}",
             )
-            raise VehicleError(sentence(what, got=unknown[0], do=do))
+            raise VehicleError(what, got=unknown[0], do=do)
         if twice := [name for name in channel.panels if panels.count(name) > 1]:
             what = "a panel is in two channels"
-            raise VehicleError(
-                sentence(what, got=twice[0], do="list it on the input that it is wired to")
-            )
+            raise VehicleError(what, got=twice[0], do="list it on the input that it is wired to")
         if channel.name in set(vehicle.panel_names) - set(panels):
             what = f"channel {channel.name!r} is called like a panel that is not in it"
-            raise VehicleError(sentence(what, do="give the channel another name"))
+            raise VehicleError(what, do="give the channel another name")
     bound = [channel.throttled for channel in vehicle.channels]
     if (
         any(bound)
@@ -417,10 +395,8 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
     ):
         what = "some inputs are throttled and others are not"
         raise VehicleError(
-            sentence(
-                what,
-                do="set throttled = true under [telemetry], which is of all inputs, or leave it out",
-            )
+            what,
+            do="set throttled = true under [telemetry], which is of all inputs, or leave it out",
         )
 
 
@@ -452,17 +428,17 @@ def _require_known_panels(vehicle: Vehicle) -> None:
                     f"{key} names a panel that is read through a channel",
                     f"name the channel, {channel!r}",
                 )
-                raise VehicleError(sentence(what, got=name, do=do))
+                raise VehicleError(what, got=name, do=do)
             kind = "panels" if not vehicle.channels else "panels and channels"
             what, do = (
                 f"{key} names a panel that the vehicle does not have",
                 f"{kind}: {sorted(known)}",
             )
-            raise VehicleError(sentence(what, got=name, do=do))
+            raise VehicleError(what, got=name, do=do)
     without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
         what, do = (
             "a panel has no voltage and others have",
             "add it, or voltage_column for all that have none of their own",
         )
-        raise VehicleError(sentence(what, got=without[0], do=do, where="telemetry.voltage_columns"))
+        raise VehicleError(what, got=without[0], do=do, where="telemetry.voltage_columns")

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
-from sunspin.base.errors import VehicleError, printable, sentence
+from sunspin.base.errors import VehicleError, printable
 from sunspin.base.toml import read_toml
 from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.vehicle import changes as ch
@@ -74,9 +74,7 @@ def read_vehicle(source: object, changes: ch.Changes = None) -> craft.Vehicle:
     if isinstance(source, craft.Vehicle):
         if asked:
             raise VehicleError(
-                sentence(
-                    "changes are made to a vehicle's file", do="give its name or its path with them"
-                )
+                "changes are made to a vehicle's file", do="give its name or its path with them"
             )
         return source
     return parse_vehicle(vehicle_text(source), where_of(source), asked)
@@ -113,9 +111,7 @@ def vehicle_text(source: object) -> str:
             .read_text(encoding="utf-8")
         )
     if not isinstance(source, str | Path):
-        raise VehicleError(
-            sentence("a vehicle is named by a text or a path", got=type(source).__name__)
-        )
+        raise VehicleError("a vehicle is named by a text or a path", got=type(source).__name__)
     return _read_text(Path(source))
 
 
@@ -147,9 +143,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     """Turn the text of a vehicle file, with changes, into a `Vehicle`; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(
-            sentence(
-                "the file is empty", do="`sunspin init DIR` writes one to start from", where=where
-            )
+            "the file is empty", do="`sunspin init DIR` writes one to start from", where=where
         )
     do = "correct that line"
     if where.lower().endswith(".csv"):
@@ -162,7 +156,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
         return _vehicle(table, made)
     except RecursionError:
         raise VehicleError(
-            sentence("the file is nested too deeply to be a vehicle file", where=where)
+            "the file is nested too deeply to be a vehicle file", where=where
         ) from None
     except ValidationError as error:
         raise VehicleError(problem(error, VehicleFile, where, table)) from None
@@ -173,7 +167,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
 def _vehicle(table: dict[str, Any], made: tuple[ch.Setting, ...]) -> craft.Vehicle:
     for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
         what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
-        raise VehicleError(sentence(what, do=f"leave out [panel_response.{law}]"))
+        raise VehicleError(what, do=f"leave out [panel_response.{law}]")
     file = TypeAdapter(VehicleFile).validate_python(
         table, context="file", by_alias=True, by_name=False
     )
@@ -184,9 +178,7 @@ def _vehicle(table: dict[str, Any], made: tuple[ch.Setting, ...]) -> craft.Vehic
         if key in panel
     }
     if len(units) > 1:
-        raise VehicleError(
-            sentence("the gains of the panels must all be relative, all gain_W or all gain_A")
-        )
+        raise VehicleError("the gains of the panels must all be relative, all gain_W or all gain_A")
     alone = {key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"}
     return craft.Vehicle(
         name=file.name,

@@ -134,15 +134,13 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
     """Return ``value`` (3) as a read-only unit vector, or raise `VehicleError` if it is not one to three digits."""
     vector = as_array(value)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise VehicleError(sentence(f"{key} must be three finite numbers", got=value))
+        raise VehicleError(f"{key} must be three finite numbers", got=value)
     length = float(np.linalg.norm(vector))
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise VehicleError(
-            sentence(
-                f"{key} must be a unit vector, its length is {length:.6g}",
-                got=np.array2string(vector, separator=", "),
-                do="divide it by its length or correct its components",
-            )
+            f"{key} must be a unit vector, its length is {length:.6g}",
+            got=np.array2string(vector, separator=", "),
+            do="divide it by its length or correct its components",
         )
     return frozen_array(vector / length)
 
@@ -175,11 +173,11 @@ def bare(raw: Any, info: ValidationInfo) -> Any:
             what = (
                 "the sigma of {path} must be one number or one for each component, and not negative"
             )
-            raise VehicleError(sentence(what, got=raw["sigma"]))
+            raise VehicleError(what, got=raw["sigma"])
         angle = info.field_name == "normal_B" or str(info.field_name).endswith("_rad")
         if angle and np.any(sigma > LARGEST_ANGLE_SIGMA):
             what = f"the sigma of {{path}} is in rad and not above {LARGEST_ANGLE_SIGMA:g}"
-            raise VehicleError(sentence(what, got=raw["sigma"], do="one degree is 0.01745"))
+            raise VehicleError(what, got=raw["sigma"], do="one degree is 0.01745")
         raw = raw["value"]
     return numbers(raw)
 
@@ -200,7 +198,7 @@ def numbers(raw: Any) -> Any:
 def _number(raw: Any, info: ValidationInfo) -> float:
     value = bare(raw, info)
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
-        raise VehicleError(sentence("{path} must be one number", got=value))
+        raise VehicleError("{path} must be one number", got=value)
     try:
         if not isinstance(value, bool | str | bytes):
             return float(value)
@@ -215,7 +213,7 @@ def must(rule: Callable[[float], bool], be: str) -> AfterValidator:
     def check(value: float, info: ValidationInfo) -> float:
         if not (np.isfinite(value) and rule(value)):
             what = be.format(path="{path}", name=info.data.get("name"), key=info.field_name)
-            raise VehicleError(sentence(what, got=value))
+            raise VehicleError(what, got=value)
         return value
 
     return AfterValidator(check)
@@ -238,9 +236,7 @@ def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
     def check(raw: Any, info: ValidationInfo) -> FloatArray:
         value = as_array(given := bare(raw, info))
         if not fits(value):
-            raise VehicleError(
-                sentence(be.format(path="{path}", name=info.data.get("name")), got=given)
-            )
+            raise VehicleError(be.format(path="{path}", name=info.data.get("name")), got=given)
         return frozen_array(value)
 
     return PlainValidator(check)

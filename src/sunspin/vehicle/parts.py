@@ -22,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError
 from sunspin.vehicle.part import (
     FloatArray,
     Name,
@@ -77,7 +77,7 @@ class Panel(Part):
         )
         if len(found) != 1:
             what = f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_UNITS)}"
-            raise VehicleError(sentence(what, got=", ".join(found) or "none"))
+            raise VehicleError(what, got=", ".join(found) or "none")
         return panel
 
 
@@ -85,13 +85,11 @@ def _panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
     channel = info.data.get("name")
     if not names:
         raise VehicleError(
-            sentence(f"channel {channel!r} names no panel", do="list the panels on this input")
+            f"channel {channel!r} names no panel", do="list the panels on this input"
         )
     if twice := [name for name in names if names.count(name) > 1]:
         raise VehicleError(
-            sentence(
-                f"channel {channel!r} names a panel twice", got=twice[0], do="keep one of them"
-            )
+            f"channel {channel!r} names a panel twice", got=twice[0], do="keep one of them"
         )
     return names
 
@@ -143,7 +141,7 @@ class Friction(Part):
             and given.keys() & {"coulomb_N_m", "viscous_N_m_s"}
         ):
             raise VehicleError(
-                sentence("{path} gives both a spin_down and coefficients", do="keep one of them")
+                "{path} gives both a spin_down and coefficients", do="keep one of them"
             )
         return given
 
@@ -171,10 +169,8 @@ class Friction(Part):
         """
         if c2_per_s >= 0 or c3_rad_s > 0:
             raise VehicleError(
-                sentence(
-                    "a spin-down c1 exp(c2 t) + c3 needs c2 < 0 and c3 <= 0 to be friction",
-                    got=f"c1 = {c1_rad_s}, c2 = {c2_per_s}, c3 = {c3_rad_s}",
-                )
+                "a spin-down c1 exp(c2 t) + c3 needs c2 < 0 and c3 <= 0 to be friction",
+                got=f"c1 = {c1_rad_s}, c2 = {c2_per_s}, c3 = {c3_rad_s}",
             )
         return cls(c2_per_s * c3_rad_s * inertia_kg_m2, -c2_per_s * inertia_kg_m2)
 
@@ -272,7 +268,7 @@ def _sigma(raw: Any, info: ValidationInfo) -> float | None:
     sigma = numbers(raw) if info.context else raw
     if not isinstance(sigma, float | int) or not 0 <= sigma < np.inf:
         raise VehicleError(
-            sentence("the sigma of a time of [orbit] must be one number and not negative", got=raw)
+            "the sigma of a time of [orbit] must be one number and not negative", got=raw
         )
     return float(sigma)
 
@@ -283,7 +279,7 @@ Sigma = Annotated[float | None, PlainValidator(_sigma)]
 def _two(lines: tuple[str, ...]) -> tuple[str, ...]:
     if len(lines) not in (0, 2):
         raise VehicleError(
-            sentence("{path} must be the two lines of a set of elements", got=f"{len(lines)} texts")
+            "{path} must be the two lines of a set of elements", got=f"{len(lines)} texts"
         )
     return lines
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError
 
 REPLACES = {"relative_gain": ("cells",)}
 """A key that takes the place of others: a number of cells is not a gain."""
@@ -38,7 +38,7 @@ def rewritten(text: str, values: Sequence[NewValue]) -> str:
             table = next((each for each in table or () if each.get("name") == name), None)
         if table is None:
             what = f"the vehicle file has no table [{'.'.join(new.where)}]"
-            raise VehicleError(sentence(what, do="give the file of this vehicle"))
+            raise VehicleError(what, do="give the file of this vehicle")
         certificate = tomlkit.inline_table()
         certificate.update({"value": new.value, "sigma": new.sigma, "source": new.source})
         old = next((key for key in (new.key, *REPLACES.get(new.key, ())) if key in table), None)

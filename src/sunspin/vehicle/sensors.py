@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
 
-from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError
 from sunspin.vehicle.part import (
     UNIT_TOLERANCE,
     FloatArray,
@@ -57,7 +57,7 @@ def _sigma_of(key: str, *shape: int) -> PlainValidator:
             what = (
                 f"the sigma of {key} must be one number or one for each component, and not negative"
             )
-            raise VehicleError(sentence(what, got=given))
+            raise VehicleError(what, got=given)
         return frozen_array(np.broadcast_to(sigma, shape)) if shape else float(sigma)
 
     return PlainValidator(check)
@@ -70,16 +70,10 @@ def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
         names = [column.removeprefix(sign) for column in columns]
         if not all(names):
             what = "{path} has a minus and no column after it"
-            raise VehicleError(
-                sentence(what, got=", ".join(columns), do='"-wx" reads column wx reversed')
-            )
+            raise VehicleError(what, got=", ".join(columns), do='"-wx" reads column wx reversed')
         if len(set(names)) < n:
             raise VehicleError(
-                sentence(
-                    "{path} names a column twice",
-                    got=", ".join(columns),
-                    do="give each axis its own",
-                )
+                "{path} names a column twice", got=", ".join(columns), do="give each axis its own"
             )
         return columns
 
@@ -152,28 +146,21 @@ class SunSensor(Part):
     def __post_init__(self) -> None:
         if abs(self.normal_B @ self.x_axis_B) > UNIT_TOLERANCE:
             raise VehicleError(
-                sentence(
-                    "{path}.x_axis_B must be at right angles to its normal",
-                    got=self.x_axis_B.tolist(),
-                )
+                "{path}.x_axis_B must be at right angles to its normal", got=self.x_axis_B.tolist()
             )
         if self.x_column == self.y_column:
             raise VehicleError(
-                sentence(
-                    "{path} names one column for x and y", got=self.x_column, do="give each its own"
-                )
+                "{path} names one column for x and y", got=self.x_column, do="give each its own"
             )
         if (self.y_column is None) != (self.y_scale is None):
-            raise VehicleError(sentence("{path} must give both y_column and y_scale, or neither"))
+            raise VehicleError("{path} must give both y_column and y_scale, or neither")
         if (self.y_turned_above is None) != (self.y_turned_scale is None):
             raise VehicleError(
-                sentence("{path} must give both y_turned_above and y_turned_scale, or neither")
+                "{path} must give both y_turned_above and y_turned_scale, or neither"
             )
         if self.y_turned_sigma is not None and self.y_turned_above is None:
             raise VehicleError(
-                sentence(
-                    "{path} has a y_turned_sigma and no y_turned_above, of which it is one sigma"
-                )
+                "{path} has a y_turned_sigma and no y_turned_above, of which it is one sigma"
             )
 
 
@@ -210,7 +197,7 @@ class Gyro(ThreeAxes):
 
     def __post_init__(self) -> None:
         if self.scale_rad_s == 0:
-            raise VehicleError(sentence("{path}.scale_rad_s must not be zero"))
+            raise VehicleError("{path}.scale_rad_s must not be zero")
 
     def seen(self, read: np.ndarray) -> Seen:
         """Rates of the readings (n, 3) of its columns."""

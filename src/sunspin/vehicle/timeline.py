@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.toml import read_toml
 from sunspin.vehicle.part import Name, Number, Part, keys_of, part
 
@@ -97,9 +97,7 @@ def _instant(utc: str) -> datetime:
     moment = instant(utc)
     if moment is None:
         raise InputError(
-            sentence(
-                "a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"
-            )
+            "a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"
         )
     return moment
 
@@ -117,14 +115,12 @@ def parse_timeline(text: str, where: str) -> Timeline:
             epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", []))
         )
     except KeyError as error:
-        raise InputError(
-            sentence(f"key {error.args[0]!r} is missing", do="add it", where=where)
-        ) from None
+        raise InputError(f"key {error.args[0]!r} is missing", do="add it", where=where) from None
     except SunspinError as error:
         raise InputError(f"{where}: {error}") from None
     except (TypeError, AttributeError, RecursionError) as error:
         what = f"an entry has not the form of a timeline's ({error})"
-        raise InputError(sentence(what, do="correct it", where=where)) from None
+        raise InputError(what, do="correct it", where=where) from None
 
 
 def _event(entry: dict, epoch_utc: str) -> Event:
@@ -132,9 +128,7 @@ def _event(entry: dict, epoch_utc: str) -> Event:
     event = Event(t_s=utc_seconds(entry.get("refined_utc") or entry["utc"], epoch_utc), **entry)
     if not event.source.strip():
         raise InputError(
-            sentence(
-                f"event {event.name!r} has an empty source", do="say where its time comes from"
-            )
+            f"event {event.name!r} has an empty source", do="say where its time comes from"
         )
     return event
 
@@ -145,9 +139,7 @@ def _phase(entry: dict, timeline: Timeline) -> Phase:
     end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")
     if not begin < end:
         raise InputError(
-            sentence(
-                f"phase {entry['name']!r} ends before it begins", got=f"{begin:g} s to {end:g} s"
-            )
+            f"phase {entry['name']!r} ends before it begins", got=f"{begin:g} s to {end:g} s"
         )
     return Phase(entry["name"], begin, end, entry.get("note", ""))
 
@@ -156,10 +148,7 @@ def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
     for key in entry:
         if key not in known:
             raise InputError(
-                sentence(
-                    f"unknown key {key!r} in [[{kind}]]",
-                    do=f"known keys: {', '.join(sorted(known))}",
-                )
+                f"unknown key {key!r} in [[{kind}]]", do=f"known keys: {', '.join(sorted(known))}"
             )
 
 
@@ -168,6 +157,4 @@ def _named(items: tuple, name: str, kind: str):
         if item.name == name:
             return item
     known = ", ".join(item.name for item in items) or "none"
-    raise InputError(
-        sentence(f"the timeline has no {kind} of this name", got=name, do=f"known: {known}")
-    )
+    raise InputError(f"the timeline has no {kind} of this name", got=name, do=f"known: {known}")

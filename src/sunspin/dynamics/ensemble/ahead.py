@@ -19,9 +19,8 @@ from typing import IO
 
 import numpy as np
 
-from sunspin.base.atomic_write import hold
-from sunspin.base.cache import is_writable
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.atomic_write import hold, is_writable
+from sunspin.base.errors import OutputError
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
 
@@ -48,15 +47,13 @@ def compile_all(structures: Iterable[c.Structure]) -> Path:
     todo, folder = list(dict.fromkeys(structures)), lasting_folder()
     if not is_writable(folder):
         do = "set SUNSPIN_CACHE to a folder that can be written"
-        raise OutputError(
-            sentence("compiled kernels cannot be kept here", do=do, where=str(folder))
-        )
+        raise OutputError("compiled kernels cannot be kept here", do=do, where=str(folder))
     for some in (todo[::2], todo[1::2]):
         compile_ahead(some)
     missing = [structure for structure in todo if not is_kept(_path(ready_kernel(structure)))]
     if missing:
         what = f"{len(missing)} of {len(todo)} kernels could not be compiled or kept"
-        raise OutputError(sentence(what, do="see whether the disk is full", where=str(folder)))
+        raise OutputError(what, do="see whether the disk is full", where=str(folder))
     return folder
 
 

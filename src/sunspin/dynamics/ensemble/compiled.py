@@ -21,8 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from sunspin.base.atomic_write import write_whole
-from sunspin.base.cache import is_writable
+from sunspin.base.atomic_write import is_writable, write_whole
 from sunspin.compute.identity import code
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import series_lanes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
@@ -50,10 +50,8 @@ class Rows:
             return np.zeros((len(self), 0))
         if self.B_from_N is None and needed_around(acting.torques):
             raise InputError(
-                sentence(
-                    "torques that depend on directions need the attitude of each row",
-                    do="give B_from_N",
-                )
+                "torques that depend on directions need the attitude of each row",
+                do="give B_from_N",
             )
         from scipy.spatial.transform import Rotation
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import principal
@@ -47,11 +47,9 @@ def structure_of(
     if torques and method == "split":
         names = ", ".join(torque.name for torque in torques)
         raise InputError(
-            sentence(
-                "the split method keeps the momentum, which torques change",
-                got=names,
-                do="run by series",
-            )
+            "the split method keeps the momentum, which torques change",
+            got=names,
+            do="run by series",
         )
     axes = tuple(c.components(wheel.axis_B) for wheel in vehicle.wheels)
     oblique = method == "split" and (own_bodies or principal.is_oblique(vehicle))
@@ -82,9 +80,7 @@ def check_commands(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> tuple[s
     plan = m.schedules(vehicle, wheel_mode)
     if any(len(schedule) > 1 for schedule in plan):
         raise InputError(
-            sentence(
-                "an ensemble runs with one command per wheel", got=wheel_mode, do="chain two runs"
-            )
+            "an ensemble runs with one command per wheel", got=wheel_mode, do="chain two runs"
         )
     return tuple(schedule[0][1] for schedule in plan)
 
@@ -205,12 +201,10 @@ def run_rows(
     gaps = np.diff(ends, prepend=0.0)
     if not (np.all(gaps >= 0) or np.all(gaps <= 0)):
         raise InputError(
-            sentence(
-                "output times must all increase or all decrease from the start of the run", got=ends
-            )
+            "output times must all increase or all decrease from the start of the run", got=ends
         )
     if emd_error is not None and not bins:
-        raise InputError(sentence("an EMD needs a histogram", got="bins = 0"))
+        raise InputError("an EMD needs a histogram", got="bins = 0")
     wanted = accuracy(direction_error, emd_error)
     commands = check_commands(vehicle, wheel_mode)
     n, layout = len(rows), c.RowLayout.under(acting.torques, len(vehicle.wheels))

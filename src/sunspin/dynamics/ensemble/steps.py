@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.ensemble import principal
@@ -296,10 +296,8 @@ def on_ladder(wanted: np.ndarray, rate: np.ndarray, duration_s: float) -> np.nda
     steps = np.ceil(LADDER ** np.ceil(np.log(wanted) / np.log(LADDER) - 1e-9))
     if steps.max(initial=0) > MAX_STEPS:
         raise MotionError(
-            sentence(
-                f"a run of {duration_s:g} s at {rate.max():.3g} rad/s ({np.degrees(rate.max()):.3g} deg/s) needs "
-                f"{steps.max():.3g} steps",
-                do="shorten the window, or check the unit of the rates: rad/s, not deg/s",
-            )
+            f"a run of {duration_s:g} s at {rate.max():.3g} rad/s ({np.degrees(rate.max()):.3g} deg/s) needs "
+            f"{steps.max():.3g} steps",
+            do="shorten the window, or check the unit of the rates: rad/s, not deg/s",
         )
     return steps.astype(np.int64)

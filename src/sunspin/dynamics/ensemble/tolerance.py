@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 DIRECTION_ERROR = 1e-5
 """Default error of the Sun's direction at the end of a run, rad."""
@@ -57,9 +57,7 @@ def accuracy(direction_error: float | None, emd_error: float | None) -> Accuracy
     """What is asked for, checked: one of the two errors, or none for the default of the direction's."""
     if direction_error is not None and emd_error is not None:
         raise InputError(
-            sentence(
-                "ask for an error of the direction or of the EMD", got="both", do="give one of them"
-            )
+            "ask for an error of the direction or of the EMD", got="both", do="give one of them"
         )
     return (
         Accuracy.of_direction(direction_error) if emd_error is None else Accuracy.of_emd(emd_error)
@@ -68,7 +66,5 @@ def accuracy(direction_error: float | None, emd_error: float | None) -> Accuracy
 
 def _checked(name: str, error: float, smallest: float) -> float:
     if not smallest <= error < np.inf:
-        raise InputError(
-            sentence(f"{name} must be at least {smallest:g}", got=error, do="ask for less")
-        )
+        raise InputError(f"{name} must be at least {smallest:g}", got=error, do="ask for less")
     return float(error)

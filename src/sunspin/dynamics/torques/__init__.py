@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.dynamics.torques.acting import NOTHING, Acting, needed_around
 from sunspin.dynamics.torques.gravity_gradient import GravityGradient
 from sunspin.dynamics.torques.steady import Steady
@@ -24,28 +24,22 @@ def acting(
     `MotionError` for a name that is none, and for a torque that needs what the environment does not give.
     """
     if isinstance(torques, str):
-        raise MotionError(
-            sentence("torques must be a list", got=torques, do=f"write [{torques!r}]")
-        )
+        raise MotionError("torques must be a list", got=torques, do=f"write [{torques!r}]")
     found = tuple(torque if isinstance(torque, Steady) else _named(torque) for torque in torques)
     here = None if environment is None else environment.at(t_s)
     for torque in found:
         if needed_around([torque]) and here is None:
             do = "give one, such as sunspin.environment.circular(...)"
-            raise MotionError(sentence(f"the torque {torque.name!r} needs an environment", do=do))
+            raise MotionError(f"the torque {torque.name!r} needs an environment", do=do)
         for name in needed_around([torque]):
             if getattr(here, f"{name}_N") is None:
                 raise MotionError(
-                    sentence(
-                        f"the torque {torque.name!r} needs the {name}, which the environment does not know"
-                    )
+                    f"the torque {torque.name!r} needs the {name}, which the environment does not know"
                 )
     return Acting(found, environment, float(t_s))
 
 
 def _named(name: str) -> GravityGradient:
     if not isinstance(name, str) or name not in TORQUES:
-        raise MotionError(
-            sentence("no such torque", got=name, do=f"choose from {', '.join(TORQUES)}")
-        )
+        raise MotionError("no such torque", got=name, do=f"choose from {', '.join(TORQUES)}")
     return TORQUES[name]

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
 from sunspin.environment import Environment, Surroundings
@@ -65,15 +65,6 @@ class Torque(Protocol):
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """A bound (...) on the torque (N m) with parameters (..., n): what steps are chosen by."""
-        ...
-
-
-@runtime_checkable
-class Owned(Protocol):
-    """A torque with a part that stands in space and that each body brings itself."""
-
-    def own(self, bodies: Bodies) -> np.ndarray:
-        """That part (..., 3) in N m, in body axes at the start."""
         ...
 
 
@@ -166,7 +157,7 @@ class Acting:
         if here is None:
             if B_from_N is not None:
                 do = "give the environment, or leave it out"
-                raise MotionError(sentence("B_from_N is the attitude in an environment", do=do))
+                raise MotionError("B_from_N is the attitude in an environment", do=do)
             return np.array([0.0, 0.0, 0.0, 1.0])
         attitude = (
             np.array([0.0, 0.0, 0.0, 1.0])
@@ -174,25 +165,21 @@ class Acting:
             else np.asarray(B_from_N, dtype=np.float64)
         )
         if attitude.shape != (4,) or not abs(np.linalg.norm(attitude) - 1) < SUN_TOLERANCE:
-            raise MotionError(
-                sentence("B_from_N must be a unit quaternion, scalar last", got=B_from_N)
-            )
+            raise MotionError("B_from_N must be a unit quaternion, scalar last", got=B_from_N)
         attitude = attitude / np.linalg.norm(attitude)
         from scipy.spatial.transform import Rotation
 
         away = np.linalg.norm(Rotation.from_quat(attitude).apply(here.sun_N[0]) - sun_B)
         if not away < SUN_TOLERANCE:
             raise MotionError(
-                sentence(
-                    "sun_B is not where B_from_N shows the environment's Sun",
-                    got=f"{away:.2g} rad away",
-                )
+                "sun_B is not where B_from_N shows the environment's Sun",
+                got=f"{away:.2g} rad away",
             )
         return attitude
 
     def own(self, bodies: Bodies) -> np.ndarray:
         """The vector `OWN` (..., 3) of bodies (...) at the start, in N m; zero where no torque needs it."""
-        found = [torque.own(bodies) for torque in self.torques if isinstance(torque, Owned)]
+        found = [own(bodies) for torque in self.torques if (own := getattr(torque, "own", None))]
         return np.sum(found, axis=0) if found else np.zeros((*bodies.shape, 3))
 
     def carried(

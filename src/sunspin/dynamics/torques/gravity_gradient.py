@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
 from sunspin.environment import Surroundings
@@ -47,10 +47,8 @@ class GravityGradient:
         turn = None if here is None else here.nadir_turn_N
         if turn is None:
             raise MotionError(
-                sentence(
-                    "gravity_gradient needs the rate at which the nadir turns",
-                    do="give it as nadir_turn_N",
-                )
+                "gravity_gradient needs the rate at which the nadir turns",
+                do="give it as nadir_turn_N",
             )
         strength = 3 * (turn[0] ** 2).sum()
         elements = [

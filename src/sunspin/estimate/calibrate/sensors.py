@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, MotionError, sentence
+from sunspin.base.errors import InputError, MotionError
 from sunspin.base.provenance import provenance
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.calibrate.gyro import FEWEST_PASSES, GyroFit, fit_gyro
@@ -110,7 +110,7 @@ def calibrate_sensors(
     if not keys and not notes:
         what = "the telemetry has nothing that can be calibrated"
         do = "it needs columns of panels, Sun sensors, magnetometer or gyro that the vehicle names"
-        raise InputError(sentence(what, do=do))
+        raise InputError(what, do=do)
     return _dataset(vehicle, telemetry, keys, notes, attrs)
 
 
@@ -202,19 +202,17 @@ def _in_orbit(
         do = "give the right elements, or calibrate without any"
         got = f"{check.better} of {check.copies} orbits at random predict better"
         raise InputError(
-            sentence(
-                "the elements do not fit the telemetry, which cannot be calibrated with them",
-                got=got,
-                do=do,
-            )
+            "the elements do not fit the telemetry, which cannot be calibrated with them",
+            got=got,
+            do=do,
         )
     if check.sign_turned:
         what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
         do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
-        raise InputError(sentence(what, do=do))
+        raise InputError(what, do=do)
     if check.turned_axes:
         what, _, do = check.turned_axes.partition("; ")
-        raise InputError(sentence(f"{what}, and is not calibrated so", do=do))
+        raise InputError(f"{what}, and is not calibrated so", do=do)
     notes.append(f"orbit: {check.verdict.value}")
     start = start_of(check, orbit)
     if start is None or not seen.has_field.any():

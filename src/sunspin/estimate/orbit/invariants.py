@@ -19,6 +19,7 @@ from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.gains import OPPOSITE
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import SunStatus, signals
 
@@ -55,9 +56,6 @@ SEEN_IN_SHADOW = 0.02
 
 FEWEST = 20
 """Fewer readings of field or light, or of the angle between field and Sun, than this are not compared."""
-
-OPPOSITE = -0.99
-"""Cosine of the angle between opposite panels, at most."""
 
 MOST_ANGLE_RAD, CLEARER = 0.15, 0.5
 """Right elements leave no larger median of the angle between field and Sun, in addition to the error of the Sun's direction: 0.01

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
 from sunspin.environment.orbit import Orbit, Source, in_orbit
@@ -37,9 +37,7 @@ def elements_of(
     if shift_sigma_s is not None:
         what = "a shift along the track needs elements"
         raise InputError(
-            sentence(
-                what, do="give --tle FILE or --omm FILE, or tle under [orbit] in the vehicle file"
-            )
+            what, do="give --tle FILE or --omm FILE, or tle under [orbit] in the vehicle file"
         )
     return None
 

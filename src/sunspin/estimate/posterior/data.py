@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
@@ -133,9 +133,7 @@ def readings(
     value = np.asarray(signals(telemetry), dtype=np.float64)
     if value.ndim != 2 or value.shape[1] != len(vehicle.inputs):
         raise InputError(
-            sentence(
-                "the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"
-            )
+            "the telemetry's panels are not the vehicle's", got=f"{value.shape[-1]} columns"
         )
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
@@ -163,11 +161,9 @@ def readings(
     lit = used & (value > threshold)
     if np.count_nonzero(lit.any(axis=1)) < 3:
         raise InputError(
-            sentence(
-                "a motion needs three samples with a lit panel",
-                got=f"{np.count_nonzero(lit.any(axis=1))} in the window",
-                do="widen the window; `sunspin check` says what is wrong with samples",
-            )
+            "a motion needs three samples with a lit panel",
+            got=f"{np.count_nonzero(lit.any(axis=1))} in the window",
+            do="widen the window; `sunspin check` says what is wrong with samples",
         )
     largest = float(value[used].max())
     sigma, noise_from = _noise(vehicle, value, used)
@@ -225,18 +221,16 @@ def _window(
     if phase is None and begin_s is None and end_s is None and len(names) > 1:
         if FREE_PHASE not in names:
             raise InputError(
-                sentence(
-                    "the telemetry has several phases, which are not one motion",
-                    got=", ".join(names),
-                    do="name one, or give begin and end",
-                )
+                "the telemetry has several phases, which are not one motion",
+                got=", ".join(names),
+                do="name one, or give begin and end",
             )
         phase = FREE_PHASE
         remarks.append(f"of the phases in the file only {phase} was used")
     if phase is not None:
         if phase not in names:
             there = f"it has {', '.join(names[:NAMED])}" if names else "it names none"
-            raise InputError(sentence("the telemetry has no such phase", got=phase, do=there))
+            raise InputError("the telemetry has no such phase", got=phase, do=there)
         keep &= phases == phase
     keep &= (times >= (-np.inf if begin_s is None else begin_s)) & (
         times <= (np.inf if end_s is None else end_s)
@@ -249,18 +243,14 @@ def _observation(given: Mapping[str, Any], start: float, end: float) -> Reading:
     if kind is None or set(kind.keys) != set(given):
         more = "a field also angle_rad, the Sun's from it"
         raise InputError(
-            sentence(
-                f"an observation has kind ({', '.join(READINGS)}), t_s, value and sigma, {more}",
-                got=str(dict(given)),
-            )
+            f"an observation has kind ({', '.join(READINGS)}), t_s, value and sigma, {more}",
+            got=str(dict(given)),
         )
     value, t = kind.checked(given), float(given["t_s"])
     if not start <= t <= end:
         raise InputError(
-            sentence(
-                "an observation lies outside the window",
-                got=f"t_s {t:g}",
-                do=f"from {start:g} to {end:g}",
-            )
+            "an observation lies outside the window",
+            got=f"t_s {t:g}",
+            do=f"from {start:g} to {end:g}",
         )
     return kind.of(given, value, t - start)

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import logsumexp
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import described, provenance
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
@@ -273,7 +273,7 @@ def _sampled(
             made.append(Sampled(one, replace(draws, cut=effort.cut)))
         elif one.what == STATED:
             what = "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within"
-            raise InputError(sentence(what, do="raise max_rate_rad_s"))
+            raise InputError(what, do="raise max_rate_rad_s")
     return made
 
 
@@ -341,9 +341,7 @@ def _together(tried: list[Sampled], seed: int, draws: int) -> tuple[Mixed, np.nd
 def _whole(seed: Any, draws: Any) -> None:
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise InputError(
-                sentence(f"{name} must be a whole number of at least {least}", got=value)
-            )
+            raise InputError(f"{name} must be a whole number of at least {least}", got=value)
 
 
 def _tree(

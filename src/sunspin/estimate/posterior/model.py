@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting, Steady
@@ -275,11 +275,9 @@ def model(
     unknown = sorted(set(priors) - KEYS)
     if unknown:
         raise InputError(
-            sentence(
-                f"priors know {', '.join(sorted(KEYS))}",
-                got=", ".join(map(str, unknown)),
-                do="leave it out",
-            )
+            f"priors know {', '.join(sorted(KEYS))}",
+            got=", ".join(map(str, unknown)),
+            do="leave it out",
         )
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     commands = k.check_commands(vehicle, mode)
@@ -312,7 +310,7 @@ def model(
         or DEFAULT_MAX_RATE
     )
     if not (np.isfinite(limit) and limit > 0):
-        raise InputError(sentence("max_rate_rad_s must be positive", got=limit))
+        raise InputError("max_rate_rad_s must be positive", got=limit)
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
     told["steady_torque"] = _most_turned(priors)
     return Model(
@@ -369,7 +367,7 @@ def _not_negative(value: Any, said: str) -> None:
         or not isinstance(value, int | float)
         or not (np.isfinite(value) and value >= 0)
     ):
-        raise InputError(sentence(said, got=value))
+        raise InputError(said, got=value)
 
 
 def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) -> list[Unknown]:
@@ -385,7 +383,7 @@ def _tilts(vehicle: Vehicle, priors: Mapping[str, Any], told: dict[str, str]) ->
         what = "the posterior does not know turns of panels that share an input or are throttled"
         got = f"channel {vehicle.channels[0].name!r}" if vehicle.channels else "throttled = true"
         do = "take panels as drawn with --prior tilt=0 --prior tilt_common=0; sigmas of the rates then leave the turns out"
-        raise InputError(sentence(what, got=got, do=do))
+        raise InputError(what, got=got, do=do)
     return tilt.unknowns(vehicle, own, common)
 
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.compute.pool import worker_count
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.torques import NOTHING
@@ -242,11 +242,9 @@ def require_few(model: Model, data: Readings, scale: float) -> Plan:
         chosen = plan(smaller, data, scale)
     what = f"max_rate_rad_s asks for {asked:.2g} starts, and {c.MAX_STARTS:.0e} at most can be tried in an hour"
     raise InputError(
-        sentence(
-            what,
-            got=f"{model.max_rate:g}",
-            do=f"with these samples give {smaller.max_rate:.3g} at most",
-        )
+        what,
+        got=f"{model.max_rate:g}",
+        do=f"with these samples give {smaller.max_rate:.3g} at most",
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
@@ -35,10 +35,7 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
     """The model behind a posterior and its draws (n) at the first sample as rows for the kernel."""
     if json.loads(tree.attrs.get("torques", "[]")):
         raise InputError(
-            sentence(
-                "draws of a posterior under torques cannot be carried on yet",
-                got=tree.attrs["torques"],
-            )
+            "draws of a posterior under torques cannot be carried on yet", got=tree.attrs["torques"]
         )
     posterior, mode = group(tree, "posterior"), json.loads(tree.attrs.get("wheel_mode", '"coast"'))
     unknown, _ = model(vehicle, json.loads(tree.attrs["priors_given"]), 1.0, mode)
@@ -59,11 +56,9 @@ def drawn_rows(vehicle: Vehicle, tree: xr.DataTree) -> tuple[Model, k.Rows]:
             posterior[x.name].attrs["prior_centre"], x.centre, rtol=1e-9, atol=1e-12
         ):
             raise InputError(
-                sentence(
-                    "the posterior is not of this vehicle",
-                    got=vehicle.name,
-                    do="give the file it came from",
-                )
+                "the posterior is not of this vehicle",
+                got=vehicle.name,
+                do="give the file it came from",
             )
         u[:, i] = (posterior[x.name].values.ravel() - x.centre) / x.sigma
     bodies = unknown.bodies(u)
@@ -257,11 +252,9 @@ def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:
         or np.abs(times - first_s).max() > LONGEST_S
     ):
         raise InputError(
-            sentence(
-                "times to predict must be numbers, at most a week from the first sample",
-                got=times.tolist(),
-                do=f"give s from the epoch; the first sample is at {first_s:g}",
-            )
+            "times to predict must be numbers, at most a week from the first sample",
+            got=times.tolist(),
+            do=f"give s from the epoch; the first sample is at {first_s:g}",
         )
     return times
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import described
 from sunspin.compute.pool import may_fork, processes, worker_count
 from sunspin.dynamics.torques import acting
@@ -786,9 +786,7 @@ def _asked_for(pass_id: int | None, count: int) -> list[int]:
         or not 0 <= pass_id < count
     ):
         raise InputError(
-            sentence(
-                "there is no such pass", got=pass_id, do=f"the file has passes 0 to {count - 1}"
-            )
+            "there is no such pass", got=pass_id, do=f"the file has passes 0 to {count - 1}"
         )
     return [int(pass_id)]
 
@@ -800,10 +798,8 @@ def _along_the_sun(environment: Environment | None) -> Environment | None:
     sun = SUN_N if environment is None else environment.at(0.0).sun_N[0]
     if np.linalg.norm(sun - SUN_N) > 1e-6:
         raise InputError(
-            sentence(
-                "rates needs an environment with z of its N to the Sun",
-                got=f"the Sun at {np.round(sun, 3)}",
-            )
+            "rates needs an environment with z of its N to the Sun",
+            got=f"the Sun at {np.round(sun, 3)}",
         )
     return environment
 
@@ -818,9 +814,7 @@ def _known_noise(vehicle: Vehicle, o: Observations, asked: float | None) -> floa
     if given is not None and not NOISE_RANGE[0] <= given <= NOISE_RANGE[1]:
         low, high = NOISE_RANGE
         raise InputError(
-            sentence(
-                f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given
-            )
+            f"acceleration_noise must lie between {low:g} and {high:g} rad/s^1.5", got=given
         )
     return given
 
@@ -871,7 +865,7 @@ def _clock(
 def _rate_max(given: float | None, o: Observations, parts: list[np.ndarray]) -> float:
     if given is not None:
         if not (np.isfinite(given) and given > 0):
-            raise InputError(sentence("max_rate_rad_s must be positive", got=given))
+            raise InputError("max_rate_rad_s must be positive", got=given)
         return float(given)
     usual = float(
         np.median(

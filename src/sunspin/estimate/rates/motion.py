@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.ensemble.attitude import carry
@@ -272,10 +272,8 @@ def require_followed(body: Body, momentum: np.ndarray, longest_s: float) -> None
     turned = float(np.max(nutation(body, np.nan_to_num(momentum)), initial=0.0)) * longest_s
     if not turned <= MOST_NUTATION:
         raise InputError(
-            sentence(
-                f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
-                do="check the wheels' speeds and inertia and their units, or use samples closer together",
-            )
+            f"the wheels turn a rate of the body round by {turned:.3g} rad between two samples, more than can be followed",
+            do="check the wheels' speeds and inertia and their units, or use samples closer together",
         )
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.environment import Environment
 from sunspin.estimate.orbit.field_calibration import FieldCalibration
 from sunspin.estimate.passes import GAP_FACTOR
@@ -102,12 +102,10 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
             text.removeprefix("dropped: ") for text in why if text.startswith("dropped")
         ).most_common(1)
         raise InputError(
-            sentence(
-                "fewer than three samples say where the Sun is",
-                got=f"{len(use)} of {len(o)}",
-                do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "")
-                + "`sunspin check` says why samples are dropped",
-            )
+            "fewer than three samples say where the Sun is",
+            got=f"{len(use)} of {len(o)}",
+            do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "")
+            + "`sunspin check` says why samples are dropped",
         )
     times = o.t_s[use]
     gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s
@@ -135,9 +133,7 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
         ]
     if not found:
         raise InputError(
-            sentence(
-                "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
-            )
+            "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
         )
     return found
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics.torques import NOTHING
 from sunspin.estimate.passes import padded
 from sunspin.estimate.rates.finish import Pass
@@ -104,11 +104,9 @@ def _pass_of(o: Observations, found: list[Pass], seen: Period) -> int:
             ", ..." if len(spans) > 6 else ""
         )
         raise InputError(
-            sentence(
-                "a period was seen at a time of no pass",
-                got=f"{seen.t_s:g} s",
-                do=f"passes are at {each} s",
-            )
+            "a period was seen at a time of no pass",
+            got=f"{seen.t_s:g} s",
+            do=f"passes are at {each} s",
         )
     return k
 

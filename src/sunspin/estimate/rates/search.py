@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
 from sunspin.estimate.rates.motion import step
@@ -106,11 +106,9 @@ def first_tracks(
     dt = o.t_s[index + 1] - o.t_s[index]
     if not rate_max * dt < 2 * np.pi * MAX_TURNS:
         raise InputError(
-            sentence(
-                "too many whole turns fit between two samples to try them all",
-                got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
-                do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
-            )
+            "too many whole turns fit between two samples to try them all",
+            got=f"{rate_max * dt / (2 * np.pi):.3g} turns",
+            do="give a smaller --max-rate-deg-s (max_rate_rad_s)",
         )
     suns, rates, apart = starts(o, index, motion, rate_max, trust)
     if len(rates) > CROWD:
@@ -346,11 +344,9 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
         tracks += [track] if len(track.omega) else []
     if not tracks:
         raise InputError(
-            sentence(
-                "no rate up to the largest allowed takes the Sun from one sample to the next",
-                got=f"largest rate {rate_max:.4g} rad/s",
-                do="raise --max-rate-deg-s, or check the times and the directions",
-            )
+            "no rate up to the largest allowed takes the Sun from one sample to the next",
+            got=f"largest rate {rate_max:.4g} rad/s",
+            do="raise --max-rate-deg-s, or check the times and the directions",
         )
     track = distinct(joined(tracks), o.t_s)
     if blind is None:

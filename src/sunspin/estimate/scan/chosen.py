@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.netcdf import read_netcdf
 from sunspin.base.provenance import provenance
 from sunspin.estimate.scan.lines import fit_lines
@@ -40,11 +40,9 @@ def with_chosen(
     points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
     if not len(points):
         raise InputError(
-            sentence(
-                "no motion of the grid comes below --threshold",
-                got=threshold,
-                do=f"the smallest is {float(volume.min()):.4f}",
-            )
+            "no motion of the grid comes below --threshold",
+            got=threshold,
+            do=f"the smallest is {float(volume.min()):.4f}",
         )
     by = {"factor": factor} if threshold is None else {"threshold": threshold}
     scan = volume.to_dataset().assign(
@@ -81,11 +79,9 @@ def stored_near_minimum(path: Path, factor: float) -> np.ndarray:
     """
     if not path.is_file():
         raise InputError(
-            sentence(
-                "there is no such file",
-                do="give scan.nc as `sunspin scan --out` writes it",
-                where=str(path),
-            )
+            "there is no such file",
+            do="give scan.nc as `sunspin scan --out` writes it",
+            where=str(path),
         )
     file = read_netcdf(path, str(path), InputError)
     volume = file.get("emd", file.get("E"))
@@ -95,12 +91,8 @@ def stored_near_minimum(path: Path, factor: float) -> np.ndarray:
         or not set(volume.dims) <= set(volume.coords)
     ):
         raise InputError(
-            sentence(
-                "this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)
-            )
+            "this is no scan", do="give scan.nc as `sunspin scan` writes it", where=str(path)
         )
     if not all(part.dtype.kind in "biuf" for part in (volume, *volume.coords.values())):
-        raise InputError(
-            sentence("this scan holds what is no number", do="write it again", where=str(path))
-        )
+        raise InputError("this scan holds what is no number", do="write it again", where=str(path))
     return near_minimum(volume, factor)

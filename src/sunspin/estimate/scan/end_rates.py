@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunspin.base.errors import MotionError, sentence
+from sunspin.base.errors import MotionError
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import Start
 from sunspin.vehicle import Vehicle
@@ -38,10 +38,7 @@ def end_rates(
     )
     if np.any(run.outcome != k.Outcome.FINE):
         raise MotionError(
-            sentence(
-                "a motion could not be followed",
-                got=k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))],
-            )
+            "a motion could not be followed", got=k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))]
         )
     return run.omega_B[:, 0]
 

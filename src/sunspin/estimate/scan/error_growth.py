@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.propagate import propagate, wheel_speeds
 from sunspin.estimate.scan.error_maps import nominal, varied
@@ -59,7 +59,7 @@ class Motion:
         """Checked: the direction is made a unit vector, wheel speeds may be a number or None."""
         sun = np.asarray(sun_B, dtype=np.float64)
         if not (np.isfinite(duration_s) and duration_s > 0):
-            raise InputError(sentence("duration_s must be positive", got=duration_s))
+            raise InputError("duration_s must be positive", got=duration_s)
         speeds = wheel_speeds(vehicle, wheel_speed_rad_s)
         return cls(
             vehicle,
@@ -150,10 +150,7 @@ def one_percent(motion: Motion, sample_step_s: float) -> xr.Dataset:
     seen = unchanged[allows(mask, unchanged), 2]
     if seen.size == 0:
         raise InputError(
-            sentence(
-                "none of this motion's directions could be reconstructed",
-                do="choose another motion",
-            )
+            "none of this motion's directions could be reconstructed", do="choose another motion"
         )
     table = np.zeros((len(motion.inputs), 2))
     for i, name in enumerate(motion.inputs):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.metrics import direction_error
@@ -45,15 +45,11 @@ def varied(vehicle: Vehicle, name: str, value: float) -> Vehicle:
         return replace(vehicle, inertia_kg_m2=tensor)
     if name not in WHEEL_PARAMETERS:
         known = ", ".join([*INERTIA, *WHEEL_PARAMETERS])
-        raise InputError(
-            sentence("there is no parameter of this name", got=name, do=f"known: {known}")
-        )
+        raise InputError("there is no parameter of this name", got=name, do=f"known: {known}")
     if not vehicle.wheels:
         raise InputError(
-            sentence(
-                f"{name} belongs to a wheel, and {vehicle.name!r} has none",
-                do="vary its inertia instead",
-            )
+            f"{name} belongs to a wheel, and {vehicle.name!r} has none",
+            do="vary its inertia instead",
         )
     wheels = []
     for wheel in vehicle.wheels:
@@ -71,10 +67,8 @@ def nominal(vehicle: Vehicle, name: str) -> float:
         return float(vehicle.require_inertia()[INERTIA[name]])
     if not vehicle.wheels:
         raise InputError(
-            sentence(
-                f"{name} belongs to a wheel, and {vehicle.name!r} has none",
-                do="vary its inertia instead",
-            )
+            f"{name} belongs to a wheel, and {vehicle.name!r} has none",
+            do="vary its inertia instead",
         )
     wheel = vehicle.wheels[0]
     values = {
@@ -169,7 +163,7 @@ def parameter_map(
 ) -> xr.DataArray:
     """E over a grid of two of the vehicle's parameters (names of `varied`), from one initial rate omega_B (3) in rad/s."""
     if len(parameters) != 2:
-        raise InputError(sentence("a map needs exactly two parameters", got=", ".join(parameters)))
+        raise InputError("a map needs exactly two parameters", got=", ".join(parameters))
     measured, times = _known(track)
     start = Start.on_grid(
         vehicle, [np.array([float(rate)]) for rate in omega_B], sun_B, wheel_speed_rad_s
@@ -196,7 +190,7 @@ def _known(track: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     n = np.asarray(track["sun_B"], dtype=np.float64)
     known = np.all(np.isfinite(n), axis=1)
     if not known.any():
-        raise InputError(sentence("the track holds no direction to compare with"))
+        raise InputError("the track holds no direction to compare with")
     return n[known], np.asarray(track["time"], dtype=np.float64)[known]
 
 

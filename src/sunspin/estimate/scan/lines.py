@@ -15,7 +15,7 @@ import numpy.typing as npt
 import xarray as xr
 from scipy.optimize import linear_sum_assignment
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 
 Line = tuple[np.ndarray, np.ndarray]
@@ -66,16 +66,12 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
     """
     cloud = np.asarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.all(np.isfinite(cloud)):
-        raise InputError(
-            sentence("points must have the shape (n, 3) and be finite", got=cloud.shape)
-        )
+        raise InputError("points must have the shape (n, 3) and be finite", got=cloud.shape)
     if n_lines < 1 or len(np.unique(cloud, axis=0)) < 2 * n_lines:
         raise InputError(
-            sentence(
-                f"{n_lines} lines need at least {2 * n_lines} different points",
-                got=len(np.unique(cloud, axis=0)),
-                do="take a larger near-minimum set or fewer lines",
-            )
+            f"{n_lines} lines need at least {2 * n_lines} different points",
+            got=len(np.unique(cloud, axis=0)),
+            do="take a larger near-minimum set or fewer lines",
         )
     cloud = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
     found = [
@@ -260,11 +256,9 @@ def line_deviation(
     dir_a, dir_b = dir_a / np.linalg.norm(dir_a), dir_b / np.linalg.norm(dir_b)
     if abs(dir_b[axis]) < MIN_SLOPE:
         raise InputError(
-            sentence(
-                f"component {axis} hardly changes along the second line, so a range of it is no stretch of the line",
-                got=dir_b.tolist(),
-                do="choose another axis",
-            )
+            f"component {axis} hardly changes along the second line, so a range of it is no stretch of the line",
+            got=dir_b.tolist(),
+            do="choose another axis",
         )
     angle = np.arctan2(np.linalg.norm(np.cross(dir_a, dir_b)), abs(dir_a @ dir_b))
     apart = distances(
@@ -281,10 +275,8 @@ def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -
     lines = list(zip(fitted["point"].values, fitted["direction"].values, strict=True))
     if len(lines) < len(reference):
         raise InputError(
-            sentence(
-                "there are fewer fitted lines than reference lines",
-                got=f"{len(lines)} and {len(reference)}",
-            )
+            "there are fewer fitted lines than reference lines",
+            got=f"{len(lines)} and {len(reference)}",
         )
     cost = np.array(
         [[line_deviation(line, other, **options)["mean"] for line in lines] for other in reference]

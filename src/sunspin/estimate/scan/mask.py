@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics.ensemble import Mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle import Vehicle
@@ -24,10 +24,8 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
     wanted = [pattern for pattern in possible if pattern in good]
     if not wanted:
         raise InputError(
-            sentence(
-                f"no direction of the Sun can be reconstructed with the panels of {vehicle.name!r}",
-                do="three lit panels with independent normals are needed somewhere",
-            )
+            f"no direction of the Sun can be reconstructed with the panels of {vehicle.name!r}",
+            do="three lit panels with independent normals are needed somewhere",
         )
     unwanted = [pattern for pattern in possible if pattern not in set(wanted)]
     good, bad = (

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 Z_TOLERANCE = 1e-3
 """A z component may exceed 1 by this much: directions are printed with few digits."""
@@ -37,14 +37,11 @@ def direction_error(
     sim, meas = _track(sun_sim, "sun_sim"), _track(sun_meas, "sun_meas")
     if sim.shape[-2] != meas.shape[-2]:
         raise InputError(
-            sentence(
-                "both tracks must have the same samples",
-                got=f"{sim.shape[-2]} and {meas.shape[-2]}",
-            )
+            "both tracks must have the same samples", got=f"{sim.shape[-2]} and {meas.shape[-2]}"
         )
     known = np.all(np.isfinite(meas), axis=-1)
     if not np.all(np.any(known, axis=-1)):
-        raise InputError(sentence("the measured track holds no direction to compare with"))
+        raise InputError("the measured track holds no direction to compare with")
     cosine = np.where(
         known, np.einsum("...i,...i->...", sim, np.where(known[..., None], meas, 0.0)), 0.0
     )
@@ -57,7 +54,7 @@ def _track(track: Any, name: str) -> np.ndarray:
     values = track["sun_B"].transpose("time", "axis") if isinstance(track, xr.Dataset) else track
     array = np.asarray(values, dtype=np.float64)
     if array.ndim < 2 or array.shape[-1] != 3:
-        raise InputError(sentence(f"{name} must have the shape (..., n_time, 3)", got=array.shape))
+        raise InputError(f"{name} must have the shape (..., n_time, 3)", got=array.shape)
     return array
 
 
@@ -89,13 +86,11 @@ def emd(
 def _sample(z: npt.ArrayLike, name: str) -> np.ndarray:
     values = np.asarray(z, dtype=np.float64).ravel()
     if values.size == 0:
-        raise InputError(sentence(f"{name} is empty", do="give at least one z component"))
+        raise InputError(f"{name} is empty", do="give at least one z component")
     if not np.all(np.abs(values) <= 1 + Z_TOLERANCE):
         raise InputError(
-            sentence(
-                f"{name} must hold z components in [-1, 1]",
-                got=float(values[~(np.abs(values) <= 1)][0]),
-            )
+            f"{name} must hold z components in [-1, 1]",
+            got=float(values[~(np.abs(values) <= 1)][0]),
         )
     return values
 
@@ -111,8 +106,6 @@ def _weights(weights: npt.ArrayLike | None, z: np.ndarray, name: str) -> np.ndar
         or values.sum() == 0
     ):
         raise InputError(
-            sentence(
-                f"{name} must give one value >= 0 per z component, not all zero", got=values.shape
-            )
+            f"{name} must give one value >= 0 per z component, not all zero", got=values.shape
         )
     return values

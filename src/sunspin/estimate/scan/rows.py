@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.dynamics.torques import NOTHING, Acting
@@ -60,7 +60,7 @@ class Start:
         that does not fit the direction."""
         sun = np.asarray(sun_B, dtype=np.float64)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
-            raise InputError(sentence("sun_B must be a unit vector of three components", got=sun_B))
+            raise InputError("sun_B must be a unit vector of three components", got=sun_B)
         x, y, z = axes
         attitude = acting.attitude(B_from_N, sun)
         return cls(
@@ -119,11 +119,9 @@ class EmdRows:
 
     def __post_init__(self) -> None:
         if self.duration_s is None or not (np.isfinite(self.duration_s) and self.duration_s != 0):
-            raise InputError(
-                sentence("duration_s must be the length of the run in s", got=self.duration_s)
-            )
+            raise InputError("duration_s must be the length of the run in s", got=self.duration_s)
         if self.mask not in ("reconstructible", None):
-            raise InputError(sentence('mask must be "reconstructible" or None', got=self.mask))
+            raise InputError('mask must be "reconstructible" or None', got=self.mask)
         k.check_commands(self.vehicle, self.wheel_mode)
         if self.emd_error is None and self.direction_error is None:
             object.__setattr__(self, "emd_error", k.EMD_ERROR)
@@ -258,10 +256,10 @@ def target_segments(
         or np.abs(z).max() > 1 + 1e-6
     ):
         raise InputError(
-            sentence("target_z must be one or more values in [-1, 1], with as many weights if any")
+            "target_z must be one or more values in [-1, 1], with as many weights if any"
         )
     if not (np.all(w >= 0) and w.sum() > 0):
-        raise InputError(sentence("weights must not be negative and not all zero"))
+        raise InputError("weights must not be negative and not all zero")
     if z.size > MAX_TARGET:
         z, w = _thinned(z, w)
     order = np.argsort(z, kind="stable")

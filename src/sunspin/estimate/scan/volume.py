@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.compute.rows import CHUNK, ensemble
 from sunspin.dynamics import ensemble as k
@@ -215,12 +215,10 @@ def check_size(*points: float) -> None:
     if n_rows > MAX_ROWS:
         hours, memory = n_rows * SECONDS_PER_ROW / 3600, n_rows * BYTES_PER_ROW / 1e9
         raise InputError(
-            sentence(
-                f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}: it would take some {hours:.2g} h of one core and "
-                f"{memory:.2g} GB of memory",
-                got=" x ".join(f"{n:.0f}" for n in points),
-                do="use a larger step or a smaller range",
-            )
+            f"the grid has {n_rows:.3g} points, more than {MAX_ROWS:.3g}: it would take some {hours:.2g} h of one core and "
+            f"{memory:.2g} GB of memory",
+            got=" x ".join(f"{n:.0f}" for n in points),
+            do="use a larger step or a smaller range",
         )
 
 
@@ -228,15 +226,10 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
     axis = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if axis.ndim != 1 or axis.size == 0 or not np.all(np.isfinite(axis)):
         raise InputError(
-            sentence(
-                f"{name} must be a list of finite rates in rad/s, not deg/s",
-                got=f"shape {axis.shape}",
-            )
+            f"{name} must be a list of finite rates in rad/s, not deg/s", got=f"shape {axis.shape}"
         )
     if len(np.unique(axis)) < len(axis):
-        raise InputError(
-            sentence(f"{name} has a rate twice", got=axis[:10].tolist(), do="give each once")
-        )
+        raise InputError(f"{name} has a rate twice", got=axis[:10].tolist(), do="give each once")
     return axis
 
 
@@ -250,16 +243,14 @@ def _track_rows(
 ) -> TrackRows:
     if emd_error is not None:
         raise InputError(
-            sentence(
-                "a track is compared by E, not by EMD",
-                got=f"emd_error {emd_error}",
-                do="give direction_error",
-            )
+            "a track is compared by E, not by EMD",
+            got=f"emd_error {emd_error}",
+            do="give direction_error",
         )
     measured = np.asarray(track["sun_B"], dtype=np.float64)
     known = np.all(np.isfinite(measured), axis=1)
     if not known.any():
-        raise InputError(sentence("the track holds no direction to compare with"))
+        raise InputError("the track holds no direction to compare with")
     times = np.asarray(track["time"], dtype=np.float64)[known]
     error = TRACK_DIRECTION_ERROR if direction_error is None else direction_error
     return TrackRows(vehicle, start, measured[known], times, wheel_mode, error)
@@ -281,11 +272,11 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
         A factor that is not above 1; nothing could be computed; a scan of an earlier version that interpolated motions.
     """
     if not factor > 1:
-        raise InputError(sentence("the factor of the near-minimum set must exceed 1", got=factor))
+        raise InputError("the factor of the near-minimum set must exceed 1", got=factor)
     values = _computed(emd)
     if not np.isfinite(values).any():
         raise InputError(
-            sentence("no motion of the grid could be computed", do="see its coordinate `outcome`")
+            "no motion of the grid could be computed", do="see its coordinate `outcome`"
         )
     return below(emd, factor * np.nanmin(values))
 
@@ -300,9 +291,7 @@ def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
     """
     if "emd_bound" in emd.coords and (emd["emd_bound"] > 0).any():
         raise InputError(
-            sentence(
-                "motions of this scan are interpolated, as earlier versions could", do="scan again"
-            )
+            "motions of this scan are interpolated, as earlier versions could", do="scan again"
         )
     return _points(emd, _computed(emd) < threshold)
 

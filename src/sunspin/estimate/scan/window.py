@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
 
@@ -36,12 +36,10 @@ def directions_within(
     use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
     if use.sum() < 2:
         raise InputError(
-            sentence(
-                "fewer than two samples in this window give a direction of the Sun",
-                got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
-                do="widen --from and --to; `sunspin sun` says why samples give none",
-                where=str(telemetry.attrs.get("file", "")),
-            )
+            "fewer than two samples in this window give a direction of the Sun",
+            got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
+            do="widen --from and --to; `sunspin sun` says why samples give none",
+            where=str(telemetry.attrs.get("file", "")),
         )
     track = sun[["sun_B"]].isel(time=np.flatnonzero(use))
     return track.assign_coords(time=track["time"] - track["time"].values[0])

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA
 from sunspin.estimate.terms.term import SUN_N, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix
+from sunspin.telemetry.gains import OPPOSITE
 from sunspin.vehicle.response.protocol import PanelResponse
 
 TURN_RATE = 1.5e-3
@@ -34,9 +35,6 @@ WIDER = 1.5
 
 LEAST_BEAM = 1e-12
 """Share of full Sun at which a beam is taken for this weak, so that it has a direction."""
-
-OPPOSITE = -0.99
-"""Cosine of the angle between opposite panels, at most."""
 
 ZERO = 0.3
 """Prior sigma of what a panel reads too much all the time, in the same units."""

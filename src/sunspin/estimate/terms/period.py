@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.estimate.verdict import LEAST_DRAWS
 from sunspin.solve.weights import effective_draws
 
@@ -43,7 +43,7 @@ class Period:
             value = getattr(self, name)
             if not np.isfinite(value) or (name != "t_s" and not value > 0):
                 wanted = "a number of seconds" if name == "t_s" else "a positive number of seconds"
-                raise InputError(sentence(f"{name} of a period must be {wanted}", got=value))
+                raise InputError(f"{name} of a period must be {wanted}", got=value)
 
     @property
     def instants_s(self) -> np.ndarray:

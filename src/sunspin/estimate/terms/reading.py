@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 
 LOG_2PI = float(np.log(2 * np.pi))
 
@@ -51,10 +51,8 @@ class Reading:
             or not (np.isfinite(sigma) and sigma > 0)
         ):
             raise InputError(
-                sentence(
-                    f"a {cls.kind} is {cls.numbers} finite numbers with a positive sigma",
-                    got=str(dict(given)),
-                )
+                f"a {cls.kind} is {cls.numbers} finite numbers with a positive sigma",
+                got=str(dict(given)),
             )
         return value
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.estimate.orbit.field_calibration import FieldCalibration
 from sunspin.estimate.terms.attitude import Attitude
 from sunspin.estimate.terms.field_direction import FieldDirection, TurningAxes
@@ -47,11 +47,7 @@ def sun_source(telemetry: xr.Dataset, wanted: str | None, field_known: bool = Fa
         if wanted is None and "field_B" in telemetry:
             do = "a magnetometer alone needs its `noise` in the vehicle file, or an orbit (--tle)"
         raise InputError(
-            sentence(
-                f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}",
-                got=there,
-                do=do,
-            )
+            f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}", got=there, do=do
         )
     return wanted
 

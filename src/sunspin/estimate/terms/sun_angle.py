@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.estimate.terms.reading import Reading
 
 
@@ -26,9 +26,7 @@ class SunAngle(Reading):
         angle, length = float(given["angle_rad"]), float(np.linalg.norm(value))
         if not (0 <= angle <= np.pi and length > 0):
             raise InputError(
-                sentence(
-                    "a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))
-                )
+                "a field is a direction and an angle from 0 to pi (rad)", got=str(dict(given))
             )
         return cls(t_s, np.array([angle]), float(given["sigma"]), value / length)
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import InputError, OutputError, sentence
+from sunspin.base.errors import InputError, OutputError
 from sunspin.base.netcdf import read_netcdf
 from sunspin.base.untrusted import is_own
 from sunspin.dynamics.propagate import MAX_RATE
@@ -82,7 +82,7 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
     for path in (Path(folder) / name for name in SOURCES):
         if path.is_symlink():
             what = "this is a link, and a results folder has files of its own"
-            raise InputError(sentence(what, do="copy the file here", where=str(path)))
+            raise InputError(what, do="copy the file here", where=str(path))
         if is_own(path):
             data = read_netcdf(path, str(path), InputError)
             refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
@@ -91,7 +91,7 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
             return data.isel(time=slice(None, None, -1)) if backward else data, path
     got = "neither " + " nor ".join(SOURCES)
     do = "write one with `sunspin rates ... --out DIR` or `sunspin simulate ... --out DIR`"
-    raise InputError(sentence("no attitude here", got=got, where=str(folder), do=do))
+    raise InputError("no attitude here", got=got, where=str(folder), do=do)
 
 
 def attitude_of(
@@ -127,18 +127,18 @@ def attitude_of(
     if written != known and not local:
         more = "" if frame_N == BODY_AT_START else ", or give `rates` an orbit and a magnetometer"
         what = f"this attitude is known in no celestial frame, but in a local one: {orientation}"
-        raise InputError(sentence(what, got=written, do=f"export in {LOCAL_FRAME}{more}"))
+        raise InputError(what, got=written, do=f"export in {LOCAL_FRAME}{more}")
     prefix = "curve_" if step_s is not None and "curve_time" in data.variables else ""
     names = [f"{prefix}{name}" for name in ("time", "B_from_N", "omega_B", "pass_of")]
     if missing := [name for name in names[:3] if name not in data.variables]:
-        raise InputError(sentence(f"the results have no {', '.join(missing)}"))
+        raise InputError(f"the results have no {', '.join(missing)}")
     single = xr.DataArray(np.zeros(data.sizes.get("time", 0), dtype=int))
     t, quaternion, omega, pass_of = (data.get(name, single).values for name in names)
     numeric = all(each.dtype.kind in "iuf" for each in (t, quaternion, omega, pass_of))
     shapes = [each.shape for each in (t, quaternion, omega, pass_of)]
     if not numeric or not t.size or shapes != [(t.size, *more) for more in ((), (4,), (3,), ())]:
         what = "times, attitudes, rates and passes of these results do not belong together"
-        raise InputError(sentence(what, got=shapes, do="run the command again"))
+        raise InputError(what, got=shapes, do="run the command again")
     size = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=1)
     order = np.append(True, t[1:] > t[:-1]) & (np.abs(t) < MAX_TIME_S) & np.isfinite(pass_of)
     for what, right in (
@@ -147,14 +147,14 @@ def attitude_of(
         (f"rates are not within {MAX_RATE:g} rad/s", np.abs(omega) <= MAX_RATE),
     ):
         if not np.all(right):
-            raise InputError(sentence(f"{what} in these results", do="run the command again"))
+            raise InputError(f"{what} in these results", do="run the command again")
     epoch = str(epoch_utc or data.attrs.get("epoch_utc"))
     try:
         moment = datetime.fromisoformat(epoch)
         moment = moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
     except (ValueError, OverflowError):
         what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
-        raise InputError(sentence(what, got=epoch, do=do)) from None
+        raise InputError(what, got=epoch, do=do) from None
     number, name = (str(data.attrs.get(key, "")) for key in ("orbit", "orbit_name"))
     attitude = Attitude(
         t,
@@ -181,7 +181,7 @@ def _on_grid(attitude: Attitude, step_s: float) -> Attitude:
     counts = (np.minimum(spans / step_s + 1e-9, 10.0 * MAX_ATTITUDES)).astype(int) + 1
     if counts.sum() > MAX_ATTITUDES:
         what = f"this would be more than {MAX_ATTITUDES} attitudes"
-        raise InputError(sentence(what, got=step_s, do="give a longer --step"))
+        raise InputError(what, got=step_s, do="give a longer --step")
     if len(t) == 1:
         return attitude
     angle = 2 * np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", q[1:], q[:-1])), 1.0))
@@ -190,7 +190,7 @@ def _on_grid(attitude: Attitude, step_s: float) -> Attitude:
     if largest > LARGEST_STEP_RAD:
         what = f"the body turns by up to {np.degrees(largest):.0f} degrees between the instants that these results hold"
         do = "export without --step, or a shorter stretch of time: `sunspin rates --from --to`"
-        raise InputError(sentence(what, do=do))
+        raise InputError(what, do=do)
     at = np.concatenate([t0 + step_s * np.arange(n) for t0, n in zip(starts, counts, strict=True)])
     vector, scalar = q[:, :3], q[:, 3:]
     rate = -0.5 * np.hstack(  # dq/dt of B_from_N
@@ -234,7 +234,7 @@ def write_parquet(target: Path, attitude: Attitude) -> Path:
         import pyarrow.parquet as pq
     except ImportError:
         what, do = "Parquet needs pyarrow", 'pip install "sunspin[parquet]"'
-        raise OutputError(sentence(what, do=do)) from None
+        raise OutputError(what, do=do) from None
     columns = {"time_utc": attitude.utc, "time_s": attitude.t_s, "pass": attitude.pass_of}
     columns |= {f"q_{k}_B_from_N": q for k, q in zip("xyzw", attitude.quaternion.T, strict=True)}
     columns |= {f"omega_{k}_B_rad_s": w for k, w in zip("xyz", attitude.omega_B.T, strict=True)}

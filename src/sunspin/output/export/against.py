@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.base.errors import InputError, sentence
+from sunspin.base.errors import InputError
 from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import attitude_of, read_results
@@ -40,22 +40,22 @@ def against_kernels(
     for path in paths:
         if not (path.isprintable() and is_plain(Path(path))):
             what = "the kernels cannot be used, as there is no such file"
-            raise InputError(sentence(what, got=path, do="give the paths of SPICE kernels"))
+            raise InputError(what, got=path, do="give the paths of SPICE kernels")
     script, et = Path(__file__).with_name("spice_rates.py"), ephemeris_time(attitude.utc)
     # in another process: of 2,000 damaged kernels 1 ended this one (`validation corrupt --unguarded --only kernel.bc`)
     try:
         read = elsewhere(script, frame, base, *paths, seconds=KERNEL_S, content=et.tobytes())
     except Elsewhere as error:
         what = f"the kernels cannot be used ({error})"
-        raise InputError(sentence(what, got=", ".join(paths))) from None
+        raise InputError(what, got=", ".join(paths)) from None
     rates = np.frombuffer(read, dtype=np.float64).reshape(-1, 3)
     if np.any(np.abs(rates) > MAX_RATE):
         what = f"the kernels hold rates beyond {MAX_RATE:g} rad/s"
-        raise InputError(sentence(what, do="check them: they may be damaged"))
+        raise InputError(what, do="check them: they may be damaged")
     covered = np.isfinite(rates).all(axis=1)
     if not covered.any():
         got = f"{attitude.utc[0]} to {attitude.utc[-1]}"
-        raise InputError(sentence("the kernels do not cover any of these times", got=got))
+        raise InputError("the kernels do not cover any of these times", got=got)
     ours, theirs = np.degrees(attitude.omega_B[covered]), np.degrees(rates[covered])
     speed = np.linalg.norm(ours, axis=1) - np.linalg.norm(theirs, axis=1)
     summary = {

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.base.errors import InputError, OutputError, sentence
+from sunspin.base.errors import InputError, OutputError
 from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
@@ -30,7 +30,7 @@ def ephemeris_time(utc: Any) -> np.ndarray:
 
     utc = np.asarray(utc, dtype="datetime64[us]")
     if np.any(utc < np.datetime64("1972-01-01")):
-        raise InputError(sentence("UTC before 1972 has no leap seconds", got=str(utc.min())))
+        raise InputError("UTC before 1972 has no leap seconds", got=str(utc.min()))
     month = utc.astype("datetime64[M]").astype(int)
     with warnings.catch_warnings():  # years beyond the announced leap seconds
         warnings.simplefilter("ignore", erfa.ErfaWarning)
@@ -46,7 +46,7 @@ def spice() -> Any:
         import spiceypy
     except ImportError:
         what, do = "SPICE kernels need spiceypy", 'pip install "sunspin[spice]"'
-        raise OutputError(sentence(what, do=do)) from None
+        raise OutputError(what, do=do) from None
     return spiceypy
 
 
@@ -57,11 +57,11 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
     sp = spice()
     if not str(folder).isprintable():
         what, do = "SPICE takes no such folder name", "give one of plain letters"
-        raise OutputError(sentence(what, got=str(folder), do=do))
+        raise OutputError(what, got=str(folder), do=do)
     first_s = min(0.0, float(attitude.t_s[0]))  # tick 0: the epoch, or an earlier first sample
     ticks = np.round((attitude.t_s - first_s) * TICKS_PER_S)
     if np.any(np.diff(ticks) <= 0):
-        raise InputError(sentence("a C-kernel needs times that increase by a microsecond or more"))
+        raise InputError("a C-kernel needs times that increase by a microsecond or more")
     start = float(ephemeris_time(attitude.epoch)) + first_s
     clock, frames = (
         write_whole(folder / name, lambda path, text=text: path.write_text(text, "ascii"))
@@ -85,7 +85,7 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
         return [write_whole(folder / "sunspin.bc", write), clock, frames]
     except sp.exceptions.SpiceyError as error:
         what = f"SPICE refused the kernel ({' '.join(str(error).split())[:200]})"
-        raise OutputError(sentence(what, where=str(folder))) from None
+        raise OutputError(what, where=str(folder)) from None
     finally:
         sp.unload([str(clock), str(frames)])
 

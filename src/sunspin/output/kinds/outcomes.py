@@ -18,9 +18,6 @@ PRINTED = (
 )
 """What is printed of a tally, in this order."""
 
-FINER = 2
-"""Bins of the runs drawn as one, 0.05 wide."""
-
 HATCHES = ("", "//", "..", "xx")
 
 
@@ -103,7 +100,7 @@ def sun_height_figure(runs: dict[str, Any]) -> Any:
     """Densities of r_z between collision and landing, one per strategy, area 1, bars of one standard error (paper, Fig. 13)."""
     figure, axes = axes_grid(7.5, 4.2, title="Height of the Sun on the way to the landing")
     for k, (name, each) in enumerate(runs.items()):
-        curve = density(each, merge=FINER)
+        curve = density(each, merge=2)  # bins 0.05 wide
         value, edges = (
             curve["density"].values,
             np.append(curve["rz"] - 1 / curve.sizes["rz"], 1.0),

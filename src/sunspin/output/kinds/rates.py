@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
+from sunspin.estimate.rates.hypotheses import AS_STATED
 from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
 from sunspin.output.text import clock_text, number_text, rate_text, with_range, with_sigma
 from sunspin.vehicle.timeline import utc_after
-
-AS_STATED = "as stated"
-"""The model of a pass that nothing was added to."""
 
 MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""

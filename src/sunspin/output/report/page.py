@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from sunspin.base.errors import OutputError, sentence
+from sunspin.base.errors import OutputError
 from sunspin.output.folder import CITE, plain, write_whole
 from sunspin.output.report import rows
 from sunspin.output.report.read import PageTable, Results, read_results
@@ -221,7 +221,7 @@ def _plotly() -> str:
         from plotly.offline import get_plotlyjs
     except ImportError:
         raise OutputError(
-            sentence("plotly, which draws the report, is not installed", do="pip install plotly")
+            "plotly, which draws the report, is not installed", do="pip install plotly"
         ) from None
     return get_plotlyjs()
 

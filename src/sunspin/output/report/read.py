@@ -18,7 +18,7 @@ from typing import Any
 
 import xarray as xr
 
-from sunspin.base.errors import InputError, SunspinError, printable, sentence
+from sunspin.base.errors import InputError, SunspinError, printable
 from sunspin.base.netcdf import read_elsewhere, read_groups
 from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.folder import MANIFEST, MARKER, maker
@@ -129,19 +129,19 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
     path = Path(folder)
     if not path.is_dir():
         do = "give the --out of an earlier command"
-        raise InputError(sentence("there is no such folder", do=do, where=str(path)))
+        raise InputError("there is no such folder", do=do, where=str(path))
     if not is_own(path / MARKER):
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
         do = "give the --out of an earlier command"
-        raise InputError(sentence(what, do=do, where=str(path)))
+        raise InputError(what, do=do, where=str(path))
     results = Results(path, maker(path / MARKER))
     if results.command in ("coverage", "worth"):
         what = f"results of `sunspin {results.command}` are no longer shown, as the command is gone"
         do = "python -m studies.coverage OUT repeats the study"
-        raise InputError(sentence(what, do=do, where=str(path)))
+        raise InputError(what, do=do, where=str(path))
     if not is_own(path / MANIFEST):
         what = f"the folder has no {MANIFEST}: an earlier version wrote it, or the run did not end"
-        raise InputError(sentence(what, do="run the command again", where=str(path)))
+        raise InputError(what, do="run the command again", where=str(path))
     manifest = results.attempt(MANIFEST, lambda: _object(path / MANIFEST)) or {}
     results.summary = results.attempt("summary.json", lambda: _object(path / "summary.json")) or {}
     damaged, entries = 0, _entries(results, manifest, "data")
@@ -195,11 +195,9 @@ def _own(folder: Path, name: Any) -> Path:
     """The file of this name in the folder itself: no path, no link, no device."""
     if not isinstance(name, str) or Path(name).name != name or not is_own(folder / name):
         raise InputError(
-            sentence(
-                "this is not a regular file of the folder",
-                do="put the file itself there",
-                where=str(name)[:200],
-            )
+            "this is not a regular file of the folder",
+            do="put the file itself there",
+            where=str(name)[:200],
         )
     return folder / name
 
@@ -212,16 +210,14 @@ def _text(path: Path) -> str:
 def _object(path: Path) -> dict[str, Any]:
     value = json.loads(_text(_own(path.parent, path.name)))
     if not isinstance(value, dict):
-        raise InputError(
-            sentence("this is no JSON object", do="run the command again", where=path.name)
-        )
+        raise InputError("this is no JSON object", do="run the command again", where=path.name)
     return value
 
 
 def _data(results: Results, path: Path, tried: bool) -> bool:
     if path.stat().st_size > MAX_DATA_BYTES:
         size = f"{MAX_DATA_BYTES / 1e6:.0f} MB"
-        raise InputError(sentence(f"the file is larger than {size}", do="look into it with xarray"))
+        raise InputError(f"the file is larger than {size}", do="look into it with xarray")
     groups = read_groups(path, path.name, InputError, probe=not tried)
     root = dict(groups["/"].attrs) if "/" in groups else {}
     for name, data in groups.items():

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sunspin.base.errors import TelemetryError, sentence
+from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.base.untrusted import is_plain
 from sunspin.telemetry.reader import parse_utc
@@ -30,19 +30,12 @@ KISS_BYTES, AX25_BYTES = 2, 16
 MAX_FRAMES, MAX_FRAME_BYTES = 1_000_000, 4096
 
 
-class Kind(NamedTuple):
-    """A type of beacon: its fields, and what they are called."""
-
-    form: struct.Struct
-    columns: tuple[str, ...]
-
-
 def _names(text: str) -> tuple[str, ...]:
     return tuple(text.split())
 
 
-KINDS = {
-    "CDHS": Kind(
+KINDS: dict[str, tuple[struct.Struct, tuple[str, ...]]] = {
+    "CDHS": (
         struct.Struct("<BBBHIIBBBBBB12H12BI3B5HB12HBB"),
         _names(
             "antFired antAttempts antFiredInv numReboots time bootLog verProt swVersion swRelease drvVersion drvRelease activeCpu "
@@ -53,7 +46,7 @@ KINDS = {
             "radFrmPattern3 radFrmPattern4 radFrmPattern5 radFrmErr flashBootromCrcWrong flashOperCrcWrong"
         ),
     ),
-    "ADCS": Kind(
+    "ADCS": (
         struct.Struct("<BBhhh" + "hhB" * 6 + "h" * 16 + "H" * 4),
         (
             "adcsMode",
@@ -69,7 +62,7 @@ KINDS = {
             "earthYm",
         ),
     ),
-    "COM": Kind(
+    "COM": (
         struct.Struct("<IHBBH6Hbb6H4B"),
         _names(
             "timestamp fwVersion activeCOM digipeaterMode numberOfReboots outputReflectedPower outputForwardPower "
@@ -78,7 +71,7 @@ KINDS = {
             "timeslotEnd"
         ),
     ),
-    "PWR": Kind(
+    "PWR": (
         struct.Struct("<III5H15h3H28h5HhI5H"),
         (
             *_names(
@@ -100,7 +93,7 @@ KINDS = {
         ),
     ),
 }
-"""Types of beacons whose fields are published."""
+"""Types of beacons whose fields are published: their binary form, and the names of the fields."""
 
 TYPES = {0x01: "CDHS", 0x02: "ADCS", 0x03: "COM", 0x05: "PWR"}
 
@@ -121,12 +114,8 @@ class Beacons(NamedTuple):
         return {kind: len(rows) for kind, rows in self.rows.items()}
 
 
-class Frame(NamedTuple):
-    """A frame from its type byte on, when (unix s) and where it was received; None and empty where its name does not say."""
-
-    time: float | None
-    station: str
-    content: bytes
+Frame = tuple[float | None, str, bytes]
+"""When (unix s) and where a frame was received, None and empty where its name does not say; its content from the type byte on."""
 
 
 def unescape(frame: bytes) -> bytes:
@@ -139,25 +128,22 @@ def decode_beacons(path: Any) -> Beacons:
     fatal."""
     rows: dict[str, list[tuple[float, str, tuple[Any, ...]]]] = {}
     unread: Counter[str] = Counter()
-    for frame in _frames(Path(path)):
-        kind = TYPES.get(frame.content[0], OTHER) if frame.content else ""
-        if frame.time is None:
+    for time, station, content in _frames(Path(path)):
+        kind = TYPES.get(content[0], OTHER) if content else ""
+        if time is None:
             unread["the name has no receive time"] += 1
         elif not kind:
             unread["too short for a beacon"] += 1
         elif kind == OTHER:
-            rows.setdefault(OTHER, []).append((frame.time, frame.station, (frame.content.hex(),)))
-        elif len(frame.content) <= KINDS[kind].form.size:
+            rows.setdefault(OTHER, []).append((time, station, (content.hex(),)))
+        elif len(content) <= KINDS[kind][0].size:
             unread[f"a {kind} beacon is cut off"] += 1
         else:
-            rows.setdefault(kind, []).append(
-                (frame.time, frame.station, KINDS[kind].form.unpack_from(frame.content[1:]))
-            )
+            fields = KINDS[kind][0].unpack_from(content[1:])
+            rows.setdefault(kind, []).append((time, station, fields))
     if not rows and not unread:
         raise TelemetryError(
-            sentence(
-                "no raw beacon here", do="give the folder or zip of raw frames", where=str(path)
-            )
+            "no raw beacon here", do="give the folder or zip of raw frames", where=str(path)
         )
     return Beacons({kind: sorted(rows[kind]) for kind in sorted(rows)}, dict(unread))
 
@@ -166,9 +152,7 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
     """The beacons of a kind as CSV; that of the attitude and power beacons is what the built-in vehicle reads."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["unix_s_rx", "station", *(KINDS[kind].columns if kind in KINDS else ("frame",))]
-    )
+    writer.writerow(["unix_s_rx", "station", *(KINDS[kind][1] if kind in KINDS else ("frame",))])
     writer.writerows(
         [f"{time:.12g}", station, *fields] for time, station, fields in beacons.rows[kind]
     )
@@ -205,14 +189,14 @@ def _zipped(path: Path) -> Iterator[Frame]:
     ) as error:  # what zipfile raises on a damaged archive is not documented, and is much
         do = "give a folder or a zip of raw frames, or SatNOGS's export of them"
         raise TelemetryError(
-            sentence(f"the raw beacons cannot be read ({error})", do=do, where=str(path))
+            f"the raw beacons cannot be read ({error})", do=do, where=str(path)
         ) from None
 
 
 def _of_collector(name: str, frame: bytes) -> Frame:
     named = re.match(r"([0-9]{9,11})_([A-Za-z0-9]+)", name)
     content = unescape(frame)[KISS_BYTES + AX25_BYTES :]
-    return Frame(None, "", content) if named is None else Frame(int(named[1]), named[2], content)
+    return (None, "", content) if named is None else (int(named[1]), named[2], content)
 
 
 def _of_satnogs(path: Path) -> Iterator[Frame]:
@@ -220,9 +204,7 @@ def _of_satnogs(path: Path) -> Iterator[Frame]:
     table = read_table(path)
     if not {"timestamp", "frame"} <= set(table.header):
         what = "raw frames of SatNOGS have a time and a frame each"
-        raise TelemetryError(
-            sentence(what, got="columns " + ", ".join(table.header)[:200], where=str(path))
-        )
+        raise TelemetryError(what, got="columns " + ", ".join(table.header)[:200], where=str(path))
     cells = table.cells.iloc[:MAX_FRAMES]
     for line, row in zip(cells.index, cells.to_dict("records"), strict=True):
         moment, frame = parse_utc(row["timestamp"]), row["frame"]
@@ -231,6 +213,6 @@ def _of_satnogs(path: Path) -> Iterator[Frame]:
         except ValueError:
             what, where = "a frame is written in hexadecimal digits", f"{path}, line {line}"
             got = frame[:60] or "an empty cell"
-            raise TelemetryError(sentence(what, got=got, where=where)) from None
+            raise TelemetryError(what, got=got, where=where) from None
         station = row.get("observer", "")
-        yield Frame(None if moment is None else moment.timestamp(), station, content[AX25_BYTES:])
+        yield None if moment is None else moment.timestamp(), station, content[AX25_BYTES:]

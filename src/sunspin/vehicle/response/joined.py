@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sunspin.base.errors import VehicleError, sentence
+from sunspin.base.errors import VehicleError
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response.cosine import (
     RANK_TOLERANCE,
@@ -207,7 +207,7 @@ class Joined(Flat):
         if len(kept) > MOST_PLANES:
             what = f"the panels have {len(kept)} planes, more than {MOST_PLANES}"
             do = "leave out panels, or let channels read sums"
-            raise VehicleError(sentence(f"{what}, where some share an input", do=do))
+            raise VehicleError(f"{what}, where some share an input", do=do)
         return np.array(kept)
 
     @cached_property
