@@ -322,7 +322,8 @@ def test_a_grid_without_its_step_is_told_its_form(sunspin):
     told = sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60")
     refused(
         told,
-        "--omega-x-deg-s must be low:high:step in deg/s (found 0:60)",
+        "--omega-x-deg-s must be low:high:step in deg/s",
+        "(found 0:60)",
         "--omega-x-deg-s=-6:6:1",
     )
 

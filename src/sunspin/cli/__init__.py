@@ -64,10 +64,11 @@ def main() -> None:
         said = OPTIONS.get(error.option_name, " ".join(error.format_message().split()).rstrip("."))
         code = _say(f"error: {said}{_hint(error)}", 2)
     except click.ClickException as error:
-        code = _say(
-            f"error: {_in_words(' '.join(error.format_message().split()).rstrip('.'))}{_hint(error)}",
-            2,
+        text = " ".join(error.format_message().split()).rstrip(".")
+        text = re.sub(
+            r"is not a valid (float|integer)( range)?", lambda match: NUMBERS[match[1]], text
         )
+        code = _say(f"error: {text}{_hint(error)}", 2)
     except (ReaderGone, BrokenPipeError):
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -91,7 +92,9 @@ def _unexpected(error: Exception) -> int:
         return _say(INTERRUPTED, 130)
     if os.environ.get("SUNSPIN_TRACEBACK"):
         raise error
-    return _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
+    what = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
+    do = "set SUNSPIN_TRACEBACK=1 to see where, and please report it"
+    return _say(f"defect: this is {what}; {do}", 1)
 
 
 _STOPPED = threading.Event()
@@ -122,15 +125,6 @@ def _say(text: str, code: int) -> int:
     except OSError:  # nobody can read it, as where the disk is full; the exit code still says it
         sys.stderr = open(os.devnull, "w", encoding="utf-8")
     return code
-
-
-def _in_words(text: str) -> str:
-    """click's names of types in words."""
-    return re.sub(r"is not a valid (float|integer)( range)?", lambda found: NUMBERS[found[1]], text)
-
-
-def _defect(error: Exception) -> str:
-    return f"defect: this is a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
 
 
 def _hint(error: click.ClickException) -> str:
