@@ -13,7 +13,7 @@ import threading
 import click
 
 from sunspin.base.errors import SunspinError, printable
-from sunspin.cli.common import Group, ReaderGone
+from sunspin.cli.common import Group
 from sunspin.cli.gone import OPTIONS
 
 LONGEST = 1200
@@ -21,9 +21,6 @@ LONGEST = 1200
 
 
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
-
-NUMBERS = {"float": "is not a number such as -1.5e-3", "integer": "is not a whole number"}
-"""What is wrong with the value of an option, by click's name of its type."""
 
 
 @click.group(
@@ -65,11 +62,10 @@ def main() -> None:
         code = _say(f"error: {said}{_hint(error)}", 2)
     except click.ClickException as error:
         text = " ".join(error.format_message().split()).rstrip(".")
-        text = re.sub(
-            r"is not a valid (float|integer)( range)?", lambda match: NUMBERS[match[1]], text
-        )
+        text = re.sub("is not a valid float( range)?", "is not a number such as -1.5e-3", text)
+        text = re.sub("is not a valid integer( range)?", "is not a whole number", text)
         code = _say(f"error: {text}{_hint(error)}", 2)
-    except (ReaderGone, BrokenPipeError):
+    except BrokenPipeError:
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0

@@ -7,7 +7,7 @@ import click
 from sunspin.base.errors import InputError, sentence
 from sunspin.cli.changes import LANDING, Changeable, opened, say_idle, set_options
 from sunspin.cli.common import POSITIVE, find_telemetry, shared
-from sunspin.cli.values import Grid, instants_of
+from sunspin.cli.values import grid_of, instants_of
 
 
 @click.command(cls=Changeable)
@@ -16,7 +16,7 @@ from sunspin.cli.values import Grid, instants_of
 @click.option(
     "--omega-x-deg-s",
     "omega_x",
-    type=Grid(),
+    callback=grid_of,
     default="-30:60:0.9",
     show_default=True,
     help="Grid of omega_x, deg/s: low:high:step, or values with commas.",
@@ -24,7 +24,7 @@ from sunspin.cli.values import Grid, instants_of
 @click.option(
     "--omega-y-deg-s",
     "omega_y",
-    type=Grid(),
+    callback=grid_of,
     default="-30:60:0.9",
     show_default=True,
     help="Grid of omega_y, deg/s.",
@@ -32,7 +32,7 @@ from sunspin.cli.values import Grid, instants_of
 @click.option(
     "--omega-z-deg-s",
     "omega_z",
-    type=Grid(),
+    callback=grid_of,
     default="-18:18:0.9",
     show_default=True,
     help="Grid of omega_z, deg/s.",

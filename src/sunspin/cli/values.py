@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
@@ -42,32 +43,24 @@ def strict(kind: click.ParamType) -> click.ParamType:
     return checked
 
 
-class Numbers(click.ParamType):
-    """Comma-separated numbers of an option, `count` of them if it is given; in rad/s where the option takes deg/s."""
+def numbers_of(count: int | None = None, deg_s: bool = False) -> Callable[..., Any]:
+    """A callback of an option that takes comma-separated numbers, `count` of them if it is given; in rad/s where it takes deg/s."""
 
-    name = "numbers"
+    def read(text: str, name: str) -> list[float]:
+        values = numbers(text, name, count)
+        return [math.radians(each) for each in values] if deg_s else values
 
-    def __init__(self, count: int | None = None, deg_s: bool = False) -> None:
-        self.count, self.deg_s = count, deg_s
+    def callback(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
+        if isinstance(given, tuple):
+            return [read(text, parameter.opts[0]) for text in given]
+        return None if given is None else read(given, parameter.opts[0])
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> list[float]:
-        assert param is not None
-        values = numbers(value, param.opts[0], self.count)
-        return [math.radians(each) for each in values] if self.deg_s else values
+    return callback
 
 
-class Grid(click.ParamType):
-    """low:high:step in deg/s, or values separated by commas, as an array in rad/s."""
-
-    name = "low:high:step"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> np.ndarray:
-        assert param is not None
-        return grid(value, param.opts[0])
+def grid_of(_: click.Context, parameter: click.Parameter, text: str) -> np.ndarray:
+    """The callback of an option that takes a grid, as in `grid`."""
+    return grid(text, parameter.opts[0])
 
 
 def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
