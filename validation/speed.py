@@ -16,8 +16,8 @@ from validation.scoreboard import ROOT
 
 COMMANDS = {
     "rates": "rates cube/vehicle.toml cube/telemetry.csv --workers 1 --quiet --out OUT",
-    "scan": "scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:30:0.6"
-    " --omega-y-deg-s=-30:30:3 --omega-z-deg-s=-12:12:3 --workers 1 --quiet --out OUT",
+    "scan": "scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:30:0.6 --omega-y-deg-s=-30:30:3 "
+    "--omega-z-deg-s=-12:12:3 --workers 1 --quiet --out OUT",
     "posterior": "posterior philae --prior max_rate_rad_s=0.33 --workers 1 --quiet --out OUT",
     "reproduce": "reproduce --workers 1 --quiet --out OUT",
 }

@@ -89,38 +89,17 @@ def test_results_of_something_else_are_not_overwritten(start, tmp_path):
     assert "not empty" in done.err
     assert [path.name for path in keep.iterdir()] == ["thesis.txt"]
     sunspin("sun", start / "vehicle.toml", start / "telemetry.csv", "--out", start / "out")
-    assert (
-        "results of"
-        in sunspin(
-            "simulate",
-            "philae",
-            "--omega-deg-s=0,0,0",
-            "--sun=0,0,1",
-            "--duration=1",
-            "--out",
-            start / "out",
-            code=2,
-        ).err
-    )
+    motion = "--omega-deg-s=0,0,0", "--sun=0,0,1", "--duration=1"
+    done = sunspin("simulate", "philae", *motion, "--out", start / "out", code=2)
+    assert "results of" in done.err
 
 
 @pytest.mark.evidence("simulate", "validated", "the paper: the wheel stops after about 42 min")
 def test_simulate_and_its_events(tmp_path):
-    done = sunspin(
-        "simulate",
-        "philae",
-        "--omega-deg-s",
-        "0,0,0",
-        "--sun",
-        "0.1959,0.5690,0.7986",
-        "--duration",
-        2700,
-        "--step",
-        60,
-        "--json",
-        "--out",
-        tmp_path / "run",
+    motion = (
+        "--omega-deg-s 0,0,0 --sun 0.1959,0.5690,0.7986 --duration 2700 --step 60 --json".split()
     )
+    done = sunspin("simulate", "philae", *motion, "--out", tmp_path / "run")
     events = json.loads(done.out)["events"]
     assert events[0]["what"] == "stops" and abs(events[0]["t_s"] / 60 - 42.0) < 0.05
     with xr.open_dataset(tmp_path / "run" / "trajectory.nc", engine="h5netcdf") as data:
@@ -128,25 +107,13 @@ def test_simulate_and_its_events(tmp_path):
 
 
 def test_scan_of_the_start_files(start):
-    done = sunspin(
-        "scan",
-        start / "vehicle.toml",
-        start / "telemetry.csv",
-        "--metric",
-        "E",
-        "--to",
-        160,
-        "--omega-x-deg-s",
-        ",".join(str(math.degrees(rate)) for rate in (0.01, 0.02, 0.03)),
-        "--omega-y-deg-s",
-        ",".join(str(math.degrees(rate)) for rate in (-0.04, -0.03, -0.02)),
-        "--omega-z-deg-s",
-        ",".join(str(math.degrees(rate)) for rate in (0.04, 0.05, 0.06)),
-        "--lines",
-        0,
-        "--json",
-        "--quiet",
-    )
+    rates = {"x": (0.01, 0.02, 0.03), "y": (-0.04, -0.03, -0.02), "z": (0.04, 0.05, 0.06)}
+    grid = [
+        f"--omega-{axis}-deg-s={','.join(str(math.degrees(rate)) for rate in values)}"
+        for axis, values in rates.items()
+    ]
+    options = "--metric", "E", "--to", 160, *grid, "--lines", 0, "--json", "--quiet"
+    done = sunspin("scan", start / "vehicle.toml", start / "telemetry.csv", *options)
     best = json.loads(done.out)["best_omega_B"]
     assert best == pytest.approx(
         [0.02, -0.03, 0.05], abs=1e-9

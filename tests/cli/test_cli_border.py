@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
 from rowsets import heed_interrupts
@@ -318,11 +319,18 @@ def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
     )
 
 
+def test_observed_rates_of_the_posterior_are_given_in_deg_s():
+    seen = values.observation("gyro", "5,180,0,-90,18")
+    assert seen["t_s"] == 5 and seen["sigma"] == pytest.approx(np.pi / 10)
+    assert seen["value"] == pytest.approx([np.pi, 0, -np.pi / 2])
+
+
 def test_a_grid_without_its_step_is_told_its_form(sunspin):
     told = sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60")
     refused(
         told,
         "--omega-x-deg-s must be low:high:step in deg/s",
+        "(found 0:60)",
         "--omega-x-deg-s=-6:6:1",
     )
 

@@ -13,7 +13,7 @@ import threading
 import click
 
 from sunspin.base.errors import SunspinError, printable
-from sunspin.cli.common import Group, ReaderGone
+from sunspin.cli.common import Group
 from sunspin.cli.gone import OPTIONS
 
 LONGEST = 1200
@@ -21,9 +21,6 @@ LONGEST = 1200
 
 
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
-
-NUMBERS = {"float": "is not a number such as -1.5e-3", "integer": "is not a whole number"}
-"""What is wrong with the value of an option, by click's name of its type."""
 
 
 @click.group(
@@ -64,11 +61,11 @@ def main() -> None:
         said = OPTIONS.get(error.option_name, " ".join(error.format_message().split()).rstrip("."))
         code = _say(f"error: {said}{_hint(error)}", 2)
     except click.ClickException as error:
-        code = _say(
-            f"error: {_in_words(' '.join(error.format_message().split()).rstrip('.'))}{_hint(error)}",
-            2,
-        )
-    except (ReaderGone, BrokenPipeError):
+        text = " ".join(error.format_message().split()).rstrip(".")
+        text = re.sub("is not a valid float( range)?", "is not a number such as -1.5e-3", text)
+        text = re.sub("is not a valid integer( range)?", "is not a whole number", text)
+        code = _say(f"error: {text}{_hint(error)}", 2)
+    except BrokenPipeError:
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
@@ -91,7 +88,9 @@ def _unexpected(error: Exception) -> int:
         return _say(INTERRUPTED, 130)
     if os.environ.get("SUNSPIN_TRACEBACK"):
         raise error
-    return _say(f"{_defect(error)}; set SUNSPIN_TRACEBACK=1 to see where, and please report it", 1)
+    what = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
+    do = "set SUNSPIN_TRACEBACK=1 to see where, and please report it"
+    return _say(f"defect: this is {what}; {do}", 1)
 
 
 _STOPPED = threading.Event()
@@ -122,15 +121,6 @@ def _say(text: str, code: int) -> int:
     except OSError:  # nobody can read it, as where the disk is full; the exit code still says it
         sys.stderr = open(os.devnull, "w", encoding="utf-8")
     return code
-
-
-def _in_words(text: str) -> str:
-    """click's names of types in words."""
-    return re.sub(r"is not a valid (float|integer)( range)?", lambda found: NUMBERS[found[1]], text)
-
-
-def _defect(error: Exception) -> str:
-    return f"defect: this is a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
 
 
 def _hint(error: click.ClickException) -> str:

@@ -19,7 +19,7 @@ import click
 
 from sunspin.base.errors import InputError, printable
 from sunspin.cli import gone
-from sunspin.cli.values import Numbers, strict
+from sunspin.cli.values import numbers_of, strict
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -73,10 +73,6 @@ COMMANDS = {
 """In the order of --help. A command's module is imported only when the command is used or its help line shown."""
 
 
-class ReaderGone(Exception):
-    """Whoever read our output has stopped."""
-
-
 class Group(click.Group):
     """A group whose commands are imported on demand, so that --help stays fast."""
 
@@ -87,7 +83,7 @@ class Group(click.Group):
         except KeyboardInterrupt as stop:
             raise click.Abort(str(stop)) from None
         except BrokenPipeError:
-            raise ReaderGone from None
+            raise click.exceptions.Exit(0) from None  # main flushes, and meets it again
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -216,7 +212,7 @@ SHARED = {
     ),
     "--wheel-speed": click.option(
         "--wheel-speed",
-        type=Numbers(),
+        callback=numbers_of(),
         metavar="RAD/S,...",
         help="Wheel speeds (rad/s) at the first instant. Default: wheel.speed_rad_s of the vehicle file.",
     ),

@@ -6,15 +6,13 @@ import click
 
 from sunspin.cli.common import PATH, POSITIVE, shared
 
-FORMATS = ["aem", "aem-xml", "ck", "netcdf", "parquet"]
-
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
     "--format",
     "form",
-    type=click.Choice(FORMATS),
+    type=click.Choice(["aem", "aem-xml", "ck", "netcdf", "parquet"]),
     default="aem",
     show_default=True,
     help="What to write.",

@@ -6,7 +6,7 @@ import click
 
 from sunspin.cli.changes import READING, Changeable, opened, set_options
 from sunspin.cli.common import PATH, shared
-from sunspin.cli.values import Numbers
+from sunspin.cli.values import numbers_of
 from sunspin.cli.values import vertical as read_vertical
 
 
@@ -35,7 +35,7 @@ from sunspin.cli.values import vertical as read_vertical
 @click.option(
     "--omega-deg-s",
     "omega_B",
-    type=Numbers(3, deg_s=True),
+    callback=numbers_of(3, deg_s=True),
     metavar="X,Y,Z",
     multiple=True,
     help="A candidate body rate, deg/s. Repeatable.",
@@ -43,7 +43,7 @@ from sunspin.cli.values import vertical as read_vertical
 @click.option(
     "--sun",
     "sun_B",
-    type=Numbers(3),
+    callback=numbers_of(3),
     metavar="X,Y,Z",
     help="Unit vector to the Sun at the candidates' instant, body axes.",
 )
@@ -129,7 +129,7 @@ def outcomes(
     if collision_speed is not None:
         given["collision_speed_m_s"] = collision_speed or None
     scenario = scenario_of(vehicle, craft, given)
-    candidates, whose = starts(craft, list(omega_B), scan, factor)
+    candidates, whose = starts(craft, omega_B, scan, factor)
     output.claim()
     table, found = compare(
         craft,

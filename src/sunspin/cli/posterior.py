@@ -10,9 +10,6 @@ from sunspin.cli.changes import Changeable, opened, say_idle, set_options
 from sunspin.cli.common import find_telemetry, shared
 from sunspin.cli.values import field, instants_of, observation, periods_of, prior, times
 
-BLOW = ("body.mass_kg", "leg", "collision")
-"""What only predictions beyond a collision use."""
-
 
 @click.command(cls=Changeable)
 @click.argument("vehicle")
@@ -104,7 +101,7 @@ def posterior(
     made = opened(vehicle, sets, short)
     craft = made.craft
     if predict is None:
-        say_idle(made.changes, BLOW)
+        say_idle(made.changes, ("body.mass_kg", "leg", "collision"))  # of a collision
     samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
     seen = [observation("rate", text) for text in rates]
     seen += [observation("gyro", text) for text in gyros]

@@ -41,6 +41,7 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 )
 @click.option(
     "--gap",
+    "gap_s",
     type=POSITIVE,
     help="Gap in s that starts a new pass. Default: six sampling intervals.",
 )
@@ -75,23 +76,20 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 def rates(
     vehicle,
     telemetry,
-    source,
     max_rate,
     acceleration_noise,
-    gap,
-    pass_id,
     begin,
     end,
     no_column_tests,
     elements,
     shift_sigma,
     no_orbit,
-    effort,
     workers,
     periods,
     without,
     data,
     output,
+    **estimate,
 ) -> None:
     """Body rates and attitude history of each pass, from the Sun seen now and then.
 
@@ -140,17 +138,14 @@ def rates(
     result = run(
         craft,
         used,
-        source=source,
         max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         acceleration_noise=acceleration_noise,
-        gap_s=gap,
-        pass_id=pass_id,
         column_tests=not no_column_tests,
         environment=orbit,
         calibration=calibration,
         periods=evidence,
-        effort=effort,
         workers=worker_count(workers),
+        **estimate,
         progress=announce or output.progress,
     )
     from sunspin.output.check.samples import (

@@ -7,7 +7,7 @@ import click
 from sunspin.base.errors import InputError
 from sunspin.cli.changes import LANDING, Changeable, opened, say_idle, set_options
 from sunspin.cli.common import POSITIVE, find_telemetry, shared
-from sunspin.cli.values import Numbers, instants_of
+from sunspin.cli.values import grid_of, instants_of
 
 
 @click.command(cls=Changeable)
@@ -16,8 +16,7 @@ from sunspin.cli.values import Numbers, instants_of
 @click.option(
     "--omega-x-deg-s",
     "omega_x",
-    type=Numbers(grid=True),
-    metavar="LOW:HIGH:STEP",
+    callback=grid_of,
     default="-30:60:0.9",
     show_default=True,
     help="Grid of omega_x, deg/s: low:high:step, or values with commas.",
@@ -25,8 +24,7 @@ from sunspin.cli.values import Numbers, instants_of
 @click.option(
     "--omega-y-deg-s",
     "omega_y",
-    type=Numbers(grid=True),
-    metavar="LOW:HIGH:STEP",
+    callback=grid_of,
     default="-30:60:0.9",
     show_default=True,
     help="Grid of omega_y, deg/s.",
@@ -34,8 +32,7 @@ from sunspin.cli.values import Numbers, instants_of
 @click.option(
     "--omega-z-deg-s",
     "omega_z",
-    type=Numbers(grid=True),
-    metavar="LOW:HIGH:STEP",
+    callback=grid_of,
     default="-18:18:0.9",
     show_default=True,
     help="Grid of omega_z, deg/s.",
@@ -82,20 +79,16 @@ def scan(
     begin,
     end,
     wheel_speed,
-    wheel_mode,
     metric,
     factor,
     threshold,
-    direction_error,
     n_lines,
-    store,
-    scheduler,
     sets,
     friction,
     seed,
-    workers,
     data,
     output,
+    **run,
 ) -> None:
     """Scan initial rates: which motions show the Sun at the heights that the panels saw?
 
@@ -136,11 +129,7 @@ def scan(
         omega_z,
         speeds or None,
         float(track["time"].values[-1]),
-        wheel_mode=wheel_mode,
-        direction_error=direction_error,
-        workers=workers,
-        store=store,
-        scheduler=scheduler,
+        **run,
         progress=output.progress,
         mask=None if study.mask == "everywhere" else study.mask,
         weights=None

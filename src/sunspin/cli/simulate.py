@@ -6,7 +6,7 @@ import click
 
 from sunspin.cli.changes import LANDING, SEEING, Changeable, opened, set_options
 from sunspin.cli.common import POSITIVE, shared
-from sunspin.cli.values import Numbers
+from sunspin.cli.values import numbers_of
 
 
 @click.command(cls=Changeable)
@@ -14,7 +14,7 @@ from sunspin.cli.values import Numbers
 @click.option(
     "--omega-deg-s",
     "omega_B",
-    type=Numbers(3, deg_s=True),
+    callback=numbers_of(3, deg_s=True),
     metavar="X,Y,Z",
     required=True,
     help="Body rate at the start, deg/s.",
@@ -22,7 +22,7 @@ from sunspin.cli.values import Numbers
 @click.option(
     "--sun",
     "sun_B",
-    type=Numbers(3),
+    callback=numbers_of(3),
     metavar="X,Y,Z",
     required=True,
     help="Unit vector to the Sun at the start, body axes.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from copy import copy
 from typing import TYPE_CHECKING, Any
 
@@ -42,23 +43,24 @@ def strict(kind: click.ParamType) -> click.ParamType:
     return checked
 
 
-class Numbers(click.ParamType):
-    """Comma-separated numbers of an option, `count` of them if it is given, in rad/s if the option takes deg/s; or a `grid`,
-    low:high:step in deg/s, as an array in rad/s."""
+def numbers_of(count: int | None = None, deg_s: bool = False) -> Callable[..., Any]:
+    """A callback of an option that takes comma-separated numbers, `count` of them if it is given; in rad/s where it takes deg/s."""
 
-    name = "numbers"
+    def read(text: str, name: str) -> list[float]:
+        values = numbers(text, name, count)
+        return [math.radians(each) for each in values] if deg_s else values
 
-    def __init__(self, count: int | None = None, deg_s: bool = False, grid: bool = False) -> None:
-        self.count, self.deg_s, self.grid = count, deg_s, grid
+    def callback(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
+        if isinstance(given, tuple):
+            return [read(text, parameter.opts[0]) for text in given]
+        return None if given is None else read(given, parameter.opts[0])
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> list[float] | np.ndarray:
-        assert param is not None
-        if self.grid:
-            return grid(value, param.opts[0])
-        values = numbers(value, param.opts[0], self.count)
-        return [math.radians(each) for each in values] if self.deg_s else values
+    return callback
+
+
+def grid_of(_: click.Context, parameter: click.Parameter, text: str) -> np.ndarray:
+    """The callback of an option that takes a grid, as in `grid`."""
+    return grid(text, parameter.opts[0])
 
 
 def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:

@@ -51,9 +51,8 @@ def _printed(craft: Vehicle) -> tuple[np.ndarray, str]:
     """The lines that the paper prints, of the case's own body."""
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is None or "line_L1" not in case.published:
-        raise InputError(
-            "no candidate motions are given", do="give --omega-deg-s x,y,z or --scan scan.nc"
-        )
+        do = "give --omega-deg-s x,y,z or --scan scan.nc"
+        raise InputError("no candidate motions are given", do=do)
     if not moves_and_sees_alike(craft, case.vehicle):
         raise InputError(
             "the printed lines were found for another body, wheel or panels than these",
