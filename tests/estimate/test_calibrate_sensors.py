@@ -67,7 +67,7 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
         and " samples of twin.csv, 2021-03-" in found.attrs["source"]
     )
     text = str(found.sunspin.summary())
-    assert "magnetometer.zero = [" in text and "Shift along the track" in text
+    assert "magnetometer.zero = (" in text and "Shift along the track" in text
 
 
 @pytest.mark.evidence(

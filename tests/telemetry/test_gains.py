@@ -30,7 +30,7 @@ def test_gains_are_found_and_cover_the_truth_although_a_tenth_of_the_samples_is_
         truth = np.exp(0.08 * rng.normal(size=6))
         value = readings(with_gains(CUBE, truth), 150, rng)
         value[rng.uniform(size=150) < 0.1] *= 0.9
-        found = estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE)
+        found = estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE, 0.0)
         square.append(((found.factor - truth) / found.sigma) ** 2)
         assert np.abs(found.factor - truth).max() < 0.03
     assert 0.2 < np.mean(square) < 2.0
@@ -40,10 +40,9 @@ def test_sigmas_go_with_the_gains_they_are_of():
     """The same readings against gains of +x stated right and at half: it is found twice as large, as is its sigma."""
     wide = replace(CUBE, facts={f"panel.p{k}.gain_W": Fact(2.0, 2.0, "assumed") for k in range(6)})
     value = readings(CUBE, 150, np.random.default_rng(4))
-    half = estimate_gains(
-        with_gains(wide, np.array([0.5, 1, 1, 1, 1, 1])), value, 1.0, ALIVE, ALIVE
-    )
-    right = estimate_gains(wide, value, 1.0, ALIVE, ALIVE)
+    doubled = with_gains(wide, np.array([0.5, 1, 1, 1, 1, 1]))
+    half = estimate_gains(doubled, value, 1.0, ALIVE, ALIVE, 0.0)
+    right = estimate_gains(wide, value, 1.0, ALIVE, ALIVE, 0.0)
     np.testing.assert_allclose(half.factor / right.factor, [2, 1, 1, 1, 1, 1], rtol=0.01)
     np.testing.assert_allclose(half.sigma / right.sigma, [2, 1, 1, 1, 1, 1], rtol=0.1)
 
@@ -53,7 +52,7 @@ def test_what_cannot_be_told_is_said_and_left_alone():
     sides = Vehicle("sides", gain_unit="W", panels=CUBE.panels[:2] + CUBE.panels[3:5])
     for craft, n, word in ((sides, 60, "do not look all around"), (CUBE, 8, "fewer than")):
         none = np.zeros(len(craft.panels), dtype=bool)
-        found = estimate_gains(craft, readings(craft, n, rng), 1.0, none, none)
+        found = estimate_gains(craft, readings(craft, n, rng), 1.0, none, none, 0.0)
         assert word in found.told and found.spread is None
         np.testing.assert_array_equal(found.factor, 1.0)
 
@@ -78,7 +77,7 @@ def test_the_light_of_the_earth_changes_no_gain():
     errors = []
     for _ in range(6):
         truth = np.exp(0.05 * rng.normal(size=6))
-        gains = estimate_gains(CUBE, earthlit(rng, truth, 0.3), 1.0, ALIVE, ALIVE).factor
+        gains = estimate_gains(CUBE, earthlit(rng, truth, 0.3), 1.0, ALIVE, ALIVE, 0.3).factor
         errors.append(np.log(gains / truth) - np.log(gains / truth).mean())
     assert np.sqrt(np.mean(np.square(errors))) < 0.015
 
@@ -92,19 +91,19 @@ def test_a_weak_panel_is_named_and_gains_that_merely_scatter_are_not(count):
         gains = np.ones(6)
         gains[i % 6] = 0.85
         value = earthlit(rng, gains, 0.1 * (i % 3))
-        weak = estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE).weak
+        weak = estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE, 0.1 * (i % 3)).weak
         named += weak[i % 6]
         others += np.delete(weak, i % 6).any()
         scattered = np.exp((0.0, 0.05, 0.08)[i % 3] * rng.normal(size=6))
         value = earthlit(rng, scattered, 0.3)
-        accused += estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE).weak.any()
+        accused += estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE, 0.3).weak.any()
     assert named >= 0.8 * count and others == 0 and accused <= count / 60
 
 
 def test_a_stated_sigma_excuses_a_panel():
     wide = replace(CUBE, facts={"panel.p2.gain_W": Fact(2.0, 0.2, "assumed")})
     value = earthlit(np.random.default_rng(7), np.array([1, 1, 0.85, 1, 1, 1]), 0.1)
-    assert estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE).weak.tolist() == [
+    assert estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE, 0.0).weak.tolist() == [
         k == 2 for k in range(6)
     ]
-    assert not estimate_gains(wide, value, 1.0, ALIVE, ALIVE).weak.any()
+    assert not estimate_gains(wide, value, 1.0, ALIVE, ALIVE, 0.0).weak.any()

@@ -2,9 +2,9 @@
 
 The brightness of a sample is the factor by which its readings exceed the model at the direction that fits them best. Gains that
 are wrong make it depend on the direction; those with which it does not are found by reweighted least squares under a prior about
-the vehicle file's values. Of two opposite panels the difference counts: the difference of the light on the two sides of a plane is
-linear in its normal for any source, so that the Earth's light adds a vector to the Sun's and changes no gain. Where the panels do
-not look all around, an oblique Sun looks like a dim one, and gains are not determined.
+the vehicle file's values. In the Earth's light the difference of opposite panels counts: the difference of the light on the two
+sides of a plane is linear in its normal for any source, so that the Earth adds a vector to the Sun's and changes no gain. Where
+the panels do not look all around, an oblique Sun looks like a dim one, and gains are not determined.
 """
 
 from __future__ import annotations
@@ -43,6 +43,10 @@ STEPS, STEP = 6, 1e-4
 COMMON_SHARE = 0.5
 """Error that all gains share, as a part of the scatter of brightness: where negative readings are cut to zero the noise of dark
 panels has a mean, which the difference takes from the lit ones (0.3 % at a noise of 0.5 %)."""
+
+FAINT = 0.03
+"""Earth's light up to which no difference of opposite panels is taken: it adds the noise of dark panels, which is biased where
+readings are cut at zero (the gain of a panel that was seldom lit by 3 %)."""
 
 OPPOSITE = -0.99
 """Cosine of the angle between two opposite panels, at most."""
@@ -119,29 +123,31 @@ def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
 
 
 def estimate_gains(
-    vehicle: Vehicle, value: np.ndarray, full: float, dark: np.ndarray, lost: np.ndarray
+    vehicle: Vehicle,
+    value: np.ndarray,
+    full: float,
+    dark: np.ndarray,
+    lost: np.ndarray,
+    earth_light: float,
 ) -> Gains:
     """Gains from readings (n, n_panel) in full Sun, `full` being their brightness with the vehicle's own gains. Panels that are
-    `dark` (n_panel) never read anything; of these the `lost` ones are dead, while the others may never have been in the Sun."""
-    prior = prior_sigmas(vehicle)
-    nothing = Gains(
-        np.ones(len(prior)),
-        np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2),
-        None,
-        "not determined by the data: panels do not look all around, a Sun that stands aside looks dim",
-        np.zeros(len(prior), dtype=bool),
-    )
+    `dark` (n_panel) never read anything; of these the `lost` ones are dead, while the others may never have been in the Sun.
+    `earth_light`: on a panel that looks at the Earth, as a share of full Sun."""
+    prior, around = prior_sigmas(vehicle), looks_all_around(vehicle, lost)
+    why = "panels do not look all around, a Sun that stands aside looks dim"
     if vehicle.throttled:
         why = "inputs are throttled, and no sample need be in full Sun"
-        return nothing._replace(told=f"not determined by the data: {why}")
-    if not looks_all_around(vehicle, lost):
-        return nothing
-    if len(value) < FEWEST:
+    elif around and len(value) < FEWEST:
         why = f"fewer than {FEWEST} samples in full Sun"
-        return nothing._replace(told=f"not determined by the data: {why}")
+    covariance, none = np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), np.zeros(len(prior), bool)
+    why = f"not determined by the data: {why}"
+    nothing = Gains(np.ones(len(prior)), covariance, None, why, none)
+    if vehicle.throttled or len(value) < FEWEST or not around:
+        return nothing
     value = value[:: -(-len(value) // MOST)]
     facing = vehicle.response_in().facing_B
-    pairs = np.argwhere(np.triu(facing @ facing.T < OPPOSITE)) if not vehicle.channels else []
+    paired = earth_light > FAINT and not vehicle.channels
+    pairs = np.argwhere(np.triu(facing @ facing.T < OPPOSITE)) if paired else []
 
     def log_brightness(log: np.ndarray) -> np.ndarray:
         gains, light = vehicle.input_gains * np.exp(log), value.copy()

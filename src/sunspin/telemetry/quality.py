@@ -165,9 +165,9 @@ def judge_readings(
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
     albedo, seen = _albedo(vehicle, (relative / level)[clean])
-    told = estimate_gains(vehicle, use_value[clean], full, dead, missed)
-    gains = gains * told.factor
     earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
+    told = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
+    gains = gains * told.factor
     # what the Earth adds to a lit panel on average is taken for its gain
     # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
     own = (
@@ -279,18 +279,12 @@ def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.
     late = came_late(telemetry)
     why[late] = LATE
     same = np.zeros(len(value), dtype=bool)
-    same[1:] = np.all(value[1:] == value[:-1], axis=1) & (np.nan_to_num(value[1:]) > 0).any(axis=1)
-    same &= _finely_quantised(value)
-    why[same & (why == "")] = STALE
-    return empty | late | same, why
-
-
-def _finely_quantised(value: np.ndarray) -> bool:
-    """Whether equal neighbours mean a stale frame and not just coarse counts or a body at rest: they must be rare."""
-    if len(value) < 3:
-        return False
-    same = np.all(value[1:] == value[:-1], axis=1)
-    return bool(same.mean() < 0.2)
+    same[1:] = np.all(value[1:] == value[:-1], axis=1)
+    if len(value) >= 3 and same[1:].mean() < 0.2:  # else coarse counts, or a body at rest
+        same &= (np.nan_to_num(value) > 0).any(axis=1)
+        why[same & (why == "")] = STALE
+        return empty | late | same, why
+    return empty | late, why
 
 
 def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
