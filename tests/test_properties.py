@@ -1,15 +1,12 @@
 """Properties of the motion for many vehicles, wheels, axes and rates: what turns, mirrors, scales or reverses together.
 
-Few examples each by default; SUNSPIN_EXAMPLES=300 tries many, and so does the test marked slow.
+Few examples each by default; SUNSPIN_EXAMPLES=300 tries many.
 """
 
 import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -256,12 +253,3 @@ def test_a_property_would_notice():
     matrix = Rotation.random(rng=rng).as_matrix()
     a, b = run(vehicle, omega, sun, speeds), run(vehicle, matrix @ omega, matrix @ sun, speeds)
     assert np.abs(b["sun_B"].values - a["sun_B"].values @ matrix.T).max() > 0.1
-
-
-@pytest.mark.slow
-def test_the_same_with_many_examples():
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow", __file__]
-    done = subprocess.run(
-        command, env=os.environ | {"SUNSPIN_EXAMPLES": "200"}, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout[-3000:]

@@ -68,28 +68,6 @@ def test_the_example_shows_a_birth_certificate():
     assert any(fact.sigma is not None and fact.source for fact in facts.values())
 
 
-@pytest.mark.slow
-def test_rates_of_the_example_are_those_it_was_made_with():
-    """All samples within their errors; the page docs/cubesat.md, which every run follows, compares verdict, mean and first rate."""
-    craft = parse_vehicle(TEXT, "template")
-    with resources.as_file(
-        resources.files("sunspin").joinpath("template", "telemetry.csv")
-    ) as path:
-        result = ss.rates(craft, ss.read_telemetry(path, craft))
-    assert (
-        result.attrs["wheels"].startswith("coasting") and "NO motion" not in result.attrs["verdict"]
-    )
-    sun = np.array([0.5, 0.4, 0.768])
-    start = [0.02, -0.03, 0.05], sun / np.linalg.norm(sun)
-    truth = ss.propagate(craft, *start, 300.0, result["time"].values)["omega_B"].values
-    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
-    error = result["omega_B"].values - truth
-    assert (
-        np.abs(error).max() < 1e-3
-    )  # rad/s: the example has noise, but panels whose gains are known exactly
-    assert np.mean((error / sigma) ** 2) < 2.5
-
-
 def test_the_samples_are_those_of_a_twin():
     """The made-up telemetry is the vehicle beside it, moving as the truth that the documentation names."""
     folder = resources.files("sunspin").joinpath("template")
