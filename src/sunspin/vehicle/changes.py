@@ -18,7 +18,7 @@ from sunspin.base.untrusted import LARGEST, plain_number
 from sunspin.vehicle.part import keys_of, part_in
 from sunspin.vehicle.parts import GAIN_UNITS, Friction
 
-STEP = r"(?:[^.\[\]\s=*+]|\+(?!=))+|\[[^\]]*\]"
+STEP = r"(?>(?:[^.\[\]\s=*+]|\+(?!=))+|\[[^\]]*\])"  # taken whole: a long text without "=" would be split in every way
 CHANGE = re.compile(rf"\s*((?!\[)(?:{STEP})(?:\.?(?:{STEP}))*?)\s*([*+]?=)\s*(\S.*?)\s*", re.DOTALL)
 UNIT = re.compile(r"(?:_(?:per|kg|rad|deg|N|W|A|T|C|K|m2|m|s2|s))+$")
 COEFFICIENTS = ("coulomb_N_m", "viscous_N_m_s")
