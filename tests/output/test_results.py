@@ -103,6 +103,7 @@ MADE = {
 @pytest.mark.parametrize("kind", MADE)
 def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_path, framed):
     result = MADE[kind]()
+    given = result.copy(deep=True)
     assert result.attrs["kind"] == kind and result.attrs["sunspin_version"] == ss.__version__
     summary = result.sunspin.summary()
     assert isinstance(summary, dict) and json.dumps(summary) and str(summary).strip()
@@ -115,9 +116,9 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
             result.sunspin.plot("nonsense")
     folder = result.sunspin.save(tmp_path / "saved")
     names = {path.name for path in folder.iterdir()}
-    assert {f"{KINDS[kind].main}.nc", "summary.json", "manifest.json"} <= names and (
-        kind in NO_FIGURE
-    ) is not any(n.endswith(".svg") for n in names)
+    assert {f"{KINDS[kind].main}.nc", "summary.json", "manifest.json"} <= names
+    assert (kind in NO_FIGURE) is not any(n.endswith(".svg") for n in names)
+    assert result.identical(given)  # what is saved says more than what was given, which stays
     stored = xr.load_dataset(folder / f"{KINDS[kind].main}.nc", engine="h5netcdf")
     assert stored.attrs["kind"] == kind and stored.sunspin.summary() == summary
     for name, variable in stored.variables.items():

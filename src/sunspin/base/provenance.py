@@ -41,12 +41,14 @@ def vocabulary() -> dict[str, dict[str, str]]:
 
 
 def described(data: Any) -> Any:
-    """A Dataset or DataTree with unit and long name of each variable of the vocabulary; times say their epoch in UTC, if known."""
+    """A copy of a Dataset or DataTree with unit and long name of each variable of the vocabulary; times say their epoch in UTC, if
+    known."""
+    data = data.copy()
+    epoch = {"epoch_utc": data.attrs["epoch_utc"]} if "epoch_utc" in data.attrs else {}
     for node in getattr(data, "subtree", [data]):
         for name, variable in node.variables.items():
             row = vocabulary().get(name, {}).items()
             known = {label: text for label, text in row if label != "fixed"}
-            epoch = {key: data.attrs[key] for key in ("epoch_utc",) if key in data.attrs}
             timed = epoch if name in ("time", "curve_time") else {}
             variable.attrs = known | timed | variable.attrs
     return data
