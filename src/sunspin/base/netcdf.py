@@ -13,7 +13,7 @@ from typing import Any
 
 import xarray as xr
 
-from sunspin.base.errors import SunspinError, sentence
+from sunspin.base.errors import SunspinError
 from sunspin.base.provenance import changed_attribute, is_ours
 from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 
@@ -99,25 +99,21 @@ def _guarded(
     source: Any, where: str, error_type: type[SunspinError], read: Any, probe: bool
 ) -> Any:
     if probe and (trouble := _probed(source)) is not None:
-        raise error_type(
-            sentence(f"this NetCDF file cannot be read ({trouble})", do=MEND, where=where)
-        )
+        what = f"this NetCDF file cannot be read ({trouble})"
+        raise error_type(what, do=MEND, where=where)
     hook = sys.unraisablehook
     try:
         with warnings.catch_warnings(action="ignore"):  # of attributes that mean nothing to xarray
             return read()
     except _Refused as error:
-        what = sentence(error.args[0], do=error.args[1], where=where)
+        what, do = error.args
     except Exception as error:
         sys.unraisablehook = lambda _: None
-        what = sentence(
-            f"this NetCDF file cannot be read ({type(error).__name__}: {str(error)[:200]})",
-            do=MEND,
-            where=where,
-        )
+        cause = f"{type(error).__name__}: {str(error)[:200]}"
+        what, do = f"this NetCDF file cannot be read ({cause})", MEND
     gc.collect()  # closes what was half opened, while nobody listens
     sys.unraisablehook = hook
-    raise error_type(what)
+    raise error_type(what, do=do, where=where)
 
 
 def _first_bytes(path: Any) -> bytes:

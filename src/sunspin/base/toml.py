@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from typing import Any
 
-from sunspin.base.errors import SunspinError, sentence
+from sunspin.base.errors import SunspinError
 
 MAX_DOTS = 1000
 """In one line: Python's reader of TOML takes a time that grows with the square of the parts of a dotted key."""
@@ -18,18 +18,15 @@ def read_toml(
     for number, line in enumerate(text.splitlines(), 1):
         if line.count(".") > MAX_DOTS:
             what = f"the line has more than {MAX_DOTS} decimal points or dots"
-            raise error_type(
-                sentence(what, do="write it as several lines", where=f"{where}, line {number}")
-            )
+            place = f"{where}, line {number}"
+            raise error_type(what, do="write it as several lines", where=place)
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise error_type(sentence(f"this is not valid TOML: {error}", do=do, where=where)) from None
+        raise error_type(f"this is not valid TOML: {error}", do=do, where=where) from None
     except RecursionError:
-        raise error_type(
-            sentence("the file is nested too deeply", do="give the right file", where=where)
-        ) from None
+        what = "the file is nested too deeply"
+        raise error_type(what, do="give the right file", where=where) from None
     except ValueError as error:  # tomllib hands on what int() says of thousands of digits
-        raise error_type(
-            sentence(f"this is not valid TOML: {error}", do="correct that number", where=where)
-        ) from None
+        what = f"this is not valid TOML: {error}"
+        raise error_type(what, do="correct that number", where=where) from None

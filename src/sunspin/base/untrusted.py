@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sunspin.base.errors import InputError, SunspinError, sentence
+from sunspin.base.errors import InputError, SunspinError
 
 SMALLEST, LARGEST = 1e-30, 1e30
 """Sizes of numbers that files and options may give: far beyond any in use, and their squares and products are still numbers."""
@@ -44,38 +44,25 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
     try:
         about = path.stat()
         if stat.S_ISDIR(about.st_mode):
-            raise error_type(sentence(f"this is a folder, not a {kind}", where=where))
+            raise error_type(f"this is a folder, not a {kind}", where=where)
         if not stat.S_ISREG(about.st_mode):
-            raise error_type(
-                sentence(
-                    f"this is a device or a pipe, not a {kind}",
-                    do="save its content to a file",
-                    where=where,
-                )
-            )
+            what, do = f"this is a device or a pipe, not a {kind}", "save its content to a file"
+            raise error_type(what, do=do, where=where)
         content = b""
         if 0 < about.st_size <= most:
             with open(path, "rb") as file:
                 content = file.read(most + 1)
     except OSError as error:
-        raise error_type(
-            sentence(f"the {kind} cannot be read ({error.strerror or error})", do=do, where=where)
-        ) from None
+        what = f"the {kind} cannot be read ({error.strerror or error})"
+        raise error_type(what, do=do, where=where) from None
     except ValueError as error:
         if isinstance(error, SunspinError):
             raise
-        raise error_type(
-            sentence(f"this is not a path ({error})", do=do, where=repr(where))
-        ) from None
+        raise error_type(f"this is not a path ({error})", do=do, where=repr(where)) from None
     if max(about.st_size, len(content)) > most:
-        raise error_type(
-            sentence(
-                f"a {kind} is smaller than {most / 1e6:g} MB",
-                got=f"{about.st_size / 1e6:.0f} MB",
-                do="cut it into parts, or give the right file",
-                where=where,
-            )
-        )
+        what, got = f"a {kind} is smaller than {most / 1e6:g} MB", f"{about.st_size / 1e6:.0f} MB"
+        do = "cut it into parts, or give the right file"
+        raise error_type(what, got=got, do=do, where=where)
     return content
 
 
@@ -91,7 +78,7 @@ def decoded(
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        raise error_type(sentence(what, do=do, where=f"{where}, line {line}")) from None
+        raise error_type(what, do=do, where=f"{where}, line {line}") from None
 
 
 def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
