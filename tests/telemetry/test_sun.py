@@ -5,12 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.sun import (
-    SunStatus,
-    best_directions,
-    is_reconstructed,
-    reconstructible_patterns,
-)
+from sunspin.telemetry.sun import SunStatus, is_reconstructed, reconstructible_patterns
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.response.panels import lit_patterns, panel_power
 
@@ -103,7 +98,7 @@ def test_the_minimum_is_global_whatever_the_powers(seed, reached):
         0, 2, (1, len(vehicle.panels))
     )
     power[0, 0] += 0.1
-    n, delta = best_directions(vehicle, power)
+    n, delta = vehicle.response_in().best(power)
     grid = directions(20_000, 9)
     shape = panel_power(vehicle, grid)
     size = np.linalg.norm(shape, axis=1)

@@ -28,10 +28,9 @@ from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
 from sunspin.philae.twin_philae import drawn_panels
 from sunspin.telemetry.case import Case
-from sunspin.telemetry.gains import brightness
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import brightness, stated_sigma
 
 CONFIDENCE = 0.9
 """Probability that a calibrated set holds the truth, where nobody asks for another."""

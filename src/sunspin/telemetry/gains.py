@@ -17,9 +17,8 @@ from scipy.special import (
     stdtrit,  # scipy.stats takes longer to import than a short pass to estimate
 )
 
-from sunspin.telemetry.sun import best_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.response.panels import brightness, opposite_panels
 
 PRIOR_SIGMA, UNTOLD_SIGMA = 0.1, 0.02
 """Relative uncertainty of a gain whose sigma the vehicle file does not state, as a prior: wide enough for a string of cells that
@@ -45,11 +44,9 @@ COMMON_SHARE = 0.5
 panels has a mean, which the difference takes from the lit ones (0.3 % at a noise of 0.5 %)."""
 
 FAINT = 0.03
-"""Earth's light up to which no difference of opposite panels is taken: it adds the noise of dark panels, which is biased where
-readings are cut at zero (the gain of a panel that was seldom lit by 3 %)."""
-
-OPPOSITE = -0.99
-"""Cosine of the angle between two opposite panels, at most."""
+"""Earth's light, as a share of full Sun, up to which it is not estimated, as the noise of panels hides it, and up to which gains
+are fitted without differences of opposite panels. These add the noise of dark panels, which is biased where readings are cut at
+zero: the gain of a panel that was seldom lit was off by 3 %."""
 
 WEAK_SIGMAS = 3.0
 """A panel is weak if its gain is lower than those of the others by so many sigmas of fit and vehicle file together."""
@@ -73,15 +70,6 @@ class Gains(NamedTuple):
     @property
     def sigma(self) -> np.ndarray:
         return np.sqrt(np.diag(self.covariance))
-
-
-def brightness(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
-    """Factor (n) by which readings (n, n_panel) exceed the model at the direction that fits them best."""
-    if not len(value):
-        return np.zeros(0)
-    direction, _ = best_directions(vehicle, value)
-    shape = panel_power(vehicle, direction)
-    return (value * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300)
 
 
 def looks_all_around(vehicle: Vehicle, lost: np.ndarray) -> bool:
@@ -145,16 +133,14 @@ def estimate_gains(
     if vehicle.throttled or len(value) < FEWEST or not around:
         return nothing
     value = value[:: -(-len(value) // MOST)]
-    facing = vehicle.response_in().facing_B
     paired = earth_light > FAINT and not vehicle.channels
-    pairs = np.argwhere(np.triu(facing @ facing.T < OPPOSITE)) if paired else []
+    pairs = np.argwhere(opposite_panels(vehicle.response_in().facing_B)) if paired else []
 
     def log_brightness(log: np.ndarray) -> np.ndarray:
         gains, light = vehicle.input_gains * np.exp(log), value.copy()
         for i, j in pairs:
             difference = value[:, i] / gains[i] - value[:, j] / gains[j]
             light[:, i] = gains[i] * np.maximum(difference, 0.0)
-            light[:, j] = gains[j] * np.maximum(-difference, 0.0)
         return np.log(np.maximum(brightness(with_gains(vehicle, np.exp(log)), light), 1e-6))
 
     log, precision = np.zeros(len(prior)), np.diag(np.append(prior**-2, 0.0))

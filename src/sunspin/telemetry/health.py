@@ -20,9 +20,9 @@ from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, signals, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
+    brightness,
     lit_patterns,
     observable_patterns,
-    panel_power,
     turned_sigma,
 )
 from sunspin.vehicle.response.protocol import PanelResponse
@@ -140,9 +140,7 @@ def panel_health(
             noise[k] = chance[own].max(), by_noise.pattern_probability[own].max(), together
         if (tilt := turned_sigma(vehicle)).any():
             # the factor between gains and full Sun; that of the brighter samples where the Sun is oblique to all panels
-            shape = panel_power(vehicle, sun["best_B"].values)
-            bright = (power * shape).sum(axis=1) / np.maximum((shape**2).sum(axis=1), 1e-300)
-            bright = np.nan_to_num(bright)
+            bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
             by_turns = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
             turned = np.array([by_turns.probability[own].min() for own in members])

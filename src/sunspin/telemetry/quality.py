@@ -16,7 +16,6 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import (
     UNKNOWN_SIGMA,
     UNTOLD_SIGMA,
-    brightness,
     estimate_gains,
     prior_sigmas,
 )
@@ -25,7 +24,7 @@ from sunspin.telemetry.silent import lost
 from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import WrongUnit
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.response.panels import brightness, opposite_panels, panel_power
 from sunspin.vehicle.response.protocol import sphere
 
 DEAD_FRACTION = 0.05
@@ -362,7 +361,7 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
     how many readings tell it."""
     response = vehicle.response_in()
-    opposite = response.facing_B @ response.facing_B.T < -0.99
+    opposite = opposite_panels(response.facing_B)
     seen = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
     opposite &= np.array(
         [

@@ -188,7 +188,7 @@ def sun_directions(
         wrong = panel_unit(vehicle, clean) if wrong_unit is None else wrong_unit()
         if wrong is not None:
             texts[status == SunStatus.DARK] = str(wrong)
-    direction, delta = best_directions(vehicle, clean)
+    direction, delta = vehicle.response_in().best(clean)
     known = is_reconstructed(status)
     noise_from = "given"
     if noise is None:
@@ -281,11 +281,6 @@ def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | 
             f"powers must have one column for each of the {n_panel} panels", got=power.shape
         )
     return power, None
-
-
-def best_directions(vehicle: Vehicle, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The direction (n, 3) with the smallest Delta (n) for each sample of powers (n, n_panel): the global minimum."""
-    return vehicle.response_in().best(power)
 
 
 def _several(vehicle: Vehicle, power: np.ndarray, noise: float) -> np.ndarray:

@@ -15,7 +15,7 @@ import xarray as xr
 from sunspin.telemetry.noise import BRIGHT_QUANTILE
 from sunspin.telemetry.sensors import STEEPEST_RAD
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power
+from sunspin.vehicle.response.panels import brightness
 
 UNITS = {"power_W": "W", "current_A": "A"}
 
@@ -99,9 +99,7 @@ def _against_gains(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> 
     if 1 / BEYOND < share < BEYOND:
         return None
     bright = _brightest(value, largest)
-    light = panel_power(vehicle, vehicle.response_in().best(bright)[0])
-    brightness = (bright * light).sum(axis=1) / np.maximum((light**2).sum(axis=1), 1e-300)
-    ratio = float(np.median(brightness))
+    ratio = float(np.median(brightness(vehicle, bright)))
     if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, value, largest)):
         return None
     step = round(np.log10(ratio) / 3)

@@ -290,36 +290,25 @@ def problem(
     if isinstance(reason, VehicleError):
         path = _path(places, table) if table is not None else ".".join(map(str, (where, *places)))
         return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
-    key = ".".join(
-        f"[{place}]" if isinstance(place, int) else str(place) for place in places
-    ).replace(".[", "[")
-    where = f"{where}, {key}"
+    key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places)
+    where = f"{where}, {key.replace('.[', '[')}"
     if found["type"] == "unexpected_keyword_argument":
         known = keys_at(kind, places[:-1], table is not None)
         near = get_close_matches(str(places[-1]), known, n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
-        return sentence(
-            f"unknown key {str(places[-1])!r}",
-            do=f"known keys: {', '.join(known)}{meant}",
-            where=where,
-        )
+        do = f"known keys: {', '.join(known)}{meant}"
+        return sentence(f"unknown key {str(places[-1])!r}", do=do, where=where)
     if found["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
-    message = (
-        found["msg"]
-        .removeprefix("Value error, ")
-        .removeprefix("Input ")
-        .replace("valid tuple", "valid list")
-    )
-    message = message.replace("Tuple should", "List should").replace(" after validation", "")
-    message = IN_WORDS.get(found["type"], message)
+    message = found["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    message = message.replace("valid tuple", "valid list").replace("Tuple should", "List should")
+    message = IN_WORDS.get(found["type"], message.replace(" after validation", ""))
     if found["type"] == "dataclass_type":
         message = (
             "should be a table" if table is not None else message.replace("a dictionary or ", "")
         )
-    return sentence(
-        message, got=None if isinstance(found["input"], dict) else found["input"], where=where
-    )
+    got = None if isinstance(found["input"], dict) else found["input"]
+    return sentence(message, got=got, where=where)
 
 
 def _reason(found: Any) -> object:

@@ -19,9 +19,9 @@ from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.assess import Assessment
-from sunspin.telemetry.gains import OPPOSITE
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import SunStatus, signals
+from sunspin.vehicle.response.panels import opposite_panels
 
 MOST_SAMPLES = 200
 """Samples of the file that are compared; those that show field and Sun are kept first, the others are spread evenly."""
@@ -145,7 +145,7 @@ def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
     opposite to it, of which nothing tells the Earth's light."""
     found, vehicle = assessment.sun, assessment.vehicle
     facing = vehicle.response_in().facing_B
-    alone = ~(facing @ facing.T < OPPOSITE).any(axis=1)
+    alone = ~opposite_panels(facing).any(axis=1)
     full = assessment.quality.attrs["full_sun"] * vehicle.input_gains
     share = signals(assessment.telemetry) / full
     rests = found["lit"].values & alone

@@ -7,8 +7,9 @@ from scipy.special import logsumexp
 
 from sunspin.estimate.posterior.cells import CANDIDATE_GRID, CAP
 from sunspin.estimate.posterior.data import Readings
-from sunspin.telemetry.sun import LIT_SIGMAS, best_directions, is_reconstructed, sun_directions
+from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response import panels
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.protocol import sphere
 
@@ -38,8 +39,7 @@ def brightness(vehicle: Vehicle, data: Readings) -> float:
     status = sun_directions(vehicle, value, noise=data.sigma, lit_threshold=sure)["status"].values
     told = is_reconstructed(status) & data.used.all(axis=1)
     if told.any():
-        shape = panel_power(vehicle, best_directions(vehicle, value[told])[0])
-        return float(np.median(np.sum(shape * value[told], axis=1) / np.sum(shape**2, axis=1)))
+        return float(np.median(panels.brightness(vehicle, value[told])))
     least = _likeliest(vehicle, np.maximum(value, 0.0), data)
     return 1.0 if vehicle.gain_unit is not None and LEAST_SEEN < least < MOST_SEEN else least
 

@@ -20,12 +20,12 @@ from sunspin.estimate.rates.hypotheses import AS_STATED as AS_READ
 from sunspin.estimate.rates.images import either_side, images_of
 from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Observations
-from sunspin.estimate.terms.earth_light import faint
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.verdict import NARROWER, answers, misfit
 from sunspin.estimate.wheel_speeds import untold
 from sunspin.solve.rotations import continuous
+from sunspin.telemetry.gains import FAINT
 
 DECIDED = 0.9
 """A solution with at least this probability is called decided."""
@@ -64,7 +64,7 @@ def dataset_of(
         if motion.body.spherical
         else "rigid body with the vehicle's inertia and wheels",
         "earth_light": max(
-            (x.earth_share for x in o.terms if isinstance(x, Panels) and not faint(x.earth_share)),
+            (x.earth_share for x in o.terms if isinstance(x, Panels) and x.earth_share > FAINT),
             default=0.0,
         ),
         "frame_N": SUN_Z_LOCAL,

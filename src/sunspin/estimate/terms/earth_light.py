@@ -21,14 +21,11 @@ from scipy.spatial.transform import Rotation
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA
 from sunspin.estimate.terms.term import SUN_N, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix
-from sunspin.telemetry.gains import OPPOSITE
+from sunspin.vehicle.response.panels import opposite_panels
 from sunspin.vehicle.response.protocol import PanelResponse
 
 TURN_RATE = 1.5e-3
 """rad/s; the beam turns with the orbit, 1.1e-3, and brightens or fades as the ground below does."""
-
-LEAST = 0.03
-"""Share of full Sun; less light than this, beside the noise of panels, is not worth six unknowns."""
 
 WIDER = 1.5
 """Prior sigma of the beam, in units of what faces away from the Sun get on average."""
@@ -173,11 +170,6 @@ class EarthLight:
                 yield back, trial
 
 
-def faint(share: float) -> bool:
-    """Whether there is no light of the Earth to be estimated."""
-    return share <= LEAST
-
-
 def pairs_differing(
     facing: np.ndarray,
     gain: np.ndarray,
@@ -189,7 +181,7 @@ def pairs_differing(
     """Powers and sigmas (n, n_panel) with those of two opposite panels replaced by their difference, on the brighter one."""
     share, error = whole / gain, whole_sigma / gain
     power, sigma = power.copy(), sigma.copy()
-    for i, j in np.argwhere(facing @ facing.T < OPPOSITE):
+    for i, j in np.argwhere(opposite_panels(facing)):
         both = np.isfinite(error[:, i]) & np.isfinite(error[:, j])
         power[both, i] = gain[i] * np.maximum(share[both, i] - share[both, j], 0.0)
         sigma[both, i] = gain[i] * np.hypot(error[both, i], error[both, j])

@@ -15,10 +15,11 @@ import numpy as np
 
 from sunspin.environment import Surroundings
 from sunspin.estimate.terms import gains
-from sunspin.estimate.terms.earth_light import EarthLight, faint, pairs_differing
+from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
 from sunspin.solve.rotations import cross_matrix, seen_turned
 from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.gains import FAINT
 from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -154,7 +155,7 @@ class Panels(SunTerm):
 
     def _differing(self) -> Self:
         """For the search: of two opposite panels only their difference, good to what no beam explains."""
-        if faint(self.earth_share):
+        if self.earth_share <= FAINT:
             return self
         power, sigma = pairs_differing(
             self.response.facing_B, self.full, *self.whole[:2], self.power, self.sigma
@@ -275,7 +276,7 @@ class Panels(SunTerm):
     def freed(self, t_s: np.ndarray) -> Self:
         """With the beam, and gains that were taken from brightness under it, as unknowns of the pass; the readings whole, and as
         good as they are beside the beam."""
-        if faint(self.earth_share):
+        if self.earth_share <= FAINT:
             return self
         power, sigma, scale_sigma = self.whole
         free = np.concatenate([self.gain_unknowns, self.gain_errors])

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 Pattern = frozenset[str]  # of panel names: the lit ones
 
+OPPOSITE = -0.99
+"""Cosine of the angle between opposite panels, at most."""
+
 SUNS = 4000
 """Directions of the Sun that are tried over panels turned otherwise than drawn, 3 degrees apart."""
 
@@ -33,6 +36,19 @@ def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
     """
     vehicle.require_panels()
     return vehicle.response_in().power(np.asarray(sun_B, dtype=np.float64))
+
+
+def brightness(
+    vehicle: Vehicle, reading: np.ndarray, sun_B: np.ndarray | None = None
+) -> np.ndarray:
+    """Factor (n) by which readings (n, n_panel) exceed `panel_power` at `sun_B` (n, 3); default: the directions that fit best."""
+    light = panel_power(vehicle, vehicle.response_in().best(reading)[0] if sun_B is None else sun_B)
+    return (reading * light).sum(axis=1) / np.maximum((light**2).sum(axis=1), 1e-300)
+
+
+def opposite_panels(facing_B: np.ndarray) -> np.ndarray:
+    """Which of panels (n, n) that look along `facing_B` (n, 3) look opposite ways."""
+    return facing_B @ facing_B.T < OPPOSITE
 
 
 def lit_patterns(vehicle: Vehicle) -> tuple[Pattern, ...]:
@@ -77,11 +93,8 @@ def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
     own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
     tilted = vehicle.panel_response.tilted
     if tilted is not None:
-        own = np.hypot(
-            own,
-            _sigma(vehicle, "panel_response.tilted.turn_B_rad")
-            * (np.array(vehicle.panel_names) == tilted.panel),
-        )
+        by_tilt = _sigma(vehicle, "panel_response.tilted.turn_B_rad")
+        own = np.hypot(own, by_tilt * (np.array(vehicle.panel_names) == tilted.panel))
     return own, _sigma(vehicle, "panel_response.turned_B_rad")
 
 
@@ -94,8 +107,5 @@ def turned_sigma(vehicle: Vehicle) -> np.ndarray:
 
 def _sigma(vehicle: Vehicle, key: str) -> float:
     fact = vehicle.facts.get(key)
-    return (
-        0.0
-        if fact is None or fact.sigma is None
-        else float(np.sqrt(np.mean(np.square(fact.sigma))))
-    )
+    known = fact is not None and fact.sigma is not None
+    return float(np.sqrt(np.mean(np.square(fact.sigma)))) if known else 0.0
