@@ -22,7 +22,7 @@ LEAST = 1e-6
 def misfit(scan: Any) -> xr.DataArray:
     """The volume of E or EMD over the three rates, of a scan as returned or as stored."""
     volume = scan if isinstance(scan, xr.DataArray) else scan["emd" if "emd" in scan else "E"]
-    return volume.transpose(*DIMS)
+    return volume.transpose(*DIMS).assign_attrs(scan.attrs)
 
 
 def near(scan: Any) -> tuple[np.ndarray, str]:
@@ -88,7 +88,7 @@ def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
 @styled
 def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
     """The smallest misfit over omega_z for every omega_x and omega_y, and `points` (n, 3), the motions near the smallest of all."""
-    figure, axes = axes_grid(7.5, 5.6)
+    figure, axes = axes_grid(7.5, 5.6, title="Scan of initial rates")
     least = np.maximum(volume.min("omega_z").transpose("omega_y", "omega_x").values, LEAST)
     rate_x, rate_y = (np.degrees(volume[name].values) for name in DIMS[:2])
     high = max(np.nanmax(least), 1.001 * np.nanmin(least))

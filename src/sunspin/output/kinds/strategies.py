@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -84,9 +85,8 @@ def strategies_figure(table: Any) -> Any:
     known, places = set(table["quantity"].values), np.arange(len(names))
     for axes, (title, prefix) in zip(grid.flat, STACKS, strict=False):
         bottom = np.zeros(len(names))
-        for k, (kind, label) in enumerate(
-            {"leg": "leg", "panel": "panel", "body": "bare body"}.items()
-        ):
+        touching = {"leg": "leg", "panel": "panel", "body": "bare body"}
+        for k, (kind, label) in enumerate(touching.items()):
             if f"{prefix}_{kind}" in known:
                 at = table.sel(quantity=f"{prefix}_{kind}")
                 style = {"color": COLOURS[k], "hatch": HATCHES[k], "alpha": 0.85, "ec": "white"}
@@ -111,7 +111,7 @@ def strategies_figure(table: Any) -> Any:
     for axes in grid.flat:
         if axes.get_legend_handles_labels()[0]:
             axes.legend(ncols=3, loc="upper center", columnspacing=1, handletextpad=0.3)
-        axes.set_xticks(places, [strategy_name(name).replace("off ", "off\n") for name in names])
+        axes.set_xticks(places, [fill(strategy_name(name), 10) for name in names])
         axes.set_xlim(-0.6, len(names) - 0.4)
     return figure
 
