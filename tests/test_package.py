@@ -69,7 +69,7 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
         for path in (ROOT / "src/sunspin/cases").glob("*/*")
         if path.is_file()
     }
-    assert "sunspin/cases/philae/rows.toml" in data and data <= set(names)
+    assert "sunspin/cases/philae/published.toml" in data and data <= set(names)
     other = (".bsp", ".bc", ".zip", ".nc", ".tex")  # other people's data and results
     assert not [name for name in [*names, *inside] if name.lower().endswith(other)]
 

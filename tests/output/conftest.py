@@ -44,8 +44,8 @@ def small() -> Iterator[None]:
             (rp, "LANDING_RUNS", 1),
             (
                 rp,
-                "PARTS",
-                tuple(part for part in rp.PARTS if part.name not in ("precession", "sensitivity")),
+                "STEPS",
+                tuple(step for step in rp.STEPS if step.name not in ("precession", "sensitivity")),
             ),
             (pictures, "SHEETS", ()),
             (figures, "drawn", blank),

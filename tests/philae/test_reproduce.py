@@ -16,9 +16,9 @@ from sunspin.output.kind import Drawing
 from sunspin.philae import carries, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
-from sunspin.philae.headline import headline
-from sunspin.philae.reproduction import conclusions, figure_rows
-from sunspin.philae.templates import templates
+from sunspin.philae.headline import conclusions, headline
+from sunspin.philae.reproduction import figure_rows
+from sunspin.philae.row import tables
 from sunspin.telemetry.case import load_case
 from validation import controls
 
@@ -34,7 +34,7 @@ QUICK = (
     "published_lines",
     "inputs",
 )
-"""Parts that take seconds on a coarse grid; the others have tests of their own."""
+"""Steps that take seconds on a coarse grid; the others have tests of their own."""
 
 
 def without(*phases: str) -> xr.Dataset:
@@ -45,7 +45,7 @@ def without(*phases: str) -> xr.Dataset:
 @pytest.fixture(scope="module")
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rp, "PARTS", tuple(part for part in rp.PARTS if part.name in QUICK))
+        patch.setattr(rp, "STEPS", tuple(step for step in rp.STEPS if step.name in QUICK))
         patch.setattr(rp, "LEAST_RUNS", 60)
         patch.setattr(rp, "LANDING_RUNS", 1)
         patch.setattr(carries, "SHUFFLES", 3)
@@ -108,11 +108,11 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick):
         CASE, coarser=5
     )  # every tenth point of the grid misses the motion that stands still
     still = quick(rb.with_telemetry(CASE, controls.CONTROLS["never tumbled"](CASE)), coarser=5)
-    for name, section in rp.sections().items():
-        if section == "no_telemetry" and name in own.rows_by_part:
-            assert [row.ours for row in own.rows_by_part[name]] == [
-                row.ours for row in still.rows_by_part[name]
-            ], name
+    for step in rp.STEPS:
+        if step.section == "no_telemetry" and step.name in own.rows_by_part:
+            assert [row.ours for row in own.rows_by_part[step.name]] == [
+                row.ours for row in still.rows_by_part[step.name]
+            ], step.name
     pairs = zip(own.rows_by_part["touchdown"], still.rows_by_part["touchdown"], strict=True)
     moved = [a.id for a, b in pairs if (a.low, a.high) != (b.low, b.high)]
     assert {
@@ -122,11 +122,7 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick):
         "sun_height_range",
     } <= set(moved)
     told, before = " ".join(headline(still)), " ".join(headline(own))
-    assert (
-        "need not have tumbled" in told
-        and "may have stood still" in told
-        and "once in" in before.split(". ")[1]
-    )
+    assert "need not have tumbled" in told and "once in" in headline(own)[1]
     for text in (told, before, *conclusions(still)[:4]):
         assert "four lines" not in text
 
@@ -148,11 +144,8 @@ def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
     assert found.chain is None and "touchdown" in found.missing
     assert not [row for row in found.rows if row.depends == "candidates"]
     told = headline(found)
-    assert (
-        "cannot be concluded" in told[0]
-        and "lit pattern" in told[0]
-        and "Nothing is said" in told[1]
-    )
+    assert "cannot be concluded" in told[1] and "lit pattern" in told[1]
+    assert "nothing is said" in told[2]
     made = [
         make(found, found.parts[name])
         for (name, *_), make in pictures.SHEETS
@@ -180,10 +173,7 @@ def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
 def test_what_a_run_changes_is_not_called_used_as_published():
     """And the paper's tables stay the paper's, whatever body the run has."""
     changed = load_case("philae", ["body.mass_kg=100", "wheel.speed_rad_s=833"])
-    rows = [
-        {row.id: row for row in inputs.rows(inputs.Taken(case, case.telemetry))}
-        for case in (CASE, changed)
-    ]
+    rows = [{row.id: row for row in inputs.rows(case)} for case in (CASE, changed)]
     for name in ("table_2", "wheel_speed"):
         assert all(found[name].published == rows[0][name].ours for found in rows), name
         assert rows[1][name].ours != rows[0][name].ours and rows[1][name].note.startswith(
@@ -195,49 +185,48 @@ def test_what_a_run_changes_is_not_called_used_as_published():
     ].note.startswith("used as published")
 
 
-def part(name, compute, **about):
-    return rp.Part(name, name, "telemetry", compute, lambda _: [], **about)
+def step(name, compute, **about):
+    return rp.Step(name, name, "telemetry", compute, **about)
 
 
 def failing(_):
     raise MotionError("no motion")
 
 
-def test_parts_end_in_any_order_and_see_what_they_name(monkeypatch):
-    """The slow one is in the results where it stands in the list; what needs a part that failed is left out and nothing else."""
-    fast_is_told, told = threading.Event(), []
+def test_steps_end_in_any_order(monkeypatch):
+    """The slow one is in the results where it stands in the list; what needs a step that failed is left out and nothing else."""
+    fast_is_seen, seen = threading.Event(), []
 
     def slow(_):
-        assert fast_is_told.wait(20), "nothing ran beside it"
+        assert fast_is_seen.wait(20), "nothing ran beside it"
         return "slow"
 
-    def fast(i):
-        return sorted(i.done)
-
-    def seen(so_far):
-        told.append(list(so_far.parts))
+    def progress(so_far):
+        seen.append(list(so_far.parts))
         if "fast" in so_far.parts:
-            fast_is_told.set()
+            fast_is_seen.set()
 
-    parts = (
-        part("slow", slow),
-        part("fast", fast),
-        part("failing", failing, uses=("fast",)),
-        part("lost", fast, needs=("failing",)),
-        part("both", fast, needs=("slow",), uses=("failing", "nowhere")),
+    steps = (
+        step("slow", slow),
+        step("fast", lambda _: "fast"),
+        step("failing", failing, uses=("fast",)),
+        step("lost", lambda _: "lost", needs=("failing",)),
+        step("both", lambda s: s.parts["slow"], needs=("slow",), uses=("failing", "nowhere")),
     )
-    monkeypatch.setattr(rp, "PARTS", parts)
-    found = rp.compute(CASE, workers=2, seen=seen)
-    assert list(found.parts.items()) == [("slow", "slow"), ("fast", []), ("both", ["slow"])]
-    assert told[-1] == ["fast", "slow", "both"]
-    assert list(found.missing) == ["failing", "lost"]
+    monkeypatch.setattr(rp, "STEPS", steps)
+    study = rp.compute(CASE, workers=2, seen=progress)
+    assert list(study.parts.items()) == [("slow", "slow"), ("fast", "fast"), ("both", "slow")]
+    assert seen[-1] == ["fast", "slow", "both"]
+    assert list(study.missing) == ["failing", "lost"]
 
 
-def test_a_part_that_is_needed_ends_the_study(monkeypatch):
-    parts = part("other", lambda _: 1), part("failing", failing, needed=True)
-    monkeypatch.setattr(rp, "PARTS", parts)
+def test_a_step_that_is_needed_ends_the_study(monkeypatch):
+    ended = []
+    after = step("after", ended.append, uses=("failing",))
+    monkeypatch.setattr(rp, "STEPS", (step("failing", failing, needed=True), after))
     with pytest.raises(MotionError, match="no motion"):
         rp.compute(CASE, workers=1)
+    assert not ended
 
 
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
@@ -254,9 +243,8 @@ def test_every_published_figure_has_a_row_somewhere(reached):
     )
     made = {key for key in CASE.published if re.search(rf'\brow\(\s*(?:r\.)?case,\s*"{key}"', text)}
     made |= {f"line_L{k}" for k in range(1, 5)}
-    sun = rp.sun_directions(CASE.vehicle, CASE.telemetry)
-    checked = {row.id for row in inputs.rows(inputs.Taken(CASE, sun))}
-    assert set(CASE.published) <= made | checked
+    taken = {row.id for row in inputs.rows(CASE)}
+    assert set(CASE.published) <= made | taken
+    unmade = {name for name, about in tables(CASE).items() if {"used", "compared"} & set(about)}
+    assert not made & unmade
     reached("published figures", len(CASE.published))
-    taken = {name for name, template in templates(CASE).items() if "input" in template.values}
-    assert not made & taken

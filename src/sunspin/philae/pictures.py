@@ -340,7 +340,7 @@ SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (
     (("published_lines",), _published_lines),
     (("phases",), _health),
 )
-"""Parts of `study.PARTS`, the first the one drawn, and its figures, in the paper's order."""
+"""Steps of `study.STEPS`, the first the one drawn, and its figures, in the paper's order."""
 
 
 def _phases(sun: xr.Dataset) -> dict[str, xr.Dataset]:

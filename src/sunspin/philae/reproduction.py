@@ -18,19 +18,17 @@ from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import rebound as rb
-from sunspin.philae import touchdown
 from sunspin.philae.files import datasets
-from sunspin.philae.headline import headline, score
+from sunspin.philae.headline import conclusions, headline, score
 from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
 from sunspin.philae.study import (
     SECTIONS,
+    STEPS,
     Options,
     Reproduction,
     compute,
     require_wheel,
-    sections,
-    titles,
     with_vehicle,
 )
 from sunspin.telemetry.case import Case, load_case
@@ -75,32 +73,20 @@ class Written:
     @property
     def lines(self) -> list[str]:
         """What is printed of it."""
-        told = self.summary
-        return [
-            *(f"Changed for this run: {line}" for line in told["changes"]),
-            f"What this file can carry: {told['carries']}",
-            "Telemetry: "
-            + (
-                "synthetic (made from published facts)"
-                if told["synthetic_telemetry"]
-                else "measured"
-            ),
-            *(
-                f"  {row['what']}: {_beside_published(row)}"
-                for row in told["figures"]
-                if row["id"] in PRINTED
-            ),
-            *told["headline"][:2],
-            *told["score"],
-            *told["missing"].values(),
-            f"Report: {self.report} (in {told['seconds']:.0f} s)",
+        summary = self.summary
+        origin = "synthetic (made from published facts)"
+        lines = [f"Changed for this run: {change}" for change in summary["changes"]]
+        lines += [
+            f"What this file can carry: {summary['carries']}",
+            f"Telemetry: {origin if summary['synthetic_telemetry'] else 'measured'}",
         ]
-
-
-def _beside_published(row: dict[str, Any]) -> str:
-    unit = "" if row["unit"] == "1" else f" {row['unit']}"
-    ours = "none" if row["ours"] is None else f"{row['ours']:.4g}{unit}"
-    return f"{ours} (published {row['published']:.4g})"
+        for row in summary["figures"]:
+            if row["id"] in PRINTED:
+                unit = "" if row["unit"] == "1" else f" {row['unit']}"
+                ours = "none" if row["ours"] is None else f"{row['ours']:.4g}{unit}"
+                lines.append(f"  {row['what']}: {ours} (published {row['published']:.4g})")
+        lines += [*summary["headline"], *summary["score"], *summary["missing"].values()]
+        return [*lines, f"Report: {self.report} (in {summary['seconds']:.0f} s)"]
 
 
 def reproduce(
@@ -165,23 +151,44 @@ def reproduce(
         folder / f"telemetry{source.suffix or '.csv'}",
         lambda part: part.write_bytes(source.read_bytes()),
     )
-    by_part = {name: rows for name, rows in result.rows_by_part.items()} | {
-        FIGURES: figure_rows(pictures)
+    summary = _summary(result, pictures, time.perf_counter() - began)
+    summary |= {
+        "changes": [str(change) for change in case.changes],
+        "command": _command(telemetry, vehicle, options, asked),
+        "inputs": _inputs(case, vehicle),
     }
-    heading, section = titles(), sections()
-    counts = result.counts()
-    summary = {
+    vehicle_text = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
+    unchanged = telemetry is None and vehicle is None and not asked
+    tables = [_contradictions(case)] if unchanged else []
+    contents = Contents(
+        datasets(result), pictures, tables, vehicle_text, case.telemetry, result.synthetic
+    )
+    write_contents(folder, summary, contents)
+    return Written(folder, write_report(folder, own=True), summary)
+
+
+def _summary(result: Reproduction, pictures: list[Drawing], seconds: float) -> dict[str, Any]:
+    """What `summary.json` says of the results."""
+    counts, chain = result.counts(), result.chain
+    rows = [
+        asdict(row) | {"part": step.title, "section": SECTIONS[step.section]}
+        for step in STEPS
+        for row in result.rows_by_part.get(step.name, [])
+    ]
+    rows += [
+        asdict(row) | {"part": FIGURES, "section": SECTIONS["paper"]}
+        for row in figure_rows(pictures)
+    ]
+    return {
         "version": version(),
         "title": "How Philae tumbled",
-        "seed": seed,
+        "seed": result.seed,
         "synthetic_telemetry": result.synthetic,
-        "seconds": round(time.perf_counter() - began, 1),
-        "chain": candidates,
+        "seconds": round(seconds, 1),
+        "chain": result.options.source,
         "carries": result.parts["carries"].first_line,
         "noise": result.noise.told,
-        "calibration": None
-        if result.chain is None or result.chain.calibration is None
-        else result.chain.calibration.told,
+        "calibration": chain.calibration.told if chain and chain.calibration else None,
         "missing": result.missing,
         "stop": _no_conclusion(result),
         "headline": headline(result),
@@ -189,25 +196,9 @@ def reproduce(
         "score": score(result),
         "counts": counts["telemetry"]
         | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
-        "changes": [str(one) for one in case.changes],
-        "command": _command(telemetry, vehicle, options, asked),
-        "inputs": _inputs(case, vehicle),
         "cite": CITE,
-        "figures": [
-            asdict(row)
-            | {"part": heading.get(name, name), "section": SECTIONS[section.get(name, "paper")]}
-            for name, rows in by_part.items()
-            for row in rows
-        ],
+        "figures": rows,
     }
-    made_with = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
-    unchanged = telemetry is None and vehicle is None and not asked
-    tables = [_contradictions(case)] if unchanged else []
-    contents = Contents(
-        datasets(result), pictures, tables, made_with, case.telemetry, result.synthetic
-    )
-    write_contents(folder, summary, contents)
-    return Written(folder, write_report(folder, own=True), summary)
 
 
 def _no_conclusion(result: Reproduction) -> str:
@@ -287,102 +278,38 @@ def _command(
 
 def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     """The files that the study was made from, with their hashes."""
-    said = case.telemetry.attrs
-    found = [{"what": "telemetry", "file": str(said["file"]), "sha256": str(said["sha256"])}]
-    paths = {"vehicle": case.folder / "vehicle.toml" if vehicle is None else Path(vehicle)}
-    paths |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
-    for name, path in paths.items():
-        file = (
-            path if path.is_file() else case.folder / "vehicle.toml"
-        )  # a vehicle may be named after a built-in case
-        found.append(
-            {
-                "what": name,
-                "file": path.name,
-                "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-            }
-        )
-    return found
+    telemetry, own = case.telemetry.attrs, case.folder / "vehicle.toml"
+    files = {"vehicle": own if vehicle is None else Path(vehicle)}
+    files |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
+    inputs = [
+        {"what": "telemetry", "file": str(telemetry["file"]), "sha256": str(telemetry["sha256"])}
+    ]
+    for name, path in files.items():
+        # a vehicle may be named after a built-in case
+        file = path if path.is_file() else own
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        inputs.append({"what": name, "file": path.name, "sha256": digest})
+    return inputs
 
 
 def figure_rows(pictures: list[Drawing]) -> list[Row]:
     """One row for each numbered figure of the paper: what it shows, the files that show it here."""
-    found = []
+    rows = []
     for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
         mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
-        ours = ", ".join(f"{p.name}.png" for p in mine) or (
-            "not drawn" if number > 2 else "not drawn: a picture of the lander"
+        absent = "not drawn" if number > 2 else "not drawn: a picture of the lander"
+        row = Row(
+            id=f"figure_{number}",
+            what=f"Fig. {number}",
+            published=shows,
+            ours=", ".join(f"{p.name}.png" for p in mine) or absent,
+            unit="1",
+            tolerance=None,
+            agrees=None,
+            note=" ".join(p.caption for p in mine),
+            source=f"paper, Fig. {number}",
+            kind="not_comparable",
+            chain="none",
         )
-        note = " ".join(p.caption for p in mine)
-        found.append(
-            Row(
-                f"figure_{number}",
-                f"Fig. {number}",
-                shows,
-                ours,
-                "1",
-                None,
-                None,
-                note,
-                f"paper, Fig. {number}",
-                kind="not_comparable",
-                chain="none",
-            )
-        )
-    return found
-
-
-def conclusions(result: Reproduction) -> list[str]:
-    """What follows from the telemetry, in a few sentences; what the printed lines give without any; what could not be computed."""
-    found = [
-        result.parts["carries"].first_line,
-        f"Readings: {result.noise.told}.",
-        *_of_scan(result),
-    ]
-    if result.chain is not None:
-        found += touchdown.sentences(result.chain)
-    found += _of_lines(result)
-    apart = [row for row in result.rows if row.agrees is False]
-    if apart:
-        found.append(
-            "Not as published: "
-            + "; ".join(f"{row.what} ({row.source.removeprefix('paper, ')})" for row in apart)
-            + "."
-        )
-    found += [f"{line}." for line in score(result)]
-    return found + [f"{why.rstrip('.')}." for why in result.missing.values()]
-
-
-def _of_scan(result: Reproduction) -> list[str]:
-    if "level_set" not in result.parts:
-        return []
-    part = result.parts["level_set"]
-    text = (
-        f"Against the {part.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
-        f"smallest EMD is {part.scan.smallest:.4f}; {len(part.near.points)} grid points lie within {part.near.factor} "
-        f"times it, and {part.lines_found} of the four printed lines come out of them"
-    )
-    if part.truth:
-        text += f". At the true rate behind the synthetic telemetry it is {part.truth['emd']:.4f}"
-    chain = result.chain
-    if chain is not None and chain.calibration is not None:
-        level = f"{100 * chain.calibration.confidence:g} %"
-        text += f". For {level}: {chain.calibration.told}; that set holds {chain.share:.0%} of the scanned box"
-    return [text + "."]
-
-
-def _of_lines(result: Reproduction) -> list[str]:
-    """What the printed lines give, which no telemetry changes."""
-    part, lowest = result.parts["published_lines"], result.row("rate_at_touchdown_min_lines")
-    found = [
-        f"Without telemetry: motions on the four printed lines turn at {number_text(lowest.ours)} rad/s or faster after the first "
-        f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to "
-        f"{number_text(lowest.high, 4)} with the first sample's time and the wheel's speed uncertain)."
-    ]
-    if distances := [deviation["mean"] for deviation in part.clean.deviation]:
-        found.append(
-            f"Against those lines' own distribution of r_z the scan finds four lines that are {min(distances):.3f} to "
-            f"{max(distances):.3f} rad/s from the printed ones on average (grid step "
-            f"{result.case.published['scan_step'].value} rad/s)."
-        )
-    return found
+        rows.append(row)
+    return rows

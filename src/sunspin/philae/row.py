@@ -10,19 +10,22 @@ Four kinds, counted apart:
 Only a test agrees or differs. A figure that depends on candidate motions carries the interval over the chosen set and the one
 over all that was possible before the data; where the first is not clearly narrower the row is uninformative and judges nothing.
 
-What a row says stands in the case's `rows.toml` (:mod:`sunspin.philae.templates`); a part computes its numbers and asks for `row`.
+What a row says stands in the case's `published.toml`; a step of the study computes its numbers and asks for `row`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from sunspin.base.errors import InputError
+from sunspin.base.toml import read_toml
 from sunspin.landing.tally import Estimate
-from sunspin.philae.templates import Template, templates
 from sunspin.telemetry.case import Case
 
 KINDS = ("test", "put_in", "arithmetic", "not_comparable")
@@ -98,10 +101,14 @@ def counts(rows: list[Row]) -> dict[str, int]:
     return found | {kind: sum(row.kind == kind for row in rows) for kind in KINDS[1:]}
 
 
-def source_of(place: str) -> str:
-    """Where a figure stands: a place in the paper, or the source of a fact that the paper does not state."""
-    elsewhere = place.removeprefix("not stated; ")
-    return elsewhere if elsewhere != place else f"paper, {place}"
+@cache
+def _tables(path: Path) -> Mapping[str, dict[str, Any]]:
+    return read_toml(path.read_text("utf-8"), str(path), InputError)
+
+
+def tables(case: Case) -> Mapping[str, dict[str, Any]]:
+    """The tables of the case's `published.toml`, by the names of figures and rows; read once."""
+    return _tables(case.folder / "published.toml")
 
 
 def row(
@@ -113,74 +120,54 @@ def row(
     sigma: Any = None,
     **given: Any,
 ) -> Row:
-    """The figure `name` beside ours, with the texts that the case's `rows.toml` has for it.
+    """The figure `name` beside ours, with the texts that the case's `published.toml` has for it.
 
-    What the table there leaves out is that of the published figure of the row's id, which is `name` unless another is given.
     Numbers within the tolerance of each other agree; of a row with `at_most`, ours that are no larger. `agrees` or `holds` judge
-    instead where they are given.
+    instead where they are given. A text names fields in braces, with a format as in Python: `{share:.1%}`; `{paper[emd_min]}` is
+    a published figure, and the row's own values have their names (`{tolerance:g}`).
 
     Parameters
     ----------
     says : the notes of the table that the row shows, one after the other
     sigma : one standard error of ours from the noise; the interval is 1.645 of them either way (90 %)
-    given : fields of `Row` that replace those of the table; anything else is a field of its texts
+    given : fields of `Row` that replace those of the table (with another `id`, the figure of that name); the rest fills its texts
     """
-    template, figure = _template_of(case, name), case.published.get(given.get("id", name))
-    values = dict(template.values)
-    most = values.pop("at_most", None)
-    values.pop("input", None)
-    values |= {} if most is None else {"tolerance": most}
-    values |= (
-        {} if sigma is None else dict(zip(("low", "high"), interval(ours, sigma), strict=True))
-    )
-    values |= {"id": name, "ours": ours} | {
-        key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__
+    about = tables(case).get(given.get("id", name), {}) | tables(case)[name]
+    most = about.get("at_most")
+    values: dict[str, Any] = {
+        "published": about.get("published", about.get("value")),
+        "tolerance": about.get("tolerance", most),
+        "kind": about.get("kind", "test"),
+        "chain": about.get("chain", "none" if about.get("kind") == "arithmetic" else ""),
     }
-    if unknown := sorted(set(given) - template.needs):
-        raise InputError(f"the row's texts do not name {', '.join(unknown)}", where=template.where)
-    fields = {"paper": {key: one.value for key, one in case.published.items()}} | values | given
-    texts = {
-        key: template.fill(key, fields)
-        for key in template.texts
-        if key not in values and not key.startswith("note")
+    values |= {"id": name, "ours": ours}
+    if sigma is not None:
+        values["low"], values["high"] = interval(ours, sigma)
+    values |= {key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__}
+    fields = {"paper": {key: figure.value for key, figure in case.published.items()}}
+    fields |= values | given
+
+    def filled(key: str) -> str:
+        return about[key].format_map(fields) if key in about else ""
+
+    if isinstance(values["published"], str):
+        values["published"] = values["published"].format_map(fields)
+    place = filled("place")
+    source = place.removeprefix("not stated; ")
+    texts: dict[str, Any] = {
+        "what": filled("what"),
+        "unit": filled("unit"),
+        "source": f"paper, {place}" if source == place else source,
+        "note": "".join(filled(key) for key in says),
     }
-    note = "".join(
-        template.fill(key, fields) for key in says if key != "note" or key in template.texts
-    )
-    stated = (
-        {}
-        if figure is None
-        else {
-            "what": figure.what,
-            "unit": figure.unit,
-            "place": figure.place,
-            "published": figure.value,
-        }
-    )
-    found: dict[str, Any] = (
-        {"tolerance": None, "agrees": None, "note": note} | stated | texts | values
-    )
-    try:
-        found["source"] = source_of(found.pop("place"))
-        made = Row(**found)
-    except (KeyError, TypeError) as error:
-        raise InputError(f"the row lacks a field ({error})", where=template.where) from None
-    if made.tolerance is not None and not {"agrees", "holds"} & set(values):
-        made = replace(made, agrees=_within(made, most))
-    return made
-
-
-def _template_of(case: Case, name: str) -> Template:
-    found = templates(case).get(name)
-    if found is None:
-        raise InputError("a row has no table in rows.toml", got=name, do="add one with its texts")
-    return found
-
-
-def _within(row: Row, most: float | None) -> bool:
-    ours = np.asarray(row.ours, float)
-    off = ours if most is not None else np.abs(ours - np.asarray(row.published, float))
-    return bool(np.all(off <= row.tolerance))
+    judged = bool({"agrees", "holds"} & set(values))
+    everything: dict[str, Any] = {"agrees": None} | texts | values
+    comparison = Row(**everything)
+    if comparison.tolerance is None or judged:
+        return comparison
+    mine = np.asarray(ours, dtype=np.float64)
+    off = mine if most is not None else np.abs(mine - np.asarray(comparison.published, float))
+    return replace(comparison, agrees=bool(np.all(off <= comparison.tolerance)))
 
 
 def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:

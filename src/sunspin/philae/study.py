@@ -1,15 +1,15 @@
-"""The paper, computed part by part from the telemetry given: every result as data, and a row for each published figure.
+"""The paper, computed step by step from the telemetry given: every result as data, and a row for each published figure.
 
-A part is a module of this folder with `compute` and `rows`; :data:`PARTS` lists them in the order in which they are begun, each as
-soon as the parts that it uses are there: kernels leave Python's lock to others, and few parts alone keep two cores busy. Parts are
-counted in three sections: what follows from the telemetry, what the equations and the printed lines give without any, and the
-paper's own figures. A part that the telemetry cannot carry is said to be missing, and why.
+A step is a module of this folder: its `compute`, and `rows` that compare with the paper. They count in three sections: what
+follows from the telemetry, what the equations and the printed lines give without any, and the paper's own figures. A step that
+the telemetry cannot carry is said to be missing, and why.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from sunspin.philae import (
     carries,
     components,
     descent,
+    inputs,
     landing,
     level_set,
     mechanics,
@@ -35,10 +36,9 @@ from sunspin.philae import (
     sensitivity,
     touchdown,
 )
-from sunspin.philae import inputs as taken
 from sunspin.philae import rebound as rb
 from sunspin.philae.reading_noise import ReadingNoise, with_own_noise
-from sunspin.philae.row import Row, counts, settled
+from sunspin.philae.row import Row, counts, settled, tables
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
@@ -49,32 +49,8 @@ LANDING_RUNS = 5_000
 LEAST_RUNS = 400
 """As many as the paper had."""
 
-PUT_IN = (
-    "delta_mean",
-    "delta_max",
-    "delta_shadowed",
-    "nz_folded",
-    "nz_descent",
-    "lit_patterns_before",
-    "lit_patterns_at_rest",
-    "shadowed_panel",
-    "panel_1_rotation",
-    "sampling_interval",
-    "samples_after_collision",
-    "descent_samples",
-    "descent_rate_cubic",
-    "descent_rate_range",
-    "descent_rate_romap",
-    "descent_E",
-)
-"""Figures from which the synthetic telemetry was made, for which its noise, the turns of its panels or a shadow were chosen: that
-they come back tests the code."""
-
-PUT_IN_ALWAYS = ("spin_down_coefficients", "antenna_cone")
-"""The same with any telemetry: the spin-down's record is computed, the cone stands in the vehicle file."""
-
-PARTS_AT_ONCE = 2
-"""More would keep more memory and gain nothing: each part's rows take all cores."""
+STEPS_AT_ONCE = 2
+"""More would keep more memory and gain nothing: the rows of each step take all cores."""
 
 SECTIONS = {
     "telemetry": "From this telemetry",
@@ -97,217 +73,20 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """What parts are computed from: the case with its telemetry, Sun directions, options, results of the parts before."""
-
-    case: Case
-    sun: xr.Dataset
-    options: Options = Options()
-    done: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def runs(self) -> int:
-        """Simulated collisions."""
-        return max(LANDING_RUNS // self.options.coarser, LEAST_RUNS)
-
-
-@dataclass(frozen=True)
-class Part:
-    """One part of the paper.
-
-    Attributes
-    ----------
-    name, title : of the part
-    section : of `SECTIONS`
-    compute, rows : how it is computed, and its rows
-    needs : parts without which it cannot be computed
-    uses : parts that it waits for and can do without
-    needed : whether the study makes no sense without it
-    """
-
-    name: str
-    title: str
-    section: str
-    compute: Callable[[Inputs], Any]
-    rows: Callable[[Any], list[Row]]
-    needs: tuple[str, ...] = ()
-    uses: tuple[str, ...] = ()
-    needed: bool = False
-
-    def of(self, inputs: Inputs) -> tuple[Any, list[Row]]:
-        """Its result and rows; of the parts before it sees those that it names."""
-        seen = {
-            name: inputs.done[name] for name in (*self.needs, *self.uses) if name in inputs.done
-        }
-        result = self.compute(replace(inputs, done=seen))
-        synthetic = bool(inputs.sun.attrs.get("synthetic"))
-        return result, [_settled(row, self, synthetic) for row in self.rows(result)]
-
-
-def _candidates(i: Inputs) -> candidates.Chain:
-    o = i.options
-    return candidates.compute(
-        i.done["level_set"].scan,
-        i.done["carries"],
-        o.source,
-        o.twins,
-        o.seed,
-        workers=o.workers,
-        progress=o.progress,
-    )
-
-
-def _published_lines(i: Inputs) -> published_lines.PublishedLines:
-    part = i.done.get("level_set")
-    table = part.scan.table if part is not None and part.scan.rebound.as_published else None
-    return published_lines.compute(
-        i.case, table, i.options.seed, i.options.coarser, i.runs, i.options.workers
-    )
-
-
-PARTS = (
-    Part(
-        "phases",
-        "Sections 2.1 and 4: Sun directions, lit panels",
-        "telemetry",
-        lambda i: phases.compute(i.case),
-        phases.rows,
-        needed=True,
-    ),
-    Part(
-        "descent",
-        "Section 3.1: the descent",
-        "telemetry",
-        lambda i: descent.compute(i.case, i.sun),
-        descent.rows,
-    ),
-    Part(
-        "carries",
-        "What this file can carry",
-        "telemetry",
-        lambda i: carries.compute(i.case, i.sun, i.done.get("descent"), i.options.seed),
-        carries.rows,
-        uses=("descent",),
-        needed=True,
-    ),
-    Part(
-        "level_set",
-        "Section 2.3: the scan of this telemetry",
-        "telemetry",
-        lambda i: level_set.compute(
-            i.case, i.sun, i.options.seed, i.options.coarser, i.options.workers, i.options.progress
-        ),
-        level_set.rows,
-    ),
-    Part(
-        "candidates",
-        "Section 2.3: the motions that follow",
-        "telemetry",
-        _candidates,
-        lambda _: [],
-        ("level_set", "carries"),
-    ),
-    Part(
-        "touchdown",
-        "Section 3.2: after the first touchdown",
-        "telemetry",
-        lambda i: touchdown.compute(i.done["candidates"]),
-        touchdown.rows,
-        ("candidates",),
-    ),
-    Part(
-        "landing",
-        "Sections 3.3 and 4: after the collision",
-        "telemetry",
-        lambda i: landing.compute(
-            i.case, i.done["candidates"], n=i.runs, seed=i.options.seed, workers=i.options.workers
-        ),
-        landing.rows,
-        ("candidates",),
-    ),
-    Part(
-        "components",
-        "Section 2.3: r_x and r_y",
-        "telemetry",
-        lambda i: components.compute(
-            i.case,
-            i.done["level_set"].scan.rebound,
-            i.options.seed,
-            i.options.coarser,
-            i.options.workers,
-        ),
-        components.rows,
-        ("candidates", "level_set"),
-    ),
-    Part(
-        "sensitivity",
-        "Section 2.3: why a direct fit fails",
-        "no_telemetry",
-        lambda i: sensitivity.compute(i.case, i.sun, i.options.workers, i.options.coarser),
-        sensitivity.rows,
-    ),
-    Part(
-        "motions",
-        "The motion to look at",
-        "telemetry",
-        lambda i: motions.compute(i.case, i.done, i.options.seed, i.options.workers),
-        motions.rows,
-        ("candidates", "level_set"),
-        ("descent",),
-    ),
-    Part(
-        "mechanics",
-        "Section 2.2: wheel and example motions",
-        "no_telemetry",
-        lambda i: mechanics.compute(i.case),
-        mechanics.rows,
-        needed=True,
-    ),
-    Part(
-        "published_lines",
-        "The published lines through our equations",
-        "no_telemetry",
-        _published_lines,
-        published_lines.rows,
-        uses=("level_set",),
-        needed=True,
-    ),
-    Part(
-        "precession",
-        "Section 3.2: precession on the published lines",
-        "no_telemetry",
-        lambda i: precession.compute(i.case),
-        precession.rows,
-    ),
-    Part(
-        "inputs",
-        "Taken over from the paper",
-        "paper",
-        lambda i: taken.Taken(i.case, i.sun),
-        taken.rows,
-        needed=True,
-    ),
-)
-"""In the order of beginning."""
-
-CHAIN_OF = {"telemetry": "telemetry", "no_telemetry": "none", "paper": "none"}
-"""Section -> what made those of its rows that do not say so themselves."""
-
-
-@dataclass(frozen=True)
 class Reproduction:
-    """All results of the Philae study: `parts` and `rows` by the part's name, `missing` name -> why it could not be computed.
+    """All results of the Philae study, each by the name of its step.
 
-    `noise`: what the file's readings were taken for; `options`: how the study was run.
+    `noise`: what the file's readings were taken for; `options`: how the study was run; `missing`: why a step could not be
+    computed.
     """
 
     case: Case
     options: Options
     noise: ReadingNoise
     sun: xr.Dataset
-    parts: dict[str, Any]
-    rows_by_part: dict[str, list[Row]]
-    missing: dict[str, str]
+    parts: dict[str, Any] = field(default_factory=dict)
+    rows_by_part: dict[str, list[Row]] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
 
     @property
     def seed(self) -> int:
@@ -323,8 +102,13 @@ class Reproduction:
         return self.parts.get("candidates")
 
     @property
+    def runs(self) -> int:
+        """Simulated collisions."""
+        return max(LANDING_RUNS // self.options.coarser, LEAST_RUNS)
+
+    @property
     def rows(self) -> list[Row]:
-        """All rows, in the order of the parts."""
+        """All rows, in the order of the steps."""
         return [row for rows in self.rows_by_part.values() for row in rows]
 
     def row(self, name: str) -> Row:
@@ -333,10 +117,175 @@ class Reproduction:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """For each section of `SECTIONS` how many rows agree, differ, are uninformative, and how many are of another kind."""
-        by_section: dict[str, list[Row]] = {name: [] for name in SECTIONS}
-        for part in PARTS:
-            by_section[part.section] += self.rows_by_part.get(part.name, [])
-        return {name: counts(rows) for name, rows in by_section.items()}
+        of_section: dict[str, list[Row]] = {name: [] for name in SECTIONS}
+        for step in STEPS:
+            of_section[step.section] += self.rows_by_part.get(step.name, [])
+        return {name: counts(rows) for name, rows in of_section.items()}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the study.
+
+    Attributes
+    ----------
+    name, title : of the step
+    section : of `SECTIONS`
+    compute, rows : its result from what there is so far, and the rows of its result
+    needs : steps without which it cannot be computed
+    uses : steps that it waits for and can do without
+    needed : whether the study makes no sense without it
+    """
+
+    name: str
+    title: str
+    section: str
+    compute: Callable[[Reproduction], Any]
+    rows: Callable[[Any], list[Row]] = lambda _: []
+    needs: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
+    needed: bool = False
+
+
+def _candidates(s: Reproduction) -> candidates.Chain:
+    o, scan = s.options, s.parts["level_set"].scan
+    how: dict[str, Any] = {"workers": o.workers, "progress": o.progress}
+    return candidates.compute(scan, s.parts["carries"], o.source, o.twins, o.seed, **how)
+
+
+def _level_set(s: Reproduction) -> level_set.LevelSet:
+    o = s.options
+    return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
+
+
+def _landing(s: Reproduction) -> landing.Landing:
+    o, chain = s.options, s.parts["candidates"]
+    return landing.compute(s.case, chain, n=s.runs, seed=o.seed, workers=o.workers)
+
+
+def _components(s: Reproduction) -> components.Components:
+    o, rebound = s.options, s.parts["level_set"].scan.rebound
+    return components.compute(s.case, rebound, o.seed, o.coarser, o.workers)
+
+
+def _published_lines(s: Reproduction) -> published_lines.PublishedLines:
+    o, scanned = s.options, s.parts.get("level_set")
+    table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
+    return published_lines.compute(s.case, table, o.seed, o.coarser, s.runs, o.workers)
+
+
+STEPS = (
+    Step(
+        "phases",
+        "Sections 2.1 and 4: Sun directions, lit panels",
+        "telemetry",
+        lambda s: phases.compute(s.case),
+        phases.rows,
+        needed=True,
+    ),
+    Step(
+        "descent",
+        "Section 3.1: the descent",
+        "telemetry",
+        lambda s: descent.compute(s.case, s.sun),
+        descent.rows,
+    ),
+    Step(
+        "carries",
+        "What this file can carry",
+        "telemetry",
+        lambda s: carries.compute(s.case, s.sun, s.parts.get("descent"), s.seed),
+        carries.rows,
+        uses=("descent",),
+        needed=True,
+    ),
+    Step(
+        "level_set",
+        "Section 2.3: the scan of this telemetry",
+        "telemetry",
+        _level_set,
+        level_set.rows,
+    ),
+    Step(
+        "candidates",
+        "Section 2.3: the motions that follow",
+        "telemetry",
+        _candidates,
+        needs=("level_set", "carries"),
+    ),
+    Step(
+        "touchdown",
+        "Section 3.2: after the first touchdown",
+        "telemetry",
+        lambda s: s.parts["candidates"],
+        touchdown.rows,
+        needs=("candidates",),
+    ),
+    Step(
+        "landing",
+        "Sections 3.3 and 4: after the collision",
+        "telemetry",
+        _landing,
+        landing.rows,
+        needs=("candidates",),
+    ),
+    Step(
+        "components",
+        "Section 2.3: r_x and r_y",
+        "telemetry",
+        _components,
+        components.rows,
+        needs=("candidates", "level_set"),
+    ),
+    Step(
+        "sensitivity",
+        "Section 2.3: why a direct fit fails",
+        "no_telemetry",
+        lambda s: sensitivity.compute(s.case, s.sun, s.options.workers, s.options.coarser),
+        sensitivity.rows,
+    ),
+    Step(
+        "motions",
+        "The motion to look at",
+        "telemetry",
+        lambda s: motions.compute(s.case, s.parts, s.seed, s.options.workers),
+        needs=("candidates", "level_set"),
+        uses=("descent",),
+    ),
+    Step(
+        "mechanics",
+        "Section 2.2: wheel and example motions",
+        "no_telemetry",
+        lambda s: mechanics.compute(s.case),
+        mechanics.rows,
+        needed=True,
+    ),
+    Step(
+        "published_lines",
+        "The published lines through our equations",
+        "no_telemetry",
+        _published_lines,
+        published_lines.rows,
+        uses=("level_set",),
+        needed=True,
+    ),
+    Step(
+        "precession",
+        "Section 3.2: precession on the published lines",
+        "no_telemetry",
+        lambda s: precession.compute(s.case),
+        precession.rows,
+    ),
+    Step(
+        "inputs",
+        "Taken over from the paper",
+        "paper",
+        lambda s: s.case,
+        inputs.rows,
+        needed=True,
+    ),
+)
+"""In the order of beginning: a step stands after those that it waits for."""
 
 
 def compute(
@@ -358,88 +307,91 @@ def compute(
         twins : synthetic rebounds of a calibration (zero: none is made); seed : of all random choices;
         coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid.
     seen : callable, optional
-        Given what there is so far each time that a part is computed.
+        Given what there is so far each time that a step is computed.
     """
     options = options or Options(**chosen)
     require_wheel(case.vehicle)
     case, noise = with_own_noise(case, carries.whole_panels(case, case.telemetry))
     sun = sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
-    inputs = Inputs(case, sun, options)
+    study = Reproduction(case, options, noise, sun)
     k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
-    found = Reproduction(case, options, noise, sun, inputs.done, {}, {})
-    for part, ended in _computed(inputs):
-        if isinstance(ended, str):
-            found.missing[part.name] = ended
-            continue
-        try:
-            inputs.done[part.name], rows = ended.result()
-        except (TelemetryError, InputError, MotionError) as error:
-            if part.needed or (isinstance(error, InputError) and part.name == "candidates"):
+    at_once = threading.Semaphore(min(worker_count(options.workers), STEPS_AT_ONCE))
+    stopped, futures = threading.Event(), dict[str, Future]()
+
+    def run(step: Step) -> None:
+        wait([futures[name] for name in (*step.needs, *step.uses) if name in futures])
+        with at_once:
+            if stopped.is_set():
+                return
+            try:
+                _run(step, study)
+            except BaseException:
+                stopped.set()
                 raise
-            found.missing[part.name] = f"{part.title}: not reproduced, as {error}"
-            continue
-        if rows:
-            found.rows_by_part[part.name] = rows
-        if seen is not None:
-            seen(found)
-    return _in_order(found)
 
-
-def _computed(inputs: Inputs) -> Iterator[tuple[Part, Future | str]]:
-    """Each part once it has ended, or why it has not begun. A part begins when all that it waits for has ended."""
-    at_once = min(worker_count(inputs.options.workers), PARTS_AT_ONCE)
-    waiting, running = list(PARTS), {}
-    over = {name for part in PARTS for name in (*part.needs, *part.uses)} - {
-        part.name for part in PARTS
-    }
-    pool = ThreadPoolExecutor(at_once, thread_name_prefix="part")
+    pool = ThreadPoolExecutor(len(STEPS), thread_name_prefix="step")
     try:
-        while waiting or running:
-            for part in [part for part in waiting if over.issuperset((*part.needs, *part.uses))]:
-                if why := _absent(part, inputs):
-                    waiting.remove(part)
-                    over.add(part.name)
-                    yield part, why
-                elif len(running) < at_once:
-                    waiting.remove(part)
-                    running[pool.submit(part.of, inputs)] = part
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                part = running.pop(future)
-                over.add(part.name)
-                yield part, future
-    finally:  # after an error nobody waits for the others
-        pool.shutdown(wait=False, cancel_futures=True)
+        for step in STEPS:
+            futures[step.name] = pool.submit(run, step)
+        for future in as_completed(futures.values()):
+            future.result()
+            if seen is not None:
+                seen(study)
+    finally:
+        stopped.set()  # after an interrupt no further step begins
+        pool.shutdown(wait=False)
+    return _in_order(study)
 
 
-def _absent(part: Part, inputs: Inputs) -> str:
-    return "" if inputs.done.keys() >= {*part.needs} else f"{part.title}: nothing is concluded"
+def _run(step: Step, study: Reproduction) -> None:
+    """Compute one step and put its result and rows, or why there are none, where the others find them."""
+    if not study.parts.keys() >= {*step.needs}:
+        study.missing[step.name] = f"{step.title}: nothing is concluded"
+        return
+    try:
+        result = step.compute(study)
+        rows = [_settled(row, step, study) for row in step.rows(result)]
+    except (TelemetryError, InputError, MotionError) as error:
+        if step.needed or (isinstance(error, InputError) and step.name == "candidates"):
+            raise
+        study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
+        return
+    study.parts[step.name] = result
+    if rows:
+        study.rows_by_part[step.name] = rows
 
 
-def _in_order(found: Reproduction) -> Reproduction:
-    """The same with everything in the order of `PARTS`, whichever ended first."""
-    rows = dict(found.rows_by_part)
-    if (
-        "candidates" not in found.parts and "level_set" in rows
-    ):  # nothing is concluded from these readings, nor judged by them
-        kept = rows["level_set"]
+def _settled(row: Row, step: Step, study: Reproduction) -> Row:
+    """The row with the chain of its section where it names none; put in where the telemetry was made from its figure."""
+    row = (
+        row
+        if row.chain
+        else replace(row, chain="telemetry" * (step.section == "telemetry") or "none")
+    )
+    put_in = tables(study.case).get(row.id, {}).get("put_in")
+    return settled(row, put_in == "always" or (put_in == "synthetic" and study.synthetic))
+
+
+def _in_order(study: Reproduction) -> Reproduction:
+    """The same with everything in the order of `STEPS`, whichever ended first."""
+    rows = dict(study.rows_by_part)
+    if "candidates" not in study.parts and "level_set" in rows:
+        # nothing is concluded from these readings, nor judged by them
         rows["level_set"] = [
             replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None)
-            for row in kept
+            for row in rows["level_set"]
         ]
-    by_name = {"parts": found.parts, "rows_by_part": rows, "missing": found.missing}
+
+    def ordered(entries: dict[str, Any]) -> dict[str, Any]:
+        return {step.name: entries[step.name] for step in STEPS if step.name in entries}
+
     return replace(
-        found,
-        **{
-            field: {p.name: of[p.name] for p in PARTS if p.name in of}
-            for field, of in by_name.items()
-        },
+        study,
+        parts=ordered(study.parts),
+        rows_by_part=ordered(rows),
+        missing=ordered(study.missing),
     )
-
-
-def _settled(row: Row, part: Part, synthetic: bool) -> Row:
-    row = row if row.chain else replace(row, chain=CHAIN_OF[part.section])
-    return settled(row, row.id in PUT_IN_ALWAYS or (synthetic and row.id in PUT_IN))
 
 
 def require_wheel(vehicle: Vehicle) -> None:
@@ -457,13 +409,3 @@ def require_wheel(vehicle: Vehicle) -> None:
 def with_vehicle(case: Case, vehicle: Vehicle, telemetry: xr.Dataset) -> Case:
     """The case with another vehicle, and telemetry read with its columns."""
     return rb.with_telemetry(replace(case, vehicle=vehicle), telemetry)
-
-
-def titles() -> dict[str, str]:
-    """Name of each part -> its heading."""
-    return {part.name: part.title for part in PARTS}
-
-
-def sections() -> dict[str, str]:
-    """Name of each part -> its section."""
-    return {part.name: part.section for part in PARTS}

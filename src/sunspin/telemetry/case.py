@@ -26,7 +26,7 @@ from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.notebook import case_html
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
-PUBLISHED_KEYS = {"value", "unit", "what", "place"}
+PUBLISHED_TEXTS = ("unit", "what", "place")
 
 
 @dataclass(frozen=True)
@@ -161,18 +161,18 @@ def timeline_of(vehicle: object) -> Timeline | None:
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:
-    """Read the text of a ``published.toml``; `where` names the file in messages."""
-    table = read_toml(text, where, InputError)
+    """Read the text of a ``published.toml``; `where` names the file in messages. Tables without a value state no figure."""
     figures = {}
-    for key, entry in table.items():
-        if not isinstance(entry, dict) or set(entry) != PUBLISHED_KEYS:
+    for key, entry in read_toml(text, where, InputError).items():
+        if "value" not in entry:
+            continue
+        texts = [entry.get(name, "") for name in PUBLISHED_TEXTS]
+        if not all(text.strip() for text in texts):
             raise InputError(
-                f"a published figure has the keys {', '.join(sorted(PUBLISHED_KEYS))}",
+                f"a published figure has {', '.join(PUBLISHED_TEXTS)}, none of them empty",
                 where=f"{where}, {key}",
             )
-        if not all(entry[text].strip() for text in ("unit", "what", "place")):
-            raise InputError("unit, what and place must not be empty", where=f"{where}, {key}")
-        figures[key] = Published(**{**entry, "value": _tuples(entry["value"])})
+        figures[key] = Published(_tuples(entry["value"]), *texts)
     return _frozen(figures)
 
 
