@@ -23,14 +23,14 @@ def headline(study: Reproduction) -> list[str]:
         told = missing.get("candidates", missing.get("level_set", "no motion was found"))
         why = "; ".join(reasons) or told.split(" as ", 1)[-1].split(";")[0].rstrip(".")
         sure = [
-            f"How it moved after the first touchdown cannot be concluded: {why}.",
-            "So nothing is said of the touchdown, the collision and what followed.",
+            f"After the first touchdown: the motion cannot be concluded, as {why}.",
+            "No conclusions on touchdown, collision and landing.",
         ]
     else:
         sure = [_rebound(chain), _extent(chain), touchdown.sentences(chain)[0]]
     synthetic = (
-        "The flown panel powers are not public: this run uses synthetic ones made from published facts, so it tests the method "
-        "and does not measure Philae anew."
+        "The flown panel powers are not public. This run uses synthetic ones made from published facts: it tests the method and "
+        "does not measure Philae again."
     )
     measured = "The panel powers were read from a file that does not call itself synthetic."
     return [_descent(study), *sure, synthetic if study.synthetic else measured]
@@ -38,36 +38,36 @@ def headline(study: Reproduction) -> list[str]:
 
 def _descent(study: Reproduction) -> str:
     if "descent" not in study.parts:
-        return "Of the descent this telemetry holds too little to say how the lander turned."
+        return "Descent: too few samples to estimate the rotation."
     if not study.parts["carries"].descent_order or not study.parts["carries"].one_sun:
-        return "How the lander turned during the descent does not follow from this telemetry."
+        return "Descent: the rotation does not follow from this telemetry."
     rate = float(np.mean(study.parts["descent"].rate_range()))
-    return f"During the descent the lander turned once in {turn_text(rate)}."
+    return f"Descent: rotation period {turn_text(rate)}."
 
 
 def _rebound(chain: Chain) -> str:
     slow, fast = chain.chosen.speed_range()
     if chain.name == "published":
-        return "After the first touchdown it is taken to move as on the paper's printed lines, whatever this telemetry says."
+        return "After the first touchdown: the motions are those of the published lines, for any telemetry."
     if chain.chosen.probable:
-        return f"Just after the first touchdown it turned at {slow:.3g} to {fast:.3g} rad/s ({CONFIDENCE:.0%})."
+        return f"Just after the first touchdown: angular speed {slow:.3g} to {fast:.3g} rad/s ({CONFIDENCE:.0%})."
     if slow <= chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
-        return "After the first touchdown it need not have tumbled at all: a lander at rest fits as well."
+        return "After the first touchdown: the data are also consistent with no rotation."
     level = f"{chain.case.assumptions.study.confidence:.0%}"
     return (
-        f"After the first touchdown it tumbled, at least once in {turn_text(slow)} ({level} confidence); this method gives no "
-        "upper limit."
+        f"After the first touchdown: rotation period at most {turn_text(slow)} ({level} confidence); the data give no lower limit on "
+        "the period."
     )
 
 
 def _extent(chain: Chain) -> str:
-    found = chain.calibration
-    if found is None:
+    calibration = chain.calibration
+    if calibration is None:
         verdict = f" {chain.verdict.rstrip('.')}." if chain.verdict else ""
-        return f"Its motion is taken from {chain.chosen.about}.{verdict}"
+        return f"The motions are {chain.chosen.about}.{verdict}"
     return (
-        f"{chain.share:.0%} of the scanned motions fit: their EMD is below {found.factor()[0]:.2f} times the smallest, a "
-        f"threshold that kept the true motion in {found.confidence:.0%} of {found.n} synthetic flights like this one."
+        f"The {calibration.confidence:.0%} confidence set contains {chain.share:.0%} of the scanned initial rates (EMD below "
+        f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {calibration.n} simulated flights)."
     )
 
 
@@ -80,10 +80,11 @@ def score(study: Reproduction) -> list[str]:
         for kind in ("put_in", "arithmetic", "not_comparable")
     )
     return [
-        f"Tests on this telemetry: {here['agree']} agree, {here['differ']} differ, {here['uninformative']} uninformative",
-        f"Tests without telemetry (equations, printed lines): {lines['agree'] + paper['agree']} agree, "
+        f"Comparison with the paper, using this telemetry: {here['agree']} agree, {here['differ']} differ, "
+        f"{here['uninformative']} not constrained",
+        f"Comparison with the paper, equations only: {lines['agree'] + paper['agree']} agree, "
         f"{lines['differ'] + paper['differ']} differ",
-        f"No tests: {put_in} figures put in, {arithmetic} of the paper's own arithmetic, {not_comparable} not comparable",
+        f"Not counted as tests: {put_in} inputs, {arithmetic} checks of the paper's arithmetic, {not_comparable} not comparable",
     ]
 
 
