@@ -17,7 +17,7 @@ from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
-from sunspin.telemetry.sun import SunStatus, signals, sun_directions
+from sunspin.telemetry.sun import SunStatus, of_panels, signals, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     brightness,
@@ -125,12 +125,12 @@ def panel_health(
     of_sample = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     patterns, n = list(dict.fromkeys(of_sample)), sun.sizes["time"]
     members = [np.array([own == pattern for own in of_sample]) for pattern in patterns]
-    threshold = float(sun.attrs["lit_threshold"])
+    threshold = sun["lit_threshold"].values
     # assumed noise explains nothing
-    sigma = np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])
+    sigma = sun["noise"].values * (np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else 1.0)
     chance, turned = np.zeros(len(of_sample)), np.full(len(patterns), np.nan)
     noise = np.full((len(patterns), 3), np.nan)
-    if not is_sun and patterns and sigma > 0:
+    if not is_sun and patterns and (sigma > 0).all():
         power = signals(telemetry) if isinstance(telemetry, xr.Dataset) else np.array(telemetry)
         power = np.atleast_2d(power)
         by_noise = noise_alone(vehicle, power[forbidden], sigma, threshold)
@@ -190,7 +190,8 @@ def panel_health(
             for (name, long_name), value in zip(about.items(), figures, strict=True)
         },
         coords={"panel": names.tolist()},
-        attrs=attrs | {"noise_sigma": sigma, "lit_threshold": threshold},
+        attrs=attrs
+        | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
 
 
@@ -266,8 +267,8 @@ class NoiseMade(NamedTuple):
 def noise_alone(
     vehicle: Vehicle,
     power: npt.ArrayLike,
-    sigma: float,
-    lit_threshold: float,
+    sigma: npt.ArrayLike,
+    lit_threshold: npt.ArrayLike,
     besides: npt.ArrayLike = 0.0,
 ) -> NoiseMade:
     """How well each sample's readings agree with some Sun of any direction and brightness, panels being whole.
@@ -280,9 +281,9 @@ def noise_alone(
     ----------
     power : (n, n_panel)
         Readings, in the unit of `sigma` and `lit_threshold`.
-    sigma : float
+    sigma : float or (n_panel,)
         One-sigma Gaussian noise of a reading.
-    lit_threshold : float
+    lit_threshold : float or (n_panel,)
         Readings above it count as lit.
     besides : (n, n_panel) or what broadcasts to it
         One sigma of what else is off in each reading, in that unit: with it, it is not noise alone.
@@ -296,19 +297,19 @@ def noise_alone(
         raise InputError(
             f"powers must have one column for each of the {n_panel} panels", got=readings.shape
         )
-    if not (np.isfinite(sigma) and sigma > 0):
-        raise InputError("sigma must be the positive noise of a reading", got=sigma)
-    if not (np.isfinite(lit_threshold) and lit_threshold >= 0):
-        raise InputError("lit_threshold must be zero or positive", got=lit_threshold)
+    sigma = of_panels(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
+    be = "lit_threshold must be zero or positive"
+    threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
     response = vehicle.response_in()
     scale = response.largest  # so that the unknown is of the size of the readings
-    each = np.broadcast_to(np.hypot(1.0, np.asarray(besides) / sigma), readings.shape)
+    unit = sigma.min()
+    each = np.broadcast_to(np.hypot(sigma / unit, np.asarray(besides) / unit), readings.shape)
     found = [
         _nearest_sun(
             response,
             scale,
-            readings[at : at + CHUNK] / sigma,
-            lit_threshold / sigma,
+            readings[at : at + CHUNK] / unit,
+            threshold / unit,
             1 / each[at : at + CHUNK],
         )
         for at in range(0, len(readings), CHUNK)
@@ -316,11 +317,11 @@ def noise_alone(
     sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
     square = np.concatenate([part[1] for part in found]) if found else np.zeros(0)
     mean, _ = response.under(sun, scale)
-    lit = readings > lit_threshold
-    shown = norm.sf(lit_threshold / sigma, mean, each), norm.cdf(lit_threshold / sigma, mean, each)
+    lit = readings > threshold
+    shown = norm.sf(threshold / unit, mean, each), norm.cdf(threshold / unit, mean, each)
     pattern = np.prod(np.where(lit, *shown), axis=1)
     return NoiseMade(
-        square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel)
+        square, chi2.sf(square, n_panel), pattern, sun * unit / scale, chi2.logsf(square, n_panel)
     )
 
 
@@ -328,11 +329,11 @@ def _nearest_sun(
     response: PanelResponse,
     scale: float,
     readings: np.ndarray,
-    threshold: float,
+    threshold: np.ndarray,
     weight: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance; a residual
-    counts `weight` (n, n_panel).
+    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in units of the least sigma, and the squared
+    distance; a residual counts `weight` (n, n_panel).
 
     A search runs from each region (inside one the squared distance of flat panels is a convex piece), and the best end is taken.
     """
@@ -363,9 +364,9 @@ def _distance(
     sun: np.ndarray,
     readings: np.ndarray,
     lit: np.ndarray,
-    threshold: float,
+    threshold: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (..., n_panel) in sigma of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
+    """Residuals (..., n_panel) of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
     mean, slope = response.under(sun, scale)
     value = np.where(lit, mean - readings, np.maximum(0.0, mean - threshold))
     active = (mean > 0) & (lit | (mean > threshold))

@@ -284,6 +284,13 @@ class Vehicle(Part):
         )
 
     @property
+    def input_noise(self) -> FloatArray | None:
+        """One sigma of each input's reading (n_input), in the telemetry's unit; None where the file states none."""
+        own = {part.name: part.noise for part in (*self.panels, *self.channels)}
+        noise = [own[name] or self.telemetry.noise for name in self.input_names]
+        return None if None in noise else np.array(noise, dtype=np.float64)
+
+    @property
     def throttled(self) -> bool:
         """Whether the readings of a sample have a factor in common that nobody knows."""
         return self.telemetry.throttled or any(channel.throttled for channel in self.channels)
@@ -322,11 +329,12 @@ class Vehicle(Part):
         return self.mass_kg
 
     def require_noise(self) -> float:
-        """One sigma of a panel reading, in the unit of the readings, or a `VehicleError` that says where to add it."""
-        if self.telemetry.noise is None:
+        """One sigma of a reading, the median of `input_noise`, or a `VehicleError` that says where to add it."""
+        noise = self.input_noise
+        if noise is None:
             what = f"vehicle {self.name!r} does not say how noisy its panel readings are"
             raise VehicleError(what, do="add noise under [telemetry] of its file")
-        return self.telemetry.noise
+        return float(np.median(noise))
 
     def require_panels(self) -> tuple[Panel, ...]:
         """The panels, or a `VehicleError` that says where to add them."""
@@ -387,6 +395,10 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
         if channel.name in set(vehicle.panel_names) - set(panels):
             what = f"channel {channel.name!r} is called like a panel that is not in it"
             raise VehicleError(what, do="give the channel another name")
+        inside = [panel for panel in vehicle.panels if panel.name in channel.panels]
+        if noisy := [panel.name for panel in inside if panel.noise is not None]:
+            what = f"channel {channel.name!r} reads a panel that states a noise of its own"
+            raise VehicleError(what, got=noisy[0], do="state the noise of the channel instead")
     bound = [channel.throttled for channel in vehicle.channels]
     if (
         any(bound)
@@ -442,3 +454,8 @@ def _require_known_panels(vehicle: Vehicle) -> None:
             "add it, or voltage_column for all that have none of their own",
         )
         raise VehicleError(what, got=without[0], do=do, where="telemetry.voltage_columns")
+    own = {part.name: part.noise for part in (*vehicle.panels, *vehicle.channels)}
+    without = [name for name in vehicle.input_names if own[name] is None]
+    if form.noise is None and 0 < len(without) < len(vehicle.input_names):
+        do = "add it, or noise under [telemetry] for all that have none of their own"
+        raise VehicleError("a panel states no noise and others do", got=without[0], do=do)
