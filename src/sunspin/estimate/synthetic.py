@@ -60,7 +60,10 @@ def synthetic_telemetry(
     """Telemetry of a vehicle that moves as `truth` says; see :func:`sunspin.twin`, which passes a vehicle on to here."""
     vehicle.require_panels()
     known = _truth(truth)
-    scale, noise = _scale(known, vehicle), _noise(known, vehicle)
+    noise = vehicle.input_noise if known.noise is None else known.noise
+    be = "the noise of a twin must be zero or positive"
+    noise = of_panels(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
+    scale = _scale(known, vehicle)
     speeds = known.wheel_speed_rad_s
     if speeds is None:
         speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
@@ -133,11 +136,3 @@ def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarra
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
         raise InputError(what, got=given.shape or float(given))
     return given if given.ndim else drawn_tilts(vehicle, float(given), rng)
-
-
-def _noise(truth: Truth, vehicle: Vehicle) -> np.ndarray:
-    """One sigma of each input's reading (n_input)."""
-    stated = 0.0 if vehicle.input_noise is None else vehicle.input_noise
-    given = stated if truth.noise is None else truth.noise
-    be = "the noise of a twin must be zero or positive"
-    return of_panels(vehicle, given, np.greater_equal, be)

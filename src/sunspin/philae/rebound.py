@@ -76,8 +76,8 @@ def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
     ]
     # a noise only where one is stated: what is stored of vehicles without keeps its key
     panels, channels = (
-        [{key: x for key, x in vars(part).items() if (key, x) != ("noise", None)} for part in parts]
-        for parts in (vehicle.panels, vehicle.channels)
+        [{key: x for key, x in vars(each).items() if x is not None} for each in several]
+        for several in (vehicle.panels, vehicle.channels)
     )
     return plain(
         [

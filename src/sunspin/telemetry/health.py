@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
-from sunspin.telemetry.sun import SunStatus, of_panels, signals, sun_directions
+from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     brightness,
@@ -131,8 +130,7 @@ def panel_health(
     chance, turned = np.zeros(len(of_sample)), np.full(len(patterns), np.nan)
     noise = np.full((len(patterns), 3), np.nan)
     if not is_sun and patterns and (sigma > 0).all():
-        power = signals(telemetry) if isinstance(telemetry, xr.Dataset) else np.array(telemetry)
-        power = np.atleast_2d(power)
+        power, _ = powers(vehicle, telemetry)
         by_noise = noise_alone(vehicle, power[forbidden], sigma, threshold)
         chance = by_noise.probability
         for k, own in enumerate(members):
@@ -148,7 +146,7 @@ def panel_health(
     needed = [
         pattern
         for pattern, own, least in zip(patterns, members, turned, strict=True)
-        if (chance[own] < limit).any() and not (could_be_turned and _may_be_turned(least, n))
+        if (chance[own] < limit).any() and not (could_be_turned and least * n > NOISE_ALONE)
     ]
 
     def rows(sets: Sequence[Any]) -> np.ndarray:
@@ -195,12 +193,6 @@ def panel_health(
     )
 
 
-def _may_be_turned(least: float, n: int) -> bool:
-    """Whether `n` samples of which the least probable has the probability `least` may be those of turned panels: these are the same
-    in all samples, so that samples are not independent and only the smallest counts."""
-    return bool(least * n > NOISE_ALONE)
-
-
 NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
 """What may make forbidden patterns although no panel is lost."""
 
@@ -209,8 +201,10 @@ def made_by(health: PanelHealth, n: int) -> str:
     """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing."""
     if noise_made(health, n):
         return NOISE
-    least = health["turned"].values
-    return TURNS if least.size and all(_may_be_turned(p, n) for p in least) else ""
+    least = health[
+        "turned"
+    ].values  # turns are the same in all samples: only the least probable counts
+    return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
 
 
 def noise_made(health: PanelHealth, n: int) -> bool:
@@ -290,13 +284,8 @@ def noise_alone(
     """
     from scipy.stats import chi2, norm
 
-    readings = np.atleast_2d(np.asarray(power, dtype=np.float64))
-    vehicle.require_panels()
-    n_panel = len(vehicle.inputs)
-    if readings.ndim != 2 or readings.shape[1] != n_panel:
-        raise InputError(
-            f"powers must have one column for each of the {n_panel} panels", got=readings.shape
-        )
+    readings, _ = powers(vehicle, power)
+    n_panel = readings.shape[1]
     sigma = of_panels(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
     be = "lit_threshold must be zero or positive"
     threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)

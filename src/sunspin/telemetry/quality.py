@@ -156,11 +156,8 @@ def judge_readings(
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
     level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
     if vehicle.throttled:  # the battery may limit any sample, and all readings of it alike
-        idle, limited, level = (
-            np.zeros_like(dark),
-            np.zeros_like(dark),
-            np.maximum(bright, 1e-12)[:, None],
-        )
+        idle, limited = np.zeros_like(dark), np.zeros_like(dark)
+        level = np.maximum(bright, 1e-12)[:, None]
     aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
@@ -184,7 +181,9 @@ def judge_readings(
         untold if told.spread is None else told.spread,
         albedo,
     )
-    left = _left(albedo, told.spread, stated is not None)
+    # what no beam explains; noise that the file does not state is in that light too: as much as full Sun scatters, else all of it
+    unknown = albedo if told.spread is None else min(told.spread, albedo)
+    left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
     beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
@@ -383,13 +382,6 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(
         dark
     )
-
-
-def _left(albedo: float, spread: float | None, stated: bool) -> float:
-    """What no beam explains of the light on dark panels. Noise that the file does not state is in that light too: as much as full
-    Sun scatters, or where that is not told all of it."""
-    noise = 0.0 if stated else albedo if spread is None else min(spread, albedo)
-    return max(EARTH_LEFT * albedo, noise)
 
 
 def _earth_light(albedo: float, seen: int, noise: float) -> float:

@@ -69,7 +69,9 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndar
         vehicle.throttled or silent.all() or not len(read)
     ):  # the battery may limit any sample: there is no full light
         return found
-    light, sigma = panel_power(vehicle, sphere(DIRECTIONS)) / gains, _sigma(vehicle, noise)
+    light = panel_power(vehicle, sphere(DIRECTIONS)) / gains
+    # of a reading, as a share of full Sun; panels may be turned by the sigmas that the file states
+    sigma = np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / gains**2)
     while (left := np.flatnonzero(silent & ~found)).size:
         fits = {k: _without(k, read, light, sigma, found) for k in left}
         k = max(left, key=lambda one: fits[one].clear)
@@ -77,11 +79,6 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndar
             break
         found[k] = True
     return found
-
-
-def _sigma(vehicle: Vehicle, noise: np.ndarray) -> np.ndarray:
-    """Of each input's reading (n_panel), as a share of full Sun; panels may be turned by the sigmas that the file states."""
-    return np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / vehicle.input_gains**2)
 
 
 class Fit(NamedTuple):

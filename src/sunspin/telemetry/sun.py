@@ -165,7 +165,7 @@ def sun_directions(
     InputError
         Powers of other panels than the vehicle's; a noise that is not positive, a threshold that is negative or no number.
     """
-    power, base = _powers(vehicle, telemetry)
+    power, base = powers(vehicle, telemetry)
     every = np.ones(power.shape[1])
     sigma, threshold = vehicle.input_noise, vehicle.telemetry.lit_threshold
     if noise is not None:
@@ -291,7 +291,8 @@ def of_panels(
     return each * np.ones(len(vehicle.inputs))
 
 
-def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
+def powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
+    """Readings (n, n_panel) of a telemetry Dataset, and it, or of an array, and None."""
     vehicle.require_panels()
     n_panel = len(vehicle.inputs)
     if isinstance(telemetry, xr.Dataset):

@@ -286,7 +286,7 @@ class Vehicle(Part):
     @property
     def input_noise(self) -> FloatArray | None:
         """One sigma of each input's reading (n_input), in the telemetry's unit; None where the file states none."""
-        own = {part.name: part.noise for part in (*self.panels, *self.channels)}
+        own = {x.name: x.noise for x in (*self.panels, *self.channels)}
         noise = [own[name] or self.telemetry.noise for name in self.input_names]
         return None if None in noise else np.array(noise, dtype=np.float64)
 
@@ -384,11 +384,8 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
     panels = [name for channel in vehicle.channels for name in channel.panels]
     for channel in vehicle.channels:
         if unknown := [name for name in channel.panels if name not in vehicle.panel_names]:
-            what, do = (
-                f"channel {channel.name!r} names a panel that the vehicle does not have",
-                f"panels: {[*vehicle.panel_names]}",
-            )
-            raise VehicleError(what, got=unknown[0], do=do)
+            what = f"channel {channel.name!r} names a panel that the vehicle does not have"
+            raise VehicleError(what, got=unknown[0], do=f"panels: {[*vehicle.panel_names]}")
         if twice := [name for name in channel.panels if panels.count(name) > 1]:
             what = "a panel is in two channels"
             raise VehicleError(what, got=twice[0], do="list it on the input that it is wired to")
@@ -406,10 +403,8 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
         and not vehicle.telemetry.throttled
     ):
         what = "some inputs are throttled and others are not"
-        raise VehicleError(
-            what,
-            do="set throttled = true under [telemetry], which is of all inputs, or leave it out",
-        )
+        do = "set throttled = true under [telemetry], which is of all inputs, or leave it out"
+        raise VehicleError(what, do=do)
 
 
 def _require_known_panels(vehicle: Vehicle) -> None:
@@ -433,28 +428,18 @@ def _require_known_panels(vehicle: Vehicle) -> None:
             if name in known:
                 continue
             if name in vehicle.panel_names:
-                channel = next(
-                    channel.name for channel in vehicle.channels if name in channel.panels
-                )
-                what, do = (
-                    f"{key} names a panel that is read through a channel",
-                    f"name the channel, {channel!r}",
-                )
-                raise VehicleError(what, got=name, do=do)
+                channel = next(each.name for each in vehicle.channels if name in each.panels)
+                what = f"{key} names a panel that is read through a channel"
+                raise VehicleError(what, got=name, do=f"name the channel, {channel!r}")
             kind = "panels" if not vehicle.channels else "panels and channels"
-            what, do = (
-                f"{key} names a panel that the vehicle does not have",
-                f"{kind}: {sorted(known)}",
-            )
-            raise VehicleError(what, got=name, do=do)
+            what = f"{key} names a panel that the vehicle does not have"
+            raise VehicleError(what, got=name, do=f"{kind}: {sorted(known)}")
     without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
-        what, do = (
-            "a panel has no voltage and others have",
-            "add it, or voltage_column for all that have none of their own",
-        )
-        raise VehicleError(what, got=without[0], do=do, where="telemetry.voltage_columns")
-    own = {part.name: part.noise for part in (*vehicle.panels, *vehicle.channels)}
+        what, where = "a panel has no voltage and others have", "telemetry.voltage_columns"
+        do = "add it, or voltage_column for all that have none of their own"
+        raise VehicleError(what, got=without[0], do=do, where=where)
+    own = {x.name: x.noise for x in (*vehicle.panels, *vehicle.channels)}
     without = [name for name in vehicle.input_names if own[name] is None]
     if form.noise is None and 0 < len(without) < len(vehicle.input_names):
         do = "add it, or noise under [telemetry] for all that have none of their own"

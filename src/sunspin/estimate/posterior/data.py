@@ -169,7 +169,11 @@ def readings(
             do="widen the window; `sunspin check` says what is wrong with samples",
         )
     largest = float(value[used].max())
-    sigma, noise_from = _noise(vehicle, value, used)
+    sigma, noise_from = vehicle.input_noise, "given"
+    if sigma is None:
+        dark = dark_noise(value[used])
+        noise_from = ASSUMED_FROM if dark is None else DARK_FROM
+        sigma = np.full(value.shape[1], assumed_noise(value) if dark is None else dark)
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
     made = Readings(
@@ -185,16 +189,6 @@ def readings(
         noise_from,
     )
     return made, start, remarks
-
-
-def _noise(vehicle: Vehicle, value: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, str]:
-    """One sigma (P) of readings (K, P), of which some are `used`, and where it comes from."""
-    if (stated := vehicle.input_noise) is not None:
-        return stated, "given"
-    every = np.ones(value.shape[1])
-    if (dark := dark_noise(value[used])) is not None:
-        return dark * every, DARK_FROM
-    return assumed_noise(value) * every, ASSUMED_FROM
 
 
 def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
