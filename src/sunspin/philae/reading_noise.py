@@ -7,7 +7,6 @@ panels would otherwise light them, in patterns that the Sun cannot make.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -142,15 +141,14 @@ def _as_set(vehicle: Vehicle, found: ReadingNoise) -> ReadingNoise:
 def with_own_noise(case: Case, whole: np.ndarray) -> tuple[Case, ReadingNoise]:
     """The case with noise and lit threshold of its telemetry in its vehicle, so that every part uses them; noises of panels keep
     their stated ratio."""
-    vehicle, stated = case.vehicle, case.vehicle.input_noise
+    vehicle, form, stated = case.vehicle, case.vehicle.telemetry, case.vehicle.input_noise
     noise = _as_set(vehicle, reading_noise(vehicle, case.telemetry, whole))
-
-    def scaled(own: Any) -> Any:
-        ratio = 1.0 if stated is None or own.noise is None else own.noise / float(np.median(stated))
-        return replace(own, noise=noise.lit * ratio)
-
-    form = replace(scaled(vehicle.telemetry), lit_threshold=noise.lit_threshold)
-    panels = tuple(x if x.noise is None else scaled(x) for x in vehicle.panels)
+    usual = 1.0 if stated is None else float(np.median(stated))
+    common = noise.lit * ((form.noise or usual) / usual)
+    form = replace(form, noise=common, lit_threshold=noise.lit_threshold)
+    panels = tuple(
+        replace(x, noise=x.noise and noise.lit * (x.noise / usual)) for x in vehicle.panels
+    )
     copy = replace(case, vehicle=replace(vehicle, telemetry=form, panels=panels))
     copy.__dict__["telemetry"] = case.telemetry
     return copy, noise
