@@ -13,6 +13,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
+from sunspin.telemetry.sun import of_panels
 from sunspin.telemetry.synthetic import (
     drawn_tilts,
     generator,
@@ -36,9 +37,9 @@ class Truth:
 
     `omega_B` (3) rad/s and `sun_B` (3) in body axes; `t_s` (n) s from the epoch; `wheel_speed_rad_s` as in `propagate`
     (default: the vehicle's nominal speeds); `scale` the signal of a panel of gain one at normal incidence (default: 1,
-    or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma in the unit of the
-    signal (default: the vehicle's, zero where it states none); `tilt_B_rad` (n_panel, 3) turns of the panels' normals, or one
-    number, the sigma of their angles to each side, by which they are then drawn from the seed; `torques` as in
+    or with relative gains what makes the vehicle's noise `NOISE_OF_LARGEST`); `noise` one sigma, or that of each input, in the
+    unit of the signal (default: the vehicle's, zero where it states none); `tilt_B_rad` (n_panel, 3) turns of the panels' normals,
+    or one number, the sigma of their angles to each side, by which they are then drawn from the seed; `torques` as in
     `propagate`.
     """
 
@@ -48,7 +49,7 @@ class Truth:
     wheel_speed_rad_s: npt.ArrayLike | None = None
     wheel_mode: Any = "coast"
     scale: float | None = None
-    noise: float | None = None
+    noise: npt.ArrayLike | None = None
     tilt_B_rad: npt.ArrayLike = 0.0
     torques: Sequence[str | Steady] = ()
 
@@ -59,7 +60,10 @@ def synthetic_telemetry(
     """Telemetry of a vehicle that moves as `truth` says; see :func:`sunspin.twin`, which passes a vehicle on to here."""
     vehicle.require_panels()
     known = _truth(truth)
-    scale, noise = _scale(known, vehicle), _noise(known, vehicle)
+    noise = vehicle.input_noise if known.noise is None else known.noise
+    be = "the noise of a twin must be zero or positive"
+    noise = of_panels(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
+    scale = _scale(known, vehicle)
     speeds = known.wheel_speed_rad_s
     if speeds is None:
         speeds = [wheel.speed_rad_s for wheel in vehicle.wheels]
@@ -85,7 +89,7 @@ def synthetic_telemetry(
         "wheel_speed_rad_s": np.atleast_1d(np.array(speeds, dtype=np.float64)),
         "wheel_mode": str(known.wheel_mode),
         "scale": scale,
-        "noise": noise,
+        "noise": float(noise[0]) if (noise == noise[0]).all() else noise,
         "seed": seed,
     } | ({} if tilt is None else {"tilt_B_rad": tilt.ravel()})  # NetCDF's attributes are lists
     return telemetry_dataset(vehicle, t, power, sun, vehicle.telemetry.epoch_utc or EPOCH_UTC, told)
@@ -109,10 +113,10 @@ def _truth(truth: Truth | Mapping[str, Any]) -> Truth:
 
 def _scale(truth: Truth, vehicle: Vehicle) -> float:
     if truth.scale is None:
-        noise = vehicle.telemetry.noise
+        noise, gains = vehicle.input_noise, vehicle.input_gains
         if vehicle.gain_unit is not None or noise is None:
             return 1.0
-        return noise / (NOISE_OF_LARGEST * float(vehicle.input_gains.max()))
+        return float(noise[np.argmax(gains)] / (NOISE_OF_LARGEST * gains.max()))
     if not (np.isfinite(truth.scale) and truth.scale > 0):
         raise InputError("the scale of a twin must be positive", got=truth.scale)
     return float(truth.scale)
@@ -132,10 +136,3 @@ def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarra
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
         raise InputError(what, got=given.shape or float(given))
     return given if given.ndim else drawn_tilts(vehicle, float(given), rng)
-
-
-def _noise(truth: Truth, vehicle: Vehicle) -> float:
-    noise = truth.noise if truth.noise is not None else vehicle.telemetry.noise or 0.0
-    if not (np.isfinite(noise) and noise >= 0):
-        raise InputError("the noise of a twin must be zero or positive", got=noise)
-    return float(noise)

@@ -307,7 +307,7 @@ def _sample_costs(vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[Cha
         time=slice(None, None, -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED))
     )
     known_scale = vehicle.gain_unit is not None
-    noise = 0.0 if vehicle.telemetry.noise is None else vehicle.telemetry.noise / float(gains.min())
+    noise = 0.0 if vehicle.input_noise is None else (vehicle.input_noise / gains).max()
     error = float(np.hypot(READING_ERROR, noise))
     lit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
     squares = []

@@ -79,7 +79,7 @@ def compute(case: Case, telemetry: xr.Dataset | None = None) -> Phases:
         power = np.asarray(data[case.vehicle.telemetry.quantity].transpose("time", "panel"))[
             forbidden
         ]
-        made = noise_alone(case.vehicle, power, sun.attrs["noise"], sun.attrs["lit_threshold"])
+        made = noise_alone(case.vehicle, power, sun["noise"].values, sun["lit_threshold"].values)
         log10[forbidden] = made.log_probability / np.log(10)
     timeline = case.require_timeline()
     shift = utc_seconds(timeline.epoch_utc, sun.attrs["epoch_utc"])

@@ -104,19 +104,21 @@ def dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
 def _lit_sigma(
     vehicle: Vehicle, telemetry: xr.Dataset, whole: np.ndarray, threshold: float
 ) -> tuple[float, int]:
-    """What the misfit leaves, rms: of L lit panels L - 3 are redundant, scale and direction being fitted."""
+    """What the misfit leaves, rms: of L lit panels L - 3 are redundant, scale and direction being fitted. Of panels with noises of
+    their own it is the median, their ratio being as stated."""
     sun = sun_directions(vehicle, telemetry, lit_threshold=threshold)
     checked = whole & (sun["status"].values == SunStatus.OK)
+    noise = vehicle.input_noise
     if checked.sum() < LEAST:
-        return float(vehicle.telemetry.noise or 0.0), int(checked.sum())
+        return 0.0 if noise is None else float(np.median(noise)), int(checked.sum())
+    ratio = 1.0 if noise is None else np.sqrt(np.mean((noise / np.median(noise)) ** 2))
     size = np.linalg.norm(np.nan_to_num(signals(telemetry)[checked]), axis=1)
     freedom = sun["n_lit"].values[checked] - 3
     left = sun["delta"].values[checked] * size
     rough = float(np.median(left / np.sqrt(chi2.ppf(0.5, freedom))))
     sound = left < ROUGH_SIGMAS * rough * np.sqrt(freedom)
-    return _rounded(float(np.sqrt((left[sound] ** 2).sum() / freedom[sound].sum()))), int(
-        checked.sum()
-    )
+    sigma = float(np.sqrt((left[sound] ** 2).sum() / freedom[sound].sum()) / ratio)
+    return _rounded(sigma), int(checked.sum())
 
 
 def _rounded(value: float) -> float:
@@ -137,9 +139,16 @@ def _as_set(vehicle: Vehicle, found: ReadingNoise) -> ReadingNoise:
 
 
 def with_own_noise(case: Case, whole: np.ndarray) -> tuple[Case, ReadingNoise]:
-    """The case with noise and lit threshold of its telemetry in its vehicle, so that every part uses them."""
-    found = _as_set(case.vehicle, reading_noise(case.vehicle, case.telemetry, whole))
-    form = replace(case.vehicle.telemetry, noise=found.lit, lit_threshold=found.lit_threshold)
-    copy = replace(case, vehicle=replace(case.vehicle, telemetry=form))
+    """The case with noise and lit threshold of its telemetry in its vehicle, so that every part uses them; noises of panels keep
+    their stated ratio."""
+    vehicle, form, stated = case.vehicle, case.vehicle.telemetry, case.vehicle.input_noise
+    noise = _as_set(vehicle, reading_noise(vehicle, case.telemetry, whole))
+    usual = 1.0 if stated is None else float(np.median(stated))
+    common = noise.lit * ((form.noise or usual) / usual)
+    form = replace(form, noise=common, lit_threshold=noise.lit_threshold)
+    panels = tuple(
+        replace(x, noise=x.noise and noise.lit * (x.noise / usual)) for x in vehicle.panels
+    )
+    copy = replace(case, vehicle=replace(vehicle, telemetry=form, panels=panels))
     copy.__dict__["telemetry"] = case.telemetry
-    return copy, found
+    return copy, noise

@@ -74,14 +74,19 @@ def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
         (wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction)
         for wheel in vehicle.wheels
     ]
+    # a noise only where one is stated: what is stored of vehicles without keeps its key
+    panels, channels = (
+        [{key: x for key, x in vars(each).items() if x is not None} for each in several]
+        for several in (vehicle.panels, vehicle.channels)
+    )
     return plain(
         [
             vehicle.inertia_kg_m2,
             wheels,
-            vehicle.panels,
+            panels,
             vehicle.panel_response,
             vehicle.sun_rules,
-            vehicle.channels,
+            channels,
         ]
     )
 

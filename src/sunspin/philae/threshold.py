@@ -281,7 +281,7 @@ def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]
     readable = _readable(rebound)
     later = readable[readable > rebound.first]
     run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=DIRECTION_ERROR)
-    sigma, threshold = (float(rebound.samples.attrs[name]) for name in ("noise", "lit_threshold"))
+    sigma, threshold = (rebound.samples[name].values for name in ("noise", "lit_threshold"))
     exact = _scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
     noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in generators])
     power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0)

@@ -161,7 +161,7 @@ def philae_twin(
     ]
     t, sun, seen, phase = _joined(parts)
     exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * seen
-    power = noisy_power(vehicle, exact, sigma, generator(seed, 0))
+    power = noisy_power(vehicle, exact, noise, generator(seed, 0))
     first = int(np.flatnonzero(phase == "first_rebound")[0])
     power[first] = keep_direction(vehicle, sun[first], exact[first], power[first])
     truth = {

@@ -57,7 +57,7 @@ class Assessment:
             return None
         file = self.quality.attrs
         light = file["albedo"] * file["full_sun"] * float(self.vehicle.input_gains.max())
-        above_noise = light > SURELY_LIT * LIT_SIGMAS * file["noise"]
+        above_noise = light > SURELY_LIT * LIT_SIGMAS * self.quality["noise"].values.max()
         known = file["albedo_samples"] >= DEAD_SAMPLES and above_noise
         return SURELY_LIT * light if known else None
 

@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
-from sunspin.telemetry.sun import SunStatus, signals, sun_directions
+from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     brightness,
@@ -125,14 +124,13 @@ def panel_health(
     of_sample = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
     patterns, n = list(dict.fromkeys(of_sample)), sun.sizes["time"]
     members = [np.array([own == pattern for own in of_sample]) for pattern in patterns]
-    threshold = float(sun.attrs["lit_threshold"])
+    threshold = sun["lit_threshold"].values
     # assumed noise explains nothing
-    sigma = np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else float(sun.attrs["noise"])
+    sigma = sun["noise"].values * (np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else 1.0)
     chance, turned = np.zeros(len(of_sample)), np.full(len(patterns), np.nan)
     noise = np.full((len(patterns), 3), np.nan)
-    if not is_sun and patterns and sigma > 0:
-        power = signals(telemetry) if isinstance(telemetry, xr.Dataset) else np.array(telemetry)
-        power = np.atleast_2d(power)
+    if not is_sun and patterns and (sigma > 0).all():
+        power, _ = powers(vehicle, telemetry)
         by_noise = noise_alone(vehicle, power[forbidden], sigma, threshold)
         chance = by_noise.probability
         for k, own in enumerate(members):
@@ -148,7 +146,7 @@ def panel_health(
     needed = [
         pattern
         for pattern, own, least in zip(patterns, members, turned, strict=True)
-        if (chance[own] < limit).any() and not (could_be_turned and _may_be_turned(least, n))
+        if (chance[own] < limit).any() and not (could_be_turned and least * n > NOISE_ALONE)
     ]
 
     def rows(sets: Sequence[Any]) -> np.ndarray:
@@ -190,14 +188,9 @@ def panel_health(
             for (name, long_name), value in zip(about.items(), figures, strict=True)
         },
         coords={"panel": names.tolist()},
-        attrs=attrs | {"noise_sigma": sigma, "lit_threshold": threshold},
+        attrs=attrs
+        | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
-
-
-def _may_be_turned(least: float, n: int) -> bool:
-    """Whether `n` samples of which the least probable has the probability `least` may be those of turned panels: these are the same
-    in all samples, so that samples are not independent and only the smallest counts."""
-    return bool(least * n > NOISE_ALONE)
 
 
 NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
@@ -208,8 +201,10 @@ def made_by(health: PanelHealth, n: int) -> str:
     """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing."""
     if noise_made(health, n):
         return NOISE
-    least = health["turned"].values
-    return TURNS if least.size and all(_may_be_turned(p, n) for p in least) else ""
+    least = health[
+        "turned"
+    ].values  # turns are the same in all samples: only the least probable counts
+    return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
 
 
 def noise_made(health: PanelHealth, n: int) -> bool:
@@ -266,8 +261,8 @@ class NoiseMade(NamedTuple):
 def noise_alone(
     vehicle: Vehicle,
     power: npt.ArrayLike,
-    sigma: float,
-    lit_threshold: float,
+    sigma: npt.ArrayLike,
+    lit_threshold: npt.ArrayLike,
     besides: npt.ArrayLike = 0.0,
 ) -> NoiseMade:
     """How well each sample's readings agree with some Sun of any direction and brightness, panels being whole.
@@ -280,35 +275,30 @@ def noise_alone(
     ----------
     power : (n, n_panel)
         Readings, in the unit of `sigma` and `lit_threshold`.
-    sigma : float
+    sigma : float or (n_panel,)
         One-sigma Gaussian noise of a reading.
-    lit_threshold : float
+    lit_threshold : float or (n_panel,)
         Readings above it count as lit.
     besides : (n, n_panel) or what broadcasts to it
         One sigma of what else is off in each reading, in that unit: with it, it is not noise alone.
     """
     from scipy.stats import chi2, norm
 
-    readings = np.atleast_2d(np.asarray(power, dtype=np.float64))
-    vehicle.require_panels()
-    n_panel = len(vehicle.inputs)
-    if readings.ndim != 2 or readings.shape[1] != n_panel:
-        raise InputError(
-            f"powers must have one column for each of the {n_panel} panels", got=readings.shape
-        )
-    if not (np.isfinite(sigma) and sigma > 0):
-        raise InputError("sigma must be the positive noise of a reading", got=sigma)
-    if not (np.isfinite(lit_threshold) and lit_threshold >= 0):
-        raise InputError("lit_threshold must be zero or positive", got=lit_threshold)
+    readings, _ = powers(vehicle, power)
+    n_panel = readings.shape[1]
+    sigma = of_panels(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
+    be = "lit_threshold must be zero or positive"
+    threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
     response = vehicle.response_in()
     scale = response.largest  # so that the unknown is of the size of the readings
-    each = np.broadcast_to(np.hypot(1.0, np.asarray(besides) / sigma), readings.shape)
+    unit = sigma.min()
+    each = np.broadcast_to(np.hypot(sigma / unit, np.asarray(besides) / unit), readings.shape)
     found = [
         _nearest_sun(
             response,
             scale,
-            readings[at : at + CHUNK] / sigma,
-            lit_threshold / sigma,
+            readings[at : at + CHUNK] / unit,
+            threshold / unit,
             1 / each[at : at + CHUNK],
         )
         for at in range(0, len(readings), CHUNK)
@@ -316,11 +306,11 @@ def noise_alone(
     sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
     square = np.concatenate([part[1] for part in found]) if found else np.zeros(0)
     mean, _ = response.under(sun, scale)
-    lit = readings > lit_threshold
-    shown = norm.sf(lit_threshold / sigma, mean, each), norm.cdf(lit_threshold / sigma, mean, each)
+    lit = readings > threshold
+    shown = norm.sf(threshold / unit, mean, each), norm.cdf(threshold / unit, mean, each)
     pattern = np.prod(np.where(lit, *shown), axis=1)
     return NoiseMade(
-        square, chi2.sf(square, n_panel), pattern, sun * sigma / scale, chi2.logsf(square, n_panel)
+        square, chi2.sf(square, n_panel), pattern, sun * unit / scale, chi2.logsf(square, n_panel)
     )
 
 
@@ -328,11 +318,11 @@ def _nearest_sun(
     response: PanelResponse,
     scale: float,
     readings: np.ndarray,
-    threshold: float,
+    threshold: np.ndarray,
     weight: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in sigma, and the squared distance; a residual
-    counts `weight` (n, n_panel).
+    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in units of the least sigma, and the squared
+    distance; a residual counts `weight` (n, n_panel).
 
     A search runs from each region (inside one the squared distance of flat panels is a convex piece), and the best end is taken.
     """
@@ -363,9 +353,9 @@ def _distance(
     sun: np.ndarray,
     readings: np.ndarray,
     lit: np.ndarray,
-    threshold: float,
+    threshold: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (..., n_panel) in sigma of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
+    """Residuals (..., n_panel) of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
     mean, slope = response.under(sun, scale)
     value = np.where(lit, mean - readings, np.maximum(0.0, mean - threshold))
     active = (mean > 0) & (lit | (mean > threshold))

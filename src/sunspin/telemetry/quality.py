@@ -123,9 +123,9 @@ def judge_readings(
         where the Earth's light is modelled; `scale` (time), the factor between gain and reading at full Sun, and its relative
         uncertainty `scale_sigma` (time); `use` (time): 0 used, 1 down-weighted, 2 dropped; `why` (time): a sentence. Of each panel:
         `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it nevertheless; `weak`, its gain is
-        too low for those of the others; `gain`, `gain_sigma`, `gain_cov`. attrs: `full_sun` (scale of a clean sample), `albedo`
-        (fraction of full Sun on dark panels), `spread` (relative scatter of full Sun; NaN: not told), `noise` (of a reading, with
-        its quantisation), `full_sun_from`, `gains_from`.
+        too low for those of the others; `gain`, `gain_sigma`, `gain_cov`; `noise`, of a reading with its quantisation. attrs:
+        `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of full
+        Sun; NaN: not told), `noise` (the median of that over panels), `full_sun_from`, `gains_from`.
     """
     value = signals(telemetry)
     gains = vehicle.input_gains
@@ -134,11 +134,12 @@ def judge_readings(
     good = ~dropped
     full, source = _full_sun(vehicle, relative[good])
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
-    noise = np.hypot(vehicle.telemetry.noise or 0.0, _quantum(value[good]) / np.sqrt(12))
-    sound = good & ~spike.any(axis=1)
-    missed = lost(
-        vehicle, telemetry["time"].values[sound], relative[sound] / full, float(noise / full)
+    stated = vehicle.input_noise
+    noise = np.hypot(
+        np.zeros(len(gains)) if stated is None else stated, _quantum(value[good]) / np.sqrt(12)
     )
+    sound = good & ~spike.any(axis=1)
+    missed = lost(vehicle, telemetry["time"].values[sound], relative[sound] / full, noise / full)
     dead = _dead(relative[good], full) | missed
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
     bright = brightness(vehicle, use_value)
@@ -147,7 +148,7 @@ def judge_readings(
         vehicle,
         value,
         use_value,
-        float(noise),
+        noise,
         full,
         _albedo(vehicle, relative[sound & ~dark] / full)[0],
     )
@@ -155,16 +156,13 @@ def judge_readings(
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
     level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
     if vehicle.throttled:  # the battery may limit any sample, and all readings of it alike
-        idle, limited, level = (
-            np.zeros_like(dark),
-            np.zeros_like(dark),
-            np.maximum(bright, 1e-12)[:, None],
-        )
+        idle, limited = np.zeros_like(dark), np.zeros_like(dark)
+        level = np.maximum(bright, 1e-12)[:, None]
     aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
     idle, limited = idle & ~aside, limited & ~aside
     clean = good & ~limited & ~idle & ~dark
     albedo, seen = _albedo(vehicle, (relative / level)[clean])
-    earth = _earth_light(albedo, seen, float(noise / (full * np.median(gains))))
+    earth = _earth_light(albedo, seen, float(np.median(noise) / (full * np.median(gains))))
     told = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
     gains = gains * told.factor
     # what the Earth adds to a lit panel on average is taken for its gain
@@ -183,7 +181,9 @@ def judge_readings(
         untold if told.spread is None else told.spread,
         albedo,
     )
-    left = _left(albedo, told.spread, vehicle.telemetry.noise is not None)
+    # what no beam explains; noise that the file does not state is in that light too: as much as full Sun scatters, else all of it
+    unknown = albedo if told.spread is None else min(told.spread, albedo)
+    left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
     beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
@@ -244,6 +244,7 @@ def judge_readings(
                 {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"},
             ),
             "why": ("time", why.astype(np.str_)),
+            "noise": ("panel", noise, {"long_name": "one sigma of a reading's noise"}),
             "dead": ("panel", dead),
             "weak": ("panel", told.weak),
             "missed": ("panel", missed | (dead & vehicle.throttled)),
@@ -257,7 +258,7 @@ def judge_readings(
             "full_sun_from": source,
             "gains_from": told.told,
             "earth_light": earth,
-            "noise": float(noise),
+            "noise": float(np.median(noise)),
             "spread": np.nan if told.spread is None else told.spread,
         },
     )
@@ -300,14 +301,19 @@ def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
 
 
 def _beyond_noise(
-    vehicle: Vehicle, value: np.ndarray, light: np.ndarray, noise: float, full: float, away: float
+    vehicle: Vehicle,
+    value: np.ndarray,
+    light: np.ndarray,
+    noise: np.ndarray,
+    full: float,
+    away: float,
 ) -> np.ndarray:
     """Which samples (n) have a reading of `light` (n, n_panel) that noise does not make: noise as stated, else what readings below
     zero of all `value` tell, else what panels that face away from the Sun read, `away` (of full Sun, which is `full` of the gain),
     but no more than the noise that is assumed: the rest is the Earth's light."""
-    told = noise if vehicle.telemetry.noise is not None else dark_noise(value)
+    told = noise if vehicle.input_noise is not None else dark_noise(value)
     made = (
-        max(noise, told)
+        np.maximum(noise, told)
         if told is not None
         else full * min(away, ASSUMED_SHARE) * vehicle.input_gains
     )
@@ -376,13 +382,6 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(
         dark
     )
-
-
-def _left(albedo: float, spread: float | None, stated: bool) -> float:
-    """What no beam explains of the light on dark panels. Noise that the file does not state is in that light too: as much as full
-    Sun scatters, or where that is not told all of it."""
-    noise = 0.0 if stated else albedo if spread is None else min(spread, albedo)
-    return max(EARTH_LEFT * albedo, noise)
 
 
 def _earth_light(albedo: float, seen: int, noise: float) -> float:

@@ -170,16 +170,16 @@ def _values(vehicle: Vehicle, table: Table, columns: list[str]) -> tuple[np.ndar
         what = "a voltage is a number, zero or above"
         _refuse(form, what, ~np.isfinite(volts), table, names)
         values = values * volts
-    none, negative = ~np.isfinite(values), values < _floor(form, values)
+    none, negative = ~np.isfinite(values), values < _floor(vehicle, values)
     _refuse(form, "a finite number is expected", none, table, columns)
     _refuse(form, "a panel cannot give a negative value", negative, table, columns)
     return values, (none.any(axis=1) + 2 * negative.any(axis=1)).astype(np.uint8)
 
 
-def _floor(form: TelemetryForm, values: np.ndarray) -> float:
-    """The lowest value that is still noise of a dark panel: of the stated noise, or of that of the file."""
-    if form.noise is not None:
-        return -NEGATIVE_SIGMAS * form.noise
+def _floor(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
+    """The lowest value that is still noise of a dark panel, or of each: of the stated noise, or of that of the file."""
+    if (noise := vehicle.input_noise) is not None:
+        return -NEGATIVE_SIGMAS * noise[: values.shape[1]]
     sigma = dark_noise(values, least=1)
     if sigma is None:
         return 0.0

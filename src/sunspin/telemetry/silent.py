@@ -47,7 +47,7 @@ MOST, CHUNK = 3000, 500
 """Samples that are looked at, evenly chosen: a day at 1 Hz must not take minutes; and how many at once."""
 
 
-def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: float) -> np.ndarray:
+def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Which panels (inputs) are lost, one after the other, the clearest first.
 
     Parameters
@@ -55,7 +55,7 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: float) 
     t_s : (n,) s
     relative : (n, n_panel)
         Readings over gains, 1 at full Sun; NaN where there is none.
-    noise : float
+    noise : (n_panel,)
         One sigma of a reading in the unit of the gains over full Sun.
     """
     gains = vehicle.input_gains
@@ -69,7 +69,9 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: float) 
         vehicle.throttled or silent.all() or not len(read)
     ):  # the battery may limit any sample: there is no full light
         return found
-    light, sigma = panel_power(vehicle, sphere(DIRECTIONS)) / gains, _sigma(vehicle, noise)
+    light = panel_power(vehicle, sphere(DIRECTIONS)) / gains
+    # of a reading, as a share of full Sun; panels may be turned by the sigmas that the file states
+    sigma = np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / gains**2)
     while (left := np.flatnonzero(silent & ~found)).size:
         fits = {k: _without(k, read, light, sigma, found) for k in left}
         k = max(left, key=lambda one: fits[one].clear)
@@ -77,11 +79,6 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: float) 
             break
         found[k] = True
     return found
-
-
-def _sigma(vehicle: Vehicle, noise: float) -> np.ndarray:
-    """Of each input's reading (n_panel), as a share of full Sun; panels may be turned by the sigmas that the file states."""
-    return np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / vehicle.input_gains**2)
 
 
 class Fit(NamedTuple):

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import InputError
@@ -129,8 +130,8 @@ def sun_directions(
     vehicle: Vehicle,
     telemetry: Any,
     *,
-    noise: float | None = None,
-    lit_threshold: float | None = None,
+    noise: npt.ArrayLike | None = None,
+    lit_threshold: npt.ArrayLike | None = None,
     wrong_unit: Callable[[], WrongUnit | None] | None = None,
 ) -> xr.Dataset:
     """Direction to the Sun for each sample of panel powers.
@@ -138,11 +139,13 @@ def sun_directions(
     Parameters
     ----------
     telemetry : Dataset of `read_telemetry`, or (n, n_panel) powers (or currents) in the order of the vehicle's panels
-    noise : float, optional
-        One-sigma noise of a panel's value, in its unit; default: the vehicle's, else estimated from the redundancy, else from
-        readings below zero, which are dark panels', else assumed (:func:`sunspin.telemetry.noise.assumed_noise`).
-        attrs `noise` and `noise_from` say which. Assumed noise sets errors alone: lit panels and statuses are as without it.
-    lit_threshold : float, optional
+    noise : float or (n_panel,), optional
+        One-sigma noise of a panel's value, in its unit; default: the vehicle's, else, one for all panels, estimated from the
+        redundancy, else from readings below zero, which are dark panels', else assumed
+        (:func:`sunspin.telemetry.noise.assumed_noise`).
+        attrs `noise` (the median over panels) and `noise_from` say which. Assumed noise sets errors alone: lit panels
+        and statuses are as without it.
+    lit_threshold : float or (n_panel,), optional
         A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value or, if
         readings below zero tell more, three sigma of those.
     wrong_unit : callable, optional
@@ -155,26 +158,29 @@ def sun_directions(
         Delta, whatever the status), `delta` (paper, eq. 2),
         `sigma_rad` (rms angle of the error), `sun_cov_B` (tangent covariance), both finite where `sun_B` is; `status`
         (`SunStatus`) with `status_text`, `lit` and `n_lit`, and for status ARC the two ends of the arc, `sun_arc_B`.
+        On `panel`: the `noise` and `lit_threshold` that were used.
 
     Raises
     ------
     InputError
         Powers of other panels than the vehicle's; a noise that is not positive, a threshold that is negative or no number.
     """
-    if noise is not None and not (np.isfinite(noise) and noise > 0):
-        raise InputError("the noise of a panel reading must be positive", got=noise)
-    if lit_threshold is not None and not (np.isfinite(lit_threshold) and lit_threshold >= 0):
-        raise InputError("lit_threshold must be zero or positive", got=lit_threshold)
-    power, base = _powers(vehicle, telemetry)
-    noise = noise if noise is not None else vehicle.telemetry.noise
-    threshold = lit_threshold if lit_threshold is not None else vehicle.telemetry.lit_threshold
+    power, base = powers(vehicle, telemetry)
+    every = np.ones(power.shape[1])
+    sigma, threshold = vehicle.input_noise, vehicle.telemetry.lit_threshold
+    if noise is not None:
+        be = "the noise of a panel reading must be positive"
+        sigma = of_panels(vehicle, noise, np.greater, be)
+    if lit_threshold is not None:
+        be = "lit_threshold must be zero or positive"
+        threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
     finite = np.all(np.isfinite(power), axis=1)
     if base is not None and "flag" in base:
         finite &= np.asarray(base["flag"]) == 0
     clean = np.where(finite[:, None], power, 0.0)
-    dark = dark_noise(clean) if noise is None else None
-    if threshold is None and noise is not None:
-        threshold = LIT_SIGMAS * noise
+    dark = dark_noise(clean) if sigma is None else None
+    if threshold is None and sigma is not None:
+        threshold = LIT_SIGMAS * sigma
     elif threshold is None:
         threshold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
     lit = (clean > threshold) & finite[:, None]
@@ -191,21 +197,21 @@ def sun_directions(
     direction, delta = vehicle.response_in().best(clean)
     known = is_reconstructed(status)
     noise_from = "given"
-    if noise is None:
-        noise = _pooled_noise(clean, delta, lit, status)
+    if sigma is None:
+        sigma = every * _pooled_noise(clean, delta, lit, status)
         noise_from = "estimated from the redundancy of samples with more than three lit panels"
-    if np.isnan(noise) and dark is not None:
-        noise, noise_from = dark, DARK_FROM
+    if np.isnan(sigma).any() and dark is not None:
+        sigma, noise_from = every * dark, DARK_FROM
     doubtful = known.copy()
-    doubtful[known] = _several(vehicle, clean[known], noise) | _free(vehicle, direction[known])
-    if np.isnan(noise):
-        noise, noise_from = assumed_noise(clean), ASSUMED_FROM
+    doubtful[known] = _several(vehicle, clean[known], sigma) | _free(vehicle, direction[known])
+    if np.isnan(sigma).any():
+        sigma, noise_from = every * assumed_noise(clean), ASSUMED_FROM
     response = vehicle.response_in()
     covariance, arcs = np.full((len(power), 3, 3), np.nan), np.full((len(power), 2, 3), np.nan)
     for k, pattern in enumerate(patterns):
         samples = np.flatnonzero((inverse == k) & known & ~doubtful)
         if samples.size:
-            covariance[samples] = response.covariance(clean[samples], pattern, noise)
+            covariance[samples] = response.covariance(clean[samples], pattern, sigma)
     doubtful |= known & ~np.isfinite(covariance).all(axis=(1, 2))
     status[doubtful], texts[doubtful] = SunStatus.SEVERAL, STATUS_TEXT[SunStatus.SEVERAL]
     known &= ~doubtful
@@ -238,9 +244,9 @@ def sun_directions(
         attrs=({} if base is None else dict(base.attrs))
         | provenance("sun_directions", **vehicle.said)
         | {
-            "noise": float(noise),
+            "noise": float(np.median(sigma)),
             "noise_from": noise_from,
-            "lit_threshold": float(threshold),
+            "lit_threshold": float(np.median(threshold)),
             "source": "paper, eqs. 1 and 2, minimised exactly",
         },
     )
@@ -256,6 +262,8 @@ def sun_directions(
         status=("time", status, flags),
         status_text=("time", texts.astype(np.str_), {"long_name": "status in words"}),
         lit=(("time", "panel"), lit, {"long_name": "panel is lit"}),
+        noise=("panel", sigma, {"long_name": "one sigma of a panel's reading"}),
+        lit_threshold=("panel", every * threshold, {"long_name": "a panel that reads more is lit"}),
     )
 
 
@@ -270,7 +278,21 @@ def signals(telemetry: xr.Dataset) -> np.ndarray:
     return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
 
 
-def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
+def of_panels(
+    vehicle: Vehicle, value: npt.ArrayLike, fits: Callable[..., np.ndarray], be: str
+) -> np.ndarray:
+    """A number for all panels, or one for each, as (n_panel); `InputError` if one is not finite, or not `fits` zero, in words."""
+    each = np.asarray(value, dtype=np.float64)
+    many = each.shape in ((), (len(vehicle.inputs),))
+    if not (many and np.isfinite(each).all() and fits(each, 0.0).all()):
+        raise InputError(
+            be, got=value, do=None if many else "give one number, or one for each panel"
+        )
+    return each * np.ones(len(vehicle.inputs))
+
+
+def powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
+    """Readings (n, n_panel) of a telemetry Dataset, and it, or of an array, and None."""
     vehicle.require_panels()
     n_panel = len(vehicle.inputs)
     if isinstance(telemetry, xr.Dataset):
@@ -283,17 +305,12 @@ def _powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | 
     return power, None
 
 
-def _several(vehicle: Vehicle, power: np.ndarray, noise: float) -> np.ndarray:
+def _several(vehicle: Vehicle, power: np.ndarray, noise: npt.ArrayLike) -> np.ndarray:
     """Which samples (n) of powers (n, n_panel) have several directions that fit alike."""
     if not vehicle.channels or not len(power):
         return np.zeros(len(power), dtype=bool)
     size = np.linalg.norm(power, axis=1)
-    made = (
-        LIT_SIGMAS
-        * np.nan_to_num(noise)
-        * np.sqrt(power.shape[1])
-        / np.where(size > 0, size, np.inf)
-    )
+    made = LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(size > 0, size, np.inf)
     found = vehicle.response_in().alike(power, np.maximum(made, ALIKE))
     away = np.linalg.norm(found - found[:, :1], axis=-1)
     return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from sunspin.base.errors import OutputError
@@ -28,13 +29,15 @@ def generator(seed: int, key: int) -> np.random.Generator:
 
 
 def noisy_power(
-    vehicle: Vehicle, power: np.ndarray, sigma: float, rng: np.random.Generator
+    vehicle: Vehicle, power: np.ndarray, sigma: npt.ArrayLike | None, rng: np.random.Generator
 ) -> np.ndarray:
-    """`power` (..., n_panel) with Gaussian noise of `sigma` (same unit) on the lit panels; dark panels read zero.
+    """`power` (..., n_panel) with Gaussian noise on the lit panels, dark ones reading zero: of `sigma` (same unit; a number, or
+    n_panel; None: as the vehicle states).
 
     A lit panel's reading never falls to zero or below: see `LEAST_LIT`.
     """
-    noise = sigma * rng.standard_normal(power.shape)
+    each: Any = vehicle.input_noise if sigma is None else sigma
+    noise = np.asarray(each, dtype=np.float64) * rng.standard_normal(power.shape)
     least = np.minimum(power, LEAST_LIT * (vehicle.telemetry.lit_threshold or 0.0))
     return np.where(power > 0, np.maximum(power + noise, least), 0.0)
 

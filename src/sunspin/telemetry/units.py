@@ -78,15 +78,16 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
         return wrong
     other_unit = "one of them is in another unit"
     full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
-    limits = {"noise": form.noise, "lit_threshold": form.lit_threshold}
+    noise = None if vehicle.input_noise is None else float(vehicle.input_noise.max())
+    limits = {"noise": noise, "lit_threshold": form.lit_threshold}
     above = [key for key, limit in limits.items() if limit is not None and full < limit]
     if above and _sunlit(vehicle, value, largest):
         key = above[0]
         what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {key} ({limits[key]:g} {unit})"
         scales = "scale, voltage_scale" if form.has_voltages else "scale"
         return WrongUnit(f"{what}: {other_unit}", "telemetry", f"{scales} or {key}")
-    if form.noise is not None and full > FINEST * form.noise:
-        times = f"more than {FINEST:g} times the stated noise ({form.noise:g})"
+    if noise is not None and full > FINEST * noise:
+        times = f"more than {FINEST:g} times the stated noise ({noise:g})"
         what = f"readings of {full:.3g} are {times}, which no telemetry resolves"
         return WrongUnit(f"{what}: {other_unit}", "telemetry", "scale or noise")
     return None

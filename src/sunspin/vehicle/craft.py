@@ -284,6 +284,13 @@ class Vehicle(Part):
         )
 
     @property
+    def input_noise(self) -> FloatArray | None:
+        """One sigma of each input's reading (n_input), in the telemetry's unit; None where the file states none."""
+        own = {x.name: x.noise for x in (*self.panels, *self.channels)}
+        noise = [own[name] or self.telemetry.noise for name in self.input_names]
+        return None if None in noise else np.array(noise, dtype=np.float64)
+
+    @property
     def throttled(self) -> bool:
         """Whether the readings of a sample have a factor in common that nobody knows."""
         return self.telemetry.throttled or any(channel.throttled for channel in self.channels)
@@ -322,11 +329,12 @@ class Vehicle(Part):
         return self.mass_kg
 
     def require_noise(self) -> float:
-        """One sigma of a panel reading, in the unit of the readings, or a `VehicleError` that says where to add it."""
-        if self.telemetry.noise is None:
+        """One sigma of a reading, the median of `input_noise`, or a `VehicleError` that says where to add it."""
+        noise = self.input_noise
+        if noise is None:
             what = f"vehicle {self.name!r} does not say how noisy its panel readings are"
             raise VehicleError(what, do="add noise under [telemetry] of its file")
-        return self.telemetry.noise
+        return float(np.median(noise))
 
     def require_panels(self) -> tuple[Panel, ...]:
         """The panels, or a `VehicleError` that says where to add them."""
@@ -376,17 +384,18 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
     panels = [name for channel in vehicle.channels for name in channel.panels]
     for channel in vehicle.channels:
         if unknown := [name for name in channel.panels if name not in vehicle.panel_names]:
-            what, do = (
-                f"channel {channel.name!r} names a panel that the vehicle does not have",
-                f"panels: {[*vehicle.panel_names]}",
-            )
-            raise VehicleError(what, got=unknown[0], do=do)
+            what = f"channel {channel.name!r} names a panel that the vehicle does not have"
+            raise VehicleError(what, got=unknown[0], do=f"panels: {[*vehicle.panel_names]}")
         if twice := [name for name in channel.panels if panels.count(name) > 1]:
             what = "a panel is in two channels"
             raise VehicleError(what, got=twice[0], do="list it on the input that it is wired to")
         if channel.name in set(vehicle.panel_names) - set(panels):
             what = f"channel {channel.name!r} is called like a panel that is not in it"
             raise VehicleError(what, do="give the channel another name")
+        inside = [panel for panel in vehicle.panels if panel.name in channel.panels]
+        if noisy := [panel.name for panel in inside if panel.noise is not None]:
+            what = f"channel {channel.name!r} reads a panel that states a noise of its own"
+            raise VehicleError(what, got=noisy[0], do="state the noise of the channel instead")
     bound = [channel.throttled for channel in vehicle.channels]
     if (
         any(bound)
@@ -394,10 +403,8 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
         and not vehicle.telemetry.throttled
     ):
         what = "some inputs are throttled and others are not"
-        raise VehicleError(
-            what,
-            do="set throttled = true under [telemetry], which is of all inputs, or leave it out",
-        )
+        do = "set throttled = true under [telemetry], which is of all inputs, or leave it out"
+        raise VehicleError(what, do=do)
 
 
 def _require_known_panels(vehicle: Vehicle) -> None:
@@ -421,24 +428,19 @@ def _require_known_panels(vehicle: Vehicle) -> None:
             if name in known:
                 continue
             if name in vehicle.panel_names:
-                channel = next(
-                    channel.name for channel in vehicle.channels if name in channel.panels
-                )
-                what, do = (
-                    f"{key} names a panel that is read through a channel",
-                    f"name the channel, {channel!r}",
-                )
-                raise VehicleError(what, got=name, do=do)
+                channel = next(each.name for each in vehicle.channels if name in each.panels)
+                what = f"{key} names a panel that is read through a channel"
+                raise VehicleError(what, got=name, do=f"name the channel, {channel!r}")
             kind = "panels" if not vehicle.channels else "panels and channels"
-            what, do = (
-                f"{key} names a panel that the vehicle does not have",
-                f"{kind}: {sorted(known)}",
-            )
-            raise VehicleError(what, got=name, do=do)
+            what = f"{key} names a panel that the vehicle does not have"
+            raise VehicleError(what, got=name, do=f"{kind}: {sorted(known)}")
     without = [name for name in vehicle.input_names if name not in form.voltage_columns]
     if form.voltage_columns and form.voltage_column is None and without:
-        what, do = (
-            "a panel has no voltage and others have",
-            "add it, or voltage_column for all that have none of their own",
-        )
-        raise VehicleError(what, got=without[0], do=do, where="telemetry.voltage_columns")
+        what, where = "a panel has no voltage and others have", "telemetry.voltage_columns"
+        do = "add it, or voltage_column for all that have none of their own"
+        raise VehicleError(what, got=without[0], do=do, where=where)
+    own = {x.name: x.noise for x in (*vehicle.panels, *vehicle.channels)}
+    without = [name for name in vehicle.input_names if own[name] is None]
+    if form.noise is None and 0 < len(without) < len(vehicle.input_names):
+        do = "add it, or noise under [telemetry] for all that have none of their own"
+        raise VehicleError("a panel states no noise and others do", got=without[0], do=do)

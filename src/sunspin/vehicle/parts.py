@@ -39,6 +39,8 @@ from sunspin.vehicle.part import (
     unit,
 )
 
+Noise = Annotated[Number, must(above_zero, "the noise of {name!r} must be positive")] | None
+
 GAIN_UNITS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
 """Key of a panel's gain in a file -> the unit of the signal it predicts (None: relative)."""
 
@@ -56,7 +58,8 @@ class Fact(Part):
 class Panel(Part):
     """A flat solar panel: outward unit normal in B and its gain, the signal at normal incidence of the Sun.
 
-    The gain is relative (a cell count will do) unless the vehicle's `gain_unit` is "W" or "A".
+    The gain is relative (a cell count will do) unless the vehicle's `gain_unit` is "W" or "A". `noise`: one sigma of its reading,
+    in the telemetry's unit, in place of that under [telemetry].
     """
 
     name: Name
@@ -64,6 +67,7 @@ class Panel(Part):
     gain: Annotated[Number, must(above_zero, "the gain of panel {name!r} must be positive")] = (
         Field(validation_alias=AliasChoices(*GAIN_UNITS))
     )
+    noise: Noise = None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -98,13 +102,14 @@ def _panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
 class Channel(Part):
     """An input of the power system that panels share: it reads their sum, or the largest of them (diodes or a common tracker).
 
-    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
+    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows. `noise`: as of a panel.
     """
 
     name: Name
     panels: Annotated[tuple[Name, ...], AfterValidator(_panels)]
     reads: Literal["sum", "largest"]
     throttled: StrictBool = False
+    noise: Noise = None
 
 
 @part

@@ -35,7 +35,7 @@ def brightness(vehicle: Vehicle, data: Readings) -> float:
     it was, no start settled.
     """
     value = np.where(data.used, data.value, 0.0)
-    sure = max(data.threshold, LIT_SIGMAS * data.sigma)
+    sure = np.maximum(data.threshold, LIT_SIGMAS * data.sigma)
     status = sun_directions(vehicle, value, noise=data.sigma, lit_threshold=sure)["status"].values
     told = is_reconstructed(status) & data.used.all(axis=1)
     if told.any():

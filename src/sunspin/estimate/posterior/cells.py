@@ -93,7 +93,8 @@ def sun_candidates(model: Model, data: Readings, scale: float, sample: int) -> n
     """Directions (n, 3), about `CANDIDATE_RAD` apart, that a sample allows; best first."""
     grid = sphere(CANDIDATE_GRID)
     power = scale * panel_power(model.vehicle, grid)[:, None]
-    gap = (data.take(np.array([sample])).factor(power) * power)[:, 0] - data.value[sample]
+    here = data.take(np.array([sample]))
+    gap = (here.factor(power, here.weight) * power)[:, 0] - data.value[sample]
     tolerance = np.hypot(SIGMAS * data.sigma, SCALE_SHARE * scale * model.vehicle.input_gains)
     misfit = np.where(data.used[sample], np.minimum((gap / tolerance) ** 2, CAP), 0.0).sum(axis=1)
     allowed = grid[order := np.argsort(misfit, kind="stable")][misfit[order] < misfit.min() + 1.0]
@@ -452,7 +453,10 @@ def told(nodes, law, value, used, sigma, throttled):
             for j in range(len(law.gains)):
                 if used[m, j]:
                     misfit[m, i] += min(
-                        ((factor * law.gains[j] * seen(law, j, x, y, z)[0] - value[m, j]) / sigma)
+                        (
+                            (factor * law.gains[j] * seen(law, j, x, y, z)[0] - value[m, j])
+                            / sigma[j]
+                        )
                         ** 2,
                         1e6,
                     )
@@ -483,15 +487,18 @@ def _factor(law, r, value, used):
 def _short(low, high, value, used, sigma, throttled):
     """What speaks against powers between bounds (n_panel); of a throttled sample against all factors on them: if any agrees with
     every reading, one does at the end of the interval that a reading allows."""
-    least, n, slack = np.inf, len(low), SIGMAS * sigma
+    least, n = np.inf, len(low)
     for end in range(2 * n if throttled else 1):
         factor, j = 1.0, end % n
         if throttled:
+            slack = SIGMAS * sigma[j]
             bound, reach = (high[j], value[j] - slack) if end < n else (low[j], value[j] + slack)
             factor = max(reach, 0.0) / bound if used[j] and bound > 0 else 0.0
         total = 0.0
         for j in range(n):
-            beyond = max(factor * low[j] - value[j], value[j] - factor * high[j]) / sigma - SIGMAS
+            beyond = (
+                max(factor * low[j] - value[j], value[j] - factor * high[j]) / sigma[j] - SIGMAS
+            )
             if used[j] and beyond > 0:
                 total += min(beyond * beyond, CAP)
         least = min(least, total)
@@ -535,7 +542,7 @@ def _gather(normal, gradient, r, column, law, value, used, m, sigma, throttled, 
         if not used[m, j] or (share <= 0 and value[m, j] <= 0):
             continue
         gain = factor * law.gains[j]
-        precision = 1.0 / (sigma * sigma + (BLUR * gain) ** 2)
+        precision = 1.0 / (sigma[j] * sigma[j] + (BLUR * gain) ** 2)
         gap = value[m, j] - gain * share
         square = precision * gap * gap
         misfit += min(square, CAP)

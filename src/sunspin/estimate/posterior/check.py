@@ -78,7 +78,7 @@ def _replicated(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Readings (n, K, P) as the model makes them, and which of them are lit."""
     shape = power.shape
-    value = np.where(power > 0, power + noise[:, None, None] * rng.standard_normal(shape), 0.0)
+    value = np.where(power > 0, power + noise[:, None] * rng.standard_normal(shape), 0.0)
     wrong = rng.random(shape) < OUTLIERS
     other = np.where(
         rng.random(shape) < DARK_OUTLIER, 0.0, rng.random(shape) * BEYOND_LARGEST * data.largest

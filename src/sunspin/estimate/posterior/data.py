@@ -43,7 +43,7 @@ class Readings:
     """Readings of K samples of P panels, or of the inputs that panels share.
 
     `t_s` (K): s after the reference, increasing; `value` (K, P); `used` (K, P): it counts; `lit` (K, P): above the threshold;
-    `sigma`: one sigma stated; `threshold`; `largest`: reading; `others`: further observations, their times after the reference too.
+    `sigma` (P): one sigma stated; `threshold`; `largest`: reading; `others`: further observations, times after the reference too.
     `throttled`: all readings of a sample are lowered by one factor that nobody knows. `noise_from`: where `sigma` comes from.
     """
 
@@ -51,7 +51,7 @@ class Readings:
     value: np.ndarray
     used: np.ndarray
     lit: np.ndarray
-    sigma: float
+    sigma: np.ndarray
     threshold: float
     largest: float
     others: tuple[Reading, ...] = ()
@@ -71,14 +71,17 @@ class Readings:
         """The longest time from the reference to a sample."""
         return max(float(np.abs(self.t_s).max()), 1e-6)
 
-    def factor(self, power: np.ndarray, weight: np.ndarray | float = 1.0) -> np.ndarray:
+    @property
+    def weight(self) -> np.ndarray:
+        """How much readings (..., K, P) count for the factor of their sample: by their noise, the quietest 1."""
+        return self.used * (self.sigma.min() / self.sigma) ** 2
+
+    def factor(self, power: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The factor (..., K, 1) on expected readings (..., K, P) that fits a throttled sample best; else 1."""
         if not self.throttled:
             return np.ones((*power.shape[:-1], 1))
-        size = np.sum(weight * self.used * power**2, axis=-1, keepdims=True)
-        along = np.sum(
-            weight * self.used * np.maximum(self.value, 0.0) * power, axis=-1, keepdims=True
-        )
+        size = np.sum(weight * power**2, axis=-1, keepdims=True)
+        along = np.sum(weight * np.maximum(self.value, 0.0) * power, axis=-1, keepdims=True)
         return np.divide(along, size, out=np.ones_like(size), where=size > 0)
 
     @property
@@ -166,7 +169,11 @@ def readings(
             do="widen the window; `sunspin check` says what is wrong with samples",
         )
     largest = float(value[used].max())
-    sigma, noise_from = _noise(vehicle, value, used)
+    sigma, noise_from = vehicle.input_noise, "given"
+    if sigma is None:
+        dark = dark_noise(value[used])
+        noise_from = ASSUMED_FROM if dark is None else DARK_FROM
+        sigma = np.full(value.shape[1], assumed_noise(value) if dark is None else dark)
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
     made = Readings(
@@ -182,15 +189,6 @@ def readings(
         noise_from,
     )
     return made, start, remarks
-
-
-def _noise(vehicle: Vehicle, value: np.ndarray, used: np.ndarray) -> tuple[float, str]:
-    """One sigma of readings (K, P), of which some are `used`, and where it comes from."""
-    if vehicle.telemetry.noise is not None:
-        return vehicle.telemetry.noise, "given"
-    if (dark := dark_noise(value[used])) is not None:
-        return dark, DARK_FROM
-    return assumed_noise(value), ASSUMED_FROM
 
 
 def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:

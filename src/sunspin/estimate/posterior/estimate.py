@@ -482,7 +482,7 @@ def _chi_square(drawn: Mixed, i: int) -> tuple[float, int]:
     likelihood, state = one.hypothesis.likelihood, one.drawn.state.take([int(drawn.row[i])])
     raw, _ = likelihood.misfit(likelihood.predict(state), state.u)
     used, lit, _ = likelihood.kinds
-    return float(np.sum((raw[0] / likelihood.data.sigma)[used & lit] ** 2)), int(
+    return float(np.sum((raw[0] / likelihood.stated)[used & lit] ** 2)), int(
         np.count_nonzero(used & lit)
     )
 
@@ -495,7 +495,7 @@ def _about(
         "seed": int(seed),
         "t_first_s": start_s,
         "t_last_s": start_s + float(data.t_s[-1]),
-        "noise": data.sigma,
+        "noise": float(np.median(data.sigma)),
         "noise_from": data.noise_from,
         "samples": len(data),
         "reference_sample": chosen.anchor,
@@ -530,7 +530,7 @@ def _judge(
         doubts.append(
             "a region of some probability was reached from one start only, so others may have been missed"
         )
-    bright = data.used & (data.value > max(data.threshold, SURELY_LIT * data.sigma))
+    bright = data.used & (data.value > np.maximum(data.threshold, SURELY_LIT * data.sigma))
     awake = bright.any(
         axis=1
     )  # where nothing is lit the vehicle may have been in shadow, which is no panel's fault

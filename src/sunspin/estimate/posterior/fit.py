@@ -371,9 +371,8 @@ class _Search:
         )
         taken, least = (self._taken_up(), 0.0 if self.still else -5.0) if few else (0.0, -5.0)
         for _ in range(8):
-            s = self.likelihood.noise(u)
-            _, each, w = self.likelihood.weigh(raw, extra, s)
-            share = (s[:, None] / each) ** 2 * w  # time tags' errors do not scale with the noise
+            _, each, w = self.likelihood.weigh(raw, extra, self.likelihood.noise(u))
+            share = (1 - extra / each**2) * w  # time tags' errors do not scale with the noise
             spread = np.sum(np.where(lit, share * (raw / each) ** 2, 0.0), axis=1)
             count = np.maximum(
                 np.sum(np.where(lit, share, 0.0), axis=1)

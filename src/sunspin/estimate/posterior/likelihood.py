@@ -178,12 +178,12 @@ class Likelihood:
     def throttle(self, light: np.ndarray) -> Throttle:
         """Expected readings (n, K, P) with the factors of their samples; a reading far from its own hardly counts for these."""
         data = self.data
-        weight = np.broadcast_to(1.0 * data.used, light.shape)
+        weight = np.broadcast_to(data.weight, light.shape)
         if not data.throttled:
             return Throttle(light, weight, None)
-        factor = data.factor(light)
+        factor = data.factor(light, weight)
         for _ in range(ROUNDS):
-            weight = data.used / (
+            weight = data.weight / (
                 1.0 + ((data.value - factor * light) / (SPOILT * data.sigma)) ** 2
             )
             factor = data.factor(light, weight)
@@ -204,12 +204,12 @@ class Likelihood:
         return np.exp(scale[:, None] + gains)[:, None]
 
     def noise(self, u: np.ndarray) -> np.ndarray:
-        """Sigma of a reading (n), in its unit."""
-        return self.data.sigma * np.exp(self.model.relative(u, "noise", 1)[:, 0])
+        """Sigmas (n, P) of readings, in their unit."""
+        return self.data.sigma * np.exp(self.model.relative(u, "noise", 1))
 
     def readings(self, power: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-        """Log density (n, K, P) of each reading under expected ones of that shape and `sigma` (n)."""
-        core = self.sunlight(power, sigma[:, None, None])
+        """Log density (n, K, P) of each reading under expected ones of that shape and `sigma` (n, P)."""
+        core = self.sunlight(power, sigma[:, None])
         return np.where(self.data.used, np.logaddexp(core, self.outlier), 0.0)
 
     def sunlight(self, power: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -234,7 +234,7 @@ class Likelihood:
             out = tagged(self, prediction, u, self.model.time_sigma_s)[0]
         else:
             out = self.readings(self.power(prediction.sun, u), noise).sum(axis=-1)
-        return out + self.data.factors * np.log(noise / self.data.sigma)[:, None]
+        return out + self.data.factors * np.log(noise / self.data.sigma)[:, :1]
 
     def others(self, prediction: Prediction) -> np.ndarray:
         """Log density (n) of the other observations."""
@@ -265,6 +265,12 @@ class Likelihood:
             np.concatenate([self.outlier.ravel(), np.full(more, -np.inf)]),
         )
 
+    @cached_property
+    def stated(self) -> np.ndarray:
+        """Stated sigma of each residual (R)."""
+        more = sum(o.value.size for o in self.data.others)
+        return np.append(np.tile(self.data.sigma, len(self.data)), np.ones(more))
+
     def misfit(self, prediction: Prediction, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differences (n, R) measured less predicted, and the variance (n, R) that errors of time tags add to them.
 
@@ -288,20 +294,21 @@ class Likelihood:
     def weigh(
         self, raw: np.ndarray, extra: np.ndarray, sigma: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Objective (n), sigma of each residual (n, R) and weights (n, R) that make least squares of it, under noise `sigma` (n).
+        """Objective (n), sigma of each residual (n, R) and weights (n, R) that make least squares of it, under `sigma` (n, P).
 
         The objective is minus the log-likelihood, relative to readings just as predicted under the stated noise; dark readings are
         taken as Gaussian too.
         """
         used, lit, outlier = self.kinds
-        s = np.sqrt(sigma[:, None] ** 2 + extra)
-        s[:, self.data.value.size :] = 1.0
+        s = np.ones_like(extra)
+        seen = s[:, : self.data.value.size]
+        seen[:] = np.sqrt(np.tile(sigma, len(self.data)) ** 2 + extra[:, : seen.shape[1]])
         best = np.log1p(-OUTLIERS) - np.where(lit, np.log(s) + 0.5 * LOG_2PI, 0.0)
         good = best - 0.5 * (raw / s) ** 2
         total = np.logaddexp(good, outlier)
-        stated = np.log1p(-OUTLIERS) - np.where(lit, np.log(self.data.sigma) + 0.5 * LOG_2PI, 0.0)
+        stated = np.log1p(-OUTLIERS) - np.where(lit, np.log(self.stated) + 0.5 * LOG_2PI, 0.0)
         cost = np.where(used, np.logaddexp(stated, outlier) - total, 0.0).sum(axis=1)
-        cost -= self.data.factors.sum() * np.log(sigma / self.data.sigma)
+        cost -= self.data.factors.sum() * np.log(sigma / self.data.sigma)[:, 0]
         return cost, s, np.where(used, np.exp(good - total), 0.0)
 
     def linearised(

@@ -292,7 +292,7 @@ def model(
         )
     ]
     noise = _sigma(
-        priors, "noise", None, NOISE_SIGMA if vehicle.telemetry.noise else NOISE_UNKNOWN, told
+        priors, "noise", None, NOISE_UNKNOWN if vehicle.input_noise is None else NOISE_SIGMA, told
     )
     made.append(Unknown("log_noise", "noise", "1", 0.0, noise))
     made += _wheels(vehicle, priors, commands, told)

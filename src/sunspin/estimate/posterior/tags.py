@@ -89,7 +89,7 @@ def _sample(
 
     `trusting`: derivative and curvature as if no reading were spoilt.
     """
-    data, s = likelihood.data, likelihood.noise(u)[:, None, None]
+    data, s = likelihood.data, likelihood.noise(u)[:, None]
     sun = turned(prediction.sun, prediction.rate, shift)
     power, slope = likelihood.power(sun, u), power_slope(likelihood, sun, prediction.rate, u)
     good = likelihood.sunlight(power, s)

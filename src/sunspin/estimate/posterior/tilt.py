@@ -54,15 +54,17 @@ def turns(vehicle: Vehicle, unknown: Sequence[Unknown]) -> np.ndarray:
     return out
 
 
-def spread(sigma: float, vehicle: Vehicle, unknown: Sequence[Unknown], scale: float) -> float:
-    """Sigma of a reading with what the panels' own turns add to that of its noise, for the search, which does not know these: the
-    root mean square over panels and over Suns in front of them."""
+def spread(
+    sigma: np.ndarray, vehicle: Vehicle, unknown: Sequence[Unknown], scale: float
+) -> np.ndarray:
+    """Sigmas (P) of readings with what the panels' own turns add to those of their noise, for the search, which does not know
+    these: the root mean square over panels and over Suns in front of them."""
     own = [x for x in unknown if x.kind == KIND]
     off = (np.cross(turns(vehicle, own), vehicle.panel_normals_B) ** 2).sum(
         axis=(0, 2)
     ) / 2  # to each side
     size = np.sqrt(np.mean(off * vehicle.panel_gains**2) * LIT_SINE) if len(off) else 0.0
-    return float(np.hypot(sigma, size * scale)) if size else sigma
+    return np.hypot(sigma, size * scale) if size else sigma
 
 
 def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float, dict[str, str]]:

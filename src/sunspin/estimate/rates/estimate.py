@@ -379,7 +379,8 @@ def _symmetric_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dat
         result[name].values.copy() for name in ("decided", "unique", "why_not_decided")
     )
     why = why.astype(object)
-    doubted = 0
+    doubted, noise = 0, observed.vehicle.input_noise
+    noise = result.attrs["noise"] if noise is None else noise
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, _longest(result, telemetry, np.array([k]))).lit
         sun = result["sun_B"].values[result["pass_of"].values == k]
@@ -388,7 +389,7 @@ def _symmetric_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dat
             np.stack([result[f"{what}_{axis}"].values[k] for axis in "xyz"], axis=1)
             for what in ("omega", "sigma")
         )
-        if _unlisted(seen, omega, sigma, result.attrs["noise"]):
+        if _unlisted(seen, omega, sigma, noise):
             decided[k] = unique[k] = False
             doubted += 1
             why[k] = "; ".join(
@@ -400,7 +401,7 @@ def _symmetric_checked(result: xr.Dataset, observed: Observed, telemetry: xr.Dat
     ).assign_attrs(symmetric_unlisted=doubted)
 
 
-def _unlisted(seen: Observed, omega: np.ndarray, sigma: np.ndarray, noise: float) -> bool:
+def _unlisted(seen: Observed, omega: np.ndarray, sigma: np.ndarray, noise: Any) -> bool:
     """Whether the first of some motions, of rates (K, 3) with sigmas (K, 3), rad/s, at one time, has a symmetric one that gives
     the same readings within their `noise` (W or A, or in gains) and is none of them."""
     power = seen.vehicle.response_in().power

@@ -72,11 +72,11 @@ def dataset_of(
             name for x in o.terms if isinstance(x, Panels) for name in x.left_out
         ),
     }
-    stated = vehicle.telemetry.noise
+    stated = vehicle.input_noise
     for counted in (x.sigma[np.isfinite(x.sigma)] for x in o.terms if isinstance(x, Panels)):
         if len(counted):
             attrs |= {
-                "noise": float(np.median(counted)) if stated is None else stated,
+                "noise": float(np.median(counted if stated is None else stated)),
                 "noise_from": OF_SCATTER if stated is None else "given",
             }
     read = {x.name for x in o.terms if isinstance(x, SENSORS) and x.present()[index].any()}

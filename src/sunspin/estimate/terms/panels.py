@@ -122,7 +122,7 @@ class Panels(SunTerm):
         )  # by the brightness of the samples; else only a motion determines the gains
         power, scale_sigma = signals(assessment.telemetry), quality["scale_sigma"].values
         dark_sigma = np.hypot(
-            quality.attrs["noise"], DARK * quality.attrs["full_sun"] * quality["gain"].values
+            quality["noise"].values, DARK * quality.attrs["full_sun"] * quality["gain"].values
         )
         shown = (
             np.isfinite(power)

@@ -48,7 +48,7 @@ def orbit_used(
     summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
     calibration = None if used is None else field_calibration(used, craft, assessment, found.made)
     said = [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
-    if craft.telemetry.noise is None and assessment.has_panels:
+    if craft.input_noise is None and assessment.has_panels:
         said += noise_lines(assessment.sun)
     return used, calibration, {"orbit": summary}, said
 

@@ -54,11 +54,16 @@ def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str
 
 
 def noise_lines(sun: xr.Dataset) -> list[str]:
-    """What the error of directions from panels rests on, where the vehicle file states no noise; `sun`: of `sun_directions`."""
+    """What the error of directions from panels rests on, if the vehicle file does not state one noise for all; `sun`: of
+    `sun_directions`."""
     noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
+    unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
+    if source == "given" and len(np.unique(sun["noise"])) > 1:
+        own = zip(sun["panel"].values, sun["noise"].values, strict=True)
+        each = ", ".join(f"{panel} {sigma:.3g}" for panel, sigma in own)
+        return [f"  noise of panel readings, as stated for each: {each} {unit}"]
     if source == "given" or not np.isfinite(noise):
         return []
-    unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
     if source != ASSUMED_FROM:
         return [f"  noise of panel readings: {noise:.3g} {unit}, {source}"]
     return [
@@ -162,7 +167,7 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
 def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
     """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
     light = SURELY_LIT * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
-    floor = np.maximum(light, LIT_SIGMAS * quality.attrs["noise"])
+    floor = np.maximum(light, LIT_SIGMAS * quality["noise"].values)
     lit = np.nan_to_num(signals(samples)) > floor
     if craft.channels:
         return lit.sum(axis=1)

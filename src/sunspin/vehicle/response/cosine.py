@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sunspin.solve.linear import plain_covariance
 from sunspin.solve.rotations import moved, seen_turned
 from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula, plane_basis
 from sunspin.vehicle.response.protocol import (
@@ -258,13 +259,13 @@ class Cosine(Flat):
         values = np.linalg.svd(self.normals_B[lit], compute_uv=False) if lit.any() else np.zeros(0)
         return int(np.count_nonzero(values > RANK_TOLERANCE))
 
-    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: float) -> np.ndarray:
+    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         design = self._rows * lit[:, None]
         x = readings @ np.linalg.pinv(design).T
         length = np.linalg.norm(x, axis=1)
         n = x / length[:, None]
         tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
-        scaled = noise**2 * np.linalg.inv(design.T @ design) / length[:, None, None] ** 2
+        scaled = plain_covariance(design, noise) / length[:, None, None] ** 2
         return tangent @ scaled @ tangent
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:

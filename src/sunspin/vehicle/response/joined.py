@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from sunspin.base.errors import VehicleError
+from sunspin.solve.linear import plain_covariance
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response.cosine import (
     RANK_TOLERANCE,
@@ -303,7 +304,7 @@ class Joined(Flat):
         kept[:, 0] = True
         return np.where(kept[..., None], found, np.nan)
 
-    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: float) -> np.ndarray:
+    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         sun, _ = self.best(readings)
         design = self.design(sun) * lit[:, None]
         power = self.power(sun) * lit
@@ -312,7 +313,7 @@ class Joined(Flat):
         covariance = np.full((len(sun), 3, 3), np.nan)
         normal = np.swapaxes(design, -1, -2) @ design
         fine = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
-        scaled = noise**2 * np.linalg.inv(normal[fine]) / bright[fine, None, None] ** 2
+        scaled = plain_covariance(design[fine], noise) / bright[fine, None, None] ** 2
         covariance[fine] = tangent[fine] @ scaled @ tangent[fine]
         return covariance
 

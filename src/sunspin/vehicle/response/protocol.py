@@ -146,8 +146,9 @@ class PanelResponse(Protocol):
         """How many numbers of three, direction and brightness, panels `lit` (n_panel) tell there, by default where they are lit."""
         ...
 
-    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: float) -> np.ndarray:
-        """Tangent covariance (n, 3, 3) of directions told by readings (n, n_panel), of which `lit` (n_panel) count."""
+    def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Tangent covariance (n, 3, 3) of directions told by readings (n, n_panel), of which `lit` (n_panel) count; `noise`
+        (n_panel): their sigmas."""
         ...
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
