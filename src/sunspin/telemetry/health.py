@@ -19,13 +19,13 @@ from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, signals, sun_directions
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
     observable_patterns,
     turned_sigma,
 )
-from sunspin.vehicle.response.protocol import PanelResponse
 
 STEPS, ROUNDING = 60, 1e-12
 """Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma

@@ -25,7 +25,7 @@ from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import WrongUnit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, opposite_panels, panel_power
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 DEAD_FRACTION = 0.05
 """A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""

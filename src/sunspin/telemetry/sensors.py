@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -39,12 +40,15 @@ def columns_of(sensor: SunSensor) -> list[str]:
     return [name for name in (sensor.x_column, sensor.y_column, sensor.light_column) if name]
 
 
-def sensor_columns(vehicle: Vehicle) -> list[str]:
-    """Columns that the vehicle's sensors read."""
-    sensors = vehicle.sensors
-    names = [name for sensor in sensors.sun_sensors for name in columns_of(sensor)]
-    names += [name for sensor in sensors.with_columns.values() for name in sensor.names]
-    return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
+def sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
+    """Of each sensor of the vehicle its table in the vehicle file, what it is called in words, and the columns that it reads."""
+    for sensor in vehicle.sensors.sun_sensors:
+        yield "[sun_sensor]", f"Sun sensor {sensor.name}", columns_of(sensor)
+    for section, axes in vehicle.sensors.with_columns.items():
+        yield section, section.replace("_", " "), list(axes.names)
+    for wheel in vehicle.wheels:
+        if wheel.speed_column:
+            yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]
 
 
 def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:

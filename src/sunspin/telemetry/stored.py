@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
-from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import instant
 
@@ -47,7 +47,8 @@ def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Datas
 
 def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
     """The variables that telemetry of a vehicle may have, of one sample."""
-    sample = pd.DataFrame(dict.fromkeys(sensor_columns(vehicle), "0"), index=[1])
+    columns = [name for _, _, names in sensor_parts(vehicle) for name in names]
+    sample = pd.DataFrame(dict.fromkeys(columns, "0"), index=[1])
     of_sensors = read_sensors(vehicle, Table(sample, [], ""))
     for name in ("B", "cov_B"):  # this sample does not leave open how to read it, others may
         if f"sun_sensor_{name}" in of_sensors:

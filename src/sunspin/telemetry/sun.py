@@ -19,8 +19,8 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
-from sunspin.vehicle.response.protocol import PanelResponse
 
 LIT_FRACTION = 0.02
 """Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
