@@ -205,24 +205,18 @@ NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
 
 
 def made_by(health: PanelHealth, n: int) -> str:
-    """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing."""
-    if noise_made(health, n):
-        return NOISE
-    least = health["turned"].values
-    return TURNS if least.size and all(_may_be_turned(p, n) for p in least) else ""
-
-
-def noise_made(health: PanelHealth, n: int) -> bool:
-    """Whether noise alone may have made all forbidden patterns that `panel_health` found among `n` samples: by the bound of how
-    probable it is that any so many of them read so."""
+    """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing.
+    Of noise counts the bound of how probable it is that any so many of them read so."""
     from scipy.special import gammaln
 
     count = int(health["samples"].sum())
-    if not count or health["largest"].isnull().any():
-        return False
-    log10 = float(health["log10_together"].sum())
-    any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
-    return bool(log10 + any_of_them / np.log(10) > np.log10(NOISE_ALONE))
+    if count and not health["largest"].isnull().any():
+        any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
+        log10 = float(health["log10_together"].sum()) + any_of_them / np.log(10)
+        if log10 > np.log10(NOISE_ALONE):
+            return NOISE
+    least = health["turned"].values
+    return TURNS if least.size and all(_may_be_turned(p, n) for p in least) else ""
 
 
 def explanations(
@@ -343,8 +337,12 @@ def _nearest_sun(
     each, weights = (np.repeat(values, len(cells), axis=0) for values in (readings, weight))
 
     def linearise(state: tuple[np.ndarray, ...]) -> Dense:
-        value, jacobian = _distance(response, scale, *state[:2], state[1] > threshold, threshold)
-        return Dense.of(state[2] * value, state[2][..., None] * jacobian, np.ones_like(state[0]))
+        sun, seen, counts = state
+        mean, slope = response.under(sun, scale)
+        lit = seen > threshold
+        value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
+        active = (mean > 0) & (lit | (mean > threshold))
+        return Dense.of(counts * value, (counts * active)[..., None] * slope, np.ones_like(sun))
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]
@@ -355,18 +353,3 @@ def _nearest_sun(
     cost = found.system.cost.reshape(len(readings), -1)
     best = np.argmin(cost, axis=1) + len(cells) * np.arange(len(readings))
     return found.state[0][best], 2 * found.system.cost[best]
-
-
-def _distance(
-    response: PanelResponse,
-    scale: float,
-    sun: np.ndarray,
-    readings: np.ndarray,
-    lit: np.ndarray,
-    threshold: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (..., n_panel) in sigma of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
-    mean, slope = response.under(sun, scale)
-    value = np.where(lit, mean - readings, np.maximum(0.0, mean - threshold))
-    active = (mean > 0) & (lit | (mean > threshold))
-    return value, active[..., None] * slope

@@ -122,7 +122,7 @@ class Joined(PanelResponse):
 
     def _matrix(self, makes: np.ndarray) -> np.ndarray:
         """Readings by direction (..., n_input, 3) where panels `makes` (..., n_panel) make them."""
-        return self._summed(makes[..., None] * self._rows, axis=-2)
+        return self._summed((makes * self.gains)[..., None] * self.normals_B, axis=-2)
 
     def _read(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
         """Readings (..., n_input) of signals (..., n_panel) of the panels."""
