@@ -17,8 +17,9 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
+from sunspin.vehicle.response.flat import unit_readings
 from sunspin.vehicle.response.joined import Joined
-from sunspin.vehicle.response.protocol import sphere, unit_readings
+from sunspin.vehicle.response.planes import sphere
 
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
 ONE = {"X": THREE["X"]}

@@ -21,7 +21,7 @@ from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.rates.wandering import log_evidence
 from sunspin.estimate.terms.sun_direction import SunDirection
 from sunspin.estimate.terms.term import EVERYWHERE, Seen, facing, normal
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 from validation.passes import unit
 
 RATE_MAX = np.radians(3.0)

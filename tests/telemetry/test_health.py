@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.health import TURNS, explanations, made_by, noise_alone, noise_made
+from sunspin.telemetry.health import NOISE, TURNS, explanations, made_by, noise_alone
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.response.panels import panel_power
@@ -127,7 +127,7 @@ def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     )
     told = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA)
     assert told["impossible"] and all(verdict.largest > 0.3 for verdict in told["noise"].values())
-    assert noise_made(told, len(power))
+    assert made_by(told, len(power)) == NOISE
     lenient = ss.panel_health(
         PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3
     )
@@ -136,7 +136,7 @@ def test_patterns_that_noise_may_have_made_need_no_explanation_if_so_asked():
     strict = ss.panel_health(
         PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA, could_be_noise=1e-3
     )
-    assert strict["explanations"] == [("1",)] and not noise_made(strict, len(dead))
+    assert strict["explanations"] == [("1",)] and not made_by(strict, len(dead))
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
 
 

@@ -32,7 +32,7 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 from sunspin.vehicle.sensors import VARIABLES, Attitude, ThreeAxes
 
 MOST_SQUARE = 30.0

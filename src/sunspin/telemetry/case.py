@@ -24,6 +24,7 @@ from sunspin.vehicle import Vehicle, load_vehicle
 from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.notebook import case_html
+from sunspin.vehicle.part import tuples
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
 PUBLISHED_TEXTS = ("unit", "what", "place")
@@ -123,18 +124,15 @@ def load_case(name: str, changes: Changes = None) -> Case:
             do=f"known: {', '.join(case_names())}",
         )
     folder = _root() / name
-    timeline, published = folder / "timeline.toml", folder / "published.toml"
+    figures = folder / "published.toml"
+    text = figures.read_text("utf-8") if figures.is_file() else ""
     of_vehicle, of_study = split(changes)
     return Case(
         name=name,
         folder=folder,
         vehicle=load_vehicle(name, of_vehicle),
-        timeline=parse_timeline(timeline.read_text("utf-8"), str(timeline))
-        if timeline.is_file()
-        else None,
-        published=parse_published(published.read_text("utf-8"), str(published))
-        if published.is_file()
-        else _frozen({}),
+        timeline=_timeline_in(folder),
+        published=parse_published(text, str(figures)),
         assumptions=read_assumptions(of_study),
     )
 
@@ -149,9 +147,12 @@ def timeline_of(vehicle: object) -> Timeline | None:
     InputError
         With what is wrong in the file.
     """
-    if isinstance(vehicle, str) and vehicle in case_names():
-        return load_case(vehicle).timeline
-    path = Path(str(vehicle)).parent / "timeline.toml"
+    built_in = isinstance(vehicle, str) and vehicle in case_names()
+    return _timeline_in(_root() / str(vehicle) if built_in else Path(str(vehicle)).parent)
+
+
+def _timeline_in(folder: Path) -> Timeline | None:
+    path = folder / "timeline.toml"
     if not path.is_file():
         return None
     content = read_bytes(
@@ -172,17 +173,9 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
                 f"a published figure has {', '.join(PUBLISHED_TEXTS)}, none of them empty",
                 where=f"{where}, {key}",
             )
-        figures[key] = Published(_tuples(entry["value"]), *texts)
-    return _frozen(figures)
+        figures[key] = Published(tuples(entry["value"]), *texts)
+    return MappingProxyType(figures)
 
 
 def _root() -> Path:
     return Path(str(resources.files("sunspin").joinpath("cases")))
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
-
-
-def _frozen(figures: dict[str, Published]) -> Mapping[str, Published]:
-    return MappingProxyType(figures)

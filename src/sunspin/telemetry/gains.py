@@ -13,9 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import (
-    stdtrit,  # scipy.stats takes longer to import than a short pass to estimate
-)
+from scipy.special import stdtrit  # scipy.stats takes longer to import than a short pass
 
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, opposite_panels

@@ -18,13 +18,13 @@ from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
     observable_patterns,
     turned_sigma,
 )
-from sunspin.vehicle.response.protocol import PanelResponse
 
 STEPS, ROUNDING = 60, 1e-12
 """Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
@@ -198,26 +198,18 @@ NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
 
 
 def made_by(health: PanelHealth, n: int) -> str:
-    """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing."""
-    if noise_made(health, n):
-        return NOISE
-    least = health[
-        "turned"
-    ].values  # turns are the same in all samples: only the least probable counts
-    return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
-
-
-def noise_made(health: PanelHealth, n: int) -> bool:
-    """Whether noise alone may have made all forbidden patterns that `panel_health` found among `n` samples: by the bound of how
-    probable it is that any so many of them read so."""
+    """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing.
+    Of noise counts the bound of how probable it is that any so many of them read so."""
     from scipy.special import gammaln
 
     count = int(health["samples"].sum())
-    if not count or health["largest"].isnull().any():
-        return False
-    log10 = float(health["log10_together"].sum())
-    any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
-    return bool(log10 + any_of_them / np.log(10) > np.log10(NOISE_ALONE))
+    if count and not health["largest"].isnull().any():
+        any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
+        log10 = float(health["log10_together"].sum()) + any_of_them / np.log(10)
+        if log10 > np.log10(NOISE_ALONE):
+            return NOISE
+    least = health["turned"].values
+    return TURNS if least.size and all(_may_be_turned(p, n) for p in least) else ""
 
 
 def explanations(
@@ -333,8 +325,12 @@ def _nearest_sun(
     each, weights = (np.repeat(values, len(cells), axis=0) for values in (readings, weight))
 
     def linearise(state: tuple[np.ndarray, ...]) -> Dense:
-        value, jacobian = _distance(response, scale, *state[:2], state[1] > threshold, threshold)
-        return Dense.of(state[2] * value, state[2][..., None] * jacobian, np.ones_like(state[0]))
+        sun, seen, counts = state
+        mean, slope = response.under(sun, scale)
+        lit = seen > threshold
+        value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
+        active = (mean > 0) & (lit | (mean > threshold))
+        return Dense.of(counts * value, (counts * active)[..., None] * slope, np.ones_like(sun))
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]
@@ -345,18 +341,3 @@ def _nearest_sun(
     cost = found.system.cost.reshape(len(readings), -1)
     best = np.argmin(cost, axis=1) + len(cells) * np.arange(len(readings))
     return found.state[0][best], 2 * found.system.cost[best]
-
-
-def _distance(
-    response: PanelResponse,
-    scale: float,
-    sun: np.ndarray,
-    readings: np.ndarray,
-    lit: np.ndarray,
-    threshold: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (..., n_panel) of readings under a Sun (..., 3), and their Jacobian (..., n_panel, 3)."""
-    mean, slope = response.under(sun, scale)
-    value = np.where(lit, mean - readings, np.maximum(0.0, mean - threshold))
-    active = (mean > 0) & (lit | (mean > threshold))
-    return value, active[..., None] * slope

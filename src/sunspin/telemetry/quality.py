@@ -22,10 +22,10 @@ from sunspin.telemetry.gains import (
 from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise
 from sunspin.telemetry.silent import lost
 from sunspin.telemetry.sun import signals
-from sunspin.telemetry.units import WrongUnit
+from sunspin.telemetry.units import UNITS, WrongUnit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, opposite_panels, panel_power
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 DEAD_FRACTION = 0.05
 """A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""
@@ -156,7 +156,7 @@ def judge_readings(
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
     level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
     if vehicle.throttled:  # the battery may limit any sample, and all readings of it alike
-        idle, limited = np.zeros_like(dark), np.zeros_like(dark)
+        idle, limited = np.zeros((2, len(dark)), dtype=bool)
         level = np.maximum(bright, 1e-12)[:, None]
     aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
     idle, limited = idle & ~aside, limited & ~aside
@@ -165,39 +165,27 @@ def judge_readings(
     earth = _earth_light(albedo, seen, float(np.median(noise) / (full * np.median(gains))))
     told = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
     gains = gains * told.factor
+    of_lit, own = told.spread, told.covariance
+    if of_lit is None:
+        # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
+        of_lit = np.hypot(albedo, told.sigma * use_value / (level * gains))
+        own = np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
     # what the Earth adds to a lit panel on average is taken for its gain
-    # where they are not told, a string of cells may be dead or a full scale wrong: every sample has that error in common
-    own = (
-        told.covariance
-        if told.spread is not None
-        else np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
-    )
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
-    untold = np.hypot(
-        albedo, told.sigma * use_value / (level * gains)
-    )  # whose gains may be off by their prior
-    share = np.where(
-        use_value > SURELY_LIT * albedo * level * gains,
-        untold if told.spread is None else told.spread,
-        albedo,
-    )
+    share = np.where(use_value > SURELY_LIT * albedo * level * gains, of_lit, albedo)
     # what no beam explains; noise that the file does not state is in that light too: as much as full Sun scatters, else all of it
     unknown = albedo if told.spread is None else min(told.spread, albedo)
     left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
     beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
-    sigma = (
-        np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
-        * largest
-        * limited[:, None]
-    )
+    by_battery = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
+    sigma = by_battery * largest * limited[:, None]
     nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
     beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * level * gains, noise)))
     sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
-    use = np.where(dropped | dark | idle, DROPPED, np.where(limited, DOWNWEIGHTED, USED)).astype(
-        np.int8
-    )
+    use = np.where(limited, DOWNWEIGHTED, USED).astype(np.int8)
+    use[dropped | dark | idle] = DROPPED
     some = spike.any(axis=1) & (use == USED)
     use[some] = DOWNWEIGHTED
     wrong = wrong_unit() if dark[good].any() else None
@@ -206,38 +194,23 @@ def judge_readings(
     why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
     why = np.where(aside & (use == USED), ASIDE, why)
     why = np.where(some & ~limited, BEYOND_FULL, why)
-    return xr.Dataset(
+    scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
+    scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE)
+    stated_gains = vehicle.input_gains
+    long_names = {
+        "sigma": "one sigma of a reading, unit of the gains",
+        "sigma_beside_earth": "the same where the Earth's light is modelled",
+        "gain": "gain of each panel, unit of the vehicle's gains",
+    }
+    data = xr.Dataset(
         {
-            "sigma": (
-                ("time", "panel"),
-                sigma,
-                {"long_name": "one sigma of a reading, unit of the gains"},
-            ),
-            "sigma_beside_earth": (
-                ("time", "panel"),
-                beside,
-                {"long_name": "the same where the Earth's light is modelled"},
-            ),
-            "scale": (
-                "time",
-                np.where(limited, np.maximum(bright, 1e-12), level[:, 0]),
-                {"units": "1"},
-            ),
-            "scale_sigma": (
-                "time",
-                np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE),
-                {"units": "1"},
-            ),
-            "gain": (
-                "panel",
-                gains,
-                {"long_name": "gain of each panel, unit of the vehicle's gains"},
-            ),
-            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * vehicle.input_gains),
-            "gain_cov": (
-                ("panel", "panel2"),
-                gain_cov * np.outer(vehicle.input_gains, vehicle.input_gains),
-            ),
+            "sigma": (("time", "panel"), sigma),
+            "sigma_beside_earth": (("time", "panel"), beside),
+            "scale": ("time", scale, {"units": "1"}),
+            "scale_sigma": ("time", scale_sigma, {"units": "1"}),
+            "gain": ("panel", gains),
+            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * stated_gains),
+            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(stated_gains, stated_gains)),
             "use": (
                 "time",
                 use,
@@ -262,6 +235,9 @@ def judge_readings(
             "spread": np.nan if told.spread is None else told.spread,
         },
     )
+    for name, long_name in long_names.items():
+        data[name].attrs["long_name"] = long_name
+    return data
 
 
 def came_late(telemetry: xr.Dataset) -> np.ndarray:
@@ -289,15 +265,13 @@ def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.
 
 def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
     """The scale of readings in full Sun: one where gains are given in the reading's unit, else from the brightest samples."""
-    unit = {"power_W": "W", "current_A": "A"}[vehicle.telemetry.quantity]
-    if vehicle.gain_unit == unit:
+    if vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]:
         return 1.0, "the gains of the vehicle file"
     bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.input_gains)
     if not len(bright) or bright.max() <= 0:
         return 1.0, "nothing: no panel is lit"
-    return float(
-        np.percentile(bright[bright > 0.2 * np.median(bright[bright > 0])], 75)
-    ), "the brighter samples of the file"
+    lit = bright[bright > 0.2 * np.median(bright[bright > 0])]
+    return float(np.percentile(lit, 75)), "the brighter samples of the file"
 
 
 def _beyond_noise(
@@ -332,24 +306,16 @@ def _aside(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -
     Panels that do not look all around see the Sun shortened where it stands aside. A dead panel is none of them: that it is
     lit is a fault and no geometry.
     """
-    model = (full * panel_power(vehicle, sphere(DIRECTIONS)))[:, ~dead]
-    model = model[
-        (model.sum(axis=1) > 0)
-        & ~(full * panel_power(vehicle, sphere(DIRECTIONS)))[:, dead].any(axis=1)
-    ]
-    gains = vehicle.input_gains[~dead]
-    found = np.zeros(len(value), dtype=bool)
+    light, gains = full * panel_power(vehicle, sphere(DIRECTIONS)), vehicle.input_gains[~dead]
+    shown = light[:, ~dead].any(axis=1) & ~light[:, dead].any(axis=1)
+    model = light[shown][:, ~dead] / gains
+    aside = np.zeros(len(value), dtype=bool)
     for start in range(0, len(value) if len(model) else 0, CHUNK):
-        part = value[start : start + CHUNK][:, ~dead] / gains
-        square = (
-            (part**2).sum(axis=1)[:, None]
-            - 2 * part @ (model / gains).T
-            + ((model / gains) ** 2).sum(axis=1)
-        )
-        found[start : start + CHUNK] = (
-            square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
-        )
-    return found
+        rows = slice(start, start + CHUNK)
+        seen = value[rows][:, ~dead] / gains
+        square = (seen**2).sum(axis=1)[:, None] - 2 * seen @ model.T + (model**2).sum(axis=1)
+        aside[rows] = square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
+    return aside
 
 
 def _quantum(value: np.ndarray) -> float:
@@ -367,31 +333,25 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
     how many readings tell it."""
     response = vehicle.response_in()
-    opposite = opposite_panels(response.facing_B)
     seen = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
-    opposite &= np.array(
-        [
-            [not seen[seen[:, j] > FACED, i].any() for j in range(len(opposite))]
-            for i in range(len(opposite))
-        ]
-    )
-    readings = [share[share[:, j] > FACED, i] for i, j in np.argwhere(opposite)]
+    both = (seen > 0).T.astype(int) @ (
+        seen > FACED
+    ) > 0  # a panel gets light where another faces the Sun
+    away = np.argwhere(opposite_panels(response.facing_B) & ~both)
+    readings = [share[share[:, j] > FACED, i] for i, j in away]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
     told = len(dark) >= TOLD_READINGS
-    return (float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT), len(
-        dark
-    )
+    albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT
+    return albedo, len(dark)
 
 
 def _earth_light(albedo: float, seen: int, noise: float) -> float:
     """What a panel gets that looks straight at the Earth, a share of full Sun, if `albedo` is the quantile of what faces away
     from the Sun get, noise included; 0 where the file does not tell."""
-    return (
-        float(np.sqrt(max((albedo - noise) * (albedo + noise), 0.0)) / COSINE_QUANTILE)
-        if seen >= TOLD_READINGS
-        else 0.0
-    )
+    if seen < TOLD_READINGS:
+        return 0.0
+    return float(np.sqrt(max((albedo - noise) * (albedo + noise), 0.0)) / COSINE_QUANTILE)
 
 
 def reasons(quality: Any) -> dict[str, int]:

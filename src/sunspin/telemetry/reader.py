@@ -7,7 +7,6 @@ rewrite a file to have it read.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from difflib import get_close_matches
 from pathlib import Path
@@ -22,7 +21,7 @@ from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.noise import dark_noise
-from sunspin.telemetry.sensors import ABSURD, columns_of, read_sensors, sensor_columns
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
 from sunspin.telemetry.stored import KIND, stored_telemetry
 from sunspin.telemetry.units import UNITS
 from sunspin.vehicle import TelemetryForm, Vehicle
@@ -96,7 +95,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     columns = _panel_columns(vehicle, table, optional=bool(sensors))
     received = _received(form, table)
     time, epoch = _times(form, table, received)
-    unused = unused_columns(vehicle, table, columns)
+    unused = _unused_columns(vehicle, table, columns)
     counts: dict[str, int] = {}
     if form.bad_rows == "flag":
         read = header - {form.time_column, form.receive_time_column, *unused}
@@ -105,20 +104,47 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
             sensors, received = read_sensors(vehicle, table), _received(form, table)
     values, flag = _values(vehicle, table, columns)
     values, warmth = _at_reference(vehicle, table, values)
-    flag |= _order_flags(form, time, table)
-    missing = missing_sensors(vehicle, table, columns)
+    late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
+    if form.bad_rows == "refuse" and late.any():
+        i = int(late.argmax())
+        got, where = table.cells[form.time_column].iat[i], f"line {table.cells.index[i]}"
+        do = 'sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file'
+        raise TelemetryError(
+            "time does not increase", got=got, do=do, where=f"{table.where}, {where}"
+        )
+    flag |= np.where(late, np.uint8(4), np.uint8(0))
+    missing = _missing_sensors(vehicle, table, unused)
     if received is not None:
         long_name = "when the row was received, from the epoch of the times"
         seconds = received - (epoch - UNIX_ZERO).total_seconds()
         sensors["received_s"] = ("time", seconds, {"units": "s", "long_name": long_name})
-    data = _dataset(vehicle, table, time, values, flag, sensors | warmth)
-    return data.assign_attrs(
-        epoch_utc=epoch.isoformat().replace("+00:00", "Z"),
-        file=path.name.encode("utf-8", "backslashreplace").decode("utf-8"),
-        unused_columns=", ".join(unused),
-        missing_sensors="; ".join(missing),
-        **counts,
-    )
+    coords: dict[str, Any] = {
+        "time": ("time", time, {"units": "s", "long_name": "time since the epoch"})
+    }
+    readings: dict[str, Any] = {}
+    if values.shape[1]:
+        coords["panel"] = list(vehicle.input_names)
+        about = {"units": UNITS[form.quantity]}
+        readings[form.quantity] = (("time", "panel"), values, about)
+    if "phase" in table.header:
+        phase = [cell.strip() for cell in table.cells["phase"]]
+        coords["phase"] = ("time", np.array(phase, dtype=np.str_))
+    if sensors or warmth:
+        coords["axis"] = ["x", "y", "z"]
+    masks = [bit for bit in FLAGS if bit]
+    about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
+    readings["flag"] = ("time", flag, about)
+    attrs = provenance("telemetry", **vehicle.said) | {
+        "quantity": form.quantity,
+        "sha256": table.sha256,
+        "comments": "\n".join(table.comments),
+        "synthetic": int(any(each.lower().startswith("synthetic") for each in table.comments)),
+        "epoch_utc": epoch.isoformat().replace("+00:00", "Z"),
+        "file": path.name.encode("utf-8", "backslashreplace").decode("utf-8"),
+        "unused_columns": ", ".join(unused),
+        "missing_sensors": "; ".join(missing),
+    }
+    return xr.Dataset(readings | sensors | warmth, coords, attrs | counts)
 
 
 def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
@@ -194,9 +220,6 @@ def _at_reference(
     form, panels = vehicle.telemetry, vehicle.input_names
     if not form.temperature_columns or not values.shape[1]:
         return values, {}
-    if strange := [name for name in form.temperature_columns if name not in panels]:
-        what = "telemetry.temperature_columns names a panel that the vehicle has not"
-        raise TelemetryError(what, got=strange[0])
     warm = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
         column = column_of(table, name, f"temperature of panel {panel}")
@@ -247,18 +270,28 @@ def _times(
     if form.epoch_utc is not None and fixed is None:
         what = "telemetry.epoch_utc of the vehicle is not an ISO-8601 time"
         raise TelemetryError(what, got=form.epoch_utc)
+
+    def refused(what: str, row: int, do: str) -> TelemetryError:
+        where = table.place(row, form.time_column)
+        return TelemetryError(what, got=cells[row] or "an empty cell", do=do, where=where)
+
     if form.time_format == "utc":
         moments = [moment for cell in cells if (moment := parse_utc(cell)) is not None]
         if len(moments) < len(cells):
             i = next(k for k, cell in enumerate(cells) if parse_utc(cell) is None)
-            raise _no_time("an ISO-8601 UTC time", table, form, i, _how_to_write(cells[i]))
-        _one_clock(cells, table, form)
+            raise refused("an ISO-8601 UTC time is expected", i, _how_to_write(cells[i]))
+        zones = [re.search(r":.*([+-]\d\d:?\d\d|Z|UTC|GMT)$", cell.strip()) for cell in cells]
+        local = any(zone and zone[1].strip("+-:0") not in ("", "Z", "UTC", "GMT") for zone in zones)
+        if local and None in zones:  # nobody knows whether those without a zone are UTC
+            what = "other times of this file have a time zone and this one has none"
+            raise refused(what, zones.index(None), "give each its zone, or Z for UTC")
         epoch = fixed or moments[0]
         return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
     numbers = np.array([plain_number(cell) for cell in cells]) * form.time_scale_s
     if (bad := ~(np.abs(numbers) <= LATEST_UNIX_S)).any():
         kind = "Unix seconds" if form.time_format == "unix" else "seconds"
-        raise _no_time(kind, table, form, int(bad.argmax()), OTHER_FORM)
+        do = "correct it, or set time_format under [telemetry] in the vehicle file"
+        raise refused(f"{kind} is expected", int(bad.argmax()), do)
     if form.time_format == "elapsed":
         if fixed is None and received is not None and np.isfinite(received).any():
             fixed = UNIX_ZERO + timedelta(seconds=round(float(np.nanmedian(received - numbers)), 3))
@@ -268,15 +301,6 @@ def _times(
         return numbers, fixed
     epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
     return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
-
-
-def _no_time(kind: str, table: Table, form: TelemetryForm, row: int, do: str) -> TelemetryError:
-    got = table.cells[form.time_column].iat[row] or "an empty cell"
-    where = table.place(row, form.time_column)
-    return TelemetryError(f"{kind} is expected", got=got, do=do, where=where)
-
-
-OTHER_FORM = "correct it, or set time_format under [telemetry] in the vehicle file"
 
 
 def _how_to_write(cell: str) -> str:
@@ -291,17 +315,6 @@ def _how_to_write(cell: str) -> str:
     return (
         "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
     )
-
-
-def _one_clock(cells: list[str], table: Table, form: TelemetryForm) -> None:
-    """Refuse times with a zone other than UTC beside times without any: of the latter nobody knows whether they are UTC."""
-    zones = [re.search(r":.*([+-]\d\d:?\d\d|Z|UTC|GMT)$", cell.strip()) for cell in cells]
-    local = any(zone and zone[1].strip("+-:0") not in ("", "Z", "UTC", "GMT") for zone in zones)
-    if local and None in zones:
-        i = zones.index(None)
-        what = "other times of this file have a time zone and this one has none"
-        do, where = "give each its zone, or Z for UTC", table.place(i, form.time_column)
-        raise TelemetryError(what, got=cells[i], do=do, where=where)
 
 
 def _in_order(
@@ -333,54 +346,6 @@ def _in_order(
     return table._replace(cells=cells), time, epoch, {k: n for k, n in counts.items() if n}
 
 
-def _order_flags(form: TelemetryForm, time: np.ndarray, table: Table) -> np.ndarray:
-    """The flag (n) of rows that are not later than all before."""
-    late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
-    if form.bad_rows == "refuse" and late.any():
-        i = int(late.argmax())
-        do = 'sort the rows and remove repeats, or set bad_rows = "flag" under [telemetry] in the vehicle file'
-        where, got = (
-            f"{table.where}, line {table.cells.index[i]}",
-            table.cells[form.time_column].iat[i],
-        )
-        raise TelemetryError("time does not increase", got=got, do=do, where=where)
-    return np.where(late, np.uint8(4), np.uint8(0))
-
-
-def _dataset(
-    vehicle: Vehicle,
-    table: Table,
-    time: np.ndarray,
-    values: np.ndarray,
-    flag: np.ndarray,
-    sensors: dict[str, Any],
-) -> xr.Dataset:
-    quantity = vehicle.telemetry.quantity
-    coords: dict[str, Any] = {
-        "time": ("time", time, {"units": "s", "long_name": "time since the epoch"})
-    }
-    variables: dict[str, Any] = {}
-    if values.shape[1]:
-        coords["panel"] = list(vehicle.input_names)
-        variables[quantity] = (("time", "panel"), values, {"units": UNITS[quantity]})
-    if "phase" in table.header:
-        phase = [cell.strip() for cell in table.cells["phase"]]
-        coords["phase"] = ("time", np.array(phase, dtype=np.str_))
-    if sensors:
-        coords["axis"] = ["x", "y", "z"]
-    masks = [bit for bit in FLAGS if bit]
-    about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
-    synthetic = any(comment.lower().startswith("synthetic") for comment in table.comments)
-    attrs = provenance("telemetry", **vehicle.said) | {
-        "quantity": quantity,
-        "sha256": table.sha256,
-        "comments": "\n".join(table.comments),
-        "synthetic": int(synthetic),
-    }
-    variables["flag"] = ("time", flag, about)
-    return xr.Dataset(variables | sensors, coords, attrs)
-
-
 def column_of(
     table: Table,
     name: str,
@@ -401,50 +366,29 @@ def column_of(
     return name
 
 
-def _bare(name: str) -> str:
-    return re.sub(r"[^a-z0-9+-]", "", name.lower())
-
-
 def _nearest(name: str, names: list[str]) -> str | None:
-    bare = {_bare(other): other for other in names}
-    found = get_close_matches(_bare(name), bare, n=1, cutoff=NEAR)
-    return bare[found[0]] if found else None
+    bare = {re.sub(r"[^a-z0-9+-]", "", each.lower()): each for each in names}
+    near = get_close_matches(re.sub(r"[^a-z0-9+-]", "", name.lower()), bare, n=1, cutoff=NEAR)
+    return bare[near[0]] if near else None
 
 
-def unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
+def _unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
-    used = {
-        form.time_column,
-        "phase",
-        *columns,
-        *sensor_columns(vehicle),
-    }
+    used = {form.time_column, form.receive_time_column, form.voltage_column, "phase", *columns}
+    used |= {name for _, _, names in sensor_parts(vehicle) for name in names}
     used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
-    used |= {name for name in (form.voltage_column, form.receive_time_column) if name}
     return [name for name in table.header if name not in used]
 
 
-def missing_sensors(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
+def _missing_sensors(vehicle: Vehicle, table: Table, unused: list[str]) -> list[str]:
     """Sensors of which the file has no column at all; where it has some, or some that are nearly called so, an error names one."""
-    free, missing = unused_columns(vehicle, table, columns), []
-    for section, what, names in _sensor_parts(vehicle):
+    missing = []
+    for section, what, names in sensor_parts(vehicle):
         absent = [name for name in names if name not in table.header]
-        near = [name for name in absent if _nearest(name, free)]
+        near = [name for name in absent if _nearest(name, unused)]
         if absent and (len(absent) < len(names) or near):
-            column_of(table, (near or absent)[0], what, section, free)
+            column_of(table, (near or absent)[0], what, section, unused)
         if absent:
             missing.append(f"{what} ({', '.join(names)})")
     return missing
-
-
-def _sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
-    """Table of the vehicle file, sensor in words, its columns."""
-    sensors = vehicle.sensors
-    for sensor in sensors.sun_sensors:
-        yield "[sun_sensor]", f"Sun sensor {sensor.name}", columns_of(sensor)
-    for section, part in sensors.with_columns.items():
-        yield section, section.replace("_", " "), list(part.names)
-    for wheel in vehicle.wheels:
-        if wheel.speed_column:
-            yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,12 +40,15 @@ def columns_of(sensor: SunSensor) -> list[str]:
     return [name for name in (sensor.x_column, sensor.y_column, sensor.light_column) if name]
 
 
-def sensor_columns(vehicle: Vehicle) -> list[str]:
-    """Columns that the vehicle's sensors read."""
-    sensors = vehicle.sensors
-    names = [name for sensor in sensors.sun_sensors for name in columns_of(sensor)]
-    names += [name for sensor in sensors.with_columns.values() for name in sensor.names]
-    return names + [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
+def sensor_parts(vehicle: Vehicle) -> Iterator[tuple[str, str, list[str]]]:
+    """Of each sensor of the vehicle its table in the vehicle file, what it is called in words, and the columns that it reads."""
+    for sensor in vehicle.sensors.sun_sensors:
+        yield "[sun_sensor]", f"Sun sensor {sensor.name}", columns_of(sensor)
+    for section, axes in vehicle.sensors.with_columns.items():
+        yield section, section.replace("_", " "), list(axes.names)
+    for wheel in vehicle.wheels:
+        if wheel.speed_column:
+            yield "[wheel]", f"speed of wheel {wheel.name}", [wheel.speed_column]
 
 
 def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
@@ -77,34 +81,31 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
 
 def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     """Those of Sun sensors and Sun vector."""
-    sensors = vehicle.sensors
-    present = [
-        (k, sensor) for k, sensor in enumerate(sensors.sun_sensors) if table.has(columns_of(sensor))
-    ]
-    vector = sensors.sun_vector
-    if vector is not None and not table.has(vector.names):
-        vector = None
+    sensors, vector = vehicle.sensors.sun_sensors, vehicle.sensors.sun_vector
+    vector = vector if vector is not None and table.has(vector.names) else None
+    present = {k: sensor for k, sensor in enumerate(sensors) if table.has(columns_of(sensor))}
     if not present and vector is None:
         return {}
-    n, n_sensor = len(table.cells), len(sensors.sun_sensors)
-    light = (
-        np.stack([_light(s, table) for _, s in present], axis=1) if present else np.empty((n, 0))
-    )
-    lit = light > [sensor.lit_above for _, sensor in present]
-    turned, unsure = np.zeros((n, n_sensor), dtype=bool), np.zeros((n, n_sensor), dtype=bool)
-    for j, (k, sensor) in enumerate(present):
-        if sensor.y_turned_above is not None and sensor.light_column is not None:
-            away = light[:, j] - sensor.y_turned_above
+    n = len(table.cells)
+    lit, turned, unsure = np.zeros((3, n, len(sensors)), dtype=bool)
+    for k, sensor in present.items():
+        if sensor.light_column is None:  # then it always sees the Sun
+            lit[:, k] = True
+            continue
+        light = np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
+        lit[:, k] = light > sensor.lit_above
+        if sensor.y_turned_above is not None:
+            away = light - sensor.y_turned_above
             turned[:, k] = away > 0
             unsure[:, k] = np.abs(away) < BOTH_SIGMAS * (sensor.y_turned_sigma or 0.0)
-    angle = np.full((n, n_sensor, 2), np.nan)
+    angle = np.full((n, len(sensors), 2), np.nan)
 
     def combined(y_turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The Sun (n, 3) from all sensors that see it, each weighted by its information about each axis, and its covariance."""
         views = [] if vector is None else [_vector(vector, table)]
-        for j, (k, sensor) in enumerate(present):
-            angle[lit[:, j], k] = _angles(sensor, table, y_turned[:, k])[lit[:, j]]
-            views.append((*_direction(j, [s for _, s in present], lit, angle[:, k]), lit[:, j]))
+        for k, sensor in present.items():
+            angle[lit[:, k], k] = _angles(sensor, table, y_turned[:, k])[lit[:, k]]
+            views.append((*_direction(k, sensors, lit, angle[:, k]), lit[:, k]))
         information, weighted = np.zeros((n, 3, 3)), np.zeros((n, 3))
         for direction, weight, sees in views:
             use = sees & np.isfinite(direction).all(axis=1)
@@ -124,10 +125,8 @@ def _sun_variables(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     other = combined(turned ^ unsure) if unsure.any() else None
     sun, covariance = combined(turned)
     if present:
-        about = {
-            "units": "rad",
-            "long_name": "angles of each Sun sensor from its normal, along its x and its y",
-        }
+        long_name = "angles of each Sun sensor from its normal, along its x and its y"
+        about = {"units": "rad", "long_name": long_name}
         variables["sun_sensor_angle"] = (("time", "sun_sensor", "side"), angle, about)
         about = {"units": "1", "long_name": "1 where a Sun sensor's y runs the other way"}
         flags = turned.astype(np.int8)
@@ -159,13 +158,6 @@ def _numbers(table: Table, names: Any) -> np.ndarray:
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 
-def _light(sensor: SunSensor, table: Table) -> np.ndarray:
-    """Light (n) on a sensor; without a column of it, it always sees the Sun."""
-    if sensor.light_column is None:
-        return np.full(len(table.cells), np.inf)
-    return np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
-
-
 def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions (n, 3) with their information (n, 3, 3), and where the Sun was seen (n)."""
     value = form.sign * _numbers(table, form.names)
@@ -188,7 +180,7 @@ def _angles(sensor: SunSensor, table: Table, y_turned: np.ndarray) -> np.ndarray
 
 
 def _direction(
-    k: int, sensors: list[SunSensor], lit: np.ndarray, angle: np.ndarray
+    k: int, sensors: Sequence[SunSensor], lit: np.ndarray, angle: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Directions (n, 3) of sensor `k` and their information (n, 3, 3), from its angles (n, 2); a y that it does not read follows
     from its lit neighbours."""

@@ -14,7 +14,7 @@ from scipy.special import chdtrc  # scipy.stats takes longer to import than a sh
 
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power, turned_sigma
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 DIRECTIONS = 4000
 """Directions of the Sun that are tried, 3 degrees apart."""

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
-from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import instant
 
@@ -30,13 +30,8 @@ def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Datas
         The file belongs to a vehicle with other panels, sensors or wheels, or somebody has changed it.
     """
     known = _known(vehicle)
-    data = data.drop_vars(
-        [
-            name
-            for name in data.variables
-            if name not in known and name not in ("time", "panel", "axis", "phase")
-        ]
-    )
+    kept = {*known, "time", "panel", "axis", "phase"}
+    data = data.drop_vars([name for name in data.variables if name not in kept])
     if wrong := _wrong(data, vehicle, known):
         do = "give the vehicle.toml that lies beside it, or the file from which it was read"
         raise TelemetryError(
@@ -47,37 +42,27 @@ def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Datas
 
 def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
     """The variables that telemetry of a vehicle may have, of one sample."""
-    sample = pd.DataFrame(dict.fromkeys(sensor_columns(vehicle), "0"), index=[1])
+    columns = [name for _, _, names in sensor_parts(vehicle) for name in names]
+    sample = pd.DataFrame(dict.fromkeys(columns, "0"), index=[1])
     of_sensors = read_sensors(vehicle, Table(sample, [], ""))
     for name in ("B", "cov_B"):  # this sample does not leave open how to read it, others may
         if f"sun_sensor_{name}" in of_sensors:
             of_sensors[f"sun_sensor_other_{name}"] = of_sensors[f"sun_sensor_{name}"]
-    panels = ("time", "panel"), np.zeros((1, len(vehicle.input_names)))
-    found = {
-        "flag": ("time", np.zeros(1, np.uint8)),
-        "received_s": ("time", np.zeros(1)),
-        "panel_temperature_C": panels,
-    }
-    return {
-        name: xr.Variable(*form[:2])
-        for name, form in (found | {vehicle.telemetry.quantity: panels} | of_sensors).items()
-    }
+    number, panels = np.zeros(1), (("time", "panel"), np.zeros((1, len(vehicle.input_names))))
+    of_panels = {vehicle.telemetry.quantity: panels, "panel_temperature_C": panels}
+    others = {"flag": ("time", number.astype(np.uint8)), "received_s": ("time", number)}
+    forms = (others | of_panels | of_sensors).items()
+    return {name: xr.Variable(*form[:2]) for name, form in forms}
 
 
 def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) -> str:
     """What speaks against it, in words; nothing if it may be used."""
-    if (
-        not all(isinstance(data.attrs.get(name), str) for name in TEXTS)
-        or instant(data.attrs["epoch_utc"]) is None
-    ):
+    texts = [data.attrs.get(name) for name in TEXTS]
+    if not all(isinstance(text, str) for text in texts) or instant(data.attrs["epoch_utc"]) is None:
         return "no epoch, or no word on its columns"
     time, phase = data.variables.get("time"), data.variables.get("phase")
-    if (
-        time is None
-        or time.dims != ("time",)
-        or time.dtype.kind != "f"
-        or not (time.size and (np.abs(time.values) < ABSURD).all())
-    ):
+    plain = time is not None and time.dims == ("time",) and time.dtype.kind == "f"
+    if not plain or not time.size or not (np.abs(time.values) < ABSURD).all():
         return "no times, or times that are no numbers"
     if phase is not None and (phase.dims != ("time",) or phase.dtype.kind not in "UO"):
         return "phases that are no texts"
@@ -86,14 +71,12 @@ def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) ->
         return "other panels"
     if "flag" not in data or len(data.data_vars) == 1:
         return "no flags, or no reading"
-    for name, one in data.variables.items():
-        form = known.get(str(name))
-        if form is not None and (
-            one.dims != form.dims
-            or one.shape[1:] != form.shape[1:]
-            or one.dtype.kind != form.dtype.kind
-        ):
+    for name, stored in data.variables.items():
+        if (form := known.get(str(name))) is None:
+            continue
+        alike = [(each.dims, each.shape[1:], each.dtype.kind) for each in (stored, form)]
+        if alike[0] != alike[1]:
             return f"another form of {name}"
-        if form is not None and np.any(np.abs(one.values[~np.isnan(one.values)]) > ABSURD):
+        if np.any(np.abs(stored.values[~np.isnan(stored.values)]) > ABSURD):
             return f"{name} beyond all measure"
     return ""

@@ -20,8 +20,8 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import Pattern, lit_patterns, named, observable_patterns
-from sunspin.vehicle.response.protocol import PanelResponse
+from sunspin.vehicle.response.flat import PanelResponse
+from sunspin.vehicle.response.panels import Pattern, named
 
 LIT_FRACTION = 0.02
 """Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
@@ -77,19 +77,12 @@ def is_reconstructed(status: Any) -> np.ndarray:
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     """The lit patterns that geometry allows and from which a direction follows: three panels that look in
     independent directions, no rule against, and no panels that share an input so that several directions fit."""
-    patterns = lit_patterns(vehicle)
+    vehicle.require_panels()
     response = vehicle.response_in()
-    regions = response.regions()
-    doubtful = named(vehicle, regions.lit[_several(vehicle, response.power(regions.sun_B), 0.0)])
-    patterns = tuple(pattern for pattern in patterns if pattern not in doubtful)
-    found = _pattern_statuses(
-        vehicle, [tuple(name in pattern for name in vehicle.input_names) for pattern in patterns]
-    )
-    return frozenset(
-        pattern
-        for pattern, (status, _) in zip(patterns, found, strict=True)
-        if status in RECONSTRUCTED
-    )
+    sun_B, lit = response.regions()
+    doubtful = named(vehicle, lit[_several(vehicle, response.power(sun_B), 0.0)])
+    status = [status for status, _ in _statuses(vehicle, lit)]
+    return named(vehicle, lit[is_reconstructed(status)]) - doubtful
 
 
 @lru_cache(maxsize=4096)
@@ -112,18 +105,16 @@ def _status_cached(
     return status, STATUS_TEXT[status]
 
 
-def _pattern_statuses(
-    vehicle: Vehicle, patterns: list[tuple[bool, ...]]
-) -> list[tuple[SunStatus, str]]:
-    names = vehicle.input_names
-    possible = frozenset(
-        tuple(name in pattern for name in names) for pattern in observable_patterns(vehicle)
-    )
+def _statuses(vehicle: Vehicle, lit: np.ndarray) -> list[tuple[SunStatus, str]]:
+    """Status and sentence of each set of lit panels (n, n_panel)."""
+    names, response = vehicle.input_names, vehicle.response_in()
+    shown = np.concatenate([response.regions().lit, response.edges()])
+    possible = frozenset(map(tuple, shown.tolist()))
     rules = tuple(
         (tuple(names.index(name) for name in rule.all_dark), rule.reason)
         for rule in vehicle.sun_rules
     )
-    return [_status_cached(vehicle.response_in(), possible, rules, lit) for lit in patterns]
+    return [_status_cached(response, possible, rules, tuple(row)) for row in lit.tolist()]
 
 
 def sun_directions(
@@ -186,7 +177,7 @@ def sun_directions(
     lit = (clean > threshold) & finite[:, None]
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
     inverse = inverse.ravel()
-    of_pattern = _pattern_statuses(vehicle, [tuple(row) for row in patterns.tolist()])
+    of_pattern = _statuses(vehicle, patterns)
     status = np.array([code for code, _ in of_pattern], dtype=np.int8)[inverse]
     texts = np.array([text for _, text in of_pattern], dtype=object)[inverse]
     status[~finite], texts[~finite] = SunStatus.MISSING, STATUS_TEXT[SunStatus.MISSING]
@@ -217,20 +208,13 @@ def sun_directions(
     known &= ~doubtful
     for i in np.flatnonzero(status == SunStatus.ARC):
         arcs[i] = response.arc(clean[i], lit[i])
+    sun_B = np.where(known[:, None], direction, np.nan)
+    sigma_rad = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     variables = {
-        "sun_B": (
-            np.where(known[:, None], direction, np.nan),
-            "direction to the Sun, body axes",
-            "1",
-            "axis",
-        ),
+        "sun_B": (sun_B, "direction to the Sun, body axes", "1", "axis"),
         "best_B": (direction, "a minimiser of Delta, whatever the status", "1", "axis"),
         "delta": (delta, "misfit Delta, paper eq. 2", "1"),
-        "sigma_rad": (
-            np.sqrt(np.trace(covariance, axis1=1, axis2=2)),
-            "rms angle of the error from panel noise",
-            "rad",
-        ),
+        "sigma_rad": (sigma_rad, "rms angle of the error from panel noise", "rad"),
         "sun_cov_B": (covariance, "tangent covariance", "1", "axis", "axis2"),
         "n_lit": (lit.sum(axis=1).astype(np.int32), "number of lit panels", "1"),
         "sun_arc_B": (arcs, "ends of the arc of directions", "1", "end", "axis"),

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import xarray as xr
 
 from sunspin.base.errors import OutputError
@@ -100,36 +101,29 @@ def telemetry_dataset(
 
 def csv_text(vehicle: Vehicle, telemetry: xr.Dataset, comments: list[str]) -> str:
     """The telemetry as text: comment lines, UTC to the millisecond, values to 1e-6, the phase where there is one."""
-    form = vehicle.telemetry
-    epoch = datetime.fromisoformat(telemetry.attrs["epoch_utc"]).astimezone(UTC)
+    form, epoch = vehicle.telemetry, datetime.fromisoformat(telemetry.attrs["epoch_utc"])
     columns = [form.columns.get(name, f"P{name}_W") for name in vehicle.input_names]
-    has_phase = "phase" in telemetry.coords
-    lines = [f"# {comment}" for comment in comments]
-    lines.append(",".join([form.time_column, *columns, *(["phase"] if has_phase else [])]))
-    values = telemetry[form.quantity].values
-    for i, t in enumerate(telemetry["time"].values.tolist()):
-        moment = epoch + timedelta(milliseconds=round(t * 1000))
-        utc = moment.strftime("%Y-%m-%dT%H:%M:%S.") + f"{moment.microsecond // 1000:03d}Z"
-        phase = [str(telemetry["phase"].values[i])] if has_phase else []
-        lines.append(",".join([utc, *(f"{value:.6f}" for value in values[i]), *phase]))
-    return "\n".join(lines) + "\n"
+    table = pd.DataFrame(telemetry[form.quantity].values, columns=columns)
+    moments = [epoch + timedelta(milliseconds=round(1000 * t)) for t in telemetry["time"].values]
+    table.insert(
+        0, form.time_column, [f"{t.astimezone(UTC):%Y-%m-%dT%T.%f}"[:-3] + "Z" for t in moments]
+    )
+    if "phase" in telemetry.coords:
+        table["phase"] = telemetry["phase"].values
+    lines = table.to_csv(index=False, float_format="%.6f", lineterminator="\n")
+    return "".join(f"# {comment}\n" for comment in comments) + lines
 
 
 def truth_text(telemetry: xr.Dataset, comments: list[str]) -> str:
     """The truth of a twin as TOML text."""
-    lines = [f"# {comment}" for comment in comments]
-    for key, value in telemetry.attrs.items():
-        if key.startswith("truth_"):
-            lines.append(f"{key.removeprefix('truth_')} = {_toml(value)}")
-    return "\n".join(lines) + "\n"
+    import tomlkit
 
-
-def _toml(value: Any) -> str:
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, np.ndarray | list | tuple):
-        return "[" + ", ".join(_toml(item) for item in np.asarray(value).tolist()) + "]"
-    return repr(value.item() if isinstance(value, np.generic) else value)
+    truth = {
+        key.removeprefix("truth_"): value.tolist() if hasattr(value, "tolist") else value
+        for key, value in telemetry.attrs.items()
+        if key.startswith("truth_")
+    }
+    return "".join(f"# {comment}\n" for comment in comments) + tomlkit.dumps(truth)
 
 
 def write_new(path: Path, text: str, force: bool) -> None:

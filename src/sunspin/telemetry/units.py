@@ -16,6 +16,7 @@ from sunspin.telemetry.noise import BRIGHT_QUANTILE
 from sunspin.telemetry.sensors import STEEPEST_RAD
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness
+from sunspin.vehicle.sensors import Gyro, Magnetometer
 
 UNITS = {"power_W": "W", "current_A": "A"}
 
@@ -189,49 +190,64 @@ def wrong_units(
 ) -> list[WrongUnit]:
     """Every unit of sensors, wheels and temperatures that the samples of `read_telemetry` contradict; `still_directions` gives unit
     directions (n, 3), body axes, that keep still in space, for the gyro."""
-    wrong = [
-        _gyro(vehicle, telemetry, still_directions),
-        *_magnetometer(vehicle, telemetry),
-        *_sun_sensors(vehicle, telemetry),
-        *_wheels(vehicle, telemetry),
-        _temperature(telemetry),
-    ]
-    return [each for each in wrong if each is not None]
+    sensors, wrong = vehicle.sensors, []
+    if sensors.gyro is not None and "gyro_B" in telemetry:
+        limit = sensors.disturbance.max_rate_rad_s
+        wrong += _gyro(sensors.gyro, limit, telemetry, still_directions())
+    if sensors.magnetometer is not None and "field_B" in telemetry:
+        field, dipole = telemetry["field_B"].values, sensors.disturbance.dipole
+        wrong += _magnetometer(sensors.magnetometer, dipole, field)
+    if "sun_sensor_angle" in telemetry:
+        angles = telemetry["sun_sensor_angle"].values[:, :, 0].T
+        for sensor, angle in zip(sensors.sun_sensors, angles, strict=True):
+            steep = np.abs(angle[np.isfinite(angle)]) >= STEEPEST_RAD
+            if len(steep) >= STEEP_SAMPLES and steep.mean() > STEEP_SHARE:
+                what = (
+                    f"Sun sensor {sensor.name} nearly always reads {np.degrees(STEEPEST_RAD):.0f} degrees or more from its normal: "
+                    "degrees read as radians"
+                )
+                value = sensor.x_scale * np.pi / 180
+                wrong.append(WrongUnit(what, "[sun_sensor]", "x_scale", value))
+    if "wheel_speed_rad_s" in telemetry:
+        speeds = telemetry["wheel_speed_rad_s"].values.T
+        for wheel, speed in zip(vehicle.wheels, speeds, strict=True):
+            speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]  # it may coast down afterwards
+            known = len(speed) and wheel.speed_rad_s
+            ratio = float(np.median(speed)) / abs(wheel.speed_rad_s) if known else 0.0
+            for factor in (RPM, 1 / RPM):
+                if abs(ratio / factor - 1) < RPM_WITHIN:
+                    what = (
+                        f"wheel {wheel.name} reads {ratio:.3g} times its nominal speed: "
+                        "revolutions a minute taken for rad/s or back"
+                    )
+                    value = wheel.speed_scale_rad_s / factor
+                    wrong.append(WrongUnit(what, "[wheel]", "speed_scale_rad_s", value))
+    warmth = telemetry.get("panel_temperature_C")
+    if warmth is not None and not np.isfinite(warmth.values).any():
+        what = "no reading of the temperature columns is a panel's temperature in degrees Celsius, and none is used"
+        wrong.append(WrongUnit(what, "telemetry", "temperature_scale"))
+    return wrong
 
 
 def _gyro(
-    vehicle: Vehicle, telemetry: xr.Dataset, still_directions: Callable[[], list[np.ndarray]]
-) -> WrongUnit | None:
-    gyro = vehicle.sensors.gyro
-    if gyro is None or "gyro_B" not in telemetry:
-        return None
-    rate = telemetry["gyro_B"].values
-    seen = still_directions()
-    maps = [factor * np.eye(3) for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
+    gyro: Gyro, limit: float | None, telemetry: xr.Dataset, seen: list[np.ndarray]
+) -> list[WrongUnit]:
+    time, rate = telemetry["time"].values, telemetry["gyro_B"].values
+    turns = even_turns(time, rate)
+    read_as = [factor * turns for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
     for lag in LAGS:
-        stated, still, *others = carried(telemetry["time"].values, seen, rate, lag, maps)
-        best = int(np.argmin(others))
-        if stated > TURNS_WRONG and others[best] < min(
-            TURNS_RIGHT, BETTER * stated, BETTER * still
-        ):
+        stated, still, *angles = carried_by(time, seen, read_as, lag)
+        best = int(np.argmin(angles))
+        least = min(TURNS_RIGHT, BETTER * stated, BETTER * still)
+        if stated > TURNS_WRONG and angles[best] < least:
             name, factor = list(GYRO_FACTORS.items())[best]
             what = f"with its rates times {factor:.4g} the gyro turns the Sun as it is seen, and as they stand it does not: {name}"
-            return WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)
-    limit = vehicle.sensors.disturbance.max_rate_rad_s
+            return [WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)]
     size = np.linalg.norm(rate[np.isfinite(rate).all(axis=1)], axis=1)
     if limit is None or len(size) < PAIRS or np.median(size) < TOO_FAST * limit:
-        return None
+        return []
     what = f"the gyro reads {np.degrees(np.median(size)):.3g} deg/s, and max_rate_rad_s says at most {np.degrees(limit):.3g} deg/s"
-    return WrongUnit(what, "gyro", "scale_rad_s")
-
-
-def carried(
-    time: np.ndarray, seen: list[np.ndarray], rate: np.ndarray, lag: int, maps: list[np.ndarray]
-) -> list[float]:
-    """Median angle (rad), for each matrix (3, 3) on the rates, between directions carried on by them over `lag` samples and seen
-    there. Zero where too few are seen."""
-    turns = even_turns(time, rate)
-    return carried_by(time, seen, [turns @ matrix.T for matrix in maps], lag)
+    return [WrongUnit(what, "gyro", "scale_rad_s")]
 
 
 def even_turns(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -242,7 +258,10 @@ def even_turns(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
 def carried_by(
     time: np.ndarray, seen: list[np.ndarray], turns: list[np.ndarray], lag: int
 ) -> list[float]:
-    """The same for each set of turns (n - 1, 3) between neighbours."""
+    """Median angle (rad), for each set of turns (n - 1, 3) between neighbours, between directions that stand still in space as they
+    are carried on over `lag` samples and as they are seen there. Zero where too few are seen."""
+    from scipy.spatial.transform import Rotation
+
     n = len(time) - lag
     begin = np.arange(max(n, 0))
     good = np.isfinite(turns[0]).all(axis=1) & (np.diff(time) > 0)
@@ -256,92 +275,34 @@ def carried_by(
         return [0.0] * len(turns)
     at = np.concatenate([at for _, at in pairs])
     first, then = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
-    return [_median_angle(_turned(first, each, at, lag), then) for each in turns]
+    angles = []
+    for each in turns:
+        direction = first
+        for k in range(lag):
+            direction = Rotation.from_rotvec(-each[at + k]).apply(direction)
+        across = np.linalg.norm(np.cross(direction, then), axis=1)
+        angles.append(float(np.median(np.arctan2(across, (direction * then).sum(axis=1)))))
+    return angles
 
 
-def _turned(direction: np.ndarray, turns: np.ndarray, at: np.ndarray, lag: int) -> np.ndarray:
-    """Directions that stand still in space, in a body that makes the turns after `at`, one after the other."""
-    from scipy.spatial.transform import Rotation
-
-    for k in range(lag):
-        direction = Rotation.from_rotvec(-turns[at + k]).apply(direction)
-    return direction
-
-
-def _median_angle(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.median(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1))))
-
-
-def _magnetometer(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
-    magnetometer = vehicle.sensors.magnetometer
-    if magnetometer is None or "field_B" not in telemetry:
-        return []
-    field = telemetry["field_B"].values
+def _magnetometer(
+    magnetometer: Magnetometer, dipole: np.ndarray | None, field: np.ndarray
+) -> list[WrongUnit]:
     field = field[np.isfinite(field).all(axis=1)]
     size = float(np.median(np.linalg.norm(field, axis=1))) if len(field) >= PAIRS else 0.0
     if size == 0:
         return []
-    zero = np.linalg.norm(magnetometer.zero)
+    zero, noise = np.linalg.norm(magnetometer.zero), magnetometer.noise
     raw = field @ np.linalg.inv(magnetometer.matrix).T * magnetometer.sign + magnetometer.zero
     reading = float(np.median(np.linalg.norm(raw, axis=1)))
     if zero > OFFSET * reading:  # then neither noise nor dipole can be judged
         what = f"the magnetometer reads {reading:.3g} and its stated zero is {zero:.3g}: the zero is in another unit"
         return [WrongUnit(what, "magnetometer", "zero")]
-    found = []
-    noise, dipole = magnetometer.noise, vehicle.sensors.disturbance.dipole
+    wrong = []
     if noise is not None and not 0.5 * noise < size < FINEST * noise:
         what = f"the field reads {size:.3g} and its stated noise is {noise:g}: the noise is in another unit than the columns"
-        found.append(WrongUnit(what, "magnetometer", "noise"))
-    if dipole is not None and np.linalg.norm(dipole) * size > ABSURD_ACCELERATION:
-        turn = np.linalg.norm(dipole) * size
+        wrong.append(WrongUnit(what, "magnetometer", "noise"))
+    if dipole is not None and (turn := np.linalg.norm(dipole) * size) > ABSURD_ACCELERATION:
         what = f"dipole times field is {turn:.2g} rad/s2, more than any dipole's: it is per another unit than the columns"
-        found.append(WrongUnit(what, "disturbance", "dipole"))
-    return found
-
-
-def _sun_sensors(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
-    if "sun_sensor_angle" not in telemetry:
-        return []
-    found = []
-    for k, sensor in enumerate(vehicle.sensors.sun_sensors):
-        angle = telemetry["sun_sensor_angle"].values[:, k, 0]
-        angle = angle[np.isfinite(angle)]
-        if len(angle) >= STEEP_SAMPLES and np.mean(np.abs(angle) >= STEEPEST_RAD) > STEEP_SHARE:
-            steep, value = np.degrees(STEEPEST_RAD), sensor.x_scale * np.pi / 180
-            what = f"Sun sensor {sensor.name} nearly always reads {steep:.0f} degrees or more from its normal"
-            found.append(
-                WrongUnit(f"{what}: degrees read as radians", "[sun_sensor]", "x_scale", value)
-            )
-    return found
-
-
-def _wheels(vehicle: Vehicle, telemetry: xr.Dataset) -> list[WrongUnit]:
-    if "wheel_speed_rad_s" not in telemetry:
-        return []
-    found = []
-    for wheel, speed in zip(vehicle.wheels, telemetry["wheel_speed_rad_s"].values.T, strict=True):
-        speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]  # it may coast down afterwards
-        ratio = (
-            float(np.median(speed)) / abs(wheel.speed_rad_s)
-            if len(speed) and wheel.speed_rad_s
-            else 0.0
-        )
-        for factor in (RPM, 1 / RPM):
-            if abs(ratio / factor - 1) < RPM_WITHIN:
-                what = f"wheel {wheel.name} reads {ratio:.3g} times its nominal speed: revolutions a minute taken for rad/s or back"
-                found.append(
-                    WrongUnit(
-                        what, "[wheel]", "speed_scale_rad_s", wheel.speed_scale_rad_s / factor
-                    )
-                )
-    return found
-
-
-def _temperature(telemetry: xr.Dataset) -> WrongUnit | None:
-    if (
-        "panel_temperature_C" not in telemetry
-        or np.isfinite(telemetry["panel_temperature_C"].values).any()
-    ):
-        return None
-    what = "no reading of the temperature columns is a panel's temperature in degrees Celsius, and none is used"
-    return WrongUnit(what, "telemetry", "temperature_scale")
+        wrong.append(WrongUnit(what, "disturbance", "dipole"))
+    return wrong

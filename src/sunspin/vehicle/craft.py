@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
@@ -28,6 +29,7 @@ from sunspin.vehicle.part import (
     must,
     no_entries,
     part,
+    tuples,
 )
 from sunspin.vehicle.parts import (
     Antenna,
@@ -37,12 +39,12 @@ from sunspin.vehicle.parts import (
     Leg,
     Orbit,
     Panel,
+    ResponseForm,
     SunRule,
     Wheel,
 )
-from sunspin.vehicle.response.choice import ResponseForm, response_of
-from sunspin.vehicle.response.joined import Input, full_sun
-from sunspin.vehicle.response.protocol import PanelResponse
+from sunspin.vehicle.response.flat import PanelResponse
+from sunspin.vehicle.response.joined import Input, Joined, full_sun
 from sunspin.vehicle.sensors import Sensors
 
 MAX_PANELS = 32
@@ -295,11 +297,8 @@ class Vehicle(Part):
         """Whether the readings of a sample have a factor in common that nobody knows."""
         return self.telemetry.throttled or any(channel.throttled for channel in self.channels)
 
-    def response_in(self, phase: str | None = None) -> PanelResponse:
-        """How the inputs see light in a phase of the vehicle's timeline: alike in all phases, as yet.
-
-        The rest of the package asks nothing but this about it; the answer is kept and shared.
-        """
+    def response_in(self) -> PanelResponse:
+        """How the inputs see light: the rest of the package asks nothing but this about it. The answer is kept and shared."""
         return self._response(self.inputs if self.channels else ())
 
     def panels_in(self) -> PanelResponse:
@@ -307,8 +306,7 @@ class Vehicle(Part):
         return self._response(())
 
     def _response(self, inputs: tuple[Input, ...]) -> PanelResponse:
-        normals, gains = map(tuple, self.panel_normals_B.tolist()), tuple(self.panel_gains.tolist())
-        return response_of(tuple(normals), gains, inputs)
+        return _response_of(tuples(self.panel_normals_B), tuples(self.panel_gains), inputs)
 
     def require_inertia(self) -> FloatArray:
         """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
@@ -355,6 +353,12 @@ class Vehicle(Part):
                 )
             wheels.append(replace(wheel, friction=wheel.alternative_frictions[name]))
         return replace(self, wheels=tuple(wheels))
+
+
+@lru_cache(maxsize=64)
+def _response_of(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
+    normals, strength = frozen_array(normals_B).reshape(-1, 3), frozen_array(gains)
+    return Joined(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
 
 
 def _require_distinct(names: list[str], key: str) -> None:
@@ -415,13 +419,10 @@ def _require_known_panels(vehicle: Vehicle) -> None:
         (f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None
     ]
     read = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
-    read += [("telemetry.columns", name) for name in form.columns]
-    read += [("telemetry.offset_s", name) for name in form.offset_s]
-    read += [("telemetry.voltage_columns", name) for name in form.voltage_columns]
     read += [
-        ("telemetry.temperature_columns", name)
-        for name in form.temperature_columns
-        if name in vehicle.panel_names
+        (f"telemetry.{key}", name)
+        for key in ("columns", "offset_s", "voltage_columns", "temperature_columns")
+        for name in getattr(form, key)
     ]
     for known, every in ((vehicle.panel_names, named), (vehicle.input_names, read)):
         for key, name in every:

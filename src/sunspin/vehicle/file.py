@@ -19,7 +19,6 @@ from sunspin.base.untrusted import decoded, read_bytes
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, problem
-from sunspin.vehicle.response.choice import ResponseForm
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
@@ -55,7 +54,7 @@ class VehicleFile(Part):
     magnetometer: sensors.Magnetometer | None = None
     disturbance: sensors.Disturbance = sensors.Disturbance()
     clock: sensors.Clock | None = None
-    panel_response: ResponseForm = ResponseForm()
+    panel_response: parts.ResponseForm = parts.ResponseForm()
     channel: tuple[parts.Channel, ...] = ()
 
 

@@ -29,6 +29,7 @@ from sunspin.vehicle.part import (
     Number,
     Part,
     Positive,
+    Vector,
     above_zero,
     array,
     must,
@@ -110,6 +111,23 @@ class Channel(Part):
     reads: Literal["sum", "largest"]
     throttled: StrictBool = False
     noise: Noise = None
+
+
+@part
+class Tilted(Part):
+    """The normal of `panel` is turned by the rotation vector `turn_B_rad`; its sigma is in the facts."""
+
+    panel: Name
+    turn_B_rad: Vector
+
+
+@part
+class ResponseForm(Part):
+    """How panels stand beside their drawing: one that is turned, and the rotation vector `turned_B_rad` by which all of them are
+    turned against the axes of the body; sigmas are in the facts."""
+
+    tilted: Tilted | None = None
+    turned_B_rad: Vector | None = None
 
 
 @part

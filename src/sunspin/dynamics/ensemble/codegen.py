@@ -25,7 +25,7 @@ from sunspin.dynamics.torques.acting import (
     outside,
     spun,
 )
-from sunspin.vehicle.response.protocol import Literals
+from sunspin.vehicle.response.planes import Literals
 
 if TYPE_CHECKING:
     import sympy as sp

@@ -10,8 +10,7 @@ from sunspin.estimate.posterior.data import Readings
 from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response import panels
-from sunspin.vehicle.response.panels import panel_power
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 LEAST_SEEN, MOST_SEEN = 0.5, 1.2
 """Range of the scale that few panels ask for, in which gains with a unit may be right."""
@@ -63,7 +62,7 @@ def _likeliest(vehicle: Vehicle, value: np.ndarray, data: Readings) -> float:
             STEP,
         )
     )
-    seen = panel_power(vehicle, sphere(CANDIDATE_GRID))
+    seen = panels.panel_power(vehicle, sphere(CANDIDATE_GRID))
     density = np.zeros(len(scales))
     for i, scale in enumerate(scales):
         sigma = np.hypot(data.sigma, BETWEEN_RAD * scale * vehicle.input_gains)

@@ -28,7 +28,7 @@ from sunspin.estimate.posterior.light import between, light_of, nearest_node, no
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response.panels import panel_power
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 
 def jit(function: Any) -> Any:

@@ -25,7 +25,7 @@ from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.tags import power_slope, tagged
 from sunspin.estimate.terms.reading import LOG_2PI
 from sunspin.solve.rotations import moved, tangents
-from sunspin.vehicle.response.protocol import PanelResponse
+from sunspin.vehicle.response.flat import PanelResponse
 
 OUTLIERS = 0.02
 """Probability beforehand that a reading has nothing to do with the Sun."""

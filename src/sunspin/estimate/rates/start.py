@@ -14,7 +14,7 @@ from sunspin.estimate.rates.motion import Body, nutation
 from sunspin.estimate.rates.smooth import costs
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import SUN_N, facing
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 ANGLES = 36
 """Turns tried in each full turn, 10 degrees apart: the smoother's basin is wider than that."""

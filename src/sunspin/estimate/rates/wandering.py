@@ -15,7 +15,7 @@ from scipy.special import sph_harm_y
 from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.state import Observations
 from sunspin.estimate.terms.term import EVERYWHERE, Seen, facing, normal
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 DEGREE = 24
 """Of the harmonics: a way of 0.15 rad from one reading to the next is told from none."""

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA
 from sunspin.estimate.terms.term import SUN_N, Unknown, drifting
 from sunspin.solve.rotations import cross_matrix
+from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import opposite_panels
-from sunspin.vehicle.response.protocol import PanelResponse
 
 TURN_RATE = 1.5e-3
 """rad/s; the beam turns with the orbit, 1.1e-3, and brightens or fades as the ground below does."""

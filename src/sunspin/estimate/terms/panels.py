@@ -23,7 +23,8 @@ from sunspin.telemetry.gains import FAINT
 from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.protocol import PanelResponse, sphere
+from sunspin.vehicle.response.flat import PanelResponse
+from sunspin.vehicle.response.planes import sphere
 
 FLAT, LOOKS = 1e-6, 500
 """Panels that look out of one plane by less than this may see no difference between a Sun on either side of it; and in how many

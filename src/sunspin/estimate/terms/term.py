@@ -24,7 +24,7 @@ import numpy as np
 
 from sunspin.environment import Surroundings, unknown
 from sunspin.solve.rotations import cross
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 SUN_N = unknown().at(0.0).sun_N[0]
 """The Sun in the local frame N."""

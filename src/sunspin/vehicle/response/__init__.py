@@ -1,2 +1,1 @@
-"""How panels see light: `protocol.py` says what is asked, `cosine.py` answers for panels each on an input of its own, `joined.py`
-where panels share inputs; `choice.py` makes the one or the other of a vehicle's file."""
+"""How panels see light: `flat.py` answers for panels each on an input of its own, `joined.py` where panels share inputs."""

@@ -10,28 +10,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
 from sunspin.base.errors import VehicleError
 from sunspin.solve.linear import plain_covariance
 from sunspin.solve.rotations import moved, tangents
-from sunspin.vehicle.response.cosine import (
+from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
-    Flat,
+    PanelResponse,
     Places,
-    along_normals,
-    places_of,
-)
-from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula
-from sunspin.vehicle.response.protocol import (
-    Counted,
     Regions,
     Slopes,
     misfit,
-    sphere,
     unit_readings,
 )
+from sunspin.vehicle.response.planes import ON_PLANE, Counted, formula, sphere
 
 CLIMBS, STARTS = 30, 200
 """Steps, and starts, of the search for the direction in which a sum of panels gives most."""
@@ -66,10 +61,10 @@ class Input:
     largest: bool = False
 
 
-def full_sun(one: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[np.ndarray, float]:
+def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[np.ndarray, float]:
     """The direction (3) in which an input of panels with normals (n_panel, 3) and gains (n_panel) reads most, and what it reads."""
-    own = list(one.panels)
-    if one.largest or len(own) == 1:
+    own = list(shared.panels)
+    if shared.largest or len(own) == 1:
         best = own[int(np.argmax(gains[own]))]
         return normals_B[best], float(gains[best])
     rows = gains[own, None] * normals_B[own]
@@ -84,17 +79,15 @@ def full_sun(one: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[np.n
 
 
 @dataclass(frozen=True, eq=False)
-class Joined(Flat):
-    """Inputs as a :class:`sunspin.vehicle.response.protocol.PanelResponse`: what is said of panels there holds for inputs here.
-
-    `normals_B` (n_panel, 3) and `gains` (n_panel) are those of the panels.
-    """
+class Joined(PanelResponse):
+    """Panels that share inputs: what is said of panels in :class:`PanelResponse` holds for inputs here, but that `normals_B`
+    (n_panel, 3) and `gains` (n_panel) are those of the panels."""
 
     inputs: tuple[Input, ...]
 
     @cached_property
     def _full(self) -> list[tuple[np.ndarray, float]]:
-        return [full_sun(one, self.normals_B, self.gains) for one in self.inputs]
+        return [full_sun(shared, self.normals_B, self.gains) for shared in self.inputs]
 
     @property
     def facing_B(self) -> np.ndarray:
@@ -109,54 +102,51 @@ class Joined(Flat):
     def largest(self) -> float:
         return float(self.full.max())
 
-    # ------------------------------------------------------------------------------------------------------- readings and slopes
-
     def _made(self, signal: np.ndarray) -> np.ndarray:
         """Which panels (..., n_panel) make the readings, by their signals: inside a cell always the same ones."""
-        made = signal > 0
-        for one in self.inputs:
-            if one.largest and len(one.panels) > 1:
-                own = list(one.panels)
+        makes = signal > 0
+        for shared in self.inputs:
+            if shared.largest and len(shared.panels) > 1:
+                own = list(shared.panels)
                 first = np.arange(len(own)) == np.argmax(signal[..., own], axis=-1)[..., None]
-                made[..., own] &= first
-        return made
+                makes[..., own] &= first
+        return makes
 
-    def sides(self, sun_B: np.ndarray) -> np.ndarray:
+    def _sides(self, sun_B: np.ndarray) -> np.ndarray:
         """The same for directions (..., 3)."""
-        return self._made(self.gains * np.maximum(sun_B @ self.normals_B.T, 0.0))
+        return self._made(super().power(sun_B))
 
     def _summed(self, parts: np.ndarray, axis: int = -1) -> np.ndarray:
         """Of parts of panels, zero where they make no reading, the sums of inputs."""
-        each = [np.take(parts, list(one.panels), axis=axis).sum(axis=axis) for one in self.inputs]
+        each = [np.take(parts, list(own.panels), axis=axis).sum(axis=axis) for own in self.inputs]
         return np.stack(each, axis=axis)
 
-    def _power(
-        self, sun_B: np.ndarray, gain: np.ndarray | None, tilt: np.ndarray | None
-    ) -> np.ndarray:
-        return self._read(self.gains * np.maximum(self.cosines(sun_B, tilt), 0.0), gain)
+    def _matrix(self, makes: np.ndarray) -> np.ndarray:
+        """Readings by direction (..., n_input, 3) where panels `makes` (..., n_panel) make them."""
+        return self._summed((makes * self.gains)[..., None] * self.normals_B, axis=-2)
 
     def _read(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
         """Readings (..., n_input) of signals (..., n_panel) of the panels."""
         each = [
-            signal[..., list(one.panels)].max(axis=-1)
-            if one.largest
-            else signal[..., list(one.panels)].sum(axis=-1)
-            for one in self.inputs
+            (np.max if own.largest else np.sum)(signal[..., list(own.panels)], axis=-1)
+            for own in self.inputs
         ]
         return np.stack(each, axis=-1) * (1.0 if gain is None else gain)
+
+    def power(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
+    ) -> np.ndarray:
+        return self._read(super().power(sun_B, tilt=tilt), gain)
 
     def slopes(
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> Slopes:
-        normals, sun = self.turned(tilt), sun_B[..., None, :]
-        cosine = along_normals(sun_B, normals)
-        signal = self.gains * np.maximum(cosine, 0.0)
-        strength = (self.gains * self._made(signal))[..., None]
+        signal, to_sun, to_tilt = super().slopes(sun_B, tilt=tilt)
+        makes = self._made(signal)[..., None]
         factor = 1.0 if gain is None else np.asarray(gain)[..., None]
-        to_sun = self._summed(strength * (normals - cosine[..., None] * sun), axis=-2) * factor
-        if tilt is None:
-            return Slopes(self._read(signal, gain), to_sun, None)
-        to_tilt = self._summed(strength * np.cross(normals, sun), axis=-2) * factor
+        to_sun = self._summed(makes * to_sun, axis=-2) * factor
+        if to_tilt is not None:
+            to_tilt = self._summed(makes * to_tilt, axis=-2) * factor
         return Slopes(self._read(signal, gain), to_sun, to_tilt)
 
     def along(
@@ -171,15 +161,10 @@ class Joined(Flat):
         return [np.einsum("...pi,...i->...p", to_sun, step) for step in steps]
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        signal = self.gains * np.maximum(light_B @ self.normals_B.T, 0.0)
-        return self._read(signal) / unit, self.design(light_B) / unit
-
-    def design(self, light_B: np.ndarray) -> np.ndarray:
-        """The derivative (..., n_input, 3) of readings by the vector brightness times direction."""
-        return self._summed((self.gains * self.sides(light_B))[..., None] * self.normals_B, axis=-2)
+        signal, _ = super().under(light_B, unit)
+        return self._read(signal), self._matrix(self._made(signal)) / unit
 
     def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As of panels that share no input (:class:`sunspin.vehicle.response.cosine.Cosine`), summed or the largest."""
         signal, slope = super().disc(axis_B, np.ones(axis_B.shape[:-1]))
         light = self._read(signal) * np.asarray(strength)[..., None]
         return light, self._summed(self._made(signal)[..., None] * slope, axis=-2)
@@ -188,17 +173,13 @@ class Joined(Flat):
         low, high = super().bounds(sun_B, angle)
         return self._read(low), np.minimum(self._read(high), self.full)
 
-    # --------------------------------------------------------------------------------------------------------------------- cells
-
     @cached_property
     def _planes(self) -> np.ndarray:
-        """Unit normals (n, 3) of the planes that part the cells: where a panel grazes, and where two of one largest give alike."""
-        rows, normals = self.gains[:, None] * self.normals_B, [*self.normals_B]
-        for one in self.inputs:
-            for i, j in (
-                np.argwhere(np.triu(np.ones((len(one.panels),) * 2), 1)) if one.largest else ()
-            ):
-                across = rows[one.panels[i]] - rows[one.panels[j]]
+        """Where a panel grazes, and where two of one largest give alike."""
+        normals = [*self.normals_B]
+        for shared in self.inputs:
+            for i, j in combinations(shared.panels, 2) if shared.largest else ():
+                across = self._rows[i] - self._rows[j]
                 if (size := np.linalg.norm(across)) > ON_PLANE * self.largest:
                     normals.append(across / size)
         kept: list[np.ndarray] = []
@@ -210,10 +191,6 @@ class Joined(Flat):
             do = "leave out panels, or let channels read sums"
             raise VehicleError(f"{what}, where some share an input", do=do)
         return np.array(kept)
-
-    @cached_property
-    def _cells(self) -> Arrangement:
-        return arrangement(tuple(map(tuple, self._planes.tolist())))
 
     def regions(self) -> Regions:
         return Regions(self._cells.cell_B, self.power(self._cells.cell_B) > 0)
@@ -231,7 +208,7 @@ class Joined(Flat):
             shown = np.concatenate([self.regions().lit, self.edges()])
             there = every[(shown == lit).all(axis=1)]
             return max((self.rank(lit, sun) for sun in there), default=min(int(lit.sum()), 3))
-        design = (self.design(sun_B) / self.full[:, None])[lit]
+        design = (self._matrix(self._sides(sun_B)) / self.full[:, None])[lit]
         return int(np.count_nonzero(np.linalg.svd(design, compute_uv=False) > RANK_TOLERANCE))
 
     def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
@@ -242,23 +219,17 @@ class Joined(Flat):
 
     @cached_property
     def _places(self) -> Places:
-        """Where the least Delta may lie: in a cell readings are linear in the direction, as of panels that share no input."""
         planes, cells = self._planes, self._cells
-        on_arcs = np.unique(np.column_stack([self.sides(cells.arc_B), cells.arc_plane]), axis=0)
-        between = [(self._matrix(one[:-1]), planes[one[-1]]) for one in on_arcs]
+        on_arcs = np.unique(np.column_stack([self._sides(cells.arc_B), cells.arc_plane]), axis=0)
+        between = [(self._matrix(arc[:-1]), planes[arc[-1]]) for arc in on_arcs]
         between = [(matrix, normal) for matrix, normal in between if matrix.any()]
-        fixed = np.concatenate([cells.vertex_B, cells.cell_B])
-        return places_of(self._within, between, fixed)
-
-    def _matrix(self, made: np.ndarray) -> np.ndarray:
-        """Readings by direction (n_input, 3) where panels `made` (n_panel) make them."""
-        return self._summed((made * self.gains)[:, None] * self.normals_B, axis=-2)
+        return Places.of(self._within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
 
     @cached_property
     def _within(self) -> list[np.ndarray]:
-        """These matrices of the cells."""
-        made = np.unique(self.sides(self._cells.cell_B), axis=0)
-        return [matrix for one in made if (matrix := self._matrix(one)).any()]
+        """Readings by direction (n_input, 3) in each cell."""
+        makes = np.unique(self._sides(self._cells.cell_B), axis=0)
+        return [matrix for panels in makes if (matrix := self._matrix(panels)).any()]
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -274,39 +245,33 @@ class Joined(Flat):
         )
 
     def _all_candidates(self, target: np.ndarray) -> np.ndarray:
-        """The candidates (n, n_candidate, 3) for unit readings (n, n_input), and more along the arcs on which these stay as they
-        are."""
+        """Directions (n, n_candidate, 3) in which unit readings (n, n_input) may have the least Delta: those of `_places`, and more
+        along the arcs on which the readings stay as they are."""
         has = self._free.any(axis=1)
-        middle = self._places.mapped(target)[:, : len(self._free)][:, has]
+        mapped = self._places.mapped(target)
+        middle = mapped[:, : len(self._free)][:, has]
         along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ALONG]
-        return np.concatenate([self._places.candidates(target), *along], axis=1)
+        fixed = np.broadcast_to(self._places.fixed, (len(target), *self._places.fixed.shape))
+        return np.concatenate([mapped, fixed, *along], axis=1)
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
         any."""
-        target, limit = unit_readings(readings), self.best(readings)[1] + slack
-        found = np.concatenate(
-            [self.best(readings)[0][:, None], self._all_candidates(target)], axis=1
-        )
-        fits = misfit(self.power(found), target[:, None]) <= limit[:, None]
-        sample, which = np.nonzero(
-            fits & found.any(axis=-1)
-        )  # where all is dark there is no candidate
-        sun, wanted = found[sample, which], target[sample]
-        here, lowest = misfit(self.power(sun), wanted), np.full(len(sun), np.inf)
-        for step in AROUND:
-            lowest = np.minimum(
-                lowest,
-                misfit(self.power(moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1)))), wanted),
-            )
-        kept = np.zeros(found.shape[:2], dtype=bool)
-        kept[sample, which] = here <= lowest + DOWN
+        target, (best, delta) = unit_readings(readings), self.best(readings)
+        tried = np.concatenate([best[:, None], self._all_candidates(target)], axis=1)
+        fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
+        sample, which = np.nonzero(fits & tried.any(axis=-1))  # in the dark there is no candidate
+        sun, wanted = tried[sample, which], target[sample]
+        near = [moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1))) for step in AROUND]
+        lowest = np.min([misfit(self.power(each), wanted) for each in near], axis=0)
+        kept = np.zeros(tried.shape[:2], dtype=bool)
+        kept[sample, which] = misfit(self.power(sun), wanted) <= lowest + DOWN
         kept[:, 0] = True
-        return np.where(kept[..., None], found, np.nan)
+        return np.where(kept[..., None], tried, np.nan)
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
         sun, _ = self.best(readings)
-        design = self.design(sun) * lit[:, None]
+        design = self._matrix(self._sides(sun)) * lit[:, None]
         power = self.power(sun) * lit
         bright = (readings * power).sum(axis=1) / np.maximum((power**2).sum(axis=1), 1e-300)
         tangent = np.eye(3) - sun[:, :, None] * sun[:, None, :]
@@ -342,9 +307,8 @@ class Joined(Flat):
         planes, sun, along, left = self._planes, begin, sign * self._unseen(begin, lit), np.pi
         while True:
             here, onward = planes @ sun, planes @ along
-            crossing = (
-                np.arctan2(-here, onward)[np.hypot(here, onward) > ON_PLANE] % np.pi
-            )  # not those in which the arc lies
+            across = np.hypot(here, onward) > ON_PLANE  # not the planes in which the arc lies
+            crossing = np.arctan2(-here, onward)[across] % np.pi
             step = min(float(crossing.min(initial=np.pi)), left)
             left -= step
             end, ahead = (
@@ -360,25 +324,18 @@ class Joined(Flat):
     def images(self) -> np.ndarray:
         """Mirrors that exchange two panels of one input, and what they make together, as far as they change no reading much."""
         mirrors = []
-        for one in self.inputs:
-            for i, j in np.argwhere(np.triu(np.ones((len(one.panels),) * 2), 1)):
-                across = self.normals_B[one.panels[i]] - self.normals_B[one.panels[j]]
+        for shared in self.inputs:
+            for i, j in combinations(shared.panels, 2):
+                across = self.normals_B[i] - self.normals_B[j]
                 if (size := np.linalg.norm(across)) > 0:
                     mirrors.append(np.eye(3) - 2 * np.outer(across, across) / size**2)
-        found, new = [np.eye(3)], [np.eye(3)]
-        while new and len(found) < MOST_IMAGES:
-            new = [mirror @ one for one in new for mirror in mirrors]
-            new = [
-                one
-                for k, one in enumerate(new)
-                if all(np.abs(one - other).max() > 1e-6 for other in found + new[:k])
-                and self._changes_little(one)
-            ]
-            found += new
-        return np.array(found[:MOST_IMAGES])
-
-    def _changes_little(self, image: np.ndarray) -> bool:
-        sun = sphere(LOOKS)
-        return bool(
-            np.abs(self.power(sun @ image.T) - self.power(sun)).max() < LIKE * self.full.min()
-        )
+        sun, most = sphere(LOOKS), LIKE * self.full.min()
+        images, new = [np.eye(3)], [np.eye(3)]
+        while new and len(images) < MOST_IMAGES:
+            products, new = [mirror @ image for image in new for mirror in mirrors], []
+            for image in products:
+                if all(np.abs(image - known).max() > 1e-6 for known in images + new):
+                    change = np.abs(self.power(sun @ image.T) - self.power(sun)).max()
+                    new += [image] if change < most else []
+            images += new
+        return np.array(images[:MOST_IMAGES])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sunspin.vehicle.response.protocol import sphere
+from sunspin.vehicle.response.planes import sphere
 
 if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
@@ -102,7 +102,7 @@ def turned_sigma(vehicle: Vehicle) -> np.ndarray:
     """How far full Sun may be off in each reading (n_input), in the unit of the gains, as panels are turned by `stated_sigma`,
     each for itself: a turn of all together is one of the Sun."""
     by_panel = stated_sigma(vehicle)[0] * vehicle.panel_gains
-    return np.array([np.linalg.norm(by_panel[list(one.panels)]) for one in vehicle.inputs])
+    return np.array([np.linalg.norm(by_panel[list(own.panels)]) for own in vehicle.inputs])
 
 
 def _sigma(vehicle: Vehicle, key: str) -> float:

@@ -2,17 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.vehicle.response.protocol import Literals
+Literals = tuple[tuple[int, bool], ...]
+"""A conjunction: (panel index, lit?) ..."""
 
 ON_PLANE = 1e-9
 """A direction this close to a panel's plane counts as lying in it (cosine of the angle to the normal)."""
 
 Cube = frozenset  # of (panel index, lit?): all must hold
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A signed function on the sphere, above 0 where a direction counts: as data, for kernels and for Python.
+
+    It is the largest over `clauses` of the smallest of distances from the planes of `normals_B` (n, 3), each clause a conjunction
+    of (number of the plane, which side?).
+    """
+
+    normals_B: np.ndarray
+    clauses: tuple[Literals, ...]
+
+    def holds(self, sun_B: np.ndarray) -> np.ndarray:
+        """Whether each direction (..., 3) counts."""
+        lit = sun_B @ self.normals_B.T > 0
+        clauses = [
+            np.all([lit[..., k] == wanted for k, wanted in clause], axis=0)
+            for clause in self.clauses
+        ]
+        return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """What compiled code reads, in float32."""
+        return np.asarray(self.normals_B, dtype=np.float32).ravel()
+
+
+def sphere(n: int) -> np.ndarray:
+    """About evenly spread directions (n, 3), by Fibonacci's spiral."""
+    z = 1 - (2 * np.arange(n) + 1) / n
+    longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
+    return np.stack(
+        [np.sqrt(1 - z**2) * np.cos(longitude), np.sqrt(1 - z**2) * np.sin(longitude), z], axis=-1
+    )
 
 
 class Arrangement(NamedTuple):
@@ -33,42 +70,35 @@ class Arrangement(NamedTuple):
 def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
     """The arrangement of great circles that the planes of panels with these normals make on the sphere of directions."""
     p = np.array(normals)
-    vertices = _vertices(p)
-    arcs, planes = [], []
-    for k in range(len(p)):
-        for direction in _arc_midpoints(p[k], vertices):
-            arcs.append(direction)
-            planes.append(k)
-    arc_B = np.array(arcs).reshape(-1, 3)
-    cell_B = _cells(p, arc_B, np.array(planes, dtype=int))
-    return Arrangement(
-        cell_B,
-        cell_B @ p.T > ON_PLANE,
-        arc_B,
-        arc_B @ p.T > ON_PLANE,
-        np.array(planes, dtype=int),
-        vertices,
-    )
-
-
-def _distinct(directions: np.ndarray) -> np.ndarray:
-    kept: list[np.ndarray] = []
-    for direction in directions:
-        if not kept or np.max(np.array(kept) @ direction) < 1 - 1e-12:
-            kept.append(direction)
-    return np.array(kept).reshape(-1, 3)
-
-
-def _vertices(p: np.ndarray) -> np.ndarray:
-    """Directions in which two planes meet, both signs."""
-    found = []
-    for i in range(len(p)):
-        for j in range(i):
-            line = np.cross(p[i], p[j])
-            length = np.linalg.norm(line)
-            if length > ON_PLANE:
-                found += [line / length, -line / length]
-    return _distinct(np.array(found).reshape(-1, 3))
+    vertices: list[np.ndarray] = []  # directions in which two planes meet, both signs
+    for i, j in np.argwhere(np.tri(len(p), k=-1)):
+        line = np.cross(p[i], p[j])
+        length = np.linalg.norm(line)
+        for vertex in (line / length, -line / length) if length > ON_PLANE else ():
+            if not vertices or np.max(np.array(vertices) @ vertex) < 1 - 1e-12:
+                vertices.append(vertex)
+    vertex_B = np.array(vertices).reshape(-1, 3)
+    arcs, planes, cells = [], [], []
+    for k, normal in enumerate(p):
+        basis = plane_basis(normal)
+        on_circle = vertex_B[np.abs(vertex_B @ normal) < ON_PLANE] @ basis
+        if len(on_circle) == 0:
+            arcs.append(basis[:, 0])
+        else:
+            angles = np.sort(np.arctan2(on_circle[:, 1], on_circle[:, 0]))
+            middles = (angles + np.append(angles[1:], angles[0] + 2 * np.pi)) / 2
+            arcs += [basis @ [np.cos(angle), np.sin(angle)] for angle in middles]
+        planes += [k] * (len(arcs) - len(planes))
+    for arc, k in zip(arcs, planes, strict=True):  # a step to both sides of an arc ends in a cell
+        distances = np.abs(p @ arc)
+        room = np.min(distances[distances > ON_PLANE], initial=1.0) / 2
+        for direction in (arc + room * p[k], arc - room * p[k]):
+            cells.append(direction / np.linalg.norm(direction))
+    cell_B, arc_B = np.array(cells), np.array(arcs).reshape(-1, 3)
+    _, first = np.unique(cell_B.reshape(-1, 3) @ p.T > 0, axis=0, return_index=True)
+    cell_B = cell_B[np.sort(first)]
+    lit, arc_lit = cell_B @ p.T > ON_PLANE, arc_B @ p.T > ON_PLANE
+    return Arrangement(cell_B, lit, arc_B, arc_lit, np.array(planes, dtype=int), vertex_B)
 
 
 def plane_basis(normal: np.ndarray) -> np.ndarray:
@@ -76,62 +106,25 @@ def plane_basis(normal: np.ndarray) -> np.ndarray:
     return np.linalg.svd(normal[None])[2][1:].T
 
 
-def _arc_midpoints(normal: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:
-    """The middle of each arc into which the vertices cut the great circle of a plane."""
-    basis = plane_basis(normal)
-    on_circle = vertices[np.abs(vertices @ normal) < ON_PLANE]
-    if len(on_circle) == 0:
-        return [basis[:, 0]]
-    angles = np.sort(np.arctan2(on_circle @ basis[:, 1], on_circle @ basis[:, 0]))
-    middles = (angles + np.append(angles[1:], angles[0] + 2 * np.pi)) / 2
-    return [basis @ [np.cos(angle), np.sin(angle)] for angle in middles]
-
-
-def _cells(p: np.ndarray, arcs: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """An interior direction of each open cell: step off the middle of each arc to both sides of its plane."""
-    found = []
-    for arc, k in zip(arcs, planes, strict=True):
-        distances = np.abs(p @ arc)
-        room = np.min(distances[distances > ON_PLANE], initial=1.0) / 2
-        for side in (1.0, -1.0):
-            direction = arc + side * room * p[k]
-            found.append(direction / np.linalg.norm(direction))
-    lit = np.array(found).reshape(-1, 3) @ p.T > 0
-    _, first = np.unique(lit, axis=0, return_index=True)
-    return np.array(found)[np.sort(first)]
-
-
 def formula(good: np.ndarray, bad: np.ndarray) -> tuple[Literals, ...]:
     """A short disjunction of conjunctions that holds for the sets of lit panels `good` (m, n_panel) and for none of `bad`."""
-    wanted = [_cube(lit) for lit in good]
-    cubes = {_shorten(cube, bad) for cube in wanted}
-    return tuple(
-        tuple(sorted(cube))
-        for cube in _cover(sorted(cubes, key=lambda cube: (len(cube), sorted(cube))), wanted)
-    )
-
-
-def _cube(lit: np.ndarray) -> Cube:
-    return frozenset(enumerate(lit.tolist()))
-
-
-def _shorten(cube: Cube, unwanted: np.ndarray) -> Cube:
-    """Drop conditions, dark panels first, as long as no unwanted pattern (n, n_panel) that geometry allows slips in."""
-    differs = unwanted != [lit for _, lit in sorted(cube)]
-    kept = differs.sum(axis=1)  # conditions that keep each unwanted pattern out
-    for literal in sorted(cube, key=lambda item: (item[1], item[0])):
-        less = kept - differs[:, literal[0]]
-        if np.all(less > 0):
-            cube, kept = cube - {literal}, less
-    return cube
-
-
-def _cover(cubes: list[Cube], wanted: list[Cube]) -> list[Cube]:
-    """Few cubes that together hold every wanted pattern (greedy)."""
+    wanted: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
+    shortened = set()
+    for (
+        cube
+    ) in wanted:  # without conditions, of dark panels first, as long as nothing of `bad` slips in
+        differs = bad != [lit for _, lit in sorted(cube)]
+        kept = differs.sum(axis=1)  # conditions that keep each unwanted pattern out
+        for literal in sorted(cube, key=lambda item: (item[1], item[0])):
+            less = kept - differs[:, literal[0]]
+            if np.all(less > 0):
+                cube, kept = cube - {literal}, less
+        shortened.add(cube)
+    cubes = sorted(shortened, key=lambda cube: (len(cube), sorted(cube)))
     holds = np.array([[cube <= pattern for pattern in wanted] for cube in cubes])
     left, chosen = np.ones(len(wanted), dtype=bool), []
-    while left.any():
+    while left.any():  # few of them that together hold every wanted pattern
         best = int(np.argmax((holds & left).sum(axis=1)))
-        chosen.append(cubes[best])
+        chosen.append(tuple(sorted(cubes[best])))
         left &= ~holds[best]
-    return chosen
+    return tuple(chosen)

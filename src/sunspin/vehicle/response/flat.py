@@ -1,4 +1,8 @@
-"""Gain times cosine (paper, eq. 1), in closed form.
+"""How panels see light, each on an input of its own: gain times cosine (paper, eq. 1), in closed form.
+
+The rest of the package asks a :class:`PanelResponse` and nothing else about it. Directions `sun_B` (..., 3) are unit vectors in
+body axes, results (..., n_panel); all is batched over leading axes, NaN gives NaN and no power is negative. If body and Sun turn
+together nothing changes.
 
 The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Minimising it is maximising the cosine between P(n) and M.
 Inside a cell of the sphere, where the same panels are lit, P is linear in n and the best n is parallel to pinv(B) M, B being
@@ -16,16 +20,14 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.solve.linear import plain_covariance
-from sunspin.solve.rotations import moved, seen_turned
-from sunspin.vehicle.response.planes import ON_PLANE, Arrangement, arrangement, formula, plane_basis
-from sunspin.vehicle.response.protocol import (
-    BLUR_NODES,
-    BLUR_WEIGHTS,
+from sunspin.solve.rotations import seen_turned
+from sunspin.vehicle.response.planes import (
+    ON_PLANE,
+    Arrangement,
     Counted,
-    Regions,
-    Slopes,
-    misfit,
-    unit_readings,
+    arrangement,
+    formula,
+    plane_basis,
 )
 
 NUMBERS = 10_000_000
@@ -35,14 +37,33 @@ RANK_TOLERANCE = 1e-6
 """Normals whose smallest singular value is below this lie in one plane (or on one line)."""
 
 
-def blurred(power, sun_B: np.ndarray, blur_rad: float) -> np.ndarray:
-    """The mean of a function `power` over directions that err by `blur_rad`, one sigma to each side."""
-    flat = sun_B.reshape(-1, 3)
-    each = [
-        moved(flat, np.broadcast_to(blur_rad * node, (len(flat), 2))).reshape(sun_B.shape)
-        for node in BLUR_NODES
-    ]
-    return np.einsum("m,m...->...", BLUR_WEIGHTS, np.stack([power(sun) for sun in each]))
+class Slopes(NamedTuple):
+    """`power` (..., n_panel), and its derivatives (..., n_panel, 3): `to_sun`, along the sphere; `to_tilt`, by a turn (rad, B) of
+    each panel, None unless turns were given. At an edge those of the lit side."""
+
+    power: np.ndarray
+    to_sun: np.ndarray
+    to_tilt: np.ndarray | None
+
+
+class Regions(NamedTuple):
+    """Open regions of the sphere in which the same panels are lit: one direction inside each (n, 3), and `lit` (n, n_panel)."""
+
+    sun_B: np.ndarray
+    lit: np.ndarray
+
+
+def misfit(shape: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Delta (...) between signals (..., n_panel) of any brightness and unit vectors `target` (..., n_panel); 2 in the dark."""
+    size = np.linalg.norm(shape, axis=-1, keepdims=True)
+    unit = shape / np.where(size > 0, size, 1.0)
+    return np.where(size[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
+
+
+def unit_readings(readings: np.ndarray) -> np.ndarray:
+    """Readings (n, n_panel) as unit vectors; zeros stay."""
+    size = np.linalg.norm(readings, axis=1)
+    return readings / np.where(size > 0, size, 1.0)[:, None]
 
 
 def along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -61,16 +82,26 @@ class Places(NamedTuple):
     maps: np.ndarray
     fixed: np.ndarray
 
+    @classmethod
+    def of(
+        cls,
+        within: Iterable[np.ndarray],
+        between: Iterable[tuple[np.ndarray, np.ndarray]],
+        fixed: np.ndarray,
+    ) -> Places:
+        """Those of cells in which power is a matrix (n_panel, 3) times the direction, and of arcs, each a matrix and the normal (3)
+        of its plane."""
+        maps = [np.linalg.pinv(rows) for rows in within]
+        for rows, normal in between:
+            basis = plane_basis(normal)
+            maps.append(basis @ np.linalg.pinv(rows @ basis))
+        return cls(np.array(maps), fixed)
+
     def mapped(self, target: np.ndarray) -> np.ndarray:
         """The candidates (n, n_map, 3) that depend on the readings."""
         candidates = np.einsum("mik,nk->nmi", self.maps, target)
         length = np.linalg.norm(candidates, axis=2, keepdims=True)
         return candidates / np.where(length > 0, length, 1.0)
-
-    def candidates(self, readings: np.ndarray) -> np.ndarray:
-        """All of them (n, n_candidate, 3)."""
-        fixed = np.broadcast_to(self.fixed, (len(readings), *self.fixed.shape))
-        return np.concatenate([self.mapped(unit_readings(readings)), fixed], axis=1)
 
     def best(
         self, power: Callable[[np.ndarray], np.ndarray], readings: np.ndarray
@@ -80,8 +111,8 @@ class Places(NamedTuple):
         direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
         chunk = max(1, NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
         for start in range(0, len(readings), chunk):
-            part = slice(start, start + chunk)
-            target = unit_readings(readings[part])
+            rows = slice(start, start + chunk)
+            target = unit_readings(readings[rows])
             candidates = self.mapped(target)
             away = misfit(power(candidates), target[:, None, :])
             away_fixed = misfit(
@@ -90,98 +121,23 @@ class Places(NamedTuple):
             best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
             each = np.arange(len(target))
             use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
-            direction[part] = np.where(
+            direction[rows] = np.where(
                 use_fixed[:, None], fixed[best_fixed], candidates[each, best]
             )
-            delta[part] = np.minimum(away_fixed[each, best_fixed], away[each, best])
+            delta[rows] = np.minimum(away_fixed[each, best_fixed], away[each, best])
         return direction, delta
 
 
-def places_of(
-    within: Iterable[np.ndarray],
-    between: Iterable[tuple[np.ndarray, np.ndarray]],
-    fixed: np.ndarray,
-) -> Places:
-    """The candidates of cells in which power is a matrix (n_panel, 3) times the direction, and of arcs, each a matrix and the
-    normal (3) of its plane."""
-    maps = [np.linalg.pinv(rows) for rows in within]
-    for rows, normal in between:
-        basis = plane_basis(normal)
-        maps.append(basis @ np.linalg.pinv(rows @ basis))
-    return Places(np.array(maps), fixed)
-
-
 @dataclass(frozen=True, eq=False)
-class Flat:
-    """Panels by their normals (n_panel, 3) and gains (n_panel): what is the same whether or not they share inputs."""
+class PanelResponse:
+    """How the panels of a vehicle see light, by their normals (n_panel, 3) and gains (n_panel): ``gain * max(0, normal . sun)``."""
 
     normals_B: np.ndarray
     gains: np.ndarray
 
-    def cosines(self, sun_B: np.ndarray, tilt: np.ndarray | None) -> np.ndarray:
-        """Of the angles (..., n_panel) between the Sun and normals turned by `tilt`."""
-        return along_normals(sun_B, self.turned(tilt))
-
-    def turned(self, tilt: np.ndarray | None) -> np.ndarray:
-        """Normals (..., n_panel, 3) turned by rotation vectors of that shape."""
-        return (
-            self.normals_B
-            if tilt is None
-            else seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
-        )
-
-    def strengths(self, gain: np.ndarray | None) -> np.ndarray:
-        """Gains (..., n_panel) with their factors."""
-        return self.gains if gain is None else self.gains * gain
-
-    def power(
-        self,
-        sun_B: np.ndarray,
-        *,
-        gain: np.ndarray | None = None,
-        tilt: np.ndarray | None = None,
-        blur_rad: float = 0.0,
-    ) -> np.ndarray:
-        if blur_rad:
-            return blurred(lambda sun: self._power(sun, gain, tilt), sun_B, blur_rad)
-        return self._power(sun_B, gain, tilt)
-
-    def _power(
-        self, sun_B: np.ndarray, gain: np.ndarray | None, tilt: np.ndarray | None
-    ) -> np.ndarray:
-        """The signals under a Sun whose direction does not err."""
-        raise NotImplementedError
-
-    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
-        ((1 + cos a) / 2)^2, to 0.05 of what it is at most."""
-        part = (1 + axis_B @ self.normals_B.T) / 2
-        axis = axis_B[..., None, :]
-        slope = part[..., None] * (axis + self.normals_B) - part[..., None] ** 2 * axis
-        return self.gains * part**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
-
-    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
-        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
-        return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
-
-    @cached_property
-    def _places(self) -> Places:
-        """Where the least Delta may lie."""
-        raise NotImplementedError
-
-    def candidates(self, share: np.ndarray) -> np.ndarray:
-        return self._places.candidates(share)
-
-    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._places.best(self.power, readings)
-
-
-class Cosine(Flat):
-    """``gain * max(0, normal . sun)``. Names and shapes as in :class:`sunspin.vehicle.response.protocol.PanelResponse`."""
-
     @property
     def facing_B(self) -> np.ndarray:
+        """The direction (n_panel, 3) in which each panel gets most."""
         return self.normals_B
 
     @cached_property
@@ -191,17 +147,30 @@ class Cosine(Flat):
 
     @property
     def largest(self) -> float:
+        """A number of the size of the largest power."""
         return np.abs(self._rows).max()
 
-    def _power(
-        self, sun_B: np.ndarray, gain: np.ndarray | None, tilt: np.ndarray | None
+    def _turned(self, tilt: np.ndarray | None) -> np.ndarray:
+        """Normals (n_panel, 3), or turned by rotation vectors `tilt` (..., n_panel, 3) normals of that shape."""
+        if tilt is None:
+            return self.normals_B
+        return seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+
+    def _strengths(self, gain: np.ndarray | None) -> np.ndarray:
+        return self.gains if gain is None else self.gains * gain
+
+    def power(
+        self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> np.ndarray:
-        return self.strengths(gain) * np.maximum(0.0, self.cosines(sun_B, tilt))
+        """Signal of each panel; with factors `gain` (..., n_panel) on its gain, or turned by `tilt` (..., n_panel, 3) rad in B."""
+        cosine = along_normals(sun_B, self._turned(tilt))
+        return self._strengths(gain) * np.maximum(0.0, cosine)
 
     def slopes(
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> Slopes:
-        normals, strength = self.turned(tilt), self.strengths(gain)
+        """The same with its derivatives."""
+        normals, strength = self._turned(tilt), self._strengths(gain)
         cosine = along_normals(sun_B, normals)
         sun = sun_B[..., None, :]
         lit = (strength * (cosine >= 0))[..., None]
@@ -217,22 +186,49 @@ class Cosine(Flat):
         gain: np.ndarray | None = None,
         tilt: np.ndarray | None = None,
     ) -> list[np.ndarray]:
-        normals, strength = self.turned(tilt), self.strengths(gain)
+        """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
+        normals, strength = self._turned(tilt), self._strengths(gain)
         lit = along_normals(sun_B, normals) > 0
         return [strength * np.where(lit, along_normals(step, normals), 0.0) for step in steps]
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Signals (..., n_panel), in `unit`s, under a light `light_B` (..., 3), direction times brightness, and their derivative by
+        it, which (..., n_panel, 3) or (n_panel, 3) holds where the signal is not zero."""
         rows = self._rows / unit
         return np.maximum(0.0, light_B @ rows.T), rows
 
+    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signals (..., n_panel) under the Earth about `axis_B`, `strength` (...) being what a panel of gain 1 gets that looks
+        there; and their derivative (..., n_panel, 3) by the vector strength times axis.
+
+        The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
+        ((1 + cos a) / 2)^2, to 0.05 of what it is at most."""
+        share = (1 + axis_B @ self.normals_B.T) / 2
+        axis = axis_B[..., None, :]
+        slope = share[..., None] * (axis + self.normals_B) - share[..., None] ** 2 * axis
+        return self.gains * share**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
+
+    def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest signal for any Sun within `angle` rad, or a little beyond."""
+        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
+        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
+        return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
+
+    @property
+    def _planes(self) -> np.ndarray:
+        """Unit normals (n, 3) of the planes that part the regions."""
+        return self.normals_B
+
     @cached_property
     def _cells(self) -> Arrangement:
-        return arrangement(tuple(map(tuple, self.normals_B.tolist())))
+        return arrangement(tuple(map(tuple, self._planes.tolist())))
 
     def regions(self) -> Regions:
+        """Which panels can be lit together, and where."""
         return Regions(self._cells.cell_B, self._cells.cell_lit)
 
     def edges(self) -> np.ndarray:
+        """What is lit (m, n_panel) in directions between regions, where a panel that the Sun grazes may read as dark."""
         return np.concatenate(
             [self._cells.arc_lit, self._cells.vertex_B @ self.normals_B.T > ON_PLANE]
         )
@@ -246,20 +242,29 @@ class Cosine(Flat):
             for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
             if lit.any()
         ]
-        return places_of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Places.of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+
+    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The direction (n, 3) with the smallest Delta (n) (paper, eq. 2) for readings (n, n_panel): the global minimum."""
+        return self._places.best(self.power, readings)
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """Directions (n, k, 3), the best first, with a Delta that exceeds the smallest by no more than `slack` (n); else NaN. Of
+        panels that share no input the best alone: no two fit alike."""
         return self.best(readings)[0][:, None]
 
     @property
     def images(self) -> np.ndarray:
+        """Mirrors and turns (m, 3, 3) of the body that change readings little or not at all, the first of them none at all."""
         return np.eye(3)[None]
 
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
+        """How many numbers of three, direction and brightness, panels `lit` (n_panel) tell there, by default where they are lit."""
         values = np.linalg.svd(self.normals_B[lit], compute_uv=False) if lit.any() else np.zeros(0)
         return int(np.count_nonzero(values > RANK_TOLERANCE))
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Tangent covariance (n, 3, 3) of directions told by readings (n, n_panel), of which `lit` (n_panel) count."""
         design = self._rows * lit[:, None]
         x = readings @ np.linalg.pinv(design).T
         length = np.linalg.norm(x, axis=1)
@@ -269,6 +274,7 @@ class Cosine(Flat):
         return tangent @ scaled @ tangent
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
+        """Ends (2, 3) of the arc of directions that panels `lit` (n_panel), of rank 2, with readings (n_panel) leave; else NaN."""
         design = self._rows[lit]
         middle = np.linalg.pinv(design) @ readings[lit]
         middle /= np.linalg.norm(middle)
@@ -284,4 +290,5 @@ class Cosine(Flat):
         return np.array([np.cos(angle) * middle + np.sin(angle) * free for angle in (low, high)])
 
     def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
+        """The directions in which one of the sets of panels `good` (m, n_panel) is lit and none of `bad`, all of them shown."""
         return Counted(self.normals_B, formula(good, bad))
