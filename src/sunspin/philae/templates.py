@@ -15,7 +15,7 @@ from string import Formatter
 from typing import Any
 
 from sunspin.base.errors import InputError
-from sunspin.base.toml import read_toml
+from sunspin.base.untrusted import read_toml
 from sunspin.telemetry.case import Case
 
 TEXTS = ("what", "unit", "place", "note")
