@@ -129,10 +129,10 @@ class Corrupt(Suite):
         return _sentence(lambda: kernel_facts(load_case("philae"), place))
 
     def try_earth_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
-        from sunspin.environment.ephemeris import read_ephemeris
+        from sunspin.environment.ephemeris import read_orbit
 
         bad = self._bad("earth.bsp", place, rng)
-        return _sentence(lambda: read_ephemeris(bad))
+        return _sentence(lambda: read_orbit(bad))
 
     def try_frames_zip(self, place: Path, rng: np.random.Generator) -> Verdict:
         return self._told("decode", self._bad("frames.zip", place, rng), "--out", place / "out")
@@ -166,7 +166,7 @@ class Unguarded(Corrupt):
     def prepare(self) -> None:
         super().prepare()
         for place, read in (
-            ("base.netcdf._in_another_process", lambda *_, **__: None),
+            ("base.netcdf.elsewhere", lambda *_, **__: b""),
             ("environment.ephemeris.elsewhere", run_here),
             ("output.export.against.elsewhere", run_here),
         ):

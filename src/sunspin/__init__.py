@@ -6,10 +6,12 @@ Public names are loaded on first use, so that ``import sunspin`` and ``sunspin -
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module, metadata
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
-
-from sunspin.base.lazy import import_after
 
 if (
     TYPE_CHECKING
@@ -103,7 +105,34 @@ _HOME = {
 __all__ = ["__version__", *_HOME]
 
 
-import_after("xarray", "sunspin.output.result")  # the accessor's class only, nothing that draws
+class _AfterXarray(MetaPathFinder):
+    """Finds xarray as the other finders do, and imports the accessor once xarray has been executed."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        if fullname != "xarray":
+            return None
+        finders = (finder for finder in sys.meta_path if finder is not self)
+        specs = (finder.find_spec(fullname, path, target) for finder in finders)
+        spec = next((spec for spec in specs if spec is not None), None)
+        if spec is not None and spec.loader is not None:
+            execute, loader = spec.loader.exec_module, spec.loader
+
+            def exec_module(module: ModuleType) -> None:
+                execute(module)
+                if self in sys.meta_path:
+                    sys.meta_path.remove(self)
+                import_module(_ACCESSOR)
+
+            loader.exec_module = exec_module  # of this loader alone: each import makes its own
+        return spec
+
+
+_ACCESSOR = "sunspin.output.result"  # the accessor's class only, nothing that draws
+
+if "xarray" in sys.modules:
+    import_module(_ACCESSOR)
+else:
+    sys.meta_path.insert(0, _AfterXarray())
 
 
 _STUDY = "is a study of the repository now: `python -m studies.coverage OUT`"

@@ -11,7 +11,7 @@ from sunspin.base.errors import InputError, TelemetryError, VehicleError
 from sunspin.base.untrusted import plain_number
 from sunspin.cli import values
 from sunspin.environment.elements import parse_elements
-from sunspin.environment.ephemeris import read_ephemeris
+from sunspin.environment.ephemeris import read_orbit
 from sunspin.landing.scenario import _seconds
 from sunspin.vehicle.changes import changes_of
 from sunspin.vehicle.file import parse_vehicle
@@ -251,7 +251,7 @@ def test_a_coordinate_in_another_form_is_refused(cell, tmp_path):
         path.write_text(
             "# frame: J2000\ntime_utc,x_km,y_km,z_km\n" + "\n".join(rows) + "\n", "utf-8"
         )
-        return read_ephemeris(path)
+        return read_orbit(path)
 
     assert ephemeris(ROWS)
     with pytest.raises(InputError, match="coordinate of the ephemeris"):

@@ -236,6 +236,4 @@ def test_the_accessor_comes_with_xarray_and_draws_nothing():
         "print(bare, all(hasattr(k, 'sunspin') for k in kinds), drawing)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (
-        done.stdout.strip() == "['sunspin.base', 'sunspin.base.lazy'] True []"
-    )  # what waits for xarray, and nothing else
+    assert done.stdout.strip() == "[] True []"

@@ -16,12 +16,13 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, printable
 from sunspin.base.netcdf import read_groups, read_netcdf
-from sunspin.base.provenance import LABELS, NUMBERS, TEXTS, vocabulary
+from sunspin.base.provenance import LABELS, vocabulary
 from sunspin.output.export import read_results as exported
 from sunspin.output.folder import MANIFEST, MARKER, write_netcdf
 from sunspin.output.report import write_report
 from sunspin.output.report.read import MAX_FILES, read_results
 
+KINDS = {name: row["kind"] for name, row in vocabulary("attributes.csv").items()}
 FIXED = [name for name, row in vocabulary().items() if row["fixed"]]
 SECRET = "a word that stands nowhere else 7f3b"
 PNG = b"\x89PNG\r\n\x1a\n" + SECRET.encode()
@@ -210,12 +211,13 @@ def test_toml_that_is_a_bomb_is_named(name, text, folder):
 
 def test_an_attribute_of_another_kind_is_one_sentence(tmp_path, folder):
     """Every attribute that is read back; a file of others may have attributes of the same names, of any kind."""
-    whole = {name: "2026-01-01T00:00:00Z" for name in TEXTS} | dict.fromkeys(NUMBERS, 1.0)
-    path, wrong = tmp_path / "file.nc", (np.array([1.0, 2.0]), "text")
+    good = {"text": "2026-01-01T00:00:00Z", "number": 1.0}
+    whole = {name: good[kind] for name, kind in KINDS.items()}
+    path, wrong = tmp_path / "file.nc", {"text": np.array([1.0, 2.0]), "number": "text"}
     xr.Dataset(attrs=whole).to_netcdf(path, engine="h5netcdf")
     assert read_netcdf(path, "file.nc", InputError).attrs["synthetic"] == 1  # negative control
-    cases = [(name, wrong[name in NUMBERS]) for name in sorted(TEXTS | NUMBERS)]
-    for name, value in [*cases, ("synthetic", 7), ("seed", wrong[0])]:
+    cases = [(name, wrong[kind]) for name, kind in KINDS.items()]
+    for name, value in [*cases, ("synthetic", 7), ("seed", wrong["text"])]:
         xr.Dataset(attrs=whole | {name: value}).to_netcdf(path, engine="h5netcdf")
         with pytest.raises(
             InputError,

@@ -38,26 +38,17 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     return target
 
 
-def left(folder: Path) -> set[Path]:
-    """What killed runs had begun to write in a folder: files with a temporary name of a process that is no more."""
-    names = ((entry, PART.fullmatch(entry.name)) for entry in folder.iterdir())
-    return {entry for entry, name in names if name and is_own(entry) and _is_over(int(name[1]))}
-
-
-def _is_over(process: int) -> bool:
-    if os.name == "nt":  # where a signal of 0 ends the process
-        return False
-    try:
-        os.kill(process, 0)
-    except OSError as error:
-        return isinstance(error, ProcessLookupError)
-    return False
-
-
 def sweep(folder: Path) -> None:
-    """Remove what killed runs had begun to write in a folder."""
-    for entry in left(folder):
-        entry.unlink(missing_ok=True)
+    """Remove what killed runs had begun to write in a folder: files with a temporary name of a process that is no more."""
+    for entry in folder.iterdir() if os.name != "nt" else ():  # where a signal of 0 ends a process
+        name = PART.fullmatch(entry.name)
+        if name and is_own(entry):
+            try:
+                os.kill(int(name[1]), 0)
+            except ProcessLookupError:
+                entry.unlink(missing_ok=True)
+            except OSError:
+                pass  # it runs, for somebody else
 
 
 def hold(file: Any) -> None:

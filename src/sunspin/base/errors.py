@@ -44,14 +44,10 @@ class Interrupted(SunspinError, KeyboardInterrupt):
 
 def printable(text: str) -> str:
     """Text from outside on one line, without characters that a terminal obeys or does not show: they become escapes."""
-    line = " ".join(text.split())
-    return (
-        line if line.isprintable() else "".join(c if c.isprintable() else _escape(c) for c in line)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for c in " ".join(text.split())
     )
-
-
-def _escape(character: str) -> str:
-    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def sentence(
@@ -60,19 +56,12 @@ def sentence(
     """Build the one-sentence text of an error: ``where: what, got ...; do``."""
     text = f"{where}: {what}" if where else what
     if got is not None:
-        shown = (got if isinstance(got, str) else _repr(got)) or "nothing"
-        if len(shown) > 120:
-            shown = shown[:117] + "..."
-        text += f" (found {shown})"
+        try:  # a date as the file has it
+            shown = got.isoformat() if isinstance(got, date | time) else repr(got)
+        except ValueError:
+            shown = "a number too long to print"  # a whole one of thousands of digits
+        shown = (got if isinstance(got, str) else shown) or "nothing"
+        text += f" (found {shown if len(shown) <= 120 else shown[:117] + '...'})"
     if do:
         text += f"; {do}"
     return printable(text)
-
-
-def _repr(value: object) -> str:
-    try:
-        return (
-            value.isoformat() if isinstance(value, date | time) else repr(value)
-        )  # a date as the file has it
-    except ValueError:  # a whole number of thousands of digits
-        return "a number too long to print"

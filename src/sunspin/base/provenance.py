@@ -13,30 +13,17 @@ import numpy as np
 CARRIED = ("epoch_utc", "synthetic", "file", "sha256")
 """Attributes of telemetry that results made from it take over."""
 
-TEXTS = frozenset(
-    "kind epoch_utc file sha256 vehicle changes comments sunspin_version quantity unused_columns missing_sensors frame_N "
-    "celestial_frame source verdict verdict_word acceleration_noise_from sensors_late_from columns_doubt odd_sensor alike wheels "
-    "strategy scenario schedule orbit_name not_told vertical metric about collision command title noise_from torques priors "
-    "hypotheses".split()
-)
-NUMBERS = frozenset(
-    "synthetic seed runs candidates collisions rows_sorted rows_merged coarse_passes cut_passes effort acceleration_noise "
-    "max_rate_rad_s sensors_late_s sensors_late_sigma_s walk_between_passes noise lit_threshold p_value pareto_k effective_draws "
-    "log_evidence samples t_first_s t_last_s reference_sample solution best_s probability no_sphere gyro_used field_used "
-    "effort_given fine_up_to_rad_s".split()
-)
-"""Attributes that are read back from files of results: those that are texts, and those that are one number each."""
-
 LABELS = frozenset("units long_name about title flag_meanings".split())
 """Attributes of variables that are read back, texts all."""
 
 
 @cache
-def vocabulary() -> dict[str, dict[str, str]]:
-    """Name of a variable of results -> `units`, `long_name`, and `fixed` if a reader relies on the unit."""
-    lines = (
-        resources.files("sunspin").joinpath("base", "variables.csv").read_text("utf-8").splitlines()
-    )
+def vocabulary(file: str = "variables.csv") -> dict[str, dict[str, str]]:
+    """Name of a variable of results -> `units`, `long_name`, and `fixed` if a reader relies on the unit.
+
+    Of "attributes.csv": name of an attribute that is read back from files of results -> its `kind`, text or (one) number.
+    """
+    lines = resources.files("sunspin.base").joinpath(file).read_text("utf-8").splitlines()
     return {row.pop("name"): row for row in DictReader(lines)}
 
 
@@ -60,20 +47,15 @@ def version() -> str:
     return metadata.version("sunspin")
 
 
-def is_ours(attrs: Mapping[Any, Any]) -> bool:
-    """Whether a file with these attributes is a result of our own; what is exported goes by the conventions of others."""
-    ours = isinstance(attrs.get("kind"), str) or "sunspin_version" in attrs
-    return ours and "Conventions" not in attrs
-
-
 def changed_attribute(attrs: Mapping[str, Any], variables: Mapping[Any, Any]) -> str:
     """What somebody has made of an attribute of a result of our own, or of its variables, that it cannot be, in words."""
-    for name in sorted({*attrs} & TEXTS):
-        if not isinstance(attrs[name], str):
-            return f"its attribute {name} must be a text"
-    for name in sorted({*attrs} & NUMBERS):
+    kinds = vocabulary("attributes.csv")
+    for name in sorted({*attrs} & {*kinds}):
         value = np.asarray(attrs[name])
-        if value.dtype.kind not in "biuf" or value.size != 1:
+        if kinds[name]["kind"] == "text":
+            if not isinstance(attrs[name], str):
+                return f"its attribute {name} must be a text"
+        elif value.dtype.kind not in "biuf" or value.size != 1:
             return f"its attribute {name} must be one number"
     if "synthetic" in attrs and np.asarray(attrs["synthetic"]).ravel()[0] not in (0, 1):
         return "its attribute synthetic must be 0 or 1"

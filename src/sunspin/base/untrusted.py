@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+import os
 import stat
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import Any
 
-from sunspin.base.errors import InputError, SunspinError
+from sunspin.base.errors import SunspinError
 
 SMALLEST, LARGEST = 1e-30, 1e30
 """Sizes of numbers that files and options may give: far beyond any in use, and their squares and products are still numbers."""
+
+MAX_DOTS = 1000
+"""In a line of TOML: Python's reader takes a time that grows with the square of the parts of a dotted key."""
 
 SIZES = f"0 or a finite number between {SMALLEST:g} and {LARGEST:g} in size"
 
@@ -40,25 +45,20 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
     A device never ends and a pipe without a writer never begins: they are refused before they are opened. Nor is a file opened
     that says that it is empty: the kernel's own, such as /proc/kmsg, say so and wait for ever.
     """
-    where = str(path)
+    where, content = str(path), b""
     try:
         about = path.stat()
-        if stat.S_ISDIR(about.st_mode):
-            raise error_type(f"this is a folder, not a {kind}", where=where)
-        if not stat.S_ISREG(about.st_mode):
-            what, do = f"this is a device or a pipe, not a {kind}", "save its content to a file"
-            raise error_type(what, do=do, where=where)
-        content = b""
-        if 0 < about.st_size <= most:
+        is_regular = stat.S_ISREG(about.st_mode)
+        if is_regular and 0 < about.st_size <= most:
             with open(path, "rb") as file:
                 content = file.read(most + 1)
-    except OSError as error:
-        what = f"the {kind} cannot be read ({error.strerror or error})"
+    except (OSError, ValueError) as error:  # also of a NUL in the path
+        what = f"the {kind} cannot be read ({getattr(error, 'strerror', None) or error})"
         raise error_type(what, do=do, where=where) from None
-    except ValueError as error:
-        if isinstance(error, SunspinError):
-            raise
-        raise error_type(f"this is not a path ({error})", do=do, where=repr(where)) from None
+    if not is_regular:
+        sort = "a folder" if stat.S_ISDIR(about.st_mode) else "a device or a pipe"
+        do = "give a file, or save its content to one"
+        raise error_type(f"this is {sort}, not a {kind}", do=do, where=where)
     if max(about.st_size, len(content)) > most:
         what, got = f"a {kind} is smaller than {most / 1e6:g} MB", f"{about.st_size / 1e6:.0f} MB"
         do = "cut it into parts, or give the right file"
@@ -66,48 +66,43 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
     return content
 
 
-def decoded(
-    content: bytes,
-    where: str,
-    error_type: type[SunspinError],
-    do: str,
-    what: str = "the file is not UTF-8 text",
-) -> str:
+def decoded(content: bytes, where: str, error_type: type[SunspinError], do: str) -> str:
     """The text of a file in UTF-8, with or without its mark; what is none is named with the line where it stops being so."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        raise error_type(what, do=do, where=f"{where}, line {line}") from None
+        what, at = "the file is not UTF-8 text", f"{where}, line {line}"
+        raise error_type(what, do=do, where=at) from None
 
 
-def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
-    """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
-    if "<!" in text.replace("<!--", ""):
-        raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
+def read_toml(
+    text: str, where: str, error_type: type[SunspinError], do: str = "correct that line"
+) -> dict[str, Any]:
+    """The table of a TOML text; `where` names the file in messages, `do` says what to do where it is no TOML."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.count(".") > MAX_DOTS:
+            what, at = f"the line has more than {MAX_DOTS} dots", f"{where}, line {number}"
+            raise error_type(what, do="write it as several lines", where=at)
     try:
-        return ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise InputError(
-            f"this is not valid XML ({error})", do="give the whole file", where=where
-        ) from None
+        return tomllib.loads(text)
+    except RecursionError:
+        what, do = "the file is nested too deeply", "give the right file"
+    except ValueError as error:
+        what = f"this is not valid TOML: {error}"
+        if not isinstance(error, tomllib.TOMLDecodeError):  # int() on thousands of digits
+            do = "correct that number"
+    raise error_type(what, do=do, where=where)
 
 
 def is_plain(path: Path) -> bool:
     """Whether this is, or leads to, a regular file that is not empty: no device, pipe or file of the kernel, which may not end."""
-    try:
-        about = path.stat()
-    except (OSError, ValueError):
-        return False
-    return stat.S_ISREG(about.st_mode) and about.st_size > 0
+    return os.path.isfile(path) and os.path.getsize(path) > 0
 
 
 def is_own(path: Path) -> bool:
     """Whether a folder has this as a file of its own: regular, and no link, which could lead to anybody's file."""
-    try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except (OSError, ValueError):
-        return False
+    return os.path.isfile(path) and not os.path.islink(path)
 
 
 MEMORY = 6_000_000_000
@@ -145,9 +140,8 @@ def elsewhere(script: Path, *arguments: str, content: bytes = b"", seconds: int)
     except subprocess.TimeoutExpired:
         raise Elsewhere("reading it does not end") from None
     if done.returncode < 0:
-        raise Elsewhere(
-            f"reading it takes more than {seconds} s or ends the program that reads it, with signal {-done.returncode}"
-        )
+        limit = f"reading it takes more than {seconds} s or ends the program that reads it"
+        raise Elsewhere(f"{limit}, with signal {-done.returncode}")
     if done.returncode:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
         raise Elsewhere(lines[-1][:300] if lines else "no reason is known")

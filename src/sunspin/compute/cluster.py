@@ -110,8 +110,6 @@ def local_cluster(n_workers: int) -> Generator[LocalCluster]:
         "scheduler_kwargs": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},
         "silence_logs": logging.CRITICAL,
     }
-    with (
-        dask.config.set({"distributed.deploy.lost-worker-timeout": f"{RESTART_S} s"}),
-        LocalCluster(n_workers=n_workers, threads_per_worker=1, **options) as cluster,
-    ):
+    lost = dask.config.set({"distributed.deploy.lost-worker-timeout": f"{RESTART_S} s"})
+    with lost, LocalCluster(n_workers=n_workers, threads_per_worker=1, **options) as cluster:
         yield cluster

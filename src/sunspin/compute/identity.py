@@ -14,9 +14,6 @@ from typing import Any
 
 import numpy as np
 
-SMALL = 16
-"""Arrays up to this size are written out, for people to read."""
-
 
 def plain(value: Any) -> Any:
     """Data as JSON knows it: large arrays as their shape, type and SHA-256, data classes as the fields that they are made from."""
@@ -28,7 +25,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if hasattr(value, "__array__"):
         array = np.asarray(value)
-        if array.size <= SMALL:
+        if array.size <= 16:  # written out, for people to read
             return plain(array.tolist())
         digest = hashlib.sha256(np.ascontiguousarray(array).view(np.uint8).data).hexdigest()
         return {"dtype": str(array.dtype), "shape": list(array.shape), "sha256": digest}
@@ -54,4 +51,4 @@ def code() -> dict[str, str]:
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     versions = {name: metadata.version(name) for name in ("sunspin", "numba")}
-    return {**versions, "code_sha256": digest.hexdigest()}
+    return versions | {"code_sha256": digest.hexdigest()}

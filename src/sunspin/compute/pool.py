@@ -50,9 +50,8 @@ def processes(workers: int) -> Generator[Executor | None]:
     before, method = set(active_children()), "fork" if may_fork() else "spawn"
     pool = ProcessPoolExecutor(workers, get_context(method), _begin)
     try:
-        with (
-            warnings.catch_warnings()
-        ):  # the linear algebra's threads stand still and are made again in a copy
+        # the linear algebra's threads stand still and are made again in a copy
+        with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "This process .* is multi-threaded")
             pool.submit(int)  # copies are made now, before the pool has a thread here
         yield pool

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
 
 LOCK = "lock"
-
 CHUNK_FILE = re.compile(r"rows-([0-9a-f]{16})-(\d{1,15})-(\d{1,15})\.npz")
 
 
@@ -69,31 +68,26 @@ def open_store(
 
 
 def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
-    """Read the chunks in a folder; those that are missing, of at most this size."""
+    """Read the chunks in a folder that are whole; those that are missing, of at most this size."""
     done = np.zeros(len(next(iter(out.values()))), dtype=bool)
     for path in folder.iterdir() if folder.exists() else ():
         name = CHUNK_FILE.fullmatch(path.name)
         if name is not None and name[1] == digest:
             rows = slice(int(name[2]), int(name[3]))
-            done[rows] |= _read_chunk(path, {key: array[rows] for key, array in out.items()})
+            try:
+                with open(path, "rb") as file, np.load(file) as chunk_file:
+                    arrays = {key: chunk_file[key] for key in out}
+            except Exception:  # NumPy raises errors of many kinds
+                continue
+            forms = {key: (array.dtype, array[rows].shape) for key, array in out.items()}
+            if forms == {key: (array.dtype, array.shape) for key, array in arrays.items()}:
+                for key, array in arrays.items():
+                    out[key][rows] = array
+                done[rows] = True
         elif path.name != LOCK and not PART.fullmatch(path.name):
             what = "this is no store, or one of other inputs or of another version of sunspin"
             do = "give the same inputs or choose another folder"
             raise InputError(what, got=path.name, do=do, where=str(folder))
     ends = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
-    return [
-        slice(k, min(k + chunk, stop)) for start, stop in ends for k in range(start, stop, chunk)
-    ]
-
-
-def _read_chunk(path: Path, out: Values) -> bool:
-    """Fill arrays from the file of a chunk; false where it is damaged or of another form."""
-    try:
-        with open(path, "rb") as file, np.load(file) as chunk:
-            arrays = {name: chunk[name] for name in out}
-    except Exception:  # NumPy raises errors of many kinds
-        return False
-    is_whole = all((a.dtype, a.shape) == (out[k].dtype, out[k].shape) for k, a in arrays.items())
-    for name, array in arrays.items() if is_whole else ():
-        out[name][...] = array
-    return is_whole
+    begins = ((k, stop) for start, stop in ends for k in range(start, stop, chunk))
+    return [slice(k, min(k + chunk, stop)) for k, stop in begins]

@@ -47,9 +47,8 @@ class Circular:
         begin, normal = np.array(self.nadir_N), np.array(self.normal_N)
         nadir = np.cos(angle) * begin + np.sin(angle) * np.cross(normal, begin)
         turn = np.tile(self.rate_rad_s * normal, (len(angle), 1))
-        return Surroundings(
-            np.tile([0.0, 0.0, 1.0], (len(angle), 1)), nadir_N=nadir, nadir_turn_N=turn
-        )
+        sun = np.tile([0.0, 0.0, 1.0], (len(angle), 1))
+        return Surroundings(sun, nadir_N=nadir, nadir_turn_N=turn)
 
 
 def circular(
@@ -61,24 +60,14 @@ def circular(
     `InputError` for a rate that is not positive, or directions that leave no nadir.
     """
     normal, nadir = (np.asarray(vector, dtype=np.float64) for vector in (normal_N, nadir_N))
-    if (
-        normal.shape != (3,)
-        or nadir.shape != (3,)
-        or not (np.isfinite(normal).all() and np.isfinite(nadir).all())
-    ):
-        raise InputError(
-            "normal and nadir of an orbit must be three finite numbers each",
-            got=f"{normal_N}, {nadir_N}",
-        )
+    if any(v.shape != (3,) or not np.isfinite(v).all() for v in (normal, nadir)):
+        what = "normal and nadir of an orbit must be three finite numbers each"
+        raise InputError(what, got=f"{normal_N}, {nadir_N}")
     if not 0 < rate_rad_s < np.inf:
         raise InputError("the rate of an orbit must be positive, in rad/s", got=rate_rad_s)
     across = np.cross(np.cross(normal, nadir), normal)
-    if (
-        np.linalg.norm(across) < 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)
-        or not normal.any()
-    ):
+    least = 1e-6 * np.linalg.norm(normal) ** 2 * np.linalg.norm(nadir)
+    if np.linalg.norm(across) < least or not normal.any():
         raise InputError("the nadir lies along the orbit's normal", do="give a nadir across it")
-    normal, nadir = (
-        tuple((vector / np.linalg.norm(vector)).tolist()) for vector in (normal, across)
-    )
+    normal, nadir = (tuple((v / np.linalg.norm(v)).tolist()) for v in (normal, across))
     return Circular(float(rate_rad_s), normal, nadir)

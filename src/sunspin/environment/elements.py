@@ -1,7 +1,4 @@
-"""Orbital elements as others publish them: TLE and OMM (CCSDS 502.0-B) in, one sentence on what is wrong with them.
-
-Elements are data here; :mod:`sunspin.environment.orbit` propagates them.
-"""
+"""Orbital elements as others publish them: TLE and OMM (CCSDS 502.0-B) in, one sentence on what is wrong with them."""
 
 from __future__ import annotations
 
@@ -12,17 +9,14 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from string import digits as DIGITS
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.base.untrusted import decoded, plain_number, read_bytes, xml_root
-
-MAX_FILE_BYTES = 10_000_000
-"""Elements of one satellite for ten years, some a day, are 2 MB."""
+from sunspin.base.untrusted import plain_number
 
 OLD_DAYS = 10.0
 """Elements farther than this from the telemetry are warned about: the place along the track is no longer known to a few seconds."""
@@ -119,53 +113,40 @@ def _satrec(given: tuple) -> Any:
     return satellite
 
 
-def read_elements(path: Path | str) -> tuple[Elements, ...]:
-    """The element sets of a file of one satellite, oldest first: TLE, with names or without, or OMM as KVN, XML, CSV or JSON.
-
-    Raises
-    ------
-    InputError
-        Naming file, line, what was found there and what to do.
-    """
-    path = Path(path)
-    content = read_bytes(
-        path, MAX_FILE_BYTES, "file of elements", InputError, "give the path of a TLE or OMM file"
-    )
-    return parse_elements(
-        decoded(content, str(path), InputError, "give a TLE or OMM file"), str(path)
-    )
-
-
 def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
-    """As :func:`read_elements`, of a text; `where` names it in messages."""
+    """The element sets of one satellite, oldest first: TLE, with names or without, or OMM as KVN, XML, CSV or JSON.
+
+    `where` names the file in messages. `InputError` names file, line, what was found there and what to do.
+    """
     begin = text.lstrip()[:1]
     if begin == "<":
-        found = [_from_omm(fields, where) for fields in _xml(text, where)]
+        messages = _xml(text, where)
     elif begin in ("[", "{"):
-        found = [_from_omm(fields, where) for fields in _json(text, where)]
+        messages = _json(text, where)
     elif "MEAN_MOTION" in text.split("\n", 1)[0]:
-        found = [_from_omm(fields, where) for fields in csv.DictReader(io.StringIO(text.strip()))]
+        messages = csv.DictReader(io.StringIO(text.strip()))
     elif re.search(r"^\s*MEAN_MOTION\s*=", text, re.MULTILINE):
-        found = [_from_omm(fields, where) for fields in _kvn(text)]
+        messages = _kvn(text)
     else:
-        found = list(_lines(text, where))
-    if not found:
-        raise InputError(
-            "no orbital elements here",
-            do="give two lines that begin with 1 and 2, or an OMM",
-            where=where,
-        )
-    numbers = sorted({one.number for one in found})
+        messages = None
+    if messages is None:
+        sets = list(_lines(text, where))
+    else:
+        sets = [_from_omm(fields, where) for fields in messages]
+    if not sets:
+        do = "give two lines that begin with 1 and 2, or an OMM"
+        raise InputError("no orbital elements here", do=do, where=where)
+    numbers = sorted({elements.number for elements in sets})
     if len(numbers) > 1:
         what = f"the file has elements of {len(numbers)} satellites"
         do = "keep those of yours"
         raise InputError(what, got=", ".join(map(str, numbers[:4])), do=do, where=where)
-    return tuple(sorted(found, key=lambda one: one.epoch_jd))
+    return tuple(sorted(sets, key=lambda elements: elements.epoch_jd))
 
 
-def nearest(found: tuple[Elements, ...], jd: float) -> Elements:
+def nearest(sets: tuple[Elements, ...], jd: float) -> Elements:
     """The elements whose epoch is nearest to a UTC Julian date."""
-    return min(found, key=lambda one: abs(one.days_to(jd)))
+    return min(sets, key=lambda elements: abs(elements.days_to(jd)))
 
 
 # ------------------------------------------------------------------------------------------------------------------------- TLE
@@ -184,10 +165,16 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
             first = _checked(line, LINE_1, at)
         elif first is not None:
             if not line.startswith("2 "):
-                raise InputError(
-                    "line 2 of the elements must follow their line 1", got=line, where=at
-                )
-            yield _from_lines(first, _checked(line, LINE_2, at), name, at)
+                what = "line 2 of the elements must follow their line 1"
+                raise InputError(what, got=line, where=at)
+            second = _checked(line, LINE_2, at)
+            if first[2:7] != second[2:7]:
+                what, got = "the two lines are of different satellites", (first[2:7], second[2:7])
+                raise InputError(what, got=" and ".join(got), do="keep those of yours", where=at)
+            if not 1 <= float(first[20:32]) < 367:
+                what = "the epoch's day of the year must be from 1 to 366"
+                raise InputError(what, got=first[20:32], where=at)
+            yield _elements((first, second), name, at)
             name, first = "", None
         else:
             name = line.removeprefix("0 ").strip()[:100]
@@ -197,47 +184,29 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
 
 def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     if len(line) != 69:
-        raise InputError(
-            "a line of elements has 69 characters", got=f"{len(line)}", do="copy it whole", where=at
-        )
+        what = "a line of elements has 69 characters"
+        raise InputError(what, got=f"{len(line)}", do="copy it whole", where=at)
     total = sum(int(c) if c in DIGITS else c == "-" for c in line[:68]) % 10
     if line[68] != str(total):
         what = f"the checksum of the line is {total}, but its last character says {line[68]!r}"
         raise InputError(what, do="the line was damaged or edited: copy it anew", where=at)
     if not form.fullmatch(line):
-        raise InputError(
-            "the columns are not those of a line of elements", got=line, do="copy it anew", where=at
-        )
+        what = "the columns are not those of a line of elements"
+        raise InputError(what, got=line, do="copy it anew", where=at)
     return line
-
-
-def _from_lines(first: str, second: str, name: str, at: str) -> Elements:
-    if first[2:7] != second[2:7]:
-        what = "the two lines are of different satellites"
-        raise InputError(
-            what, got=f"{first[2:7]} and {second[2:7]}", do="keep those of yours", where=at
-        )
-    if not 1 <= float(first[20:32]) < 367:
-        raise InputError(
-            "the epoch's day of the year must be from 1 to 366", got=first[20:32], where=at
-        )
-    return _elements((first, second), name, at)
 
 
 def _elements(given: tuple, name: str, at: str) -> Elements:
     try:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
-        raise InputError(
-            f"the elements cannot be read ({error})", do="copy them anew", where=at
-        ) from None
+        what = f"the elements cannot be read ({error})"
+        raise InputError(what, do="copy them anew", where=at) from None
     if satellite.error or not satellite.no_kozai > 0:
-        raise InputError(
-            "the elements are those of no orbit", do="check mean motion and eccentricity", where=at
-        )
-    return Elements(
-        given, int(satellite.satnum), name, (satellite.jdsatepoch, satellite.jdsatepochF), at
-    )
+        what, do = "the elements are those of no orbit", "check mean motion and eccentricity"
+        raise InputError(what, do=do, where=at)
+    epoch_jd = satellite.jdsatepoch, satellite.jdsatepochF
+    return Elements(given, int(satellite.satnum), name, epoch_jd, at)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- OMM
@@ -249,26 +218,20 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
         for key, value in fields.items()
         if key and value not in (None, "")
     }
-    missing = [key for key in KEYS if key not in known]
-    if missing:
-        raise InputError(
-            "the OMM lacks a key", got=missing[0], do="give the whole message", where=where
-        )
+    if missing := [key for key in KEYS if key not in known]:
+        do = "give the whole message"
+        raise InputError("the OMM lacks a key", got=missing[0], do=do, where=where)
     theory = known.get("MEAN_ELEMENT_THEORY", "SGP4")
     if theory.upper().replace("/", "") not in ("SGP4", "SGP", "SGPSGP4"):
-        raise InputError(
-            "the OMM's elements are not for SGP4", got=theory, do="give SGP4 elements", where=where
-        )
+        what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
+        raise InputError(what, got=theory, do=do, where=where)
     for key in KEYS[1:]:
         if np.isnan(plain_number(known[key])):
             raise InputError(f"{key} must be a number", got=known[key], where=where)
     epoch = known["EPOCH"].rstrip("Z")
     if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?", epoch, re.ASCII):
-        raise InputError(
-            "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0",
-            got=known["EPOCH"],
-            where=where,
-        )
+        what = "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0"
+        raise InputError(what, got=known["EPOCH"], where=where)
     known["EPOCH"] = epoch if "." in epoch else epoch + ".0"
     wanted = {key: known[key] for key in (*KEYS, *ASSUMED)}
     return _elements(tuple(sorted(wanted.items())), known["OBJECT_NAME"][:100], where)
@@ -278,10 +241,10 @@ def _kvn(text: str) -> Iterator[dict[str, str]]:
     """Messages of keys and values; each begins with its version or name, of which a file may have either."""
     fields: dict[str, str] = {}
     for line in text.splitlines():
-        key, found, value = line.partition("=")
-        if not found:
-            continue
+        key, equals, value = line.partition("=")
         key = key.strip()
+        if not equals:
+            continue
         if key in fields:
             yield fields
             fields = {}
@@ -296,13 +259,21 @@ def _json(text: str, where: str) -> list[dict[str, Any]]:
     except (ValueError, RecursionError):
         raise InputError("this is not valid JSON", do="give the whole file", where=where) from None
     table = table if isinstance(table, list) else [table]
-    if not all(isinstance(one, dict) for one in table):
-        raise InputError(
-            "the JSON is not an OMM",
-            do="give a list of messages with the keys of an OMM",
-            where=where,
-        )
+    if not all(isinstance(message, dict) for message in table):
+        do = "give a list of messages with the keys of an OMM"
+        raise InputError("the JSON is not an OMM", do=do, where=where)
     return table
+
+
+def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
+    """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
+    if "<!" in text.replace("<!--", ""):
+        raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        what = f"this is not valid XML ({error})"
+        raise InputError(what, do="give the whole file", where=where) from None
 
 
 def _xml(text: str, where: str) -> Iterator[dict[str, str]]:

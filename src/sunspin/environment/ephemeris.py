@@ -24,7 +24,6 @@ from sunspin.base.untrusted import (
     elsewhere,
     plain_number,
     read_bytes,
-    xml_root,
 )
 from sunspin.environment.earth import (
     DAY_S,
@@ -34,7 +33,7 @@ from sunspin.environment.earth import (
     J2000_from_TEME,
     earth_from_J2000,
 )
-from sunspin.environment.elements import Elements, read_elements
+from sunspin.environment.elements import Elements, parse_elements, xml_root
 
 if TYPE_CHECKING:
     from scipy import interpolate
@@ -86,6 +85,19 @@ class Stretch:
     def spline(self) -> interpolate.BSpline:
         return interpolate.make_interp_spline(self.t_s, self.place, k=DEGREE)
 
+    @property
+    def span_jd(self) -> tuple[float, float]:
+        """UTC Julian dates of the first and the last position."""
+        return self.jd + self.t_s[0] / DAY_S, self.jd + self.t_s[-1] / DAY_S
+
+    def outside_days(self, jd: np.ndarray) -> np.ndarray:
+        """By how many days dates (n) lie outside."""
+        first, last = self.span_jd
+        return np.maximum(np.maximum(first - jd, jd - last), 0.0)
+
+    def state(self, t_s: Any) -> tuple[np.ndarray, np.ndarray]:
+        return self.spline(t_s), self.spline(t_s, 1)
+
     def error_m(self) -> float:
         """What the spline is off between the positions, by that through every other one."""
         if len(self.t_s) < 2 * FEWEST:
@@ -114,16 +126,12 @@ class Ephemeris:
 
     @property
     def span_jd(self) -> tuple[float, float]:
-        return (
-            self.stretches[0].jd + self.stretches[0].t_s[0] / DAY_S,
-            self.stretches[-1].jd + self.stretches[-1].t_s[-1] / DAY_S,
-        )
+        return self.stretches[0].span_jd[0], self.stretches[-1].span_jd[1]
 
     @property
     def period_s(self) -> float:
-        place, speed = self._at(
-            self.stretches[0], self.stretches[0].t_s[len(self.stretches[0].t_s) // 2]
-        )
+        first = self.stretches[0]
+        place, speed = first.state(first.t_s[len(first.t_s) // 2])
         energy = speed @ speed / 2 - MU_M3_S2 / np.linalg.norm(place)
         return float(2 * np.pi * np.sqrt(max(-MU_M3_S2 / (2 * energy), EQUATOR_M) ** 3 / MU_M3_S2))
 
@@ -136,33 +144,23 @@ class Ephemeris:
         """Positions (n, 3) m and velocities (n, 3) m/s in J2000, at UTC Julian dates (n) and fractions of a day (n).
 
         Outside the table the nearest stretch goes on along an ellipse: for shifts along the track, and orbits turned at random."""
-        nearest = np.argmin([self._outside(s, jd + fraction) for s in self.stretches], axis=0)
+        nearest = np.argmin([s.outside_days(jd + fraction) for s in self.stretches], axis=0)
         both = np.empty((2, len(jd), 3))
         for k, stretch in enumerate(self.stretches):
             mine = nearest == k
             t = ((jd[mine] - stretch.jd) + fraction[mine]) * DAY_S
             within = np.clip(t, stretch.t_s[0], stretch.t_s[-1])
-            both[:, mine] = _along_ellipse(*self._at(stretch, within), t - within)
+            both[:, mine] = _along_ellipse(*stretch.state(within), t - within)
         return both[0], both[1]
-
-    @staticmethod
-    def _outside(stretch: Stretch, jd: np.ndarray) -> np.ndarray:
-        """By how many days dates (n) lie outside a stretch."""
-        first, last = (stretch.jd + stretch.t_s[k] / DAY_S for k in (0, -1))
-        return np.maximum(np.maximum(first - jd, jd - last), 0.0)
 
     def require(self, jd: np.ndarray) -> None:
         """`InputError` where a date (n) of telemetry is not in the table."""
-        missing = np.min([self._outside(s, jd) for s in self.stretches], axis=0) > BESIDE_S / DAY_S
+        missing = np.min([s.outside_days(jd) for s in self.stretches], axis=0) > BESIDE_S / DAY_S
         if missing.any():
             got = f"{utc_of(self.span_jd[0])} to {utc_of(self.span_jd[1])}, but not {utc_of(float(jd[missing][0]))}"
             do = "give one that does, or only the telemetry that it covers"
             what = "the ephemeris does not cover the telemetry"
             raise InputError(what, got=got, do=do, where=self.where)
-
-    @staticmethod
-    def _at(stretch: Stretch, t_s: Any) -> tuple[np.ndarray, np.ndarray]:
-        return stretch.spline(t_s), stretch.spline(t_s, 1)
 
 
 def _along_ellipse(
@@ -184,10 +182,8 @@ def _along_ellipse(
     g = t - (change - np.sin(change)) / mean
     later = f[:, None] * r + g[:, None] * v
     reached = np.linalg.norm(later, axis=1)
-    f_dot, g_dot = (
-        -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change),
-        1 - axis / reached * (1 - np.cos(change)),
-    )
+    f_dot = -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change)
+    g_dot = 1 - axis / reached * (1 - np.cos(change))
     place[out], speed[out] = later, f_dot[:, None] * r + g_dot[:, None] * v
     return place, speed
 
@@ -204,36 +200,7 @@ class _Table(NamedTuple):
 
 
 def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
-    """Elements (TLE, OMM) or an ephemeris (OEM, CSV, SPK), whichever the file has; errors as of `read_ephemeris`."""
-    path = Path(path)
-    content = read_bytes(
-        path,
-        MAX_FILE_BYTES,
-        "file of elements",
-        InputError,
-        "give the path of a TLE, OMM, OEM, CSV or SPK",
-    )
-    text = content[:20_000].decode("utf-8-sig", "replace")
-    if (
-        content[:4] in (b"DAF/", b"NAIF")
-        or "CCSDS_OEM_VERS" in text
-        or "<oem" in text
-        or _is_table(text)
-    ):
-        return (read_ephemeris(path),)
-    return read_elements(path)
-
-
-def _is_table(text: str) -> bool:
-    """Whether the first line that is no comment names the columns of an ephemeris."""
-    head = next(
-        (line for line in text.splitlines() if line.strip() and not line.startswith("#")), ""
-    )
-    return bool(re.search(r"\b(time_utc|[xyz]_k?m)\b", head))
-
-
-def read_ephemeris(path: Path | str) -> Ephemeris:
-    """The positions of one satellite from an OEM (KVN or XML), a CSV or an SPK.
+    """Elements (TLE, OMM) or the positions of one satellite (OEM in KVN or XML, CSV, SPK), whichever the file has.
 
     A CSV has the columns `time_utc` (ISO-8601), `x_km`, `y_km`, `z_km` (or `x_m` and so on), if known `vx_km_s`, `vy_km_s` and
     `vz_km_s` (or `vx_m_s`), and says its frame in a comment above: ``# frame: J2000`` (or TEME, ITRF).
@@ -243,41 +210,33 @@ def read_ephemeris(path: Path | str) -> Ephemeris:
     InputError
         Naming file, line, what was found there and what to do.
     """
-    path = Path(path)
-    content = read_bytes(
-        path, MAX_FILE_BYTES, "ephemeris", InputError, "give the path of an OEM, a CSV or an SPK"
-    )
-    where = str(path)
+    path, do = Path(path), "give the path of a TLE, OMM, OEM, CSV or SPK"
+    where, meta = str(path), dict[str, str]()
+    content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, do)
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
-        return _ephemeris([_spk(path)], "", path.stem, where)
-    text = decoded(
-        content,
-        where,
-        InputError,
-        "give an OEM, a CSV or an SPK",
-        "the file is neither text nor an SPK",
-    )
-    if text.lstrip()[:1] == "<":
-        meta, tables = _oem_xml(text, where)
-    elif "CCSDS_OEM_VERS" in text[:10_000]:
-        meta, tables = _oem_kvn(text, where)
+        tables = [_spk(path)]
     else:
-        return _ephemeris([_csv(path)], "", path.stem, where)
-    return _ephemeris(tables, meta.get("OBJECT_ID", ""), meta.get("OBJECT_NAME", path.stem), where)
-
-
-def _ephemeris(tables: list[_Table], number: str, name: str, where: str) -> Ephemeris:
-    stretches = [one for table in tables for one in _stretches(table, where)]
+        text = decoded(content, where, InputError, do)
+        rows = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+        if "CCSDS_OEM_VERS" in text[:20_000] or "<oem" in text[:20_000]:
+            read = _oem_xml if text.lstrip()[:1] == "<" else _oem_kvn
+            meta, tables = read(text, where)
+        elif re.search(r"\b(time_utc|[xyz]_k?m)\b", next(rows, "")):
+            tables = [_csv(path)]
+        else:
+            return parse_elements(text, where)
+    stretches = [stretch for table in tables for stretch in _stretches(table, where)]
     if not stretches:
         what = f"the ephemeris has no {FEWEST} positions in a row"
         raise InputError(what, do="give one with a position every minute or so", where=where)
-    stretches.sort(key=lambda one: one.jd + one.t_s[0] / DAY_S)
-    if (worst := max(one.error_m() for one in stretches)) > COARSEST_M:
+    stretches.sort(key=lambda stretch: stretch.span_jd[0])
+    if (worst := max(stretch.error_m() for stretch in stretches)) > COARSEST_M:
         step = float(np.median(np.diff(stretches[0].t_s)))
         what = f"the positions are {step:.0f} s apart, between which an orbit is known to {worst:.0f} m only"
         do = f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit"
         raise InputError(what, do=do, where=where)
-    return Ephemeris(tuple(stretches), number[:100], name[:100], where)
+    number, name = meta.get("OBJECT_ID", ""), meta.get("OBJECT_NAME", path.stem)
+    return (Ephemeris(tuple(stretches), number[:100], name[:100], where),)
 
 
 def _stretches(table: _Table, where: str) -> list[Stretch]:
@@ -285,24 +244,20 @@ def _stretches(table: _Table, where: str) -> list[Stretch]:
         what, do = "the times of the ephemeris do not increase", "sort its rows, remove repeats"
         raise InputError(what, do=do, where=where)
     radius = np.linalg.norm(table.place, axis=1)
-    if not np.all((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M)):
-        bad = radius[~((radius > 0.99 * EQUATOR_M) & (radius < HIGHEST_M))][0]
-        what, got = (
-            "a position is not one of an orbit about the Earth",
-            f"{bad / 1e3:.6g} km from its centre",
-        )
-        raise InputError(
-            what, got=got, do="check the unit (km in an OEM) and the centre", where=where
-        )
+    wrong = (radius <= 0.99 * EQUATOR_M) | (radius >= HIGHEST_M)
+    if wrong.any():
+        what = "a position is not one of an orbit about the Earth"
+        got = f"{radius[wrong][0] / 1e3:.6g} km from its centre"
+        do = "check the unit (km in an OEM) and the centre"
+        raise InputError(what, got=got, do=do, where=where)
     when = _instants(table, where)
     place, speed = _in_J2000(table, when, where)
     step = np.median(np.diff(table.t_s)) if len(radius) > 1 else 0.0
-    found = []
+    stretches = []
     jd = float(when.jd[0])
     t_s = (when.jd - jd + when.fraction) * DAY_S
-    for part in np.split(
-        np.arange(len(radius)), np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1
-    ):
+    gaps = np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1
+    for part in np.split(np.arange(len(radius)), gaps):
         if len(part) < FEWEST:
             continue
         stretch = Stretch(jd, t_s[part], place[part])
@@ -311,8 +266,8 @@ def _stretches(table: _Table, where: str) -> list[Stretch]:
             what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the middle"
             do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
             raise InputError(what, do=do, where=where)
-        found.append(stretch)
-    return found
+        stretches.append(stretch)
+    return stretches
 
 
 def _instants(table: _Table, where: str) -> Instants:
@@ -320,29 +275,20 @@ def _instants(table: _Table, where: str) -> Instants:
     try:
         when = Instants.of(_iso(table.epoch), table.t_s)
     except ValueError:
-        raise InputError(
-            "this is not a time such as 2026-01-31T12:00:00", got=table.epoch, where=where
-        ) from None
-    tai_ahead = when.tt_ahead * DAY_S - 32.184
-    tt_ahead = tai_ahead + 32.184
-    tdb_ahead = tt_ahead + 1.657e-3 * np.sin(
-        6.24 + 0.017202 * (when.middle - 2451545.0)
-    )  # Astronomical Almanac, page B7
-    behind = {
-        "UTC": 0.0,
-        "UT1": 0.0,
-        "TAI": tai_ahead,
-        "TT": tt_ahead,
-        "TDT": tt_ahead,
-        "TDB": tdb_ahead,
-        "GPS": tai_ahead - TAI_AHEAD_OF_GPS_S,
-    }
-    if table.scale not in behind:
-        do = f"give one of {', '.join(behind)}"
-        raise InputError(
-            "the time system of the ephemeris is not known", got=table.scale, do=do, where=where
+        what = "this is not a time such as 2026-01-31T12:00:00"
+        raise InputError(what, got=table.epoch, where=where) from None
+    tt = when.tt_ahead * DAY_S
+    tai, days = tt - 32.184, when.middle - 2451545.0
+    tdb = tt + 1.657e-3 * np.sin(6.24 + 0.017202 * days)  # Astronomical Almanac, page B7
+    ahead = {"UTC": 0.0, "UT1": 0.0, "TAI": tai, "TT": tt, "TDT": tt, "TDB": tdb}
+    ahead["GPS"] = tai - TAI_AHEAD_OF_GPS_S
+    if table.scale not in ahead:
+        what, do = (
+            "the time system of the ephemeris is not known",
+            f"give one of {', '.join(ahead)}",
         )
-    return when.later(-behind[table.scale])
+        raise InputError(what, got=table.scale, do=do, where=where)
+    return when.later(-ahead[table.scale])
 
 
 def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
@@ -395,21 +341,13 @@ def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
     root = xml_root(text, "OEM", where)
     tables, meta = [], {}
     for segment in root.iter("segment"):
-        meta = {
-            leaf.tag: (leaf.text or "").strip()
-            for part in segment.iter("metadata")
-            for leaf in part
-            if not len(leaf)
-        }
+        leaves = [leaf for part in segment.iter("metadata") for leaf in part if not len(leaf)]
+        meta = {leaf.tag: (leaf.text or "").strip() for leaf in leaves}
         rows = []
         for vector in segment.iter("stateVector"):
             cells = {leaf.tag: (leaf.text or "").strip() for leaf in vector}
-            rows.append(
-                (
-                    cells.get("EPOCH", ""),
-                    [cells.get(key, "nan") for key in ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")],
-                )
-            )
+            keys = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
+            rows.append((cells.get("EPOCH", ""), [cells.get(key, "nan") for key in keys]))
         tables += [_oem_table(meta, rows, where)] if rows else []
     if not tables:
         what, do = "the XML is no OEM with positions", "give an OEM, a CSV or an SPK"
@@ -420,9 +358,8 @@ def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
 def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _Table:
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
-            raise InputError(
-                "the OEM lacks a key", got=key, do="give the whole message", where=where
-            )
+            do = "give the whole message"
+            raise InputError("the OEM lacks a key", got=key, do=do, where=where)
     if meta["CENTER_NAME"].upper() != "EARTH":
         what = "the positions of the OEM are not about the Earth"
         raise InputError(what, got=meta["CENTER_NAME"], where=where)
@@ -442,23 +379,16 @@ def _table(
     except ValueError as error:
         raise InputError(f"a time of the ephemeris cannot be read ({error})", where=where) from None
     t_s = (times - times[0]) / np.timedelta64(1, "us") / 1e6
-    values = np.array(
-        [
-            [plain_number(cell) for cell in (*cells, *["nan"] * (6 - len(cells)))]
-            for _, cells in rows
-        ]
-    )
-    odd = [
-        cell
-        for _, cells in rows
-        for cell in cells
-        if cell not in ("", "nan") and np.isnan(plain_number(cell))
-    ]
-    if odd:
-        do = "write plain decimals, such as -6778.137"
-        raise InputError(
-            "a coordinate of the ephemeris is no number", got=odd[0], do=do, where=where
-        )
+    values = np.full((len(rows), 6), np.nan)
+    for row, (_, cells) in zip(values, rows, strict=True):
+        row[: len(cells)] = [plain_number(cell) for cell in cells]
+        odd = [cell for cell in cells if cell not in ("", "nan") and np.isnan(plain_number(cell))]
+        if odd:
+            what, do = (
+                "a coordinate of the ephemeris is no number",
+                "write plain decimals, such as -6778.137",
+            )
+            raise InputError(what, got=odd[0], do=do, where=where)
     if not np.isfinite(values[:, :3]).all():
         raise InputError("a coordinate of the ephemeris is missing or not finite", where=where)
     return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
@@ -467,11 +397,11 @@ def _table(
 def _iso(time: str) -> str:
     """A time of the calendar; a day of the year becomes a date. `ValueError` for what is no time: NumPy knows `today`."""
     time = time.rstrip("Z").replace(" ", "T")
-    found = TIME.fullmatch(time)
-    if found is None or (found[2] and not 1 <= int(found[2]) <= 366):
+    form = TIME.fullmatch(time)
+    if form is None or (form[2] and not 1 <= int(form[2]) <= 366):
         raise ValueError(f"{time!r} is not a time such as 2026-01-31T12:00:00")
-    if found[2]:
-        time = str(np.datetime64(found[1], "D") + int(found[2]) - 1) + (found[3] or "")
+    if form[2]:
+        time = str(np.datetime64(form[1], "D") + int(form[2]) - 1) + (form[3] or "")
     whole, _, part = time.partition(".")
     return f"{whole}.{part[:6]}" if part else whole
 
@@ -485,12 +415,9 @@ def _csv(path: Path) -> _Table:
         table = read_table(path)
     except TelemetryError as error:
         raise InputError(str(error)) from None
-    frames = [
-        match[1]
-        for line in table.comments
-        if (match := re.fullmatch(r"frame\s*[:=]\s*(\S+)", line, re.IGNORECASE))
-    ]
-    unit = next((one for one in ("km", "m") if f"x_{one}" in table.header), "")
+    forms = (re.fullmatch(r"(?i)frame\s*[:=]\s*(\S+)", line) for line in table.comments)
+    frames = [form[1] for form in forms if form]
+    unit = next((unit for unit in ("km", "m") if f"x_{unit}" in table.header), "")
     wanted = ["time_utc", *(f"{axis}_{unit}" for axis in "xyz")]
     missing = [name for name in wanted if name not in table.header]
     if not unit or missing:
@@ -499,18 +426,16 @@ def _csv(path: Path) -> _Table:
         raise InputError("the table has no columns of an ephemeris", got=got, do=do, where=where)
     if not frames:
         what = "the ephemeris does not say its frame"
-        raise InputError(
-            what, do="add a first line such as `# frame: J2000` (or TEME, ITRF)", where=where
-        )
-    fast = next((one for one in ("km_s", "m_s") if f"vx_{one}" in table.header), None)
+        do = "add a first line such as `# frame: J2000` (or TEME, ITRF)"
+        raise InputError(what, do=do, where=where)
+    fast = next((unit for unit in ("km_s", "m_s") if f"vx_{unit}" in table.header), None)
     names = [*wanted, *(f"v{axis}_{fast}" for axis in "xyz" if fast)]
     if absent := [name for name in names if name not in table.header]:
         what = f"the column {absent[0]!r} of velocity is missing"
         raise InputError(what, where=where)
     rows = [(row[0], row[1:]) for row in table.cells[names].to_numpy().tolist()]
-    return _table(
-        rows, 1e3 if unit == "km" else 1.0, 1e3 if fast == "km_s" else 1.0, "UTC", frames[0], where
-    )
+    to_m, to_m_s = (1e3 if unit == "km" else 1.0), (1e3 if fast == "km_s" else 1.0)
+    return _table(rows, to_m, to_m_s, "UTC", frames[0], where)
 
 
 def _spk(path: Path) -> _Table:
@@ -522,9 +447,8 @@ def _spk(path: Path) -> _Table:
     try:
         import spiceypy  # noqa: F401
     except ImportError:
-        raise InputError(
-            "an SPK needs spiceypy", do='pip install "sunspin[spice]"', where=where
-        ) from None
+        do = 'pip install "sunspin[spice]"'
+        raise InputError("an SPK needs spiceypy", do=do, where=where) from None
     script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
     try:
         printed = elsewhere(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
@@ -538,9 +462,8 @@ def _spk(path: Path) -> _Table:
         raise InputError("the SPK holds a number beyond any orbit", do=do, where=where)
     begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
     epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
-    return _Table(
-        epoch, "TDB", values[:, 0] - begin, 1e3 * values[:, 1:4], 1e3 * values[:, 4:], "J2000"
-    )
+    place, speed = 1e3 * values[:, 1:4], 1e3 * values[:, 4:]
+    return _Table(epoch, "TDB", values[:, 0] - begin, place, speed, "J2000")
 
 
 def utc_of(jd: float) -> str:

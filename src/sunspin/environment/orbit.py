@@ -10,7 +10,6 @@ that is slow: data do not part these either.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,8 @@ from sunspin.environment.earth import (
     earth_from_J2000,
     sun_J2000_m,
 )
-from sunspin.environment.elements import OLD_DAYS
+from sunspin.environment.elements import OLD_DAYS, Elements
+from sunspin.environment.ephemeris import Ephemeris
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
@@ -50,30 +50,10 @@ def drift_sigma_s_day(shift_sigma_s: float, days: float) -> float:
     return float(np.hypot(0.2 + 0.02 * abs(days), shift_sigma_s / DRIFT_DAYS))
 
 
-class Source(Protocol):
-    """What gives positions: a set of elements (:mod:`sunspin.environment.elements`), or a table of them
-    (:mod:`sunspin.environment.ephemeris`).
-
-    `states`: positions (n, 3) m and velocities (n, 3) m/s in `frame`, "TEME" or "J2000", at UTC Julian dates (n) and fractions
-    (n). `days_to`: from its epoch, or the table's nearer end, to a UTC Julian date. `require`: `InputError` where telemetry at such
-    dates (n) has no position.
-    """
-
-    @property
-    def frame(self) -> str: ...
-    @property
-    def number(self) -> int | str: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def where(self) -> str: ...
-    @property
-    def epoch_jd(self) -> tuple[float, float]: ...
-    @property
-    def period_s(self) -> float: ...
-    def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
-    def days_to(self, jd: float) -> float: ...
-    def require(self, jd: np.ndarray) -> None: ...
+Source = Elements | Ephemeris
+"""What gives positions. `states`: positions (n, 3) m and velocities (n, 3) m/s in `frame`, "TEME" or "J2000", at UTC Julian dates
+(n) and fractions (n). `days_to`: from its epoch, or the table's nearer end, to a UTC Julian date. `require`: `InputError` where
+telemetry at such dates (n) has no position."""
 
 
 @dataclass(frozen=True)
@@ -106,17 +86,13 @@ class Orbit:
 
     def ahead_sigma_s(self, when: Instants) -> np.ndarray:
         """One sigma (n) of the place along the track, s: of shift, drift and clock."""
-        return np.sqrt(
-            self.shift_sigma_s**2
-            + (self.drift_sigma_s_day * self.days(when)) ** 2
-            + self.clock_sigma_s**2
-        )
+        constant = np.hypot(self.shift_sigma_s, self.clock_sigma_s)
+        return np.hypot(constant, self.drift_sigma_s_day * self.days(when))
 
     def instants(self, t_s: npt.ArrayLike) -> Instants:
         """The true times."""
-        return Instants.of(
-            self.epoch_utc, np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + self.clock_s
-        )
+        t = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
+        return Instants.of(self.epoch_utc, t + self.clock_s)
 
     def states(
         self, when: Instants, ahead_s: npt.ArrayLike | None = None
@@ -124,9 +100,8 @@ class Orbit:
         """Positions and velocities (..., n, 3) in J2000, m and m/s, `ahead_s` (..., n) along the track; default: as known."""
         moved = when.later(self.ahead_s(when) if ahead_s is None else ahead_s)
         jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
-        which = np.abs(
-            (jd + fraction)[:, None] - [sum(one.epoch_jd) for one in self.elements]
-        ).argmin(axis=1)
+        epochs = [sum(source.epoch_jd) for source in self.elements]
+        which = np.abs((jd + fraction)[:, None] - epochs).argmin(axis=1)
         both = np.empty((2, len(jd), 3))
         for k in np.unique(which):
             both[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
@@ -183,18 +158,14 @@ class Orbit:
     def notes(self, t_s: npt.ArrayLike) -> list[str]:
         """What has to be said of these elements at these times."""
         when = self.instants(t_s)
-        days = max(
-            min(abs(one.days_to(jd)) for one in self.elements)
-            for jd in (when.jd + when.fraction)[[0, -1]]
-        )
+        ends = (when.jd + when.fraction)[[0, -1]]
+        days = max(min(abs(source.days_to(jd)) for source in self.elements) for jd in ends)
+        if days < OLD_DAYS:
+            return []
         known = f"the place along the track is known to some {self.shift_sigma_s:.0f} s"
         if self.shift_sigma_s > self.elements[0].period_s / 4:
             known = "nothing is known of the place along the track; get elements of the days of the telemetry"
-        return (
-            []
-            if days < OLD_DAYS
-            else [f"the elements are {days:.0f} days from the telemetry: {known}"]
-        )
+        return [f"the elements are {days:.0f} days from the telemetry: {known}"]
 
 
 @dataclass(frozen=True)
@@ -208,15 +179,8 @@ class SunAlongZ:
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
         here = self.orbit.at(t_s)
         matrix = _along_z(here.sun_N)
-        vectors = {name: getattr(here, name) for name in VECTORS}
-        return replace(
-            here,
-            **{
-                name: turned(matrix, vector)
-                for name, vector in vectors.items()
-                if vector is not None
-            },
-        )
+        vectors = {name: turned(matrix, getattr(here, name)) for name in VECTORS}
+        return replace(here, **vectors)
 
     def N_from_J2000(self, t_s: npt.ArrayLike) -> np.ndarray:
         """Matrices (n, 3, 3) from J2000 to these axes."""
@@ -263,22 +227,12 @@ def in_orbit(
     module; by default the shift is as uncertain as the elements are old, and the clock by 1 s. The shift's drift is 0, as uncertain
     as :func:`drift_sigma_s_day` says.
     """
-    orbit = Orbit(
-        epoch_utc,
-        elements,
-        shift_s,
-        0.0,
-        clock_s,
-        CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s,
-    )
+    clock_sigma = CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s
+    orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, clock_sigma)
     when = orbit.instants(t_s)
     elements[0].require(when.later(shift_s).jd + when.later(shift_s).fraction)
     middle = float((when.jd + when.fraction).mean())
-    days = min((one.days_to(middle) for one in elements), key=abs)
+    days = min((source.days_to(middle) for source in elements), key=abs)
     sigma = age_sigma_s(days) if shift_sigma_s is None else shift_sigma_s
-    return replace(
-        orbit,
-        shift_sigma_s=sigma,
-        drift_sigma_s_day=drift_sigma_s_day(sigma, days),
-        middle_jd=middle,
-    )
+    drift_sigma = drift_sigma_s_day(sigma, days)
+    return replace(orbit, shift_sigma_s=sigma, drift_sigma_s_day=drift_sigma, middle_jd=middle)

@@ -39,6 +39,7 @@ def results_folder(path: Any, command: str) -> Path:
     folder = Path(path)
     try:
         atomic_write.make_folder(folder)
+        atomic_write.sweep(folder)
         marker = folder / MARKER
         if is_own(marker):
             if (made := maker(marker)) != command:
@@ -47,13 +48,12 @@ def results_folder(path: Any, command: str) -> Path:
                     do="choose another --out",
                     where=str(folder),
                 )
-        elif {*folder.iterdir()} - atomic_write.left(folder):
+        elif any(folder.iterdir()):
             raise OutputError(
                 "the folder is not empty and not a results folder",
                 do="choose another --out",
                 where=str(folder),
             )
-        atomic_write.sweep(folder)
         write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
     except OSError as error:
         raise OutputError(

@@ -55,8 +55,8 @@ def _rebound(chain: Chain) -> str:
         return "After the first touchdown: the data are also consistent with no rotation."
     level = f"{chain.case.assumptions.study.confidence:.0%}"
     return (
-        f"After the first touchdown: rotation period at most {turn_text(slow)} ({level} confidence); the data give no lower limit on "
-        "the period."
+        f"After the first touchdown: rotation period at most {turn_text(slow)} ({level} confidence); the data give no lower limit "
+        "on the period."
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
-from sunspin.base.toml import read_toml
+from sunspin.base.untrusted import read_toml
 from sunspin.compute.identity import plain
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Mask, Rows

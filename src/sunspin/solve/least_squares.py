@@ -107,11 +107,8 @@ def least_squares(
         step, gain = solver(there, damping[on])
         step, fine = _finite(step)
         if longest is not None:
-            step = _map(
-                lambda part, by: part / _as_column(by, part),
-                step,
-                np.maximum(longest(here, step), 1.0),
-            )
+            times = np.maximum(longest(here, step), 1.0)
+            step = _map(lambda part, by: part / _as_column(by, part), step, times)
         trial = retract(here, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
@@ -184,6 +181,6 @@ def _finite(step: Any) -> tuple[Any, np.ndarray]:
     fine = np.logical_and.reduce(
         [np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _leaves(step)]
     )
-    return (
-        step if fine.all() else _map(lambda part: np.where(_as_column(fine, part), part, 0.0), step)
-    ), fine
+    if not fine.all():
+        step = _map(lambda part: np.where(_as_column(fine, part), part, 0.0), step)
+    return step, fine

@@ -148,12 +148,10 @@ def _covariances(factors: _Factors) -> np.ndarray:
 
 def _with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
     """Steps of nodes and border, what the nodes change per unit of the border's unknowns, and the Schur complement (K, m, m)."""
-    assert (
-        system.border is not None and system.corner is not None and system.border_slope is not None
-    )
-    right = -np.concatenate(
-        [system.slope[..., None], system.border], axis=-1
-    )  # all at once: the loop over nodes is what costs
+    assert system.border is not None
+    assert system.corner is not None and system.border_slope is not None
+    # all at once: the loop over nodes is what costs
+    right = -np.concatenate([system.slope[..., None], system.border], axis=-1)
     both = _substituted(factors, right)
     change, answer = both[..., 0], both[..., 1:]
     k, n, b, m = system.border.shape

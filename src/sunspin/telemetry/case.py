@@ -17,8 +17,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
-from sunspin.base.toml import read_toml
-from sunspin.base.untrusted import decoded, read_bytes
+from sunspin.base.untrusted import decoded, read_bytes, read_toml
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
 from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from sunspin.base.errors import InputError, VehicleError
-from sunspin.base.toml import read_toml
+from sunspin.base.untrusted import read_toml
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle.part import Number, Part, keys_of, must, part, problem
 

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter, ValidationError
 
 from sunspin.base.errors import VehicleError, printable
-from sunspin.base.toml import read_toml
-from sunspin.base.untrusted import decoded, read_bytes
+from sunspin.base.untrusted import decoded, read_bytes, read_toml
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
 from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, problem

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 from sunspin.base.errors import InputError, SunspinError
-from sunspin.base.toml import read_toml
+from sunspin.base.untrusted import read_toml
 from sunspin.vehicle.part import Name, Number, Part, keys_of, part
 
 

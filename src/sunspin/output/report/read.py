@@ -19,7 +19,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, SunspinError, printable
-from sunspin.base.netcdf import read_elsewhere, read_groups
+from sunspin.base.netcdf import read_groups, trouble
 from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.folder import MANIFEST, MARKER, maker
 from sunspin.output.kind import refuse_former
@@ -146,7 +146,7 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
     results.summary = results.attempt("summary.json", lambda: _object(path / "summary.json")) or {}
     damaged, entries = 0, _entries(results, manifest, "data")
     files = [path / entry for entry in entries if isinstance(entry, str) and is_own(path / entry)]
-    tried = own or read_elsewhere(files)  # one trial for all; where it fails, one for each
+    tried = own or not trouble(*files)  # one trial for all; where it fails, one for each
     for entry in entries:
         read = results.attempt(
             _name(entry), lambda entry=entry: _data(results, _own(path, entry), tried)
