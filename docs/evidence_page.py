@@ -72,7 +72,7 @@ def capabilities() -> dict[str, str]:
         if inspect.isfunction(thing := getattr(sunspin, name))
     }
     return able | {
-        name: one.summary for name, one in COMMANDS.items() if name.replace("-", "_") not in able
+        name: line for name, (_, line) in COMMANDS.items() if name.replace("-", "_") not in able
     }
 
 

@@ -40,7 +40,7 @@ def commands() -> str:
 
     parts = ["# The command line", "", "Written by the commands' own `--help`.", ""]
     top = click.Context(cli, info_name="sunspin", max_content_width=100)
-    for name, listed in COMMANDS.items():
+    for name, (_, line) in COMMANDS.items():
         command = cli.get_command(top, name)
         assert command is not None
         text = command.get_help(
@@ -48,7 +48,7 @@ def commands() -> str:
                 command, info_name=name, parent=top, max_content_width=100, terminal_width=100
             )
         )
-        parts += [f"## {name}", "", listed.summary, "", "```text", text, "```", ""]
+        parts += [f"## {name}", "", line, "", "```text", text, "```", ""]
     return "\n".join(parts)
 
 

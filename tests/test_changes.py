@@ -355,7 +355,9 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
         (("wheel.speed_rad_s=833",), ""),
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
-        points, whose = starts(opened("philae", sets, {}).craft, [], tmp_path / "scan.nc", 1.1)
+        points, whose = starts(
+            opened("philae", changes_of(sets)).craft, [], tmp_path / "scan.nc", 1.1
+        )
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 

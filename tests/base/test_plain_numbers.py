@@ -173,7 +173,7 @@ def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
         lambda: values.numbers(f"1,{odd}", "--omega-deg-s"),
         lambda: _seconds(odd),
         lambda: values.period(f"{odd}+-1@10", None),
-        lambda: values.prior(f"inertia={odd}"),
+        lambda: values.prior(f"inertia={odd}", "--prior"),
         lambda: values.grid(f"0:1:{odd}", "--omega-x-deg-s"),
         lambda: values.times(odd, None),
     ):

@@ -48,18 +48,14 @@ def refused(outcome, *words):
 @pytest.mark.parametrize(
     ("read", "text"),
     [
-        (
-            lambda: values.instant("yesterday", "--from", "2026-01-01T00:00:00Z"),
-            "--from takes s from the epoch, or UTC",
-        ),
         (lambda: values.times("soon", None), "--predict takes s from the epoch, or UTC"),
         (lambda: values.period("13+-1@noon", None), "--period takes s from the epoch, or UTC"),
         (
-            lambda: values.prior("inertia"),
+            lambda: values.prior("inertia", "--prior"),
             r"takes a number \(found nothing\); for example --prior inertia=0.1",
         ),
         (
-            lambda: values.observation("gyro", "0,1,2"),
+            lambda: values.observation("0,1,2", "--gyro-deg-s"),
             r"5 numbers .*\(found 0,1,2\); for example --gyro-deg-s 0.1,0,-0.2,1,0.5",
         ),
     ],
@@ -320,7 +316,7 @@ def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
 
 
 def test_observed_rates_of_the_posterior_are_given_in_deg_s():
-    seen = values.observation("gyro", "5,180,0,-90,18")
+    seen = values.observation("5,180,0,-90,18", "--gyro-deg-s")
     assert seen["t_s"] == 5 and seen["sigma"] == pytest.approx(np.pi / 10)
     assert seen["value"] == pytest.approx([np.pi, 0, -np.pi / 2])
 

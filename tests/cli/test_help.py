@@ -93,7 +93,7 @@ def test_every_command_speaks_json_and_can_be_quiet(name):
 def test_the_help_names_every_command_in_a_line():
     text = CliRunner().invoke(cli, ["--help"]).output
     assert all(re.search(rf"^  {name} ", text, re.MULTILINE) for name in COMMANDS)
-    assert all(len(line) < 80 for line in (one.summary for one in COMMANDS.values()))
+    assert all(len(line) < 80 for _, line in COMMANDS.values())
 
 
 def test_a_misspelt_command_is_answered_with_the_likely_one():

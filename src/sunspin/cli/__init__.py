@@ -16,17 +16,17 @@ from sunspin.base.errors import SunspinError, printable
 from sunspin.cli.common import Group
 from sunspin.cli.gone import OPTIONS
 
-LONGEST = 1200
-"""Characters of one sentence: names from outside may have any number."""
-
-
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
 
 @click.group(
     cls=Group,
     invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "max_content_width": 110,
+        "show_default": True,
+    },
     epilog="Start with `sunspin init my-satellite`. Every command has --help with examples that run, --json and --quiet.",
 )
 @click.version_option(package_name="sunspin")
@@ -42,55 +42,58 @@ def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
-        if isinstance(
-            getattr(sys, name), io.TextIOWrapper
-        ):  # a name from outside may be beyond what a terminal can show
-            getattr(sys, name).reconfigure(errors="backslashreplace")
-    _heed_the_end()
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper):  # a terminal cannot show every name from outside
+            stream.reconfigure(errors="backslashreplace")
+    # to end by a signal without a word would leave the copies computing; under nohup one is ignored, and stays so
+    if threading.current_thread() is threading.main_thread():
+        for kind in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(kind) in (signal.SIG_DFL, signal.default_int_handler):
+                signal.signal(kind, _stop)
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
-    except (
-        click.Abort,
-        KeyboardInterrupt,
-    ) as stop:  # before the others: Interrupted is an error of sunspin too
-        code = _say(str(stop) or INTERRUPTED, 130)
+        sys.exit(code if isinstance(code, int) else 0)
+    except (click.Abort, KeyboardInterrupt) as stop:
+        # before the others: Interrupted is an error of sunspin too
+        text, code = str(stop) or INTERRUPTED, 130
     except SunspinError as error:
-        code = _say(f"error: {error}", 2)
-    except click.NoSuchOption as error:
-        said = OPTIONS.get(error.option_name, " ".join(error.format_message().split()).rstrip("."))
-        code = _say(f"error: {said}{_hint(error)}", 2)
+        text, code = f"error: {error}", 2
     except click.ClickException as error:
         text = " ".join(error.format_message().split()).rstrip(".")
         text = re.sub("is not a valid float( range)?", "is not a number such as -1.5e-3", text)
         text = re.sub("is not a valid integer( range)?", "is not a whole number", text)
-        code = _say(f"error: {text}{_hint(error)}", 2)
+        if isinstance(error, click.NoSuchOption):
+            text = OPTIONS.get(error.option_name, text)
+        context = getattr(error, "ctx", None)
+        text += f"; see `{context.command_path} --help`" if context is not None else ""
+        text, code = f"error: {text}", 2
     except BrokenPipeError:
         # the reader of our output has gone; keep Python from complaining about it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
+        sys.exit(0)
     except MemoryError:
-        code = _say(
-            "error: not enough memory for this input; use a coarser grid or a shorter file", 2
-        )
+        text = "error: not enough memory for this input; use a coarser grid or a shorter file"
+        code = 2
     except OSError as error:  # what files and folders answer where no better sentence was found
         what = error.filename or "a file or the output"
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
-        code = _say(f"error: {what} cannot be used ({error.strerror or error}); {do}", 2)
+        text, code = f"error: {what} cannot be used ({error.strerror or error}); {do}", 2
     except Exception as error:
-        code = _unexpected(error)
-    sys.exit(code if isinstance(code, int) else 0)
-
-
-def _unexpected(error: Exception) -> int:
-    """What nobody foresaw: a fault of ours, or of a library that catches an interruption and stumbles over what it left undone."""
-    if _STOPPED.is_set():
-        return _say(INTERRUPTED, 130)
-    if os.environ.get("SUNSPIN_TRACEBACK"):
-        raise error
-    what = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
-    do = "set SUNSPIN_TRACEBACK=1 to see where, and please report it"
-    return _say(f"defect: this is {what}; {do}", 1)
+        text, code = INTERRUPTED, 130
+        if not _STOPPED.is_set():  # else a library caught the interruption and stumbled later
+            if os.environ.get("SUNSPIN_TRACEBACK"):
+                raise
+            what = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
+            do = "set SUNSPIN_TRACEBACK=1 to see where, and please report it"
+            text, code = f"defect: this is {what}; {do}", 1
+    text = printable(text)
+    text = text if len(text) <= 1200 else f"{text[:600]} ... {text[-600:]}"  # names may be long
+    try:
+        print(f"sunspin: {text}", file=sys.stderr, flush=True)
+    except OSError:  # nobody can read it, as where the disk is full; the exit code still says it
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")
+    sys.exit(code)
 
 
 _STOPPED = threading.Event()
@@ -100,29 +103,3 @@ _STOPPED = threading.Event()
 def _stop(*_: object) -> None:
     _STOPPED.set()
     raise KeyboardInterrupt
-
-
-def _heed_the_end() -> None:
-    """End as by Ctrl-C where somebody ends the process or closes its terminal: without a word, its copies would compute on."""
-    if threading.current_thread() is threading.main_thread():
-        for kind in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            if signal.getsignal(kind) in (
-                signal.SIG_DFL,
-                signal.default_int_handler,
-            ):  # under nohup it is ignored, and stays so
-                signal.signal(kind, _stop)
-
-
-def _say(text: str, code: int) -> int:
-    said = printable(text)
-    said = said if len(said) <= LONGEST else f"{said[: LONGEST // 2]} ... {said[-LONGEST // 2 :]}"
-    try:
-        print(f"sunspin: {said}", file=sys.stderr, flush=True)
-    except OSError:  # nobody can read it, as where the disk is full; the exit code still says it
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")
-    return code
-
-
-def _hint(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    return f"; see `{context.command_path} --help`" if context is not None else ""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
+from functools import wraps
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
+from click.core import ParameterSource
 
 from sunspin.base.errors import InputError
+from sunspin.cli.values import check_text
 
 if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
@@ -64,11 +67,17 @@ class Opened(NamedTuple):
         return result
 
 
-class Changeable(click.Command):
-    """A command with --set; `--set list` needs no other argument."""
+class Command(click.Command):
+    """A command whose texts are checked before they are converted, and of which `--set list` needs no other argument."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if ctx.resilient_parsing:  # what a shell completes is not whole yet
+            return super().parse_args(ctx, args)
         given = self.make_parser(ctx).parse_args(args=list(args))[0]
+        for parameter in self.params:
+            values = given.get(parameter.name)
+            for text in values if isinstance(values, list | tuple) else (values,):
+                check_text(text, parameter, ctx)
         if "list" in given.get("sets", ()):
             vehicle = given.get("vehicle")  # not a text where it is left out
             vehicle = vehicle if isinstance(vehicle, str) else "philae"
@@ -78,67 +87,62 @@ class Changeable(click.Command):
 
 
 def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:
-    """--set and some of its short names. `uses`: keys or tables of the assumptions that the command uses; `idle`: those of the
-    vehicle file that it does not use."""
+    """--set and some of its short names, which the command receives as one `changes`; refused is a change that another option says
+    too, or of an assumption that the command does not use.
+
+    `uses`: keys or tables of the assumptions that the command uses; `idle`: those of the vehicle file that it does not use.
+    """
     about = (
         "Change a value for this run by its key in the vehicle file: KEY=VALUE, KEY*=FACTOR or "
         "KEY+=STEP; `--set list` shows what can be set. Repeatable."
     )
 
-    def decorate(command: Any) -> Callable:
+    def decorate(function: Any) -> Callable:
+        @wraps(function)
+        def command(sets: tuple[str, ...], **given: Any) -> None:
+            from sunspin.vehicle.assumptions import TABLES, read_assumptions
+            from sunspin.vehicle.changes import changes_of
+
+            source = click.get_current_context().get_parameter_source
+            said = {
+                key: name
+                for name, (key, _) in SHORT.items()
+                if name in given and source(name) is ParameterSource.COMMANDLINE
+            }
+            changes = changes_of(sets)
+            for change in changes:
+                if name := said.get(re.sub(r"\[[^\]]*\]", "", change.key)):
+                    what = f"--{name.replace('_', '-')} and --set {change.key} say the same thing"
+                    raise InputError(what, do="give one of them")
+                if _among(change.key, TABLES) and not _among(change.key, uses):
+                    read_assumptions([change])  # a misspelt one is refused with the nearest name
+                    what, do = "this command does not use that assumption", "`--set list` shows all"
+                    raise InputError(what, got=change.key, do=do)
+            values = [(SHORT[name][0], given.pop(name)) for name in short]
+            own = changes_of([f"{key}={value}" for key, value in values if value is not None])
+            function(changes=own + changes, **given)
+
+        decorated: Any = command
         for name in reversed(short):
-            command = click.option(f"--{name.replace('_', '-')}", help=SHORT[name][1])(command)
-        vars(command).update(uses=uses, idle=idle)
-        return click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help=about)(
-            command
-        )
+            decorated = click.option(f"--{name.replace('_', '-')}", help=SHORT[name][1])(decorated)
+        vars(decorated).update(uses=uses, idle=idle)
+        option = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help=about)
+        return option(decorated)
 
     return decorate
 
 
-def asked(
-    sets: tuple[str, ...], short: Mapping[str, Any], own: Mapping[str, Any] | None = None
-) -> tuple[Change, ...]:
-    """All changes asked for; refused is one that another option says too, or of an assumption that the command does not use.
-
-    `short`: values of short names, None where not given. `own`: those of options that the command takes for itself, which change
-    no file.
-    """
-    from sunspin.vehicle.assumptions import TABLES, read_assumptions
-    from sunspin.vehicle.changes import changes_of
-
-    given = {name: value for name, value in {**short, **(own or {})}.items() if value is not None}
-    options = {SHORT[name][0]: f"--{name.replace('_', '-')}" for name in given}
-    changes = changes_of(sets)
-    for change in changes:
-        if option := options.get(re.sub(r"\[[^\]]*\]", "", change.key)):
-            what = f"{option} and --set {change.key} say the same thing"
-            raise InputError(what, do="give one of them")
-        if _among(change.key, TABLES) and not _among(change.key, _of_command("uses")):
-            read_assumptions([change])  # a misspelt one is refused with the nearest name
-            what, do = "this command does not use that assumption", "`--set list` shows all"
-            raise InputError(what, got=change.key, do=do)
-    return (
-        changes_of([f"{SHORT[name][0]}={given[name]}" for name in short if name in given]) + changes
-    )
-
-
-def opened(
-    vehicle: Any,
-    sets: tuple[str, ...],
-    short: Mapping[str, Any],
-    own: Mapping[str, Any] | None = None,
-) -> Opened:
-    """The vehicle and the assumptions with the changes; `short` and `own` as in `asked`."""
+def opened(vehicle: Any, changes: Iterable[Change]) -> Opened:
+    """The vehicle and the assumptions with the changes."""
     from sunspin.vehicle import load_vehicle
     from sunspin.vehicle.assumptions import read_assumptions, split
     from sunspin.vehicle.file import changed_file
 
-    changes = asked(sets, short, own)
     of_vehicle, of_study = split(changes)
     file = changed_file(vehicle, of_vehicle)
     craft, assumptions = load_vehicle(file), read_assumptions(of_study)
-    say_idle(changes, _of_command("idle"))
+    context = click.get_current_context(silent=True)
+    say_idle(changes, getattr(context and context.command.callback, "idle", ()))
     return Opened(file, craft, assumptions)
 
 
@@ -149,11 +153,6 @@ def say_idle(changes: Iterable[Any], idle: tuple[str, ...]) -> None:
             command = click.get_current_context().command.name
             what = f"{change.key} changes nothing here: `sunspin {command}` does not use it"
             click.echo(f"sunspin: {what}", err=True)
-
-
-def _of_command(what: str) -> tuple[str, ...]:
-    context = click.get_current_context(silent=True)
-    return getattr(context and context.command.callback, what, ())
 
 
 def _among(key: str, names: Iterable[str]) -> bool:

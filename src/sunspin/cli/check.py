@@ -5,14 +5,15 @@ from __future__ import annotations
 import click
 
 from sunspin.base.errors import InputError
-from sunspin.cli.common import find_telemetry, shared
+from sunspin.cli.changes import Command
+from sunspin.cli.common import shared
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
 @shared("--data", "--tle", "--tle-shift-sigma", out=False)
-def check(vehicle, telemetry, data, elements, shift_sigma, output) -> None:
+def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
     """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
 
     With orbital elements, say too whether the telemetry was taken in that orbit: whether strength of the field, its angle to the
@@ -32,7 +33,7 @@ def check(vehicle, telemetry, data, elements, shift_sigma, output) -> None:
     elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
     summary, lines = about_vehicle(craft)
     if telemetry is not None:
-        assessment, about, more = about_telemetry(craft, find_telemetry(telemetry, data), vehicle)
+        assessment, about, more = about_telemetry(craft, telemetry, vehicle)
         summary, lines = summary | {"telemetry": about}, lines + more
         about, more = about_orbit(assessment, elements, shift_sigma)
         summary, lines = summary | about, lines + more

@@ -7,19 +7,20 @@ import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sunspin.base.errors import InputError, printable
 from sunspin.cli import gone
-from sunspin.cli.values import numbers_of, strict
+from sunspin.cli.values import Parsed, numbers
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -30,47 +31,26 @@ if TYPE_CHECKING:
 PIECE = 1_000_000
 """Bytes of standard input that are taken at once."""
 
-
-class Listed(NamedTuple):
-    """A command: the module that has it, the heading of --help under which it stands, its line there."""
-
-    module: str
-    section: str
-    summary: str
-
-
 YOURS, MOTIONS, PHILAE, OTHERS = "Your satellite", "Motions", "Philae", "Data of others"
 
 COMMANDS = {
-    "init": Listed("init", YOURS, "Write a vehicle file and telemetry to start from."),
-    "check": Listed("check", YOURS, "What is wrong with my files, in plain words."),
-    "sun": Listed("sun", YOURS, "Directions to the Sun from panel powers or currents."),
-    "calibrate-sensors": Listed(
-        "calibrate", YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."
-    ),
-    "rates": Listed("rates", YOURS, "Body rates and attitude of each pass, all motions that fit."),
-    "posterior": Listed(
-        "posterior", YOURS, "Every motion that the readings allow, with its probability."
-    ),
-    "report": Listed("report", YOURS, "A results folder as one page to look into."),
-    "export": Listed(
-        "export", YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."
-    ),
-    "compare": Listed(
-        "compare", YOURS, "What moved between two results; or rates against SPICE kernels."
-    ),
-    "simulate": Listed("simulate", MOTIONS, "One trajectory of a vehicle with its wheels."),
-    "scan": Listed("scan", MOTIONS, "Which initial rates fit, and the lines they lie on."),
-    "outcomes": Listed(
-        "outcomes", MOTIONS, "What a motion leads to: collision, landing, wheel strategies."
-    ),
-    "compile": Listed(
-        "compile", MOTIONS, "Compile what scans run now, so that the first need not wait."
-    ),
-    "reproduce": Listed("reproduce", PHILAE, "The whole Philae study: figures, tables, report."),
-    "decode": Listed("decode", OTHERS, "Raw beacons of skCUBE into a table."),
+    "init": (YOURS, "Write a vehicle file and telemetry to start from."),
+    "check": (YOURS, "What is wrong with my files, in plain words."),
+    "sun": (YOURS, "Directions to the Sun from panel powers or currents."),
+    "calibrate-sensors": (YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."),
+    "rates": (YOURS, "Body rates and attitude of each pass, all motions that fit."),
+    "posterior": (YOURS, "Every motion that the readings allow, with its probability."),
+    "report": (YOURS, "A results folder as one page to look into."),
+    "export": (YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."),
+    "compare": (YOURS, "What moved between two results; or rates against SPICE kernels."),
+    "simulate": (MOTIONS, "One trajectory of a vehicle with its wheels."),
+    "scan": (MOTIONS, "Which initial rates fit, and the lines they lie on."),
+    "outcomes": (MOTIONS, "What a motion leads to: collision, landing, wheel strategies."),
+    "compile": (MOTIONS, "Compile what scans run now, so that the first need not wait."),
+    "reproduce": (PHILAE, "The whole Philae study: figures, tables, report."),
+    "decode": (OTHERS, "Raw beacons of skCUBE into a table."),
 }
-"""In the order of --help. A command's module is imported only when the command is used or its help line shown."""
+"""Name -> heading of --help and line there, in its order. A command's module, of its name, is imported when it is used."""
 
 
 class Group(click.Group):
@@ -91,20 +71,15 @@ class Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        found = vars(import_module(f"sunspin.cli.{COMMANDS[cmd_name].module}")).values()
-        command = next(
-            one for one in found if isinstance(one, click.Command) and one.name == cmd_name
-        )
-        for parameter in command.params:
-            parameter.type = strict(parameter.type)
-        return command
+        module = import_module(f"sunspin.cli.{cmd_name.replace('-', '_')}")
+        commands = (each for each in vars(module).values() if isinstance(each, click.Command))
+        return next(command for command in commands if command.name == cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        for title in dict.fromkeys(one.section for one in COMMANDS.values()):
+        for title in (YOURS, MOTIONS, PHILAE, OTHERS):
             with formatter.section(title):
-                formatter.write_dl(
-                    [(name, one.summary) for name, one in COMMANDS.items() if one.section == title]
-                )
+                lines = [(name, line) for name, (at, line) in COMMANDS.items() if at == title]
+                formatter.write_dl(lines)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As click does, but a misspelt command is answered with the likely ones."""
@@ -114,10 +89,10 @@ class Group(click.Group):
             if args[0] in gone.COMMANDS:
                 raise click.UsageError(gone.COMMANDS[args[0]], ctx) from None
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
-            if near and "Did you mean" not in error.message:
-                said = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
-                raise click.UsageError(said, ctx) from None
-            raise
+            if not near or "Did you mean" in error.message:
+                raise
+            meant = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
+            raise click.UsageError(meant, ctx) from None
 
 
 @dataclass(frozen=True)
@@ -181,90 +156,68 @@ class Output:
 PATH = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(0, min_open=True)
 
-SHARED = {
-    "--from": click.option(
-        "--from",
-        "begin",
-        help="Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch.",
-    ),
-    "--to": click.option("--to", "end", help="Use samples up to this time (same forms as --from)."),
-    "--period": click.option(
-        "--period",
-        "periods",
-        multiple=True,
-        metavar="S+-SIGMA@TIME",
-        help="Rotation period (s) from radio fading or a light curve, for example 13.0+-0.5@15:50: the precession, the spin "
+SHARED: dict[str, dict[str, Any]] = {
+    "--from begin": {
+        "help": "Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch."
+    },
+    "--to end": {"help": "Use samples up to this time (same forms as --from)."},
+    "--period periods": {
+        "multiple": True,
+        "metavar": "S+-SIGMA@TIME",
+        "help": "Rotation period (s) from radio fading or a light curve, for example 13.0+-0.5@15:50: the precession, the spin "
         "or their sum. Used to weight the solutions. Repeatable.",
-    ),
-    "--tle": click.option(
-        "--tle",
-        "--omm",
-        "--ephemeris",
-        "elements",
-        type=PATH,
-        help="Orbit file: elements as TLE or OMM, or positions as OEM, CSV or SPK. Default: [orbit] of the vehicle file.",
-    ),
-    "--tle-shift-sigma": click.option(
-        "--tle-shift-sigma",
-        "shift_sigma",
-        type=POSITIVE,
-        help="1-sigma along-track uncertainty of the orbit in s. Default: from the age of the elements.",
-    ),
-    "--wheel-speed": click.option(
-        "--wheel-speed",
-        callback=numbers_of(),
-        metavar="RAD/S,...",
-        help="Wheel speeds (rad/s) at the first instant. Default: wheel.speed_rad_s of the vehicle file.",
-    ),
-    "--wheel-mode": click.option(
-        "--wheel-mode",
-        type=click.Choice(["coast", "hold", "brake"]),
-        default="coast",
-        show_default=True,
-        help="Wheel control: coast (motor off, friction slows it), hold (constant speed) or brake (the vehicle's torque).",
-    ),
-    "--factor": click.option(
-        "--factor",
-        type=click.FloatRange(1, min_open=True),
-        default=1.1,
-        show_default=True,
-        help="Near-minimum factor: motions with less than this times the least EMD.",
-    ),
-    "--store": click.option(
-        "--store",
-        type=PATH,
-        help="Checkpoint folder: the same command resumes from it after an interruption. Other inputs need another folder.",
-    ),
-    "--scheduler": click.option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
+    },
+    "--tle --omm --ephemeris elements": {
+        "type": PATH,
+        "help": "Orbit file: elements as TLE or OMM, or positions as OEM, CSV or SPK. Default: [orbit] of the vehicle file.",
+    },
+    "--tle-shift-sigma shift_sigma": {
+        "type": POSITIVE,
+        "help": "1-sigma along-track uncertainty of the orbit in s. Default: from the age of the elements.",
+    },
+    "--wheel-speed": {
+        "type": Parsed(numbers, "RAD/S,..."),
+        "help": "Wheel speeds (rad/s) at the first instant. Default: wheel.speed_rad_s of the vehicle file.",
+    },
+    "--wheel-mode": {
+        "type": click.Choice(["coast", "hold", "brake"]),
+        "default": "coast",
+        "help": "Wheel control: coast (motor off, friction slows it), hold (constant speed) or brake (the vehicle's torque).",
+    },
+    "--factor": {
+        "type": click.FloatRange(1, min_open=True),
+        "default": 1.1,
+        "help": "Near-minimum factor: motions with less than this times the least EMD.",
+    },
+    "--store": {
+        "type": PATH,
+        "help": "Checkpoint folder: the same command resumes from it after an interruption. Other inputs need another folder.",
+    },
+    "--scheduler": {
+        "metavar": "ADDRESS",
+        "help": "Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
         'Needs pip install "sunspin[cluster]".',
-    ),
-    "--data": click.option(
-        "--data",
-        envvar="SUNSPIN_DATA",
-        type=PATH,
-        help="Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
-    ),
-    "--seed": click.option(
-        "--seed",
-        type=click.IntRange(0),
-        default=0,
-        show_default=True,
-        help="Seed of all random choices.",
-    ),
-    "--workers": click.option(
-        "--workers",
-        type=click.IntRange(1, 4096),
-        help="Computations side by side. Default: one per core. The result does not depend on it.",
-    ),
+    },
+    "--data": {
+        "envvar": "SUNSPIN_DATA",
+        "type": PATH,
+        "help": "Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
+    },
+    "--seed": {"type": click.IntRange(0), "default": 0, "help": "Seed of all random choices."},
+    "--workers": {
+        "type": click.IntRange(1, 4096),
+        "help": "Computations side by side. Default: one per core. The result does not depend on it.",
+    },
+    "--out": {"type": PATH, "help": "Results folder; made if needed."},
+    "--json as_json": {"is_flag": True, "help": "Print the summary as JSON."},
+    "--quiet": {"is_flag": True, "help": "Print nothing but errors."},
 }
-"""Options that mean the same in every command that has them."""
+"""Options that mean the same in every command that has them: their names, the argument's last if it has another -> the rest."""
 
 
 def shared(*names: str, out: bool | str = True) -> Callable:
-    """The options of `SHARED` with these names, and --out, --json and --quiet, which the command receives as one `output`.
+    """The options of `SHARED` with these names, and --out, --json and --quiet, which the command receives as one `output`; with
+    --data, TELEMETRY is received as the file that it names.
 
     `out`: the default results folder, False for a command without one.
     """
@@ -273,51 +226,37 @@ def shared(*names: str, out: bool | str = True) -> Callable:
         @wraps(function)
         def command(as_json: bool, quiet: bool, out: Path | None = None, **given: Any) -> None:
             name = click.get_current_context().command.name or ""
+            if "--data" in names:
+                telemetry, data = given["telemetry"], given.pop("data")
+                given["telemetry"] = telemetry and find_telemetry(telemetry, data)
             function(output=Output(name, out, as_json, quiet), **given)
 
-        quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-        as_json = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-        folder = click.option(
-            "--out",
-            type=PATH,
-            default=out if isinstance(out, str) else None,
-            show_default=isinstance(out, str),
-            help="Results folder; made if needed.",
-        )
-        options = [*(SHARED[name] for name in names), *([folder] if out else []), as_json, quiet]
+        options = {declared.split()[0]: (declared, more) for declared, more in SHARED.items()}
         decorated: Callable = command
-        for option in reversed(options):
-            decorated = option(decorated)
+        for name in reversed((*names, *(["--out"] if out else []), "--json", "--quiet")):
+            declared, more = options[name]
+            default: dict[str, Any] = (
+                {"default": out} if name == "--out" and out is not True else {}
+            )
+            decorated = click.option(*declared.split(), **more, **default)(decorated)
         return decorated
 
     return decorate
 
 
-def find_telemetry(path: str | None, data: Path | None, vehicle: str = "") -> Path:
+def find_telemetry(path: str, data: Path | None) -> Path:
     """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry, and `-` for
-    what is piped in.
+    what is piped in."""
+    from sunspin.telemetry.case import case_telemetry
 
-    Without a path it is that of the case whose name `vehicle` is.
-    """
-    if path is None:
-        from sunspin.telemetry.case import case_telemetry
-
-        if (own := case_telemetry(vehicle)) is None:
-            raise InputError("TELEMETRY is missing", do="only a built-in case comes with its own")
-        return own
     if path == "-":
         return _from_standard_input()
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
-        from sunspin.telemetry.case import case_telemetry
-
         given = case_telemetry(path) or given
-    if data is not None and not given.is_absolute():
-        try:
-            if not given.exists() and (data / given).exists():
-                return data / given
-        except (OSError, ValueError):
-            return given
+    with suppress(OSError, ValueError):  # no name of a file: its reader says so
+        if data is not None and not given.exists() and (data / given).exists():
+            return data / given
     return given
 
 
@@ -337,10 +276,10 @@ def _from_standard_input() -> Path:
     return path
 
 
-def read_both(vehicle: Any, telemetry: str, data: Path | None) -> tuple[Vehicle, xr.Dataset]:
+def read_both(vehicle: Any, telemetry: Path) -> tuple[Vehicle, xr.Dataset]:
     """The vehicle of a name or file, and telemetry read with its columns."""
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    return craft, read_telemetry(find_telemetry(telemetry, data), craft)
+    return craft, read_telemetry(telemetry, craft)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import click
 
 from sunspin.base.errors import InputError
+from sunspin.cli.changes import Command
 from sunspin.cli.common import PATH, shared
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("folder", metavar="A", type=PATH)
 @click.argument("others", metavar="B|KERNELS...", nargs=-1, required=True, type=PATH)
 @click.option("--frame", help="With kernels: the body's frame in them, for example ROS_LANDER.")
-@click.option(
-    "--base", default="J2000", show_default=True, help="With kernels: an inertial frame of theirs."
-)
+@click.option("--base", default="J2000", help="With kernels: an inertial frame of theirs.")
 @click.option("--epoch", help="With kernels: UTC of time zero, where the results have none.")
 @shared()
 def compare(folder, others, frame, base, epoch, output) -> None:

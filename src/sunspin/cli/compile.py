@@ -6,10 +6,11 @@ from importlib import resources
 
 import click
 
+from sunspin.cli.changes import Command
 from sunspin.cli.common import shared
 
 
-@click.command("compile")
+@click.command("compile", cls=Command)
 @click.argument("vehicles", metavar="[VEHICLE]...", nargs=-1)
 @shared(out=False)
 def compile_kernels(vehicles, output) -> None:

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import click
 
+from sunspin.cli.changes import Command
 from sunspin.cli.common import PATH, Output, shared
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("raw", type=PATH)
 @click.option(
     "--decoder",
     type=click.Choice(["skcube"]),
     default="skcube",
-    show_default=True,
     help="Whose frames these are.",
 )
 @shared(out="skcube")
@@ -37,9 +37,7 @@ def decode(raw: Path, decoder: str, output: Output) -> None:
     files: dict[str, str] = {}
     for kind in beacons.rows:
         text, target = beacons_csv(beacons, kind), folder / f"{decoder}_{kind.lower()}.csv"
-        files[kind] = str(
-            write_whole(target, lambda part, text=text: part.write_text(text, "utf-8"))
-        )
+        files[kind] = str(write_whole(target, text))
     lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in beacons.kinds.items()]
     lines += [f"{n:6d}  not read: {why}" for why, n in beacons.unread.items()]
     attitude = {"attitude_beacons": beacons.kinds.get("ADCS", 0), "file": files.get("ADCS")}

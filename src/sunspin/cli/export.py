@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import click
 
+from sunspin.cli.changes import Command
 from sunspin.cli.common import PATH, POSITIVE, shared
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("folder", metavar="DIR", type=PATH)
 @click.option(
     "--format",
     "form",
     type=click.Choice(["aem", "aem-xml", "ck", "netcdf", "parquet"]),
     default="aem",
-    show_default=True,
     help="What to write.",
 )
 @click.option(
@@ -42,6 +42,8 @@ def export(folder, form, frame, epoch, step, output) -> None:
       sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
     from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
+    from sunspin.output.export.aem import write_aem
+    from sunspin.output.export.ck import write_ck
     from sunspin.output.folder import results_folder
     from sunspin.output.text import counted
 
@@ -49,16 +51,12 @@ def export(folder, form, frame, epoch, step, output) -> None:
     attitude = attitude_of(data, frame, epoch, step)
     target = results_folder(output.folder, "export")
     if form == "ck":
-        from sunspin.output.export.ck import write_ck
-
         paths = write_ck(target, attitude)
     elif form == "netcdf":
         paths = [write_cf(target / "attitude.nc", data, attitude)]
     elif form == "parquet":
         paths = [write_parquet(target / "attitude.parquet", attitude)]
     else:
-        from sunspin.output.export.aem import write_aem
-
         kind, name = ("kvn", "sunspin.aem") if form == "aem" else ("xml", "sunspin-aem.xml")
         paths = [write_aem(target / name, attitude, kind)]
     samples, segments = len(attitude.t_s), len(attitude.passes())

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
+from sunspin.cli.changes import Command
 from sunspin.cli.common import PATH, Output, shared
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("folder", metavar="DIR", type=PATH)
 @shared(out=False)
 def init(folder: Path, output: Output) -> None:

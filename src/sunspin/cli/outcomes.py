@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import READING, Changeable, opened, set_options
+from sunspin.cli.changes import READING, Command, opened, set_options
 from sunspin.cli.common import PATH, shared
-from sunspin.cli.values import numbers_of
-from sunspin.cli.values import vertical as read_vertical
+from sunspin.cli.values import Parsed, rate, vector, vertical
 
 
-@click.command(cls=Changeable)
+@click.command(cls=Command)
 @click.argument("vehicle")
 @click.option(
     "--strategy",
@@ -21,39 +20,32 @@ from sunspin.cli.values import vertical as read_vertical
     "Default: off and held.",
 )
 @click.option(
-    "--runs",
-    type=click.IntRange(1, 100_000_000),
-    default=100_000,
-    show_default=True,
-    help="Runs per strategy.",
+    "--runs", type=click.IntRange(1, 100_000_000), default=100_000, help="Runs per strategy."
 )
 @click.option(
-    "--scan",
-    type=PATH,
-    help="scan.nc of `sunspin scan`: candidates are its near-minimum set.",
+    "--scan", type=PATH, help="scan.nc of `sunspin scan`: candidates are its near-minimum set."
 )
 @click.option(
     "--omega-deg-s",
     "omega_B",
-    callback=numbers_of(3, deg_s=True),
-    metavar="X,Y,Z",
+    type=Parsed(rate, "X,Y,Z"),
     multiple=True,
     help="A candidate body rate, deg/s. Repeatable.",
 )
 @click.option(
     "--sun",
     "sun_B",
-    callback=numbers_of(3),
-    metavar="X,Y,Z",
+    type=Parsed(vector, "X,Y,Z"),
     help="Unit vector to the Sun at the candidates' instant, body axes.",
 )
 @click.option("--lead", type=float, help="From touchdown to the candidates' instant, s.")
-@click.option("--before", type=float, help="From there to the collision, s.")
-@click.option("--after", type=float, help="From the collision to the landing, s.")
+@click.option("--before", "before_s", type=float, help="From there to the collision, s.")
+@click.option("--after", "after_s", type=float, help="From the collision to the landing, s.")
 @click.option("--collision-speed", type=float, help="Speed at the collision, m/s; 0: no collision.")
-@click.option("--landing-speed", type=float, help="Speed at the landing, m/s.")
+@click.option("--landing-speed", "landing_speed_m_s", type=float, help="Speed at the landing, m/s.")
 @click.option(
     "--vertical",
+    type=Parsed(vertical),
     help="The ground's normal at the landing, from body axes at the touchdown: legs_down (any for which "
     "legs were lowest there), any, an angle in degrees about legs-down, or x,y,z.",
 )
@@ -78,23 +70,18 @@ def outcomes(
     scan,
     factor,
     omega_B,
-    sun_B,
     wheel_speed,
     lead,
-    before,
-    after,
     collision_speed,
-    landing_speed,
-    vertical,
     condition,
     data,
     store,
     scheduler,
-    sets,
+    changes,
     seed,
     workers,
     output,
-    **short,
+    **known,
 ) -> None:
     """What a tumbling motion leads to: collision, first contact, antenna, rest, for one or more wheel strategies.
 
@@ -111,17 +98,12 @@ def outcomes(
     from sunspin.landing.strategies import compare, compared
     from sunspin.philae.starts import against_kernel, starts
 
-    made = opened(vehicle, sets, short, {"wheel_speed": wheel_speed, "lead": lead})
+    made = opened(vehicle, changes)
     craft, assumed = made.craft, made.assumptions
     wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
-    given = {
+    given = known | {
         "lead_s": assumed.study.lead_s if lead is None else lead,
-        "before_s": before,
-        "after_s": after,
-        "landing_speed_m_s": landing_speed,
         "wheel_speed_rad_s": wheel_speed,
-        "sun_B": sun_B,
-        "vertical": read_vertical(vertical),
         "restitution": assumed.collision.restitution,
         "damper": assumed.collision.damper,
     }

@@ -6,18 +6,20 @@ import logging
 
 import click
 
-from sunspin.cli.changes import Changeable, opened, say_idle, set_options
-from sunspin.cli.common import find_telemetry, shared
-from sunspin.cli.values import field, instants_of, observation, periods_of, prior, times
+from sunspin.base.errors import InputError
+from sunspin.cli.changes import Command, opened, say_idle, set_options
+from sunspin.cli.common import shared
+from sunspin.cli.values import Parsed, instants_of, observation, period, prior, times
 
 
-@click.command(cls=Changeable)
+@click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
 @click.option("--phase", help="Use the samples of this phase of the file.")
 @click.option(
     "--prior",
     "priors",
+    type=Parsed(prior),
     multiple=True,
     help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
     "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
@@ -26,20 +28,21 @@ from sunspin.cli.values import field, instants_of, observation, periods_of, prio
 @click.option(
     "--rate-deg-s",
     "rates",
+    type=Parsed(observation, "T,VALUE,SIGMA"),
     multiple=True,
-    metavar="T,VALUE,SIGMA",
     help="Extra observation of the angular speed, in s and deg/s. Repeatable.",
 )
 @click.option(
     "--gyro-deg-s",
     "gyros",
+    type=Parsed(observation, "T,X,Y,Z,SIGMA"),
     multiple=True,
-    metavar="T,X,Y,Z,SIGMA",
     help="Extra observation of the body rate, in s and deg/s. Repeatable.",
 )
 @click.option(
     "--field",
     "fields",
+    type=Parsed(observation),
     multiple=True,
     help="A magnetic direction in the body, and its known angle from the Sun: "
     "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.",
@@ -50,11 +53,7 @@ from sunspin.cli.values import field, instants_of, observation, periods_of, prio
     "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.",
 )
 @click.option(
-    "--draws",
-    type=click.IntRange(100, 1_000_000),
-    default=4000,
-    show_default=True,
-    help="Draws in the result.",
+    "--draws", type=click.IntRange(100, 1_000_000), default=4000, help="Draws in the result."
 )
 @set_options("collision", short=("friction", "restitution", "damper"), idle=("hull", "antenna"))
 @shared("--from", "--to", "--wheel-mode", "--period", "--store", "--seed", "--workers", "--data")
@@ -63,22 +62,17 @@ def posterior(
     telemetry,
     begin,
     end,
-    phase,
     priors,
     rates,
     gyros,
     fields,
-    wheel_mode,
     predict,
     periods,
-    draws,
-    store,
-    sets,
+    changes,
     seed,
     workers,
-    data,
     output,
-    **short,
+    **search,
 ) -> None:
     """Every motion that the panel readings allow, with its probability, or the word that none fits.
 
@@ -93,36 +87,33 @@ def posterior(
     """
     from sunspin.estimate.posterior.estimate import posterior as run
     from sunspin.landing.predictions import with_predictions
-    from sunspin.telemetry.case import timeline_of
+    from sunspin.telemetry.case import case_telemetry, timeline_of
     from sunspin.telemetry.reader import read_telemetry
 
     if output.quiet:
         logging.getLogger("sunspin").setLevel(logging.ERROR)
-    made = opened(vehicle, sets, short)
+    made = opened(vehicle, changes)
     craft = made.craft
     if predict is None:
         say_idle(made.changes, ("body.mass_kg", "leg", "collision"))  # of a collision
-    samples = read_telemetry(find_telemetry(telemetry, data, vehicle), craft)
-    seen = [observation("rate", text) for text in rates]
-    seen += [observation("gyro", text) for text in gyros]
-    seen += [field(text) for text in fields]
-    asked = None if predict is None else times(predict, samples.attrs.get("epoch_utc"))
-    evidence = periods_of(periods, samples)
+    if telemetry is None and (telemetry := case_telemetry(vehicle)) is None:
+        raise InputError("TELEMETRY is missing", do="only a built-in case comes with its own")
+    samples = read_telemetry(telemetry, craft)
+    epoch = samples.attrs.get("epoch_utc")
+    asked = None if predict is None else times(predict, epoch)
+    evidence = [period(text, epoch) for text in periods]
     first_s, last_s = instants_of(samples, begin, end)
     output.claim()
     tree = run(
         craft,
         samples,
-        dict(prior(text) for text in priors),
+        dict(priors),
         seed,
         begin_s=first_s,
         end_s=last_s,
-        phase=phase,
-        observations=seen,
-        wheel_mode=wheel_mode,
-        draws=draws,
+        observations=[*rates, *gyros, *fields],
         workers=workers,
-        store=store,
+        **search,
         progress=output.progress,
         periods=evidence,
     )

@@ -9,16 +9,16 @@ from contextlib import suppress
 import click
 
 from sunspin.base.errors import InputError, printable
+from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, read_both, shared
-from sunspin.cli.values import between, periods_of
-from sunspin.cli.values import effort as effort_given
+from sunspin.cli.values import Parsed, between, effort, period
 from sunspin.vehicle.sensors import VARIABLES
 
 UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 """What `--without` may name, and the variable that it takes away."""
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry")
 @click.option(
@@ -59,10 +59,8 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
-    metavar="FLOAT",
-    callback=effort_given,
+    type=Parsed(effort, "float"),
     default="1.0",
-    show_default=True,
     help="Computing budget; 1: about a minute and a half of one core, and 0.4 of that for other columns; inf: as much as is "
     "needed. Counted in motions, so that every machine gives the same. A search that was cut short says so and is never decided.",
 )
@@ -77,7 +75,6 @@ def rates(
     vehicle,
     telemetry,
     max_rate,
-    acceleration_noise,
     begin,
     end,
     no_column_tests,
@@ -87,7 +84,6 @@ def rates(
     workers,
     periods,
     without,
-    data,
     output,
     **estimate,
 ) -> None:
@@ -114,43 +110,45 @@ def rates(
     from sunspin.output.check.orbit import orbit_used
     from sunspin.telemetry.assess import assess
 
-    craft, samples = read_both(vehicle, telemetry, data)
+    craft, samples = read_both(vehicle, telemetry)
     file = assess(craft, samples)
     unused = [UNUSED[name] for name in without if UNUSED[name] in samples]
     whole = begin is None and end is None and not unused
     used = file if whole else assess(craft, between(samples, begin, end).drop_vars(unused))
-    evidence = periods_of(periods, samples)
+    evidence = [period(text, samples.attrs.get("epoch_utc")) for text in periods]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit says not to use an orbit, and elements or their shift are given"
         raise InputError(what, do="give one")
-    announce = None
-    if not output.quiet and not output.progress:  # a terminal shows a progress line in its place
 
-        def announce(line: str) -> None:
-            with suppress(OSError):  # a log that cannot be written stops no work
-                print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
+    def announce(line: str) -> None:
+        with suppress(OSError):  # a log that cannot be written stops no work
+            print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
 
-        if not no_orbit and elements_of(craft, elements, shift_sigma) is not None:
-            announce(f"{samples.sizes['time']} samples; they judge the elements first")
+    # a terminal shows a progress line in the place of these words
+    progress = output.progress if output.quiet or output.progress else announce
+    if (
+        progress is announce
+        and not no_orbit
+        and elements_of(craft, elements, shift_sigma) is not None
+    ):
+        announce(f"{samples.sizes['time']} samples; they judge the elements first")
     known = (None, None, {}, []) if no_orbit else orbit_used(file, elements, shift_sigma)
     orbit, calibration, orbit_summary, orbit_lines = known
     result = run(
         craft,
         used,
         max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
-        acceleration_noise=acceleration_noise,
         column_tests=not no_column_tests,
         environment=orbit,
         calibration=calibration,
         periods=evidence,
         workers=worker_count(workers),
         **estimate,
-        progress=announce or output.progress,
+        progress=progress,
     )
-    from sunspin.output.check.samples import (
-        doubts,
-    )  # after the search has begun: to import it takes a third of a second
+    # after the search has begun: to import it takes a third of a second
+    from sunspin.output.check.samples import doubts
 
     about, lines = doubts(used, vehicle)
     doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}

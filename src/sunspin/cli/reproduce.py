@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import SHORT, Changeable, asked, set_options
+from sunspin.cli.changes import SHORT, Command, set_options
 from sunspin.cli.common import PATH, shared
 
 
-@click.command(cls=Changeable)
+@click.command(cls=Command)
 @click.option(
     "--telemetry",
     type=PATH,
     help="Panel powers to use in the place of the synthetic ones. Start "
     "from a copy of telemetry.csv in an earlier results folder.",
 )
-@click.option(
-    "--vehicle",
-    type=PATH,
-    help="Vehicle file of another body with one wheel and legs.",
-)
+@click.option("--vehicle", type=PATH, help="Vehicle file of another body with one wheel and legs.")
 @click.option(
     "--candidates",
     default="scan",
-    show_default=True,
     metavar="scan|posterior|published|FILE",
     help="Motions that the conclusions follow from: the 90 % set of the scan, the posterior of the readings "
     "(minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, "
@@ -40,14 +35,11 @@ from sunspin.cli.common import PATH, shared
     "--coarser",
     type=click.IntRange(1, 50),
     default=1,
-    show_default=True,
     help="Every n-th grid point only: a quick look.",
 )
 @set_options("study", "collision", short=tuple(SHORT))
 @shared("--seed", "--workers", out="results")
-def reproduce(
-    telemetry, vehicle, candidates, calibrate, coarser, sets, seed, workers, output, **short
-) -> None:
+def reproduce(telemetry, output, **options) -> None:
     """Run the whole Philae study: every figure and table of the paper beside what this run gives.
 
     Every conclusion follows from the telemetry given. That which comes with the package is synthetic (the flown one is not public)
@@ -61,16 +53,5 @@ def reproduce(
     """
     from sunspin.philae.reproduction import reproduce as run
 
-    written = run(
-        output.folder,
-        telemetry,
-        vehicle=vehicle,
-        candidates=candidates,
-        calibrate=calibrate,
-        seed=seed,
-        workers=workers,
-        coarser=coarser,
-        changes=asked(sets, short),
-        progress=output.progress,
-    )
+    written = run(output.folder, telemetry, **options, progress=output.progress)
     output.report(written.summary, written.lines)

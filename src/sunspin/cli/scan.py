@@ -2,46 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import click
 
 from sunspin.base.errors import InputError
-from sunspin.cli.changes import LANDING, Changeable, opened, say_idle, set_options
-from sunspin.cli.common import POSITIVE, find_telemetry, shared
-from sunspin.cli.values import grid_of, instants_of
+from sunspin.cli.changes import LANDING, Command, opened, say_idle, set_options
+from sunspin.cli.common import POSITIVE, shared
+from sunspin.cli.values import Parsed, grid, instants_of
 
 
-@click.command(cls=Changeable)
+def grid_option(axis: str, default: str, form: str = ".") -> Callable:
+    about = f"Grid of omega_{axis}, deg/s{form}"
+    names = f"--omega-{axis}-deg-s", f"omega_{axis}"
+    return click.option(*names, type=Parsed(grid), default=default, help=about)
+
+
+@click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry")
-@click.option(
-    "--omega-x-deg-s",
-    "omega_x",
-    callback=grid_of,
-    default="-30:60:0.9",
-    show_default=True,
-    help="Grid of omega_x, deg/s: low:high:step, or values with commas.",
-)
-@click.option(
-    "--omega-y-deg-s",
-    "omega_y",
-    callback=grid_of,
-    default="-30:60:0.9",
-    show_default=True,
-    help="Grid of omega_y, deg/s.",
-)
-@click.option(
-    "--omega-z-deg-s",
-    "omega_z",
-    callback=grid_of,
-    default="-18:18:0.9",
-    show_default=True,
-    help="Grid of omega_z, deg/s.",
-)
+@grid_option("x", "-30:60:0.9", ": low:high:step, or values with commas.")
+@grid_option("y", "-30:60:0.9")
+@grid_option("z", "-18:18:0.9")
 @click.option(
     "--metric",
     type=click.Choice(["emd", "E"]),
     default="emd",
-    show_default=True,
     help="emd compares the distributions "
     "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.",
 )
@@ -58,12 +44,7 @@ from sunspin.cli.values import grid_of, instants_of
     "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.",
 )
 @click.option(
-    "--lines",
-    "n_lines",
-    type=click.IntRange(0, 20),
-    default=4,
-    show_default=True,
-    help="Lines to fit; 0: none.",
+    "--lines", "n_lines", type=click.IntRange(0, 20), default=4, help="Lines to fit; 0: none."
 )
 @set_options("study.mask", "study.target_weights", short=("friction",), idle=LANDING)
 @shared(
@@ -73,9 +54,6 @@ from sunspin.cli.values import grid_of, instants_of
 def scan(
     vehicle,
     telemetry,
-    omega_x,
-    omega_y,
-    omega_z,
     begin,
     end,
     wheel_speed,
@@ -83,10 +61,8 @@ def scan(
     factor,
     threshold,
     n_lines,
-    sets,
-    friction,
+    changes,
     seed,
-    data,
     output,
     **run,
 ) -> None:
@@ -106,35 +82,32 @@ def scan(
     from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
 
-    made = opened(vehicle, sets, {"friction": friction}, {"wheel_speed": wheel_speed})
+    made = opened(vehicle, changes)
     craft, study = made.craft, made.assumptions.study
-    if (
-        craft.telemetry.lit_threshold and not craft.channels
-    ):  # then directions do not depend on the noise, only their sigmas do
+    if craft.telemetry.lit_threshold and not craft.channels:
+        # then directions do not depend on the noise, only their sigmas do
         say_idle(craft.changes, ("telemetry.noise",))
-    samples = read_telemetry(find_telemetry(telemetry, data), craft)
+    samples = read_telemetry(telemetry, craft)
     track = directions_within(craft, samples, *instants_of(samples, begin, end))
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
     if metric == "E" and made.assumptions.changes:
         what, do = "mask and target weights are those of EMD", "leave one of them out"
         raise InputError(what, got="--metric E", do=do)
-    target = track if metric == "E" else track["sun_B"].values[:, 2]
+    target, weights = track, None
+    if metric == "emd":
+        target = track["sun_B"].values[:, 2]
+        weights = target_weights(study.target_weights, track["time"].values)
     output.claim()
     volume = run_scan(
         craft,
         target,
         track["sun_B"].values[0],
-        omega_x,
-        omega_y,
-        omega_z,
-        speeds or None,
-        float(track["time"].values[-1]),
         **run,
+        wheel_speed_rad_s=speeds or None,
+        duration_s=float(track["time"].values[-1]),
         progress=output.progress,
         mask=None if study.mask == "everywhere" else study.mask,
-        weights=None
-        if metric == "E"
-        else target_weights(study.target_weights, track["time"].values),
+        weights=weights,
     )
     result = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     output.deliver(result, made.file, samples, {"seed": seed}, main="scan.nc")

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import click
 
+from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, read_both, shared
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry")
-@click.option(
-    "--noise",
-    type=POSITIVE,
-    help="One sigma of a panel's value, in W or A.",
-)
+@click.option("--noise", type=POSITIVE, help="One sigma of a panel's value, in W or A.")
 @click.option(
     "--lit-threshold",
     "threshold",
@@ -22,7 +19,7 @@ from sunspin.cli.common import POSITIVE, read_both, shared
     help="A panel is lit above this, in W or A; default: the vehicle's, else from noise and light on dark faces.",
 )
 @shared("--data")
-def sun(vehicle, telemetry, noise, threshold, data, output) -> None:
+def sun(vehicle, telemetry, noise, threshold, output) -> None:
     """Directions to the Sun from panel powers or currents, each with its uncertainty or the reason why there is none.
 
     With --out, writes sun.csv, sun.nc, sun.png and sun.svg.
@@ -35,7 +32,7 @@ def sun(vehicle, telemetry, noise, threshold, data, output) -> None:
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.sun import sun_directions
 
-    craft, samples = read_both(vehicle, telemetry, data)
+    craft, samples = read_both(vehicle, telemetry)
     output.claim()
     assessment = assess(craft, samples)
     directions = assessment.sun

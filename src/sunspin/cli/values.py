@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -18,61 +17,39 @@ if TYPE_CHECKING:
 MAX_GRID = 100_000
 """Values of one axis of a scan's grid."""
 
+EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
+"""Numbers of an option, as many as it takes."""
 
-def strict(kind: click.ParamType) -> click.ParamType:
-    """A copy of a click type that refuses empty text, which as a path would be the present folder, forms of numbers that only
-    Python knows, and numbers that are infinite, none, or beyond all measure."""
-    checked, is_float = copy(kind), isinstance(kind, click.types.FloatParamType)
+WHEN = "s from the epoch, or UTC such as 2014-11-12T16:20"
 
-    def convert(
-        value: Any, parameter: click.Parameter | None, context: click.Context | None
-    ) -> Any:
-        if isinstance(value, str) and not value.strip():
-            checked.fail("the value is empty", parameter, context)
-        if isinstance(value, str) and (is_float or isinstance(kind, click.types.IntParamType)):
-            if math.isnan(plain_number(value)):
-                checked.fail(f"{value!r} is not a valid {kind.name}.", parameter, context)
-        number = type(kind).convert(kind, value, parameter, context)
-        if is_float and parameter is not None:
-            positive = isinstance(kind, click.FloatRange) and kind.min == 0 and kind.min_open
-            sizes = SIZES.removeprefix("0 or ") if positive else SIZES
+
+class Parsed(click.ParamType):
+    """What `read` makes of the text and the name of an option; `form`: how --help writes the text."""
+
+    def __init__(self, read: Callable[[str, str], Any], form: str = "text") -> None:
+        self.read, self.name = read, form
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return self.read(value, param.opts[0] if param else "the option")
+
+
+def check_text(text: Any, parameter: click.Parameter, context: click.Context) -> None:
+    """Refuse, of what is given to an option or argument, empty text, which as a path would be the present folder, forms of numbers
+    that only Python knows, and numbers that are infinite, none, or beyond all measure."""
+    if not isinstance(text, str):  # not given, or a flag
+        return
+    if not text.strip():
+        raise click.BadParameter("the value is empty", context, parameter)
+    kind = parameter.type
+    is_float = isinstance(kind, click.types.FloatParamType)
+    if is_float or isinstance(kind, click.types.IntParamType):
+        number = plain_number(text)
+        if math.isnan(number):
+            raise click.BadParameter(f"{text!r} is not a valid {kind.name}.", context, parameter)
+        if is_float:
+            above_0 = isinstance(kind, click.FloatRange) and kind.min == 0
+            sizes = SIZES.removeprefix("0 or ") if above_0 else SIZES
             _check_number(parameter.opts[0], number, sizes)
-        return number
-
-    vars(checked).update(convert=convert)
-    return checked
-
-
-def numbers_of(count: int | None = None, deg_s: bool = False) -> Callable[..., Any]:
-    """A callback of an option that takes comma-separated numbers, `count` of them if it is given; in rad/s where it takes deg/s."""
-
-    def read(text: str, name: str) -> list[float]:
-        values = numbers(text, name, count)
-        return [math.radians(each) for each in values] if deg_s else values
-
-    def callback(_: click.Context, parameter: click.Parameter, given: Any) -> Any:
-        if isinstance(given, tuple):
-            return [read(text, parameter.opts[0]) for text in given]
-        return None if given is None else read(given, parameter.opts[0])
-
-    return callback
-
-
-def grid_of(_: click.Context, parameter: click.Parameter, text: str) -> np.ndarray:
-    """The callback of an option that takes a grid, as in `grid`."""
-    return grid(text, parameter.opts[0])
-
-
-def effort(_: click.Context, parameter: click.Parameter, text: str) -> float:
-    """A positive number, or infinity."""
-    given = math.inf if text == "inf" else plain_number(text)
-    if not given > 0:
-        raise InputError(
-            f"{parameter.opts[0]} must be a positive number or inf",
-            got=text,
-            do="1 is the usual effort",
-        )
-    return given
 
 
 def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
@@ -80,30 +57,36 @@ def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
         raise InputError(f"{name} must be {sizes}", got=str(value))
 
 
-EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
-"""Numbers of an option, as many as it takes."""
-
-WHEN = "s from the epoch, or UTC such as 2014-11-12T16:20"
-
-
-def numbers(text: str | None, name: str, count: int | None = None, form: str = "") -> list[float]:
+def numbers(text: str, name: str, count: int | None = None, form: str = "") -> list[float]:
     """Comma-separated numbers of an option; `form`: what it takes, where that is not only numbers."""
     values = [plain_number(part) for part in text.split(",")] if text else []
-    none = any(map(math.isnan, values))
-    if not none:
-        for value in values:
-            _check_number(name, value)
-    if none or (count is not None and len(values) != count):
-        wanted = form or (
-            "a number" if count == 1 else f"{count or ''} numbers separated by commas".lstrip()
-        )
-        do = (
-            None
-            if form
-            else f"for example {name}{'=' if name.startswith('--prior ') else ' '}{','.join(EXAMPLE[: count or 3])}"
-        )
-        raise InputError(f"{name} takes {wanted}", got=text or "nothing", do=do)
+    if any(map(math.isnan, values)) or count not in (None, len(values)):
+        several = f"{count or ''} numbers separated by commas".lstrip()
+        what = f"{name} takes {form or ('a number' if count == 1 else several)}"
+        sign = "=" if name.startswith("--prior ") else " "
+        do = None if form else f"for example {name}{sign}{','.join(EXAMPLE[: count or 3])}"
+        raise InputError(what, got=text or "nothing", do=do)
+    for value in values:
+        _check_number(name, value)
     return values
+
+
+def vector(text: str, name: str) -> list[float]:
+    return numbers(text, name, 3)
+
+
+def rate(text: str, name: str) -> list[float]:
+    """A body rate in deg/s; the result is in rad/s."""
+    return [math.radians(each) for each in numbers(text, name, 3)]
+
+
+def effort(text: str, name: str) -> float:
+    """A positive number, or infinity."""
+    given = math.inf if text == "inf" else plain_number(text)
+    if not given > 0:
+        what, do = f"{name} must be a positive number or inf", "1 is the usual effort"
+        raise InputError(what, got=text, do=do)
+    return given
 
 
 def grid(text: str, name: str) -> np.ndarray:
@@ -128,35 +111,32 @@ def grid(text: str, name: str) -> np.ndarray:
     return np.radians(np.linspace(low, low + step * steps, steps + 1))
 
 
-def vertical(text: str | None) -> Any:
+def vertical(text: str, name: str) -> Any:
     """The name of a rule, rad about legs-down, or a direction."""
-    if text is None or text in ("legs_down", "any"):
+    if text in ("legs_down", "any"):
         return text
-    values = numbers(text, "--vertical")
-    if len(values) == 1:
-        return math.radians(values[0])
-    if len(values) == 3:
-        return tuple(values)
-    raise InputError("--vertical takes legs_down, any, an angle in degrees or x,y,z", got=text)
+    values = numbers(text, name)
+    if len(values) not in (1, 3):
+        raise InputError(f"{name} takes legs_down, any, an angle in degrees or x,y,z", got=text)
+    return math.radians(values[0]) if len(values) == 1 else tuple(values)
 
 
-def prior(text: str) -> tuple[str, float]:
+def prior(text: str, name: str) -> tuple[str, float]:
     """KEY=SIGMA."""
     key, _, value = text.partition("=")
-    return key.strip(), numbers(value, f"--prior {key.strip()}", 1)[0]
+    return key.strip(), numbers(value, f"{name} {key.strip()}", 1)[0]
 
 
-def observation(kind: str, text: str) -> dict[str, Any]:
-    """T,VALUE,SIGMA of an angular speed or T,X,Y,Z,SIGMA of a body rate, in deg/s; the result is in rad/s."""
-    t, *value, sigma = numbers(text, f"--{kind}-deg-s", {"rate": 3, "gyro": 5}[kind])
+def observation(text: str, name: str) -> dict[str, Any]:
+    """What an option of this name takes: T,VALUE,SIGMA of an angular speed or T,X,Y,Z,SIGMA of a body rate, in deg/s (the result is
+    in rad/s); T,X,Y,Z,ANGLE,SIGMA of a magnetic direction."""
+    kind = name.removeprefix("--").removesuffix("-deg-s")
+    t, *value, sigma = numbers(text, name, {"rate": 3, "gyro": 5, "field": 6}[kind])
+    if kind == "field":
+        *value, angle = value
+        return {"kind": kind, "t_s": t, "value": value, "angle_rad": angle, "sigma": sigma}
     value = [math.radians(each) for each in value]
     return {"kind": kind, "t_s": t, "value": value, "sigma": math.radians(sigma)}
-
-
-def field(text: str) -> dict[str, Any]:
-    """T,X,Y,Z,ANGLE,SIGMA of a magnetic direction."""
-    t, x, y, z, angle, sigma = numbers(text, "--field", 6)
-    return {"kind": "field", "t_s": t, "value": [x, y, z], "angle_rad": angle, "sigma": sigma}
 
 
 def period(text: str, epoch_utc: str | None) -> Any:
@@ -166,19 +146,10 @@ def period(text: str, epoch_utc: str | None) -> Any:
     value, _, rest = text.partition("+-")
     sigma, _, when = rest.partition("@")
     if not (value and sigma and when):
-        raise InputError(
-            "--period takes SECONDS+-SIGMA@TIME",
-            got=text,
-            do="for example --period 13.0+-0.5@15:50",
-        )
-    return Period(
-        next(iter(times(when, epoch_utc, "--period"))), *numbers(f"{value},{sigma}", "--period", 2)
-    )
-
-
-def periods_of(texts: tuple[str, ...], telemetry: Any) -> list[Any]:
-    """All of --period, on the telemetry's clock."""
-    return [period(text, telemetry.attrs.get("epoch_utc")) for text in texts]
+        what, do = "--period takes SECONDS+-SIGMA@TIME", "for example --period 13.0+-0.5@15:50"
+        raise InputError(what, got=text, do=do)
+    (t_s,) = times(when, epoch_utc, "--period")
+    return Period(t_s, *numbers(f"{value},{sigma}", "--period", 2))
 
 
 def times(text: str, epoch_utc: str | None, option: str = "--predict") -> dict[float, str]:
@@ -197,43 +168,32 @@ def times(text: str, epoch_utc: str | None, option: str = "--predict") -> dict[f
     return dict(sorted(times.items()))
 
 
+def instants_of(
+    samples: Any, begin: str | None, end: str | None
+) -> tuple[float | None, float | None]:
+    """Seconds from the epoch of --from and --to, in UTC or in seconds from there; None where they are not given."""
+    from sunspin.vehicle.timeline import utc_seconds
+
+    def instant(text: str | None, option: str) -> float | None:
+        if text is None or not (":" in text or "T" in text):
+            return None if text is None else numbers(text, option, 1, WHEN)[0]
+        return utc_seconds(text, samples.attrs["epoch_utc"])
+
+    return instant(begin, "--from"), instant(end, "--to")
+
+
 def between(samples: Any, begin: str | None, end: str | None) -> Any:
     """The samples from one time to another."""
-    import numpy as np
-
     from sunspin.vehicle.timeline import utc_after
 
     first, last = instants_of(samples, begin, end)
     t = samples["time"].values
-    inside = (t >= (-np.inf if first is None else first)) & (
-        t <= (np.inf if last is None else last)
+    inside = (t >= (-math.inf if first is None else first)) & (
+        t <= (math.inf if last is None else last)
     )
     if not inside.any():
         there = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"
-        raise InputError(
-            "no samples lie between --from and --to", got=got, do=f"the file has {there}"
-        )
-    return samples.isel(time=np.flatnonzero(inside))
-
-
-def instants_of(
-    samples: Any, begin: str | None, end: str | None
-) -> tuple[float | None, float | None]:
-    """Seconds from the epoch of --from and --to, None where they are not given."""
-    epoch = samples.attrs["epoch_utc"]
-    return (
-        None if begin is None else instant(begin, "--from", epoch),
-        None if end is None else instant(end, "--to", epoch),
-    )
-
-
-def instant(text: str, option: str, epoch_utc: str) -> float:
-    """Seconds from the epoch of a time in UTC, or in seconds from there."""
-    from sunspin.vehicle.timeline import utc_seconds
-
-    return (
-        utc_seconds(text, epoch_utc)
-        if ":" in text or "T" in text
-        else numbers(text, option, 1, WHEN)[0]
-    )
+        what, do = "no samples lie between --from and --to", f"the file has {there}"
+        raise InputError(what, got=got, do=do)
+    return samples.isel(time=inside.nonzero()[0])

@@ -65,8 +65,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     folders, got, do = [Path(a), Path(b)], f"{a} and {b}", "run the command again"
     for folder in folders:
         if not is_own(folder / MARKER):
-            what = "this is no results folder of sunspin"
-            raise InputError(what, got=str(folder), do="give what --out named")
+            what, named = "this is no results folder of sunspin", "give what --out named"
+            raise InputError(what, got=str(folder), do=named)
     command, second = (maker(folder / MARKER) for folder in folders)
     if command != second or command not in NUMBERS:
         what, known = "only two results of one command can be compared", " or ".join(NUMBERS)
@@ -82,24 +82,20 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
             for row in passes_b:
                 # named as a pass of the first result that overlaps it, rather as one of its own name
                 start, end = row["utc_start"], row["utc_end"]
-                overlapping = [
-                    p for p in passes_a if p["utc_start"] <= end and start <= p["utc_end"]
-                ]
-                names = [p["pass_id"] for p in overlapping]
+                early = [p for p in passes_a if p["utc_start"] <= end]
+                names = [p["pass_id"] for p in early if start <= p["utc_end"]]
                 if row["pass_id"] not in names:
                     row["pass_id"] = names[0] if names else f"{row['pass_id']} of B"
-            tables = [NUMBERS[command](summary) for summary in summaries]
-            rows: list[dict[str, Any]] = [
-                {"row": printable(name)} | _change(number, tables[1][name])
-                for name, number in tables[0].items()
-                if name in tables[1]
-            ]
+            table_a, table_b = tables = [NUMBERS[command](summary) for summary in summaries]
+            names = [name for name in table_a if name in table_b]
+            rows: list[dict[str, Any]]
+            rows = [{"row": printable(k)} | _change(table_a[k], table_b[k]) for k in names]
             attrs = _attributes(folders, summaries, tables)
     except InputError:
         raise
     except (LookupError, OverflowError, RecursionError, TypeError, ValueError, AttributeError) as e:
-        what = f"a summary holds something else than `sunspin {command}` writes ({type(e).__name__}: {e})"
-        raise InputError(what, got=got, do=do) from None
+        what = f"a summary holds something else than `sunspin {command}` writes"
+        raise InputError(f"{what} ({type(e).__name__}: {e})", got=got, do=do) from None
     if not rows:
         what, same = "the two results have nothing in common", "compare results of the same data"
         raise InputError(what, got=got, do=same)
@@ -171,11 +167,9 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
             table[f"{name} {what}"] = _estimate(f"{what}: {of}", "deg/s", mean, spread)
         facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]
         facts += [f"columns {row['columns_checked']}", f"{summary.get('verdict_word')}"]
-        what, probability = (
-            "probability of the likeliest solution",
-            row["solutions"][0]["probability"],
-        )
-        table[f"{name} probability"] = _estimate(what, "", probability, np.nan, facts=facts)
+        what, likeliest = "probability of the likeliest solution", row["solutions"][0]
+        share = likeliest["probability"]
+        table[f"{name} probability"] = _estimate(what, "", share, np.nan, facts=facts)
     return table
 
 
@@ -216,17 +210,12 @@ def _attributes(folders: list[Path], summaries: list[dict], tables: list[dict]) 
     hashes = [{row["sha256"] for row in rows if row["what"] == "telemetry"} for rows in inputs]
     headlines = ["\n".join(map(str, summary.get("headline") or ())) for summary in summaries]
     sentences = [re.split(r"(?<=\.) (?=[A-Z])|\n", text) for text in headlines]
-    attrs: dict[str, Any] = {
-        "same_telemetry": int(bool(hashes[0]) and hashes[0] == hashes[1]),
-        "synthetic": int(any(bool(summary.get("synthetic_telemetry")) for summary in summaries)),
-    }
+    attrs: dict[str, Any] = {"same_telemetry": int(bool(hashes[0]) and hashes[0] == hashes[1])}
+    attrs["synthetic"] = int(any(bool(each.get("synthetic_telemetry")) for each in summaries))
     for i, letter in enumerate("ab"):
-        lines = {
-            "folder": [folders[i]],
-            "changes": summaries[i].get("changes") or (),
-            "said": [text for text in sentences[i] if text not in sentences[1 - i]],
-            "only": [name for name in tables[i] if name not in tables[1 - i]],
-        }
+        lines = {"folder": [folders[i]], "changes": summaries[i].get("changes") or ()}
+        lines["said"] = [text for text in sentences[i] if text not in sentences[1 - i]]
+        lines["only"] = [name for name in tables[i] if name not in tables[1 - i]]
         for name, texts in lines.items():
             attrs[f"{name}_{letter}"] = "\n".join(printable(str(text)) for text in texts)
     return attrs

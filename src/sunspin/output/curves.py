@@ -22,10 +22,8 @@ def dense(rates: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     """Each pass as a Dataset like that of `propagate`, without momentum: (title, data); of results without curves, none."""
     if any(name not in rates for name in CURVE):
         return []
-    pass_of = rates["curve_pass_of"].values
-    lengths = {
-        int(k): float(np.ptp(rates["curve_time"].values[pass_of == k])) for k in np.unique(pass_of)
-    }
+    pass_of, time = rates["curve_pass_of"].values, rates["curve_time"].values
+    lengths = {int(k): float(np.ptp(time[pass_of == k])) for k in np.unique(pass_of)}
     chosen = sorted(sorted(lengths, key=lambda k: -lengths[k])[:MOST_PASSES])
     return [(f"Pass {int(rates['pass_id'].values[k])}", _dense(rates, k)) for k in chosen]
 
@@ -38,10 +36,10 @@ def with_wheels(
     t = run["time"].values
     read = xr.Dataset(coords={"time": t}) if telemetry is None else telemetry
     known = wheel_speeds(vehicle, read, t) if telemetry is not None or HELD in doing else {}
-    what = max(
-        (name for name in known if doing.startswith(name) or len(known) == 1), key=len, default=""
-    )
-    speed = np.array(known[what]) if what else np.full((len(t), len(vehicle.wheels)), np.nan)
+    names = [name for name in known if doing.startswith(name) or len(known) == 1]
+    speed = np.full((len(t), len(vehicle.wheels)), np.nan)
+    if names:
+        speed = np.array(known[max(names, key=len)])
     silent = untold(vehicle, read)
     speed[:, [wheel.name in silent for wheel in vehicle.wheels]] = np.nan
     return run.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
@@ -52,9 +50,8 @@ def _dense(rates: xr.Dataset, k: int) -> xr.Dataset:
         rates.isel({dim: np.flatnonzero(rates[name].values == k)})
         for dim, name in (("time", "pass_of"), ("curve_time", "curve_pass_of"))
     )
-    to_sun = (
-        Rotation.from_quat(samples["B_from_N"].values[0]).inv().apply(samples["sun_B"].values[0])
-    )
+    start = Rotation.from_quat(samples["B_from_N"].values[0])
+    attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
     about = f"the likeliest motion of {samples.sizes['time']} samples; between samples as the equations of motion carry it"
     if rates.attrs.get("frame_N") != J2000:
         about += ", and the turn about the line to the Sun at its start is arbitrary"
@@ -64,7 +61,7 @@ def _dense(rates: xr.Dataset, k: int) -> xr.Dataset:
             "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
             "sun_B": (
                 ("time", "axis"),
-                Rotation.from_quat(curve["curve_B_from_N"].values).apply(to_sun),
+                attitude.apply(start.inv().apply(samples["sun_B"].values[0])),
             ),
         },
         coords={"time": curve["curve_time"].values},

@@ -22,13 +22,11 @@ from sunspin.vehicle.file import vehicle_text
 MARKER = ".sunspin-results"
 """A file that says that sunspin made the folder, and with which command."""
 
-
 CITE = (
     "T. Baranyai, A. Balázs and P. L. Várkonyi: Partial reconstruction of the rotational motion of Philae spacecraft during its "
     "landing on comet 67P/Churyumov–Gerasimenko"
 )
 """The source of the model."""
-
 
 MANIFEST = "manifest.json"
 """The list of the folder's data, figures and tables: a page shows these and nothing else."""
@@ -37,30 +35,21 @@ MANIFEST = "manifest.json"
 def results_folder(path: Any, command: str) -> Path:
     """Create (or take again) a results folder of this command; a folder with anything else in it is refused."""
     folder = Path(path)
+    marker, what = folder / MARKER, ""
     try:
         atomic_write.make_folder(folder)
         atomic_write.sweep(folder)
-        marker = folder / MARKER
         if is_own(marker):
-            if (made := maker(marker)) != command:
-                raise OutputError(
-                    f"the folder holds results of `sunspin {made}`",
-                    do="choose another --out",
-                    where=str(folder),
-                )
+            if (owner := maker(marker)) != command:
+                what = f"the folder holds results of `sunspin {owner}`"
         elif any(folder.iterdir()):
-            raise OutputError(
-                "the folder is not empty and not a results folder",
-                do="choose another --out",
-                where=str(folder),
-            )
-        write_whole(marker, lambda part: part.write_text(command + "\n", "utf-8"))
+            what = "the folder is not empty and not a results folder"
+        if not what:
+            write_whole(marker, command + "\n")
     except OSError as error:
-        raise OutputError(
-            f"results cannot be written here ({error.strerror or error})",
-            do="choose another --out",
-            where=str(folder),
-        ) from None
+        what = f"results cannot be written here ({error.strerror or error})"
+    if what:
+        raise OutputError(what, do="choose another --out", where=str(folder))
     return folder
 
 
@@ -70,24 +59,25 @@ def maker(marker: Path) -> str:
         return file.read(40).decode("utf-8", "replace").strip()
 
 
-def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
-    """As :func:`sunspin.base.atomic_write.write_whole`; where the file cannot be written, one sentence."""
+def write_whole(target: Path, content: str | bytes | Callable[[Path], Any]) -> Path:
+    """Write text (half characters of names become escapes), bytes or what a function writes, as
+    :func:`sunspin.base.atomic_write.write_whole`; where the file cannot be written, one sentence."""
+    if isinstance(content, str):
+        content = content.encode("utf-8", "backslashreplace")
     try:
-        return atomic_write.write_whole(target, write)
+        if callable(content):
+            return atomic_write.write_whole(target, content)
+        return atomic_write.write_whole(target, lambda part: part.write_bytes(content))
     except OSError as error:
-        raise OutputError(
-            f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost",
-            do="free space or choose another --out",
-            where=str(target),
-        ) from None
+        what = f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost"
+        do = "free space or choose another --out"
+        raise OutputError(what, do=do, where=str(target)) from None
 
 
 def write_json(target: Path, data: Any) -> Path:
-    """Write plain data as JSON; numbers that are not finite become null, half characters of file names escapes."""
+    """Write plain data as JSON; numbers that are not finite become null."""
     text = json.dumps(plain(data), indent=1, ensure_ascii=False, allow_nan=False)
-    return write_whole(
-        target, lambda part: part.write_bytes((text + "\n").encode("utf-8", "backslashreplace"))
-    )
+    return write_whole(target, text + "\n")
 
 
 def plain(value: Any) -> Any:
@@ -124,7 +114,7 @@ def write_netcdf(target: Path, data: Any) -> Path:
             store = H5NetCDFStore(file, group=path, mode="a")
             described(dataset).dump_to_store(store)
             store.sync()
-    return write_whole(target, lambda part: part.write_bytes(buffer.getbuffer()))
+    return write_whole(target, buffer.getvalue())
 
 
 @dataclass
@@ -155,13 +145,10 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     for table in contents.tables:
         label = "# synthetic telemetry\n" if contents.synthetic else ""
         head = label + (f"# {table.comment}\n" if table.comment else "")
-        text = head + table.frame.to_csv(index=False, float_format="%.9g")
-        write_whole(
-            folder / f"{table.name}.csv", lambda part, text=text: part.write_text(text, "utf-8")
-        )
+        text = table.frame.to_csv(index=False, float_format="%.9g")
+        write_whole(folder / f"{table.name}.csv", head + text)
     if contents.vehicle is not None:
-        text = vehicle_text(contents.vehicle)
-        write_whole(folder / "vehicle.toml", lambda part: part.write_text(text, "utf-8"))
+        write_whole(folder / "vehicle.toml", vehicle_text(contents.vehicle))
     manifest = {
         "data": [f"{name}.nc" for name in data],
         "figures": [

@@ -34,9 +34,7 @@ def refuse_former(kind: object, names: Iterable[object], where: str | None = Non
 class Summary(dict[str, Any]):
     """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know with them."""
 
-    def __init__(
-        self, numbers: Mapping[str, Any], lines: Sequence[str], notes: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, numbers: Mapping, lines: Sequence[str], notes: Sequence[str] = ()) -> None:
         super().__init__(numbers)
         self.lines, self.notes = list(lines), list(notes)
 

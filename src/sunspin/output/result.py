@@ -33,11 +33,10 @@ class Result:
 
         name = self._data.attrs.get("kind")
         if not isinstance(name, str) or name not in KINDS:
-            what = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
+            why = f'attrs["kind"] is {name!r}' if name is not None else 'it has no attrs["kind"]'
+            what = f"this {type(self._data).__name__} is no result of sunspin: {why}"
             do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
-            raise InputError(
-                f"this {type(self._data).__name__} is no result of sunspin: {what}", do=do
-            )
+            raise InputError(what, do=do)
         nodes = self._data.subtree if isinstance(self._data, xr.DataTree) else [self._data]
         names = {name for node in nodes for name in (*node.dims, *getattr(node, "data_vars", ()))}
         refuse_former(name, names)
@@ -75,14 +74,11 @@ class Result:
         context = Context(telemetry)
         known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
         if not known:
-            raise InputError(
-                f"a result of kind {self._data.attrs['kind']!r} has no figure",
-                do="print its summary()",
-            )
+            what = f"a result of kind {self._data.attrs['kind']!r} has no figure"
+            raise InputError(what, do="print its summary()")
         if name is not None and name not in known:
-            raise InputError(
-                "there is no figure of this name", got=name, do=f"known: {', '.join(known)}"
-            )
+            do = f"known: {', '.join(known)}"
+            raise InputError("there is no figure of this name", got=name, do=do)
         return known[name or next(iter(known))].make()
 
     def save(
@@ -132,12 +128,10 @@ class Result:
         )
         for drawing in contents.figures:
             save(drawing.make(), path, drawing.name)
-        source = {} if telemetry is None else telemetry.attrs
-        inputs = (
-            [{"what": "telemetry", "file": str(source["file"]), "sha256": str(source["sha256"])}]
-            if "sha256" in source
-            else []
-        )
+        inputs = []
+        if telemetry is not None and "sha256" in telemetry.attrs:
+            file, digest = (str(telemetry.attrs[key]) for key in ("file", "sha256"))
+            inputs = [{"what": "telemetry", "file": file, "sha256": digest}]
         summary = self.summary()
         every = [*summary.lines[:1], *lines, *summary.lines[1:], *summary.notes]
         sentences = [line.strip() for line in every]

@@ -9,18 +9,15 @@ from pathlib import Path
 from sunspin.base.atomic_write import make_folder
 from sunspin.base.errors import OutputError
 
-TEMPLATES = ("vehicle.toml", "telemetry.csv")
-
 
 def write_templates(folder: Path) -> list[Path]:
     """A commented vehicle.toml and a telemetry.csv: both or none, what was written is taken back when the second cannot be."""
     source = resources.files("sunspin").joinpath("template")
-    targets = [folder / name for name in TEMPLATES]
+    targets = [folder / name for name in ("vehicle.toml", "telemetry.csv")]
     for target in targets:
         if os.path.lexists(target):
-            raise OutputError(
-                "this file is there already", do="choose another folder", where=str(target)
-            )
+            what, do = "this file is there already", "choose another folder"
+            raise OutputError(what, do=do, where=str(target))
     written: list[Path] = []
     try:
         make_folder(folder)
@@ -31,9 +28,6 @@ def write_templates(folder: Path) -> list[Path]:
     except OSError as error:
         for target in written:
             target.unlink(missing_ok=True)
-        raise OutputError(
-            f"files cannot be written here ({error.strerror or error})",
-            do="choose another folder",
-            where=str(folder),
-        ) from None
+        what = f"files cannot be written here ({error.strerror or error})"
+        raise OutputError(what, do="choose another folder", where=str(folder)) from None
     return targets

@@ -146,7 +146,7 @@ def reproduce(
         result = compute(case, options, gallery.begin)
         pictures = gallery.write(result, folder)
     timeline = (case.folder / "timeline.toml").read_bytes()
-    write_whole(folder / "timeline.toml", lambda part: part.write_bytes(timeline))
+    write_whole(folder / "timeline.toml", timeline)
     write_whole(
         folder / f"telemetry{source.suffix or '.csv'}",
         lambda part: part.write_bytes(source.read_bytes()),

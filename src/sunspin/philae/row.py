@@ -24,7 +24,7 @@ from typing import Any, cast
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.base.toml import read_toml
+from sunspin.base.untrusted import read_toml
 from sunspin.landing.tally import Estimate
 from sunspin.telemetry.case import Case
 

@@ -33,31 +33,24 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
         "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
     }
     parts = ", ".join(counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
-    known = (
-        "given"
-        if summary["inertia_given"]
-        else "not given (for `rates` a sphere; nothing can be simulated)"
-    )
+    known = "given"
+    if not summary["inertia_given"]:
+        known = "not given (for `rates` a sphere; nothing can be simulated)"
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
-        summary |= {
-            "lit_patterns": len(lit_patterns(craft)),
-            "reconstructible": len(reconstructible_patterns(craft)),
-        }
-        lines.append(
-            f"  the Sun can light {summary['lit_patterns']} sets of panels; {summary['reconstructible']} of them give a direction"
-        )
+        lit, clear = len(lit_patterns(craft)), len(reconstructible_patterns(craft))
+        summary |= {"lit_patterns": lit, "reconstructible": clear}
+        lines += [f"  the Sun can light {lit} sets of panels; {clear} of them give a direction"]
     if craft.channels:
-        about = [
-            f"{one.name} ({'the largest' if one.reads == 'largest' else 'the sum'} of {', '.join(one.panels)})"
-            for one in craft.channels
-        ]
-        summary["channels"] = {one.name: list(one.panels) for one in craft.channels}
+        reads = {"largest": "the largest", "sum": "the sum"}
+        about = "; ".join(
+            f"{channel.name} ({reads[channel.reads]} of {', '.join(channel.panels)})"
+            for channel in craft.channels
+        )
+        summary["channels"] = {channel.name: list(channel.panels) for channel in craft.channels}
         copies = len(craft.response_in().images)
         alike = f", so that {copies} directions fit a sample alike" if copies > 1 else ""
-        lines.append(
-            f"  inputs of several panels: {'; '.join(about)}; which of them is lit is not told{alike}"
-        )
+        lines += [f"  inputs of several panels: {about}; which of them is lit is not told{alike}"]
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
@@ -89,24 +82,18 @@ def about_telemetry(
         },
     }
     kind = "synthetic sample" if summary["synthetic"] else "sample"
-    begin = (
-        utc_after(float(time.min()), summary["epoch_utc"]) if time.size else summary["epoch_utc"]
-    )
-    lines = [
-        f"Telemetry {path.name}: {counted(time.size, kind)} over {summary['span_s']:.0f} s from {begin}"
-    ]
+    epoch = summary["epoch_utc"]
+    begin = utc_after(float(time.min()), epoch) if time.size else epoch
+    size = f"{counted(time.size, kind)} over {summary['span_s']:.0f} s"
+    lines = [f"Telemetry {path.name}: {size} from {begin}"]
     if time.size and round(float(time[0])):
-        lines.append(
-            f"  times are counted from {summary['epoch_utc']}, {time.min():.0f} s before the first sample"
-        )
+        before = f"{time.min():.0f} s before the first sample"
+        lines.append(f"  times are counted from {epoch}, {before}")
     if spread:
-        lines.append(
-            "  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most".format(*spread)
-        )
-    for key, text in (
-        ("rows_sorted", "put in the order of time"),
-        ("rows_merged", "repeats merged"),
-    ):
+        apart = "  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most"
+        lines.append(apart.format(*spread))
+    order = {"rows_sorted": "put in the order of time", "rows_merged": "repeats merged"}
+    for key, text in order.items():
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")
@@ -115,10 +102,8 @@ def about_telemetry(
     summary, lines = summary | about, lines + more
     if assessment.has_panels:
         about, more = _about_panels(assessment)
-        summary, lines = (
-            summary | about,
-            lines + ([NOT_READ] if summary["panels_misread"] else more),
-        )
+        lines += [NOT_READ] if summary["panels_misread"] else more
+        summary |= about
     about, more = worth(assessment, summary["panels_misread"])
     return assessment, summary | about, lines + more
 
@@ -129,9 +114,8 @@ def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     looked_at = -(-assessment.telemetry.sizes["time"] // assessment.health_stride)
     without_loss = made_by(assessment.health, looked_at)
     missed = quality["panel"].values[quality["missed"].values].tolist()
-    if (
-        missed and health["impossible"] and without_loss != NOISE
-    ):  # patterns may blame another where panels are turned
+    if missed and health["impossible"] and without_loss != NOISE:
+        # patterns may blame another where panels are turned
         health["explanations"], without_loss = [missed], ""
     summary = {
         "status": status_counts(sun),

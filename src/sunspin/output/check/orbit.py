@@ -27,11 +27,9 @@ def about_orbit(
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
         return {}, []
-    one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
-    found = check_orbit(orbit, craft, assessment)
-    return {"orbit": _age(orbit, samples, one) | _summary(one, found, notes)}, _lines(
-        one, found, notes
-    )
+    check = check_orbit(orbit, craft, assessment)
+    summary, notes = _summary(orbit, samples, check), orbit.notes(samples["time"].values)
+    return {"orbit": summary}, _lines(_nearest(orbit, samples), check, notes)
 
 
 def orbit_used(
@@ -43,38 +41,33 @@ def orbit_used(
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
         return None, None, {}, []
-    one, notes = _nearest(orbit, samples), orbit.notes(samples["time"].values)
-    used, found, words = judged_orbit(orbit, craft, assessment)
-    summary = _age(orbit, samples, one) | _summary(one, found, notes) | {"used": used is not None}
-    calibration = None if used is None else field_calibration(used, craft, assessment, found.made)
-    said = [f"{words}; {_named(one)}", *(f"  {note}" for note in notes)]
+    used, check, words = judged_orbit(orbit, craft, assessment)
+    summary = _summary(orbit, samples, check) | {"used": used is not None}
+    calibration = None if used is None else field_calibration(used, craft, assessment, check.made)
+    lines = [f"{words}; {_named(_nearest(orbit, samples))}"]
+    lines += [f"  {note}" for note in orbit.notes(samples["time"].values)]
     if craft.input_noise is None and assessment.has_panels:
-        said += noise_lines(assessment.sun)
-    return used, calibration, {"orbit": summary}, said
+        lines += noise_lines(assessment.sun)
+    return used, calibration, {"orbit": summary}, lines
 
 
 def _nearest(orbit: Any, samples: xr.Dataset) -> Any:
     return nearest(orbit.elements, orbit.instants(samples["time"].values).middle)
 
 
-def _age(orbit: Any, samples: xr.Dataset, one: Any) -> dict[str, Any]:
-    """Epoch of elements, and their age in the middle of the telemetry."""
-    middle = orbit.instants(samples["time"].values).middle
-    day, fraction = one.epoch_jd
-    return {
-        "epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"),
-        "age_days": one.days_to(middle),
-    }
+def _named(elements: Any) -> str:
+    number = elements.number
+    return f"{elements.name} ({number})" if elements.name else f"satellite {number}"
 
 
-def _named(one: Any) -> str:
-    return f"{one.name} ({one.number})" if one.name else f"satellite {one.number}"
-
-
-def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
+def _summary(orbit: Any, samples: xr.Dataset, found: Any) -> dict[str, Any]:
+    elements = _nearest(orbit, samples)
+    day, fraction = elements.epoch_jd
     summary = {
-        "satellite": one.number,
-        "name": one.name,
+        "epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"),
+        "age_days": elements.days_to(orbit.instants(samples["time"].values).middle),
+        "satellite": elements.number,
+        "name": elements.name,
         "verdict": found.verdict.name.lower(),
         "copies": found.copies,
         "better_copies": found.better,
@@ -94,48 +87,41 @@ def _summary(one: Any, found: Any, notes: list[str]) -> dict[str, Any]:
         "clock_behind_s": found.clock_behind_s,
         "in_shadow": found.eclipse[1],
         "in_shadow_with_sun": found.eclipse[0],
-        "notes": notes,
+        "notes": orbit.notes(samples["time"].values),
     }
     if found.matrix is not None and found.zero is not None:
         summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
     return summary
 
 
-def _lines(one: Any, found: Any, notes: list[str]) -> list[str]:
-    lines = [f"Orbit of {_named(one)}: {found.verdict.value}", *(f"  {note}" for note in notes)]
+def _lines(elements: Any, found: Any, notes: list[str]) -> list[str]:
+    lines = [f"Orbit of {_named(elements)}: {found.verdict.value}"]
+    lines += [f"  {note}" for note in notes]
     if off := clock_off(found):
         lines.append(f"  {off}")
     if found.sign_turned:
-        lines.append(
-            "  the magnetometer reads the field with the opposite sign: turn its `matrix` round"
-        )
+        turned = "the magnetometer reads the field with the opposite sign: turn its `matrix` round"
+        lines.append(f"  {turned}")
     if found.turned_axes:
         lines.append(f"  {found.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
         return [*lines, "  no sample shows a field, the Sun or the dark"]
-    lines.append(
-        f"  {found.better} of {found.copies} copies with node and phase turned at random predict better ({used} samples)"
-    )
+    copies = f"{found.copies} copies with node and phase turned at random"
+    lines.append(f"  {found.better} of {copies} predict better ({used} samples)")
     if found.turn_times > 1.05:
         turn = f"with the node turned by {np.degrees(found.turn_rad):+z.0f} deg"
         lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
     both = " (with the clock: of both, the data determine the sum)"
-    lines.append(
-        f"  shift along the track {with_sigma(found.shift_s, found.shift_sigma_s, 's')}{drifting(found)}{both}{border}"
-    )
+    shift = with_sigma(found.shift_s, found.shift_sigma_s, "s")
+    lines.append(f"  shift along the track {shift}{drifting(found)}{both}{border}")
     if np.isfinite(found.strength_residual_T):
-        angle = np.degrees(found.angle_residual_rad)
-        few = (
-            f" (too few samples to judge: {n})"
-            if (n := found.samples.get("field and Sun", 0)) < FEWEST
-            else ""
-        )
+        angle, n = np.degrees(found.angle_residual_rad), found.samples.get("field and Sun", 0)
+        few = f" (too few samples to judge: {n})" if n < FEWEST else ""
         sun = f", of its angle to the Sun {angle:.1f} deg{few}" if np.isfinite(angle) else ""
-        lines.append(
-            f"  residuals in the middle: of the field's strength {1e6 * found.strength_residual_T:.2f} uT{sun}"
-        )
+        strength = f"{1e6 * found.strength_residual_T:.2f} uT"
+        lines.append(f"  residuals in the middle: of the field's strength {strength}{sun}")
     seen, dark = found.eclipse
     if dark:
         lines.append(f"  {dark} samples lie in the Earth's shadow; {seen} of them show a Sun")

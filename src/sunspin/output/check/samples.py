@@ -23,34 +23,28 @@ SHOWN = 30
 
 def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
     """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
-    units, found, samples = [], assessment.wrong_units, assessment.telemetry
-    for wrong in found:
-        stands = (
-            None
-            if vehicle is None
-            else line_of(
-                vehicle_text(vehicle), wrong.table, wrong.key.split(" or ")[0].split(",")[0]
-            )
-        )
-        units.append(
-            str(wrong) if stands is None else wrong.at(f", line {stands[0]} ({stands[1][:60]}),")
-        )
+    units, samples = [], assessment.telemetry
+    for wrong in assessment.wrong_units:
+        line, key = None, wrong.key.split(" or ")[0].split(",")[0]
+        if vehicle is not None:
+            line = line_of(vehicle_text(vehicle), wrong.table, key)
+        units.append(wrong.at(f", line {line[0]} ({line[1][:60]}),") if line else str(wrong))
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
     lines = [f"  WRONG UNIT: {text}" for text in units]
-    gyro_misread = any(wrong.table == "gyro" for wrong in found)
+    gyro_misread = any(wrong.table == "gyro" for wrong in assessment.wrong_units)
     axes = None if gyro_misread else wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
     lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
-    misread = any(wrong.table == "telemetry" and wrong.key.startswith("scale") for wrong in found)
-    summary = {
-        "wrong_units": units,
-        "wrong_axes": [axes] if axes else [],
-        "panels_misread": misread,
-    }
-    return summary | {"missing_sensors": missing, "unused_columns": unused}, lines
+    misread = any(
+        wrong.table == "telemetry" and wrong.key.startswith("scale")
+        for wrong in assessment.wrong_units
+    )
+    summary: dict[str, Any] = {"wrong_units": units, "wrong_axes": [axes] if axes else []}
+    summary |= {"panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}
+    return summary, lines
 
 
 def noise_lines(sun: xr.Dataset) -> list[str]:
@@ -92,9 +86,8 @@ def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any]
     }
     if there:
         summary["sensors"] = there
-        lines.append(
-            "  other sensors: " + ", ".join(f"{label} ({n} samples)" for label, n in there.items())
-        )
+        others = ", ".join(f"{label} ({n} samples)" for label, n in there.items())
+        lines.append(f"  other sensors: {others}")
     about, more = _sampling(samples)
     return summary | about, lines + more
 
@@ -102,13 +95,11 @@ def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any]
 def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     craft, quality = assessment.vehicle, assessment.quality
     why = reasons(quality)
+    names = quality["panel"].values.astype(str)
     silent, missed = quality["dead"].values, quality["missed"].values
-    dead, unlit = (
-        [str(name) for name in quality["panel"].values[which]]
-        for which in (missed, silent & ~missed)
-    )
+    dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()
     faces = np.bincount(_lit(craft, assessment.telemetry, quality))
-    summary = {
+    summary: dict[str, Any] = {
         "worth": why,
         "dead_panels": dead,
         "unlit_panels": unlit,
@@ -118,43 +109,29 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     }
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
-        lines.append(
-            f"  panel {', '.join(dead)} never reads anything: dead, or never in the Sun; left out"
-        )
+        text = "never reads anything: dead, or never in the Sun; left out"
+        lines.append(f"  panel {', '.join(dead)} {text}")
     if unlit:
-        lines.append(
-            f"  panel {', '.join(unlit)} reads nothing, as if never in the Sun: the others show full Sun; not used"
-        )
-    gain, sigma = (
-        quality["gain"].values / craft.input_gains,
-        quality["gain_sigma"].values / craft.input_gains,
-    )
-    names = [str(name) for name in quality["panel"].values]
-    summary["gains"] = {
-        name: [float(g), float(s)] for name, g, s in zip(names, gain, sigma, strict=True)
-    }
+        text = "reads nothing, as if never in the Sun: the others show full Sun; not used"
+        lines.append(f"  panel {', '.join(unlit)} {text}")
+    pairs = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
+    pairs = pairs / craft.input_gains[:, None]
+    summary["gains"] = dict(zip(names.tolist(), pairs.tolist(), strict=True))
     summary["gains_from"] = quality.attrs["gains_from"]
     weak = quality["weak"].values
-    usual = float(np.median(gain[~weak])) if (~weak).any() else 1.0
-    summary["weak_panels"] = {
-        name: [float(g / usual), float(s / usual)]
-        for name, g, s, low in zip(names, gain, sigma, weak, strict=True)
-        if low
-    }
+    usual = np.median(pairs[~weak, 0]) if (~weak).any() else 1.0
+    weak_pairs = (pairs[weak] / usual).tolist()
+    summary["weak_panels"] = dict(zip(names[weak].tolist(), weak_pairs, strict=True))
     lines += [
         f"  WEAK PANEL: {name} gives {with_sigma(g, s)} of what its gain in the vehicle file says, compared with the other panels; "
         "`sunspin calibrate-sensors` writes a copy with the gains of this file"
         for name, (g, s) in summary["weak_panels"].items()
     ]
+    gains = f"  gains: {quality.attrs['gains_from']}"
     if np.isfinite(quality.attrs["spread"]):
-        told = ", ".join(
-            f"{name} {with_sigma(g, s)}" for name, g, s in zip(names, gain, sigma, strict=True)
-        )
-        lines.append(
-            f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {told}"
-        )
-    else:
-        lines.append(f"  gains: {quality.attrs['gains_from']}")
+        each = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
+        gains = f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {each}"
+    lines.append(gains)
     lines.append(f"  light on dark faces: up to {quality.attrs['albedo']:.0%} of full Sun")
     counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
@@ -191,11 +168,9 @@ def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     clear = 180 / usual
     near = gaps[gaps < 6 * usual]
     jitter = float(np.std(near) / usual)
-    lines = [
-        f"  sampling: rates up to {clear:.3g} deg/s can be determined unambiguously (half a turn between samples)"
-    ]
+    unambiguous = "can be determined unambiguously (half a turn between samples)"
+    lines = [f"  sampling: rates up to {clear:.3g} deg/s {unambiguous}"]
     if jitter < 0.02:
-        lines.append(
-            f"  the samples are evenly spaced: a rate and one that differs by {360 / usual:.3g} deg/s look alike"
-        )
+        text = f"a rate and one that differs by {360 / usual:.3g} deg/s look alike"
+        lines.append(f"  the samples are evenly spaced: {text}")
     return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines

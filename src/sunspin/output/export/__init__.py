@@ -156,18 +156,19 @@ def attitude_of(
         what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
         raise InputError(what, got=epoch, do=do) from None
     number, name = (str(data.attrs.get(key, "")) for key in ("orbit", "orbit_name"))
+    synthetic = ", synthetic telemetry" if data.attrs.get("synthetic", 0) else ""
     attitude = Attitude(
-        t,
-        np.datetime64(moment, "us"),
-        continuous(quaternion / size[:, None], pass_of),
-        omega,
-        pass_of,
-        name if number and name else str(data.attrs.get("vehicle", "UNKNOWN")),
-        number,
-        "EARTH" if "orbit" in data.attrs else "UNKNOWN",
-        written,
-        orientation if local else "",
-        "sunspin, synthetic telemetry" if data.attrs.get("synthetic", 0) else "sunspin",
+        t_s=t,
+        epoch=np.datetime64(moment, "us"),
+        quaternion=continuous(quaternion / size[:, None], pass_of),
+        omega_B=omega,
+        pass_of=pass_of,
+        name=name if number and name else str(data.attrs.get("vehicle", "UNKNOWN")),
+        number=number,
+        centre="EARTH" if "orbit" in data.attrs else "UNKNOWN",
+        frame=written,
+        orientation=orientation if local else "",
+        source=f"sunspin{synthetic}",
     )
     return attitude if step_s is None else _on_grid(attitude, step_s)
 
@@ -199,12 +200,9 @@ def _on_grid(attitude: Attitude, step_s: float) -> Attitude:
     dense = CubicHermiteSpline(t, q, rate)(at)
     dense /= np.linalg.norm(dense, axis=1, keepdims=True)
     number = np.repeat(np.unique(pass_of), counts)
-    return attitude._replace(
-        t_s=at,
-        quaternion=continuous(dense, number),
-        omega_B=np.stack([np.interp(at, t, component) for component in omega.T], axis=1),
-        pass_of=number,
-    )
+    dense = continuous(dense, number)
+    rates = np.stack([np.interp(at, t, component) for component in omega.T], axis=1)
+    return attitude._replace(t_s=at, quaternion=dense, omega_B=rates, pass_of=number)
 
 
 def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
@@ -213,10 +211,8 @@ def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
         data = data.drop_dims("time").assign(pass_of=("time", attitude.pass_of))
     time = {"units": f"seconds since {str(attitude.epoch).replace('T', ' ')} UTC"}
     time |= {"standard_name": "time", "long_name": "UTC", "calendar": "standard"}
-    quaternion = {
-        "units": "1",
-        "long_name": f"attitude quaternion, scalar last, {attitude.frame} to body",
-    }
+    what = f"attitude quaternion, scalar last, {attitude.frame} to body"
+    quaternion = {"units": "1", "long_name": what}
     omega = {"units": "rad s-1", "long_name": "angular velocity, body axes"}
     data = data.assign_coords(time=("time", attitude.t_s, time)).assign(
         B_from_N=(("time", "quaternion"), attitude.quaternion, quaternion),
@@ -242,4 +238,4 @@ def write_parquet(target: Path, attitude: Attitude) -> Path:
     about["epoch_utc"] = f"{attitude.epoch}Z"
     buffer = io.BytesIO()  # pyarrow takes no name that is not UTF-8
     pq.write_table(pa.table(columns).replace_schema_metadata(about), buffer)
-    return write_whole(target, lambda path: path.write_bytes(buffer.getbuffer()))
+    return write_whole(target, buffer.getvalue())

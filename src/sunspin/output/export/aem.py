@@ -38,25 +38,18 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     }
     comments = [f"{attitude.frame}: {attitude.orientation}"] if attitude.orientation else []
     comments += ["made from synthetic telemetry"] if "synthetic" in attitude.source else []
-    components = [
-        [f"{x:.15f}" for x in q] for q in attitude.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
-    ]
+    conjugate = attitude.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
+    components = [[f"{x:.15f}" for x in q] for q in conjugate]
     segments = []
     for samples in attitude.passes():
-        metadata = object_about | {
-            "START_TIME": utc[samples[0]],
-            "STOP_TIME": utc[samples[-1]],
-            "ATTITUDE_TYPE": "QUATERNION",
-            "QUATERNION_TYPE": "LAST",
-        }
+        metadata = object_about | {"START_TIME": utc[samples[0]], "STOP_TIME": utc[samples[-1]]}
+        metadata |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
         segments.append((metadata, [(utc[i], components[i]) for i in samples]))
-    header = {
-        "CREATION_DATE": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S}",
-        "ORIGINATOR": "SUNSPIN",
-    }
+    now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S}"
+    header = {"CREATION_DATE": now, "ORIGINATOR": "SUNSPIN"}
     if form == "xml":
         text = _xml(header, comments, segments)
-        return write_whole(target, lambda path: path.write_text(text, "utf-8"))
+        return write_whole(target, text)
     lines = ["CCSDS_AEM_VERS = 1.0", *(f"{key} = {value}" for key, value in header.items()), ""]
     for metadata, states in segments:
         lines += ["META_START", *(f"COMMENT {text}" for text in comments)]
@@ -64,7 +57,7 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
         lines += ["META_STOP", "", "DATA_START"]
         lines += [" ".join([utc, *components]) for utc, components in states]
         lines += ["DATA_STOP", ""]
-    return write_whole(target, lambda path: path.write_text("\n".join(lines), "utf-8"))
+    return write_whole(target, "\n".join(lines))
 
 
 def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:

@@ -64,7 +64,7 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
         raise InputError("a C-kernel needs times that increase by a microsecond or more")
     start = float(ephemeris_time(attitude.epoch)) + first_s
     clock, frames = (
-        write_whole(folder / name, lambda path, text=text: path.write_text(text, "ascii"))
+        write_whole(folder / name, text.encode("ascii"))
         for name, text in _text_kernels(start, attitude.frame).items()
     )
     quaternion = np.roll(attitude.quaternion, 1, axis=1)  # scalar first

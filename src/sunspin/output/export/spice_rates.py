@@ -16,11 +16,8 @@ def main() -> None:
     frame, base, *kernels = sys.argv[1:]
     sp.furnsh(kernels)
     times = np.frombuffer(sys.stdin.buffer.read(), dtype=np.float64)
-    sys.stdout.buffer.write(
-        np.array([rate(sp, frame, base, float(t)) for t in times], dtype=np.float64)
-        .reshape(-1, 3)
-        .tobytes()
-    )
+    rates = [rate(sp, frame, base, float(t)) for t in times]
+    sys.stdout.buffer.write(np.array(rates, dtype=np.float64).tobytes())
 
 
 def rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:

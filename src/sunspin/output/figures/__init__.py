@@ -75,12 +75,10 @@ def lay_out(figure: Figure) -> Figure:
     """
     import matplotlib
 
-    engine = figure.get_layout_engine()
-    if engine is not None:
+    if (engine := figure.get_layout_engine()) is not None:
         engine.execute(figure)
-        with matplotlib.rc_context(
-            {"figure.autolayout": False, "figure.constrained_layout.use": False}
-        ):
+        none: Any = {"figure.autolayout": False, "figure.constrained_layout.use": False}
+        with matplotlib.rc_context(none):
             figure.set_layout_engine(None)
     return figure
 
@@ -103,12 +101,7 @@ def drawn(figure: Figure) -> dict[str, bytes]:
 
 def write(files: Mapping[str, bytes], folder: Path, name: str) -> list[Path]:
     """Write a figure's files."""
-    return [
-        write_whole(
-            folder / f"{name}.{suffix}", lambda path, content=content: path.write_bytes(content)
-        )
-        for suffix, content in files.items()
-    ]
+    return [write_whole(folder / f"{name}.{suffix}", files[suffix]) for suffix in files]
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

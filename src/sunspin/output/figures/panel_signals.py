@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -38,8 +37,7 @@ def panel_signals_figure(
     measured, time = signals(telemetry), telemetry["time"].values
     dead, counts = _counting(telemetry, vehicle)
     inside = [_within(time, run) for _, run in runs]
-    order = sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS]
-    shown = sorted(order)
+    shown = sorted(sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS])
     names = [str(name) for name in telemetry["panel"].values]
     size = (max(7.5, 2.6 * len(shown) + 1), 1.05 * len(names) + 1.2)
     figure = Figure(figsize=size, layout="constrained")
@@ -53,18 +51,11 @@ def panel_signals_figure(
         at = inside[k] & (time <= t0 + LONGEST_S)
         factor = _factor(time[at & counts], measured[at & counts][:, ~dead], t, model[:, ~dead])
         for panel, axes in enumerate(column):
-            lost = bool(dead[panel])
-            line: dict[str, Any] = (
-                {"color": COLOURS[7], "ls": ":"} if lost else {"color": COLOURS[1]}
-            )
-            axes.plot((t - t0) / 60, factor * model[:, panel], lw=1, **line)
-            axes.plot(
-                (time[at] - t0) / 60,
-                measured[at, panel],
-                "x" if lost else ".",
-                ms=5,
-                color=COLOURS[7] if lost else COLOURS[6],
-            )
+            mark, colour, line, ls = (".", COLOURS[6], COLOURS[1], "-")
+            if dead[panel]:
+                mark, colour, line, ls = ("x", COLOURS[7], COLOURS[7], ":")
+            axes.plot((t - t0) / 60, factor * model[:, panel], lw=1, color=line, ls=ls)
+            axes.plot((time[at] - t0) / 60, measured[at, panel], mark, ms=5, color=colour)
         column[0].set_title(f"{named(title)}\n{clock_text(run, t0)}", fontsize=8)
         column[-1].set_xlabel("time (min)")
     unit = "W" if "power_W" in telemetry else "A"

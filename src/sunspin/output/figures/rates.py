@@ -47,16 +47,10 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
         if low < 0 < high:  # a line that is out of sight would squeeze the curve
             for axes in row:
                 axes.axhline(0, color=COLOURS[7], lw=0.5)
-    curve: dict[str, Any] = {
-        "lw": 1,
-        "marker": ".",
-        "ms": 5,
-        "label": "solution: samples, and between them",
-    }
-    handles: list[Any] = [
-        Line2D([], [], color=COLOURS[6], **curve),
-        Patch(color=COLOURS[7], alpha=0.5, lw=0, label="one sigma"),
-    ]
+    curve = Line2D([], [], color=COLOURS[6], lw=1, marker=".", ms=5)
+    curve.set_label("solution: samples, and between them")
+    band = Patch(color=COLOURS[7], alpha=0.5, lw=0, label="one sigma")
+    handles: list[Any] = [curve, band]
     if gyro is not None:
         handles.append(Line2D([], [], color=COLOURS[6], marker="x", ls="", ms=4, label="gyro"))
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
@@ -107,16 +101,10 @@ def attitude_figure(result: xr.Dataset) -> Any:
 
 def sources(result: xr.Dataset) -> str:
     """The sensors that a motion was found from, in words."""
-    seen = {
-        "panels": ["panel signals"],
-        "sun_sensor": ["Sun sensors"],
-        "directions": ["Sun directions"],
-        "field": [],
-    }
-    used = [
-        *seen[result.attrs["source"]],
-        *(one.called for one in SENSORS if result.attrs.get(f"{one.name}_used")),
-    ]
+    seen = {"panels": "panel signals", "sun_sensor": "Sun sensors"}
+    seen |= {"directions": "Sun directions", "field": ""}
+    others = [each.called for each in SENSORS if result.attrs.get(f"{each.name}_used")]
+    used = [*filter(None, [seen[result.attrs["source"]]]), *others]
     return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
 
 

@@ -21,11 +21,10 @@ def residuals_figure(result: xr.Dataset) -> Figure:
     """The residuals that a result of `rates` holds: a row for each sensor that was used, a column for each pass."""
     read = result["residual"].dropna("sensor", how="all")
     passes, sensors = chosen_passes(result), read["sensor"].values
-    size = max(7.5, 2.1 * len(passes)), 1.9 * max(len(sensors), 1) + 1.0
+    rows = max(len(sensors), 1)
+    size = max(7.5, 2.1 * len(passes)), 1.9 * rows + 1.0
     figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(
-        max(len(sensors), 1), len(passes), sharex="col", sharey=True, squeeze=False
-    )
+    grid = figure.subplots(rows, len(passes), sharex="col", sharey=True, squeeze=False)
     for row, sensor in zip(grid, sensors, strict=False):
         value = read.sel(sensor=sensor).values
         for axes, number in zip(row, passes, strict=True):

@@ -31,13 +31,8 @@ def calibration_summary(result: Any) -> Summary:
         rows = result.isel(quantity=np.flatnonzero(result["key"].values == name))
         stated, value, sigma = (rows[key].values for key in ("stated", "value", "sigma"))
         moved, written = bool(rows["moved"].values.any()), bool(rows["written"].values.all())
-        keys[name] = {
-            "stated": stated.tolist(),
-            "value": value.tolist(),
-            "sigma": sigma.tolist(),
-            "written": written,
-            "moved": moved,
-        }
+        keys[name] = {key: rows[key].values.tolist() for key in ("stated", "value", "sigma")}
+        keys[name] |= {"written": written, "moved": moved}
         unit = str(rows["unit"].values[0]).removeprefix("1")
         now = with_sigma(value[0], sigma[0], unit) if value.size == 1 else ""
         was = ", ".join("-" if np.isnan(each) else number_text(each) for each in stated.tolist())
@@ -46,25 +41,20 @@ def calibration_summary(result: Any) -> Summary:
     written = sorted((row for row in texts if row[0]), key=lambda row: not row[1])
     lines = ["No key of the vehicle file is determined by this telemetry"]
     if written:
-        moved = sum(row[1] for row in written)
-        lines = [
-            f"{len(written)} keys of the vehicle file are determined; {moved} of them move by more than their sigma",
-            *(row[2] for row in written),
-        ]
+        moved = f"{sum(row[1] for row in written)} of them move by more than their sigma"
+        lines = [f"{len(written)} keys of the vehicle file are determined; {moved}"]
+        lines += [row[2] for row in written]
     if left := [name for name, row in keys.items() if not row["written"]]:
-        lines.append(
-            f"Not determined (sigma not below half of what it was before), and left as they are: {', '.join(left)}"
-        )
+        why = "sigma not below half of what it was before"
+        lines.append(f"Not determined ({why}), and left as they are: {', '.join(left)}")
     numbers: dict[str, Any] = {"keys": keys}
     if "field_residual_after_T" in result.attrs:
         numbers |= {name: float(result.attrs[name]) for name in FIELD}
         was, now = (1e6 * numbers[f"field_residual_{when}_T"] for when in ("before", "after"))
-        lines.append(
-            f"Median residuals: of the field's strength {was:.2f} uT before, {now:.2f} uT after"
-        )
-        was, now = (
-            np.degrees(numbers[f"sun_field_residual_{when}_rad"]) for when in ("before", "after")
-        )
+        strength = f"of the field's strength {was:.2f} uT before, {now:.2f} uT after"
+        lines.append(f"Median residuals: {strength}")
+        angles = (numbers[f"sun_field_residual_{when}_rad"] for when in ("before", "after"))
+        was, now = map(np.degrees, angles)
         if np.isfinite(now):
             lines[-1] += f"; of its angle to the Sun {was:.1f} deg before, {now:.1f} deg after"
         shift = with_sigma(numbers["shift_s"], numbers["shift_sigma_s"], "s")
@@ -84,8 +74,5 @@ def calibration_tables(result: Any) -> Iterator[Table]:
     yield Table("calibration", frame, "Keys of the vehicle file", shown)
 
 
-KINDS.update(
-    calibration=Kind(
-        "calibrate-sensors", "calibration", calibration_summary, tables=calibration_tables
-    )
-)
+_calibration = "calibrate-sensors", "calibration", calibration_summary
+KINDS.update(calibration=Kind(*_calibration, tables=calibration_tables))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,8 @@ def collision_summary(runs: Any) -> Summary:
     table, near = weightings(runs), explained(runs)
     lines = [f"collision: {with_sigma(*near)} of the runs come near the kernel's jump and speed"]
     for row in table:
-        before, after = (
-            with_sigma(*np.degrees(row[name]), "deg/s") for name in ("rate_before", "rate_after")
-        )
+        rates = (row[name] for name in ("rate_before", "rate_after"))
+        before, after = (with_sigma(*np.degrees(rate), "deg/s") for rate in rates)
         lines.append(
             f"  {row['name']}: effective sample size {row['effective_runs']:.0f}, rate before {before}, after {after}, "
             f"median period after {row['median_period_after']:.1f} s"
@@ -45,9 +45,8 @@ def collision_figure(runs: Any) -> Any:
     facts, sigma = facts_of(runs), runs.attrs["sigma_m_s"]
     change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
     known = np.isfinite(speed)
-    image = left.hexbin(
-        change[known], speed[known], gridsize=45, cmap="cividis", mincnt=1, linewidth=0
-    )
+    style = {"gridsize": 45, "cmap": "cividis", "mincnt": 1, "linewidth": 0}
+    image = left.hexbin(change[known], speed[known], **style)
     figure.colorbar(image, ax=left, label="simulated collisions")
     angle = np.linspace(0, 2 * np.pi, 100)
     for k in (1, 2):
@@ -58,7 +57,14 @@ def collision_figure(runs: Any) -> Any:
     x, y = "change of velocity at the collision (m/s)", "speed after the collision (m/s)"
     left.set(xlabel=x, ylabel=y)
     left.legend(loc="lower left", frameon=True)
-    impacts = "Sticking impacts" if _sticks(runs) else "Impacts"
+    impacts = "Impacts"
+    with suppress(ValueError):  # a scenario that cannot be read
+        scenario = json.loads(str(runs.attrs.get("scenario", "{}")))
+        # without restitution and damper the point that hits is taken to stick
+        if isinstance(scenario, dict) and not (
+            scenario.get("restitution") or scenario.get("damper")
+        ):
+            impacts = "Sticking impacts"
     left.set_title(f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows")
     rate = np.degrees(np.linalg.norm(runs["omega_after_B"].values, axis=1))
     known, edges = np.isfinite(rate), np.linspace(0, 60, 61)
@@ -74,17 +80,6 @@ def collision_figure(runs: Any) -> Any:
     right.set_ylabel("probability density (s/deg)")
     right.legend(**ABOVE)
     return figure
-
-
-def _sticks(runs: Any) -> bool:
-    """Whether the point that hits is taken to stick; not if the scenario cannot be read."""
-    try:
-        scenario = json.loads(str(runs.attrs.get("scenario", "{}")))
-    except ValueError:
-        return False
-    return isinstance(scenario, dict) and not {"restitution", "damper"} & {
-        name for name, value in scenario.items() if value
-    }
 
 
 KINDS.update(collision=Kind("outcomes", "collision", collision_summary, collision_drawings))

@@ -34,10 +34,8 @@ def comparison_summary(data: Any) -> Summary:
     attrs, table = data.attrs, _table(data)
     known = table["error"].notna()
     changed = table[table["beyond"] | (table["words"] != "")]
-    numbers: dict[str, Any] = {
-        "command": attrs["command"],
-        "a": attrs["folder_a"],
-        "b": attrs["folder_b"],
+    names = {"command": "command", "a": "folder_a", "b": "folder_b"}
+    numbers: dict[str, Any] = {key: attrs[name] for key, name in names.items()} | {
         "rows": len(table),
         "beyond": int((table["beyond"] & known).sum()),
         "changed_without_error": int((table["beyond"] & ~known).sum()),
@@ -52,9 +50,8 @@ def comparison_summary(data: Any) -> Summary:
         lines += [f"   {line}" for line in attrs[f"changes_{letter}"].splitlines()]
         lines += [f"   concludes: {line}" for line in numbers[f"said_{letter}"]]
         if only := numbers[f"only_{letter}"]:
-            more = ", ..." if len(only) > MOST_LINES else ""
-            names = ", ".join(only[:MOST_LINES]) + more
-            lines.append(f"   {len(only)} rows are in this result alone: {names}")
+            shown = ", ".join(only[:MOST_LINES]) + ", ..." * (len(only) > MOST_LINES)
+            lines.append(f"   {len(only)} rows are in this result alone: {shown}")
     telemetry = "both are of the same" if numbers["same_telemetry"] else "not of the same"
     lines.append(
         f"{numbers['beyond']} of {known.sum()} rows with a known error changed by more than it; of {(~known).sum()} without one "
@@ -62,11 +59,10 @@ def comparison_summary(data: Any) -> Summary:
         + ("" if attrs["command"] == "outcomes" else f"; {telemetry} telemetry")
     )
     for row in changed[:MOST_LINES].itertuples():
-        sizes = (
-            f"{row.size:7.2g} {UNITS[row.of]}" if row.of in UNITS else f"{100 * row.size:7.2g} %"
-        )
+        size, units = (row.size, UNITS[row.of]) if row.of in UNITS else (100 * row.size, "%")
         unit, words = row.unit and f" {row.unit}", row.words and f"; {row.words}"
-        lines.append(f"  {sizes:22}{row.row}: {row.a}, now {row.b}{unit}{words}")
+        now = f"{row.row}: {row.a}, now {row.b}{unit}{words}"
+        lines.append(f"  {f'{size:7.2g} {units}':22}{now}")
     rest = len(changed) - MOST_LINES
     notes = [f"  and {rest} more: give --out for the whole table"] if rest > 0 else []
     return Summary(numbers, lines, notes)
@@ -123,8 +119,5 @@ def comparison_tables(data: Any) -> Iterator[Table]:
     yield Table("comparison", _table(data), "Changes, the largest first", shown)
 
 
-KINDS.update(
-    comparison=Kind(
-        "compare", "comparison", comparison_summary, comparison_drawings, comparison_tables
-    )
-)
+_comparison = (comparison_summary, comparison_drawings, comparison_tables)
+KINDS.update(comparison=Kind("compare", "comparison", *_comparison))

@@ -18,11 +18,9 @@ MOST_EVENTS = 20
 def trajectory_summary(run: Any) -> Summary:
     """The state at the last time, and the wheels' events."""
     t, end = run["time"].values, run.isel(time=-1)
-    columns = (run["event_time_s"].values, run["event_wheel"].values, run["event_what"].values)
-    events = [
-        {"t_s": float(at), "wheel": str(name), "what": str(what)}
-        for at, name, what in zip(*columns, strict=True)
-    ]
+    names = {"event_time_s": "t_s", "event_wheel": "wheel", "event_what": "what"}
+    columns = (run[name].values.tolist() for name in names)
+    events = [dict(zip(names.values(), row, strict=True)) for row in zip(*columns, strict=True)]
     state = {name: end[name].values.tolist() for name in ("omega_B", "sun_B", "wheel_speed_rad_s")}
     speeds = state["wheel_speed_rad_s"]
     wheels = f", wheels {number_text(speeds)} rad/s" if speeds else ""
@@ -49,10 +47,8 @@ def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
 def trajectory_figure(run: Any) -> Any:
     """Components and size of the body rate (deg/s), and the speeds of the wheels if there are any, against time."""
     wheels, rows = run.sizes.get("wheel", 0), 2 if run.sizes.get("wheel", 0) else 1
-    ratios = (3, 2)[:rows]
-    figure, grid = axes_grid(
-        10, 3.6 * rows**0.7, rows, sharex=True, squeeze=False, height_ratios=ratios
-    )
+    layout: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": (3, 2)[:rows]}
+    figure, grid = axes_grid(10, 3.6 * rows**0.7, rows, **layout)
     t, omega = run["time"].values, np.degrees(run["omega_B"].values)
     rates, speeds = grid[0, 0], grid[-1, 0]
     for k, axis in enumerate("xyz"):
@@ -93,11 +89,11 @@ def spin_down_summary(fit: Any) -> Summary:
         for name, error in zip(names, sigma, strict=True)
     )
     coulomb, viscous, rms = (number_text(numbers[name]) for name in (*frictions, "rms_rad_s"))
-    lines = [
-        f"wheel speed c1 exp(c2 t) + c3 through {fit.sizes['time']} samples: {coefficients}; rms {rms} rad s-1",
-        f"  friction: {coulomb} N m, and {viscous} N m s times the speed",
-    ]
-    return Summary(numbers | {"sigma": sigma.tolist(), "samples": fit.sizes["time"]}, lines)
+    n = fit.sizes["time"]
+    through = f"wheel speed c1 exp(c2 t) + c3 through {n} samples"
+    lines = [f"{through}: {coefficients}; rms {rms} rad s-1"]
+    lines += [f"  friction: {coulomb} N m, and {viscous} N m s times the speed"]
+    return Summary(numbers | {"sigma": sigma.tolist(), "samples": n}, lines)
 
 
 def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
@@ -114,10 +110,8 @@ def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
 @styled
 def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str = "") -> Any:
     """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
-    published = (
-        "Spin-down of the wheel, computed from published friction (no measured record is public)"
-    )
-    figure, axes = axes_grid(7, 4, title=title or published)
+    published = "computed from published friction (no measured record is public)"
+    figure, axes = axes_grid(7, 4, title=title or f"Spin-down of the wheel, {published}")
     for k, (label, speed) in enumerate(curves.items()):
         axes.plot(t_s / 60, speed, "-" if k == 0 else "--", color=COLOURS[k], label=label)
     axes.set(xlabel="time (min)", ylabel="wheel speed (rad/s)")

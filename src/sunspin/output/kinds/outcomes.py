@@ -28,10 +28,8 @@ def outcomes_summary(runs: Any) -> Summary:
         for name, e in tally(runs).items()
         if np.isfinite(e.value)
     }
-    lines, left = run_lines(runs, estimates), runs.attrs.get("not_told")
-    return Summary(
-        {"runs": runs.sizes["run"], "estimates": estimates}, lines, [left] if left else []
-    )
+    numbers, left = {"runs": runs.sizes["run"], "estimates": estimates}, runs.attrs.get("not_told")
+    return Summary(numbers, run_lines(runs, estimates), [left] if left else [])
 
 
 def run_lines(runs: Any, estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -47,12 +45,9 @@ def estimate_lines(estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
     lines = []
     for name in PRINTED:
         if name in estimates:
-            value, error = (
-                estimates[name][key] * quantity(name).scale for key in ("value", "error")
-            )
-            lines.append(
-                f"  {quantity(name).text}: {with_sigma(value, error, quantity(name).unit)}"
-            )
+            text, unit, scale = quantity(name)
+            value, error = (estimates[name][key] * scale for key in ("value", "error"))
+            lines.append(f"  {text}: {with_sigma(value, error, unit)}")
     return lines
 
 
@@ -70,12 +65,9 @@ def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
         "How the Sun stood between collision and landing: r_z is 1 with the Sun overhead, -1 underneath; bars: one standard error.",
     )
     if all(np.isfinite(each["up_z"]).any() for each in runs.values()):
-        yield Drawing(
-            "distributions",
-            lambda: distributions_figure(runs),
-            "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time.",
-            "At the landing and on the way to it, over the runs of each command to the wheel; bars: one standard error.",
-        )
+        alt = "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time."
+        caption = "At the landing and on the way to it, over the runs of each command to the wheel; bars: one standard error."
+        yield Drawing("distributions", lambda: distributions_figure(runs), alt, caption)
     if all("point_kind" in each.coords for each in runs.values()):
         yield Drawing(
             "first-contact",
@@ -101,10 +93,7 @@ def sun_height_figure(runs: dict[str, Any]) -> Any:
     figure, axes = axes_grid(7.5, 4.2, title="Height of the Sun on the way to the landing")
     for k, (name, each) in enumerate(runs.items()):
         curve = density(each, merge=2)  # bins 0.05 wide
-        value, edges = (
-            curve["density"].values,
-            np.append(curve["rz"] - 1 / curve.sizes["rz"], 1.0),
-        )
+        value, edges = curve["density"].values, np.append(curve["rz"] - 1 / curve.sizes["rz"], 1.0)
         style = {"color": COLOURS[k % 8], "lw": 1.6, "fill": k == 0, "alpha": 1 if k else 0.45}
         label = f"{strategy_name(name)}: {counted(each.sizes['run'], 'run')}"
         axes.stairs(value, edges, label=label, **style)

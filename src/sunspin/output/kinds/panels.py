@@ -40,23 +40,17 @@ def quality_summary(quality: Any) -> Summary:
 
 
 def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
-    yield Drawing(
-        "panel-quality",
-        lambda: gains_figure(quality),
-        "Gain of each panel with its error bar.",
-        "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light.",
-    )
+    alt = "Gain of each panel with its error bar."
+    caption = "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light."
+    yield Drawing("panel-quality", lambda: gains_figure(quality), alt, caption)
 
 
 @styled
 def gains_figure(quality: Any) -> Any:
     """Gain of each panel with one sigma; dead panels crossed."""
     figure, axes = axes_grid(7, 3.6, title="Gains of the panels")
-    place, gain, dead = (
-        np.arange(quality.sizes["panel"]),
-        quality["gain"].values,
-        quality["dead"].values.astype(bool),
-    )
+    place, gain = np.arange(quality.sizes["panel"]), quality["gain"].values
+    dead = quality["dead"].values.astype(bool)
     axes.errorbar(place, gain, quality["gain_sigma"], fmt="o", color=COLOURS[0], capsize=3)
     axes.plot(place[dead], gain[dead], "x", ms=10, color=COLOURS[1])
     axes.set_xticks(place, [named(name) for name in quality["panel"].values])
@@ -66,20 +60,19 @@ def gains_figure(quality: Any) -> Any:
 
 def health_summary(health: Any) -> Summary:
     """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
-    impossible = _joined(health, "impossible_lit")
+    allowed, impossible = (
+        ["-".join(panels) for panels in named_panels(health, name)]
+        for name in ("allowed_lit", "impossible_lit")
+    )
     chance = zip(impossible, health["largest"].values.tolist(), strict=True)
     numbers = {
-        "allowed": _joined(health, "allowed_lit"),
+        "allowed": allowed,
         "impossible": dict(zip(impossible, health["samples"].values.tolist(), strict=True)),
         "explanations": [list(lost) for lost in named_panels(health, "lost")],
         "noise_probability": {lit: value for lit, value in chance if np.isfinite(value)},
     }
     none = "no set of lit panels is one that the Sun cannot light"
     return Summary(numbers, health_lines(numbers) or [none])
-
-
-def _joined(health: Any, name: str) -> list[str]:
-    return ["-".join(panels) for panels in named_panels(health, name)]
 
 
 def health_lines(numbers: Mapping[str, Any]) -> list[str]:

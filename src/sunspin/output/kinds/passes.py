@@ -36,30 +36,16 @@ def motion_numbers(found: Any, k: int, solution: int) -> dict[str, Any]:
 
 def in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
     """The columns in rad/s, named in deg/s."""
-    rates = {name: value for name, value in columns.items() if not name.endswith("_deg_s")}
-    return {
-        (name.removesuffix("_rad_s") + "_deg_s"): np.degrees(value)
-        for name, value in rates.items()
-        if name.endswith("_rad_s") or name in OF_A_MOTION
-    }
+    rates = [name for name in columns if name.endswith("_rad_s") or name in OF_A_MOTION]
+    return {name.removesuffix("_rad_s") + "_deg_s": np.degrees(columns[name]) for name in rates}
 
 
-SHOWN = {
-    "pass_id": "pass",
-    "utc_start": "begins (UTC)",
-    "samples": "samples",
-    "solution": "solution",
-    "probability": "probability",
-    "speed_median_deg_s": "speed (deg/s)",
-    **{
-        f"{what}_{axis}_deg_s": f"ω{axis} (deg/s)" if what == "omega" else "±"
-        for axis in "xyz"
-        for what in ("omega", "sigma")
-    },
-    "decided": "decided",
-    "why_not_decided": "why not",
-    "model": "model of the motion",
-}
+SHOWN = {"pass_id": "pass", "utc_start": "begins (UTC)"}
+SHOWN |= {name: name for name in ("samples", "solution", "probability")}
+SHOWN |= {"speed_median_deg_s": "speed (deg/s)"}
+for axis in "xyz":
+    SHOWN |= {f"omega_{axis}_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
+SHOWN |= {"decided": "decided", "why_not_decided": "why not", "model": "model of the motion"}
 """Columns on the page."""
 
 
@@ -71,16 +57,10 @@ def passes_table(found: Any) -> Table:
     for k in range(found.sizes["pass_id"]):
         known = pass_numbers(found, k)
         for solution in np.flatnonzero(np.isfinite(found["probability"].values[k])):
-            motion = motion_numbers(found, k, int(solution))
-            first = ("pass_id", *OF_A_PASS)
-            last = (*(name for name in ADDED if name in known), "why_not_decided")
-            rows.append(
-                {name: known[name] for name in first}
-                | {name: motion[name] for name in ("solution", "probability")}
-                | {name: known[name] for name in BELIEVED}
-                | motion
-                | {name: known[name] for name in last}
-            )
+            rows.append(known | motion_numbers(found, k, int(solution)))
+    head = ("pass_id", *OF_A_PASS, "solution", "probability", *BELIEVED, *OF_A_MOTION)
+    head += (*(f"{name}_deg_s" for name in OF_A_MOTION), *ADDED, "why_not_decided")
     frame = pd.DataFrame(rows)
+    frame = frame[[name for name in head if name in frame]]
     shown = {name: heading for name, heading in SHOWN.items() if name in frame}
     return Table("passes", frame, "Every solution of every pass", shown)

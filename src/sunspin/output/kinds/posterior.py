@@ -13,13 +13,8 @@ from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
 from sunspin.output.figures import COLOURS, axes_grid, named, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
+from sunspin.output.kinds import predictions as predicted
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
-from sunspin.output.kinds.predictions import (
-    degrees_text,
-    predictions_drawings,
-    predictions_summary,
-    predictions_tables,
-)
 from sunspin.output.text import number_text, with_sigma
 
 MOST_SOLUTIONS = 12
@@ -42,15 +37,14 @@ def posterior_summary(tree: Any) -> Summary:
     lines = [numbers["verdict"]]
     if numbers["synthetic_telemetry"]:
         lines.append("  synthetic telemetry: not measured")
-    speed = degrees_text(numbers["rate_rad_s"])
+    speed = predicted.degrees_text(numbers["rate_rad_s"])
     lines.append(f"  angular speed at the first sample {speed} deg/s, 90 %")
     for solution in numbers["solutions"][:MOST_SOLUTIONS]:
         omega = with_sigma(*np.degrees([solution["omega_B"], solution["sigma"]]), "deg/s")
         few = solution["effective_draws"] < TOO_FEW
         rough = ", which is rough: few draws have weight" if few else ""
-        lines.append(
-            f"  probability {solution['probability']:.3f}  omega {omega}{rough}  chi-square {solution['chi_square']:.0f}"
-        )
+        fit = f"chi-square {solution['chi_square']:.0f}"
+        lines.append(f"  probability {solution['probability']:.3f}  omega {omega}{rough}  {fit}")
     size = f"effective sample size {numbers['effective_draws']:.0f}"
     p_value = number_text(numbers["p_value"], 3)
     lines.append(f"  predictive p {p_value}, {size}, Pareto k {numbers['pareto_k']:.2f}")
@@ -67,25 +61,20 @@ def posterior_summary(tree: Any) -> Summary:
     if "period" in tree.children:
         period = tree["period"].to_dataset()
         lines += [f"  {text}" for text in period_sentences(period)]
-        numbers["period"] = {
-            "told": bool(period.attrs["told"]),
-            "effective_draws": float(period.attrs["effective_draws"]),
-        }
+        draws = float(period.attrs["effective_draws"])
+        numbers["period"] = {"told": bool(period.attrs["told"]), "effective_draws": draws}
         for name in ("probability", "solution_probability", "rate_quantile"):
             numbers["period"][name] = period[name].values.tolist()
     if "predictions" in tree.children:
-        predicted = predictions_summary(tree["predictions"].to_dataset())
-        return Summary(numbers | predicted, lines + predicted.lines)
+        later = predicted.predictions_summary(tree["predictions"].to_dataset())
+        return Summary(numbers | later, lines + later.lines)
     return Summary(numbers, lines)
 
 
 def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
-    yield Drawing(
-        "corner",
-        lambda: corner_figure(tree),
-        "Draws of the components of the body rate and its size against each other, by solution.",
-        "Draws of the rate at the first sample, body axes: every pair of components, one colour to a solution.",
-    )
+    alt = "Draws of the components of the body rate and its size against each other, by solution."
+    caption = "Draws of the rate at the first sample, body axes: every pair of components, one colour to a solution."
+    yield Drawing("corner", lambda: corner_figure(tree), alt, caption)
     if {"search", "sampling"} <= set(tree.children):
         yield Drawing(
             "search",
@@ -95,7 +84,7 @@ def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
             "round with the share of effective draws and Pareto's k.",
         )
     if "predictions" in tree.children:
-        yield from predictions_drawings(tree["predictions"].to_dataset(), context)
+        yield from predicted.predictions_drawings(tree["predictions"].to_dataset(), context)
 
 
 @styled
@@ -157,10 +146,8 @@ def posterior_tables(tree: Any) -> Iterator[Table]:
     import pandas as pd
 
     solutions, sigma = tree["solutions"], sigmas(tree["solutions"])
-    columns: dict[str, Any] = {
-        "probability": solutions["probability"].values,
-        "log_evidence": solutions["log_evidence"].values,
-    }
+    columns: dict[str, Any]
+    columns = {name: solutions[name].values for name in ("probability", "log_evidence")}
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = solutions["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
@@ -170,13 +157,12 @@ def posterior_tables(tree: Any) -> Iterator[Table]:
     for axis in "xyz":
         shown |= {f"omega_{axis}_B_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
     shown |= {"chi_square": "chi-square", "lit_readings": "lit readings", "starts": "starts"}
-    yield Table(
-        "solutions", pd.DataFrame(columns), "Solutions: rates at the first sample, body axes", shown
-    )
+    title = "Solutions: rates at the first sample, body axes"
+    yield Table("solutions", pd.DataFrame(columns), title, shown)
     if "passes" in tree.children:
         yield passes_table(tree["passes"].to_dataset())
     if "predictions" in tree.children:
-        yield from predictions_tables(tree["predictions"].to_dataset())
+        yield from predicted.predictions_tables(tree["predictions"].to_dataset())
 
 
 def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
@@ -189,13 +175,5 @@ def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
     return {f"motion-solution-{run.attrs['solution']}": run for run in motions}
 
 
-KINDS.update(
-    posterior=Kind(
-        "posterior",
-        "posterior",
-        posterior_summary,
-        posterior_drawings,
-        posterior_tables,
-        posterior_datasets,
-    )
-)
+_posterior = (posterior_summary, posterior_drawings, posterior_tables, posterior_datasets)
+KINDS.update(posterior=Kind("posterior", "posterior", *_posterior))

@@ -123,8 +123,5 @@ def predictions_tables(predictions: Any) -> Iterator[Table]:
     yield Table("predicted", frame, "At other times, in rad and rad/s (90 % intervals)", shown)
 
 
-KINDS.update(
-    predictions=Kind(
-        "predictions", "predictions", predictions_summary, predictions_drawings, predictions_tables
-    )
-)
+_predictions = (predictions_summary, predictions_drawings, predictions_tables)
+KINDS.update(predictions=Kind("predictions", "predictions", *_predictions))

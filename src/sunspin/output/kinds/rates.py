@@ -71,12 +71,9 @@ def rates_summary(result: Any) -> Summary:
         numbers["periods"] = json.loads(result.attrs["periods"])
         lines += [f"  {_period(result, period)}" for period in numbers["periods"]]
     if left_out:
-        lines.append(
-            f"  panel {left_out} never reads anything: dead, or never in the Sun; left out"
-        )
-    numbers |= {
-        name: result.attrs[name] for name in ("noise", "noise_from") if name in result.attrs
-    }
+        why = "never reads anything: dead, or never in the Sun; left out"
+        lines.append(f"  panel {left_out} {why}")
+    numbers |= {key: result.attrs[key] for key in ("noise", "noise_from") if key in result.attrs}
     if numbers.get("noise_from", "given") != "given":
         size = number_text(numbers["noise"], 3)
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
@@ -151,7 +148,10 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
 
 
 def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
-    from sunspin.output.figures.rates import rates_figure
+    from sunspin.output.curves import dense
+    from sunspin.output.figures.panel_signals import panel_signals_figure
+    from sunspin.output.figures.rates import attitude_figure, rates_figure
+    from sunspin.output.figures.residuals import residuals_figure
 
     sure, look = result["decided"].values, "look at what is said of each, and at all solutions"
     others = "" if sure.all() else f"; of the others {look}"
@@ -163,8 +163,6 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         f"{int(sure.sum())} of {sure.size} passes are decided{others}.",
     )
     if result.attrs.get("frame_N") == J2000 and "turn_sigma_rad" in result:
-        from sunspin.output.figures.rates import attitude_figure
-
         yield Drawing(
             "attitude",
             lambda: attitude_figure(result),
@@ -173,8 +171,6 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "the root mean square of the angle by which it may be off.",
         )
     if "residual" in result:
-        from sunspin.output.figures.residuals import residuals_figure
-
         yield Drawing(
             "residuals",
             lambda: residuals_figure(result),
@@ -185,12 +181,8 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         )
     if context.telemetry is None or context.vehicle is None:
         return
-    from sunspin.output.curves import dense
-    from sunspin.output.figures.panel_signals import panel_signals_figure
-
     samples, vehicle = context.telemetry, context.craft()
-    runs = dense(result)
-    if "panel" in samples.coords and runs:
+    if "panel" in samples.coords and (runs := dense(result)):
         yield Drawing(
             "signals",
             lambda: panel_signals_figure(samples, runs, vehicle),
@@ -203,11 +195,8 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
 def rates_tables(result: Any) -> Iterator[Table]:
     import pandas as pd
 
-    epoch, frame, number = (
-        result.attrs.get("epoch_utc"),
-        result.attrs.get("frame_N"),
-        result["pass_of"].values,
-    )
+    epoch, frame = (result.attrs.get(name) for name in ("epoch_utc", "frame_N"))
+    number = result["pass_of"].values
     time, rate, sun, q = (result[name].values for name in ("time", "omega_B", "sun_B", "B_from_N"))
     columns: dict[str, Any] = {
         "time_s": time,
@@ -229,12 +218,8 @@ def rates_tables(result: Any) -> Iterator[Table]:
     comment = f"time_s from {epoch}; likeliest solution of each pass; body axes; N: {frame}"
     yield passes_table(result)
     if result.sizes.get("estimate"):
-        frame = (
-            result[["estimate_value", "estimate_sigma", "estimate_unit"]]
-            .to_dataframe()
-            .reset_index()
-            .dropna()
-        )
+        names = ["estimate_value", "estimate_sigma", "estimate_unit"]
+        frame = result[names].to_dataframe().reset_index().dropna()
         shown = {"pass_id": "pass", "estimate": "estimate", "estimate_value": "value"}
         shown |= {"estimate_sigma": "±", "estimate_unit": "unit"}
         yield Table("estimates", frame, "Estimated with the motion", shown)

@@ -39,10 +39,8 @@ def near(scan: Any) -> tuple[np.ndarray, str]:
 def scan_summary(scan: Any) -> Summary:
     """The smallest misfit, where it is, how many motions come near it, the lines fitted to them."""
     volume, (points, chosen) = misfit(scan), near(scan)
-    values = [
-        volume.sel(dict(zip(DIMS, p.tolist(), strict=True)), method="nearest").item()
-        for p in points
-    ]
+    at = {name: xr.DataArray(points[:, k], dims="point") for k, name in enumerate(DIMS)}
+    values = volume.sel(at, method="nearest").values
     numbers: dict[str, Any] = {
         "metric": str(volume.name),
         "rows": int(volume.size),
@@ -66,10 +64,8 @@ def lines_summary(lines: Any) -> Summary:
     rows = [
         {"point": p, "direction": d, "points": int(n)} for p, d, n in zip(*columns, strict=True)
     ]
-    text = [
-        f"  line through {rate_text(row['point'])} along {number_text(row['direction'])}"
-        for row in rows
-    ]
+    ends = ((rate_text(row["point"]), number_text(row["direction"])) for row in rows)
+    text = [f"  line through {point} along {direction}" for point, direction in ends]
     return Summary({"lines": rows}, text)
 
 

@@ -42,38 +42,13 @@ def strategies_summary(table: Any) -> Summary:
 
 
 def strategies_drawings(table: Any, _: Context) -> Iterator[Drawing]:
-    yield Drawing(
-        "strategies",
-        lambda: strategies_figure(table),
-        "What touches first, on what it rests, antenna, speeds and height of the Sun for each command to the wheel.",
-        "Means over the runs; bars: one standard error.",
-    )
+    alt = "What touches first, on what it rests, antenna, speeds and height of the Sun for each command to the wheel."
+    caption = "Means over the runs; bars: one standard error."
+    yield Drawing("strategies", lambda: strategies_figure(table), alt, caption)
 
 
 STACKS = (("touches the ground first", "touch"), ("comes to rest on", "rest"))
-DOTS = (
-    (
-        *("antenna's cone holds the orbiter", "probability"),
-        {
-            "antenna_share": "in flight",
-            "antenna_at_contact": "at contact",
-            "antenna_at_rest": "at rest",
-        },
-    ),
-    (
-        *("speed at first contact", "mean speed over ground (m/s)"),
-        {"contact_speed": "point that touches", "leg_tip_speed": "fastest leg tip"},
-    ),
-    (
-        *("Sun below the body's equator", "share of the time"),
-        {"rz_time_below_0": "$r_z$ < 0", "rz_time_below_-0.5": "$r_z$ < -0.5"},
-    ),
-    (
-        *("angular speed", "mean (deg/s)"),
-        {"rate_before": "before the collision", "rate_after": "after it"},
-    ),
-)
-"""Title, axis, and quantities with their labels."""
+"""Title, and what its quantities begin with."""
 
 
 @styled
@@ -81,6 +56,17 @@ def strategies_figure(table: Any) -> Any:
     """What touches first, on what it rests, antenna, speeds and lost upright axis for each strategy, with standard errors."""
     title = f"Momentum-wheel strategies after the touchdown: {table.attrs['runs']} runs each, one standard error"
     figure, grid = axes_grid(11, 6.4, 2, 3, title)
+    antenna = {"antenna_share": "in flight", "antenna_at_contact": "at contact"}
+    antenna |= {"antenna_at_rest": "at rest"}
+    speed = {"contact_speed": "point that touches", "leg_tip_speed": "fastest leg tip"}
+    sun = {"rz_time_below_0": "$r_z$ < 0", "rz_time_below_-0.5": "$r_z$ < -0.5"}
+    rate = {"rate_before": "before the collision", "rate_after": "after it"}
+    dots = (
+        ("antenna's cone holds the orbiter", "probability", antenna),
+        ("speed at first contact", "mean speed over ground (m/s)", speed),
+        ("Sun below the body's equator", "share of the time", sun),
+        ("angular speed", "mean (deg/s)", rate),
+    )
     names = table["strategy"].values.astype(str)
     known, places = set(table["quantity"].values), np.arange(len(names))
     for axes, (title, prefix) in zip(grid.flat, STACKS, strict=False):
@@ -97,7 +83,7 @@ def strategies_figure(table: Any) -> Any:
         axes.set(title=title, ylabel="probability", ylim=(0, 1.22))
         if not np.any(bottom):
             say_why_empty(axes, "not determined without a hull")
-    for axes, (title, label, quantities) in zip(grid.flat[2:], DOTS, strict=True):
+    for axes, (title, label, quantities) in zip(grid.flat[2:], dots, strict=True):
         for k, (name, text) in enumerate(quantities.items()):
             if name in known:
                 at = table[["value", "error"]].sel(quantity=name) * quantity(name).scale
@@ -167,11 +153,9 @@ def landing_datasets(tree: Any, _: Context) -> dict[str, Any]:
     return {"strategies": tree["strategies"].to_dataset()} | runs
 
 
+_strategies = (strategies_summary, strategies_drawings, strategies_tables)
+_landing = (landing_summary, landing_drawings, landing_tables, landing_datasets)
 KINDS.update(
-    strategies=Kind(
-        "outcomes", "strategies", strategies_summary, strategies_drawings, strategies_tables
-    ),
-    landing=Kind(
-        "outcomes", "", landing_summary, landing_drawings, landing_tables, landing_datasets
-    ),
+    strategies=Kind("outcomes", "strategies", *_strategies),
+    landing=Kind("outcomes", "", *_landing),
 )

@@ -38,12 +38,9 @@ def telemetry_summary(samples: Any) -> Summary:
 
 def telemetry_drawings(samples: Any, _: Context) -> Iterator[Drawing]:
     if "panel" in samples.coords:
-        yield Drawing(
-            "telemetry",
-            lambda: signals_figure(samples),
-            "Signals of the panels against time.",
-            "Signals of the panels as read.",
-        )
+        alt = "Signals of the panels against time."
+        caption = "Signals of the panels as read."
+        yield Drawing("telemetry", lambda: signals_figure(samples), alt, caption)
 
 
 @styled
@@ -57,9 +54,8 @@ def signals_figure(telemetry: xr.Dataset) -> Any:
 
 
 def _signals(axes: Any, telemetry: xr.Dataset, place: Passes) -> None:
-    name, label = (
-        ("power_W", "power (W)") if "power_W" in telemetry else ("current_A", "current (A)")
-    )
+    known = {"power_W": "power (W)", "current_A": "current (A)"}
+    name = next(name for name in known if name in telemetry)
     hours = telemetry["time"].values / 3600
     gaps = long_gaps(hours)
     x = np.insert(place.x(hours), gaps, np.nan)
@@ -68,7 +64,7 @@ def _signals(axes: Any, telemetry: xr.Dataset, place: Passes) -> None:
         broken = np.insert(telemetry[name].sel(panel=panel).values, gaps, np.nan)
         text = f"panel {named(panel)}"
         axes.plot(x, broken, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=text)
-    axes.set_ylabel(label)
+    axes.set_ylabel(known[name])
     axes.legend(ncols=8, columnspacing=0.8, handletextpad=0.2, **ABOVE)
 
 
@@ -85,15 +81,12 @@ def sun_summary(sun: Any) -> Summary:
         "noise_from": sun.attrs["noise_from"],
         "synthetic_telemetry": bool(sun.attrs.get("synthetic", 0)),
     }
-    lines = [
-        f"{known.sum()} of {known.size} samples give a direction to the Sun",
-        *status_lines(sun),
-    ]
+    lines = [f"{known.sum()} of {known.size} samples give a direction to the Sun"]
+    lines += status_lines(sun)
     if numbers["median_sigma_deg"] is not None:
         size = "" if numbers["noise_from"] == "given" else f"{number_text(numbers['noise'], 3)}, "
-        lines.append(
-            f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg (noise: {size}{numbers['noise_from']})"
-        )
+        noise = f"(noise: {size}{numbers['noise_from']})"
+        lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg {noise}")
     return Summary(numbers, lines)
 
 
@@ -156,9 +149,8 @@ def sun_directions_figure(
             middle.plot(x[at], height, marker, ms=4, color=COLOURS[7], label=text)
     middle.set(ylim=(-1.5, 1.15), ylabel="Sun direction, body axes")
     middle.legend(ncols=4, fontsize=7, columnspacing=0.8, handletextpad=0.2, **ABOVE)
-    checked, unchecked = (
-        sun["status"].values == status for status in (SunStatus.OK, SunStatus.UNCHECKED)
-    )
+    status = sun["status"].values
+    checked, unchecked = status == SunStatus.OK, status == SunStatus.UNCHECKED
     delta = np.maximum(sun["delta"].values, 1e-4)
     low.semilogy(x[checked], delta[checked], ".", color=COLOURS[6], ms=4)
     if unchecked.any():

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import SunspinError
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
-from sunspin.output.report.views import GREY, INK, Motions, View, float32, line, styled
+from sunspin.output.report.views import GREY, INK, Motions, View, line, places, styled
 from sunspin.output.text import capital, clock_text
 from sunspin.vehicle import Vehicle
 
@@ -41,21 +41,16 @@ def body_in_motion(results: Results, motions: Motions) -> Iterator[View]:
         figure = _motion(vehicle, run)
         if figure is None:
             continue
-        shape = (
-            ""
-            if vehicle.hull
-            else " The vehicle's file gives no shape: panels are plates of equal size."
-        )
-        about = str(run.attrs.get("about", ""))
+        about = capital(str(run.attrs.get("about", "")))
+        shape = "The vehicle's file gives no shape: panels are plates of equal size."
         yield View(
             f"motion-{k}",
             title,
             figure,
             "The vehicle in three dimensions as it turns; the line under it states time, angular speed and wheel speeds.",
-            f"{capital(about)}. "
-            * bool(about)
+            (f"{about}. " if about else "")
             + "Gold: direction to the Sun. Blue: angular momentum, or the first axis of rotation if the momentum is not known. "
-            f"A panel is the brighter the more sunlight it gets.{shape}",
+            f"A panel is the brighter the more sunlight it gets.{'' if vehicle.hull else f' {shape}'}",
         )
 
 
@@ -78,42 +73,28 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
     at = order[frames]
     attitude = Rotation.from_quat(run["B_from_N"].values[at])
     sun, omega = run["sun_B"].values[at], run["omega_B"].values[at]
-    momentum = run["momentum_B"].values[at] if "momentum_B" in run else None
-    to_scene = (
-        _scene(attitude[0], sun[0], omega[0] if momentum is None else momentum[0]) * attitude.inv()
-    )
+    known = "momentum_B" in run
+    axis = run["momentum_B"].values[at[0]] if known else omega[0]
+    to_scene = _scene(attitude[0], sun[0], axis) * attitude.inv()
     vertices, faces, owner, size = _shape(vehicle)
     toward_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
     light = vehicle.panels_in().power(toward_sun) / vehicle.panel_gains
-    wheels = (
-        run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)
-        if "wheel_speed_rad_s" in run
-        else np.zeros((len(at), 0))
-    )
-    legs = [leg.tip_B_m for leg in vehicle.legs]
-    lines = np.array(
-        [point for tip in legs for point in (np.zeros(3), tip, np.full(3, np.nan))]
-    ).reshape(-1, 3)
+    wheels = np.zeros((len(at), 0))
+    if "wheel_speed_rad_s" in run:
+        wheels = run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)
+    legs = [(np.zeros(3), leg.tip_B_m, np.full(3, np.nan)) for leg in vehicle.legs]
+    lines, reach = np.array(legs).reshape(-1, 3), 1.3 * size
+    name = "angular momentum" if known else "axis of rotation"
     still = [
-        _arrow(to_scene[0].apply(sun[0]), 1.3 * size, COLOURS[4], "Sun"),
-        _arrow(
-            to_scene[0].apply(omega[0] if momentum is None else momentum[0]),
-            1.3 * size,
-            COLOURS[0],
-            "axis of rotation" if momentum is None else "angular momentum",
-        ),
+        _arrow(to_scene[0].apply(sun[0]), reach, COLOURS[4], "Sun"),
+        _arrow(to_scene[0].apply(axis), reach, COLOURS[0], name),
     ]
 
     def moving(k: int) -> list[Any]:
         turned = to_scene[k].apply(vertices)
         colours = [_light(light[k, panel]) if panel >= 0 else "#9aa2a9" for panel in owner]
         mesh = go.Mesh3d(
-            x=float32(turned[:, 0]),
-            y=float32(turned[:, 1]),
-            z=float32(turned[:, 2]),
-            i=faces[:, 0],
-            j=faces[:, 1],
-            k=faces[:, 2],
+            places(turned) | dict(zip("ijk", faces.T, strict=True)),
             facecolor=colours,
             flatshading=True,
             hoverinfo="skip",
@@ -123,61 +104,39 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
         return [mesh, line(tips, INK, 5)]
 
     figure = go.Figure([*moving(0), *still])
-    texts = [
-        f"{_clock(run, float(t[frame]))}, {np.degrees(speed[frame]):.3g} deg/s{_wheels(vehicle, wheels[k])}"
-        for k, frame in enumerate(frames)
-    ]
+    texts = []
+    for frame, speeds in zip(frames, wheels, strict=True):
+        words = [_clock(run, float(t[frame])), f"{np.degrees(speed[frame]):.3g} deg/s"]
+        for wheel, spin in zip(vehicle.wheels, speeds, strict=False):
+            words.append(
+                f"{wheel.name} {f'{spin:.0f} rad/s' if np.isfinite(spin) else 'not known'}"
+            )
+        texts.append(", ".join(words))
     figure.frames = [
         go.Frame(data=moving(k), traces=[0, 1], name=str(k)) for k in range(len(frames))
     ]
-    play = {
-        "frame": {"duration": 60, "redraw": True},
-        "fromcurrent": True,
-        "transition": {"duration": 0},
-    }
-    stop = {"frame": {"duration": 0, "redraw": False}, "mode": "immediate"}
+    axes = {f"{a}axis": {"range": [-reach, reach], "visible": False} for a in "xyz"}
     figure.update_layout(
-        scene={
-            **{f"{a}axis": {"range": [-1.3 * size, 1.3 * size], "visible": False} for a in "xyz"},
-            "aspectmode": "cube",
-            "camera": {"eye": {"x": 0.5, "y": -1.3, "z": 0.4}},
-        },
-        updatemenus=[
-            {
-                "type": "buttons",
-                "direction": "right",
-                "x": 0,
-                "y": 0,
-                "xanchor": "left",
-                "yanchor": "top",
-                "pad": {"t": 8},
-                "buttons": [
-                    {"label": "▶ Play", "method": "animate", "args": [None, play]},
-                    {"label": "❚❚ Pause", "method": "animate", "args": [[None], stop]},
-                ],
-            }
-        ],
-        sliders=[
-            {
-                "currentvalue": {"prefix": "", "font": {"size": 13, "color": GREY}},
-                "pad": {"t": 50},
-                "ticklen": 0,
-                "minorticklen": 0,
-                "font": {"size": 1, "color": "rgba(0,0,0,0)"},  # no labels at the ticks
-                "steps": [
-                    {
-                        "label": text,
-                        "method": "animate",
-                        "args": [
-                            [str(k)],
-                            {"mode": "immediate", "frame": {"duration": 0, "redraw": True}},
-                        ],
-                    }
-                    for k, text in enumerate(texts)
-                ],
-            }
-        ],
+        scene=axes, scene_aspectmode="cube", scene_camera_eye={"x": 0.5, "y": -1.3, "z": 0.4}
     )
+    play: dict[str, Any] = {"frame": {"duration": 60, "redraw": True}, "fromcurrent": True}
+    play["transition"] = {"duration": 0}
+    stop = {"frame": {"duration": 0, "redraw": False}, "mode": "immediate"}
+    show = {"frame": {"duration": 0, "redraw": True}, "mode": "immediate"}
+    buttons = [
+        {"label": "▶ Play", "method": "animate", "args": [None, play]},
+        {"label": "❚❚ Pause", "method": "animate", "args": [[None], stop]},
+    ]
+    steps = [
+        {"label": text, "method": "animate", "args": [[str(k)], show]}
+        for k, text in enumerate(texts)
+    ]
+    corner = {"x": 0, "y": 0, "xanchor": "left", "yanchor": "top", "pad": {"t": 8}}
+    menu = {"type": "buttons", "direction": "right", **corner, "buttons": buttons}
+    shown_now = {"prefix": "", "font": {"size": 13, "color": GREY}}
+    bare = {"ticklen": 0, "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}
+    slider = {"currentvalue": shown_now, "pad": {"t": 50}, **bare, "steps": steps}
+    figure.update_layout(updatemenus=[menu], sliders=[slider])
     return styled(figure)
 
 
@@ -209,14 +168,14 @@ def _hull(vehicle: Vehicle) -> tuple[np.ndarray, list[Any], list[int]] | None:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    names = list(vehicle.panel_names)
+    names = vehicle.panel_names
     corners = [
-        (names.index(part.panel), {tuple(p) for p in part.points_B_m.round(9)})
+        (names.index(part.panel), {*map(tuple, part.points_B_m.round(9))})
         for part in vehicle.hull
         if part.panel in names
     ]
     owner = [
-        next((k for k, corner in corners if {tuple(p) for p in points[face]} <= corner), -1)
+        next((k for k, corner in corners if {*map(tuple, points[face])} <= corner), -1)
         for face in hull.simplices
     ]
     return points, list(hull.simplices), owner
@@ -246,9 +205,7 @@ def _light(share: float) -> str:
 def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.Scatter3d:
     tip = direction / max(float(np.linalg.norm(direction)), 1e-30) * length
     return go.Scatter3d(
-        x=[0, tip[0]],
-        y=[0, tip[1]],
-        z=[0, tip[2]],
+        {axis: [0, end] for axis, end in zip("xyz", tip, strict=True)},
         mode="lines+markers+text",
         line={"width": 6, "color": colour},
         marker={"size": [0, 6], "color": colour},
@@ -256,14 +213,6 @@ def _arrow(direction: np.ndarray, length: float, colour: str, name: str) -> go.S
         textfont={"color": colour},
         hoverinfo="skip",
         showlegend=False,
-    )
-
-
-def _wheels(vehicle: Vehicle, speeds: np.ndarray) -> str:
-    """The speeds of the wheels in words."""
-    return "".join(
-        f", {wheel.name} {f'{speed:.0f} rad/s' if np.isfinite(speed) else 'not known'}"
-        for wheel, speed in zip(vehicle.wheels, speeds, strict=False)
     )
 
 

@@ -27,16 +27,8 @@ MAX_PICTURES = 12_000_000
 """Bytes of figures in a page; what is beyond stays in the folder and is named."""
 
 HIDDEN = (
-    "figures",
-    "sentences",
-    "headline",
-    "score",
-    "conclusions",
-    "command",
-    "inputs",
-    "title",
-    "changes",
-    "stop",
+    *("figures", "sentences", "headline", "score", "conclusions"),
+    *("command", "inputs", "title", "changes", "stop"),
 )
 """Entries of a summary that the page shows in a place of their own."""
 
@@ -56,10 +48,7 @@ def write_report(folder: str | Path, own: bool = False) -> Path:
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers
         text = _page(results)
     text = TURNS.sub(lambda turn: f"\\u{ord(turn[0]):04x}", text)
-    return write_whole(
-        results.folder / "report.html",
-        lambda part: part.write_bytes(text.encode("utf-8", "backslashreplace")),
-    )
+    return write_whole(results.folder / "report.html", text)
 
 
 def _page(results: Results) -> str:
@@ -75,13 +64,11 @@ def _page(results: Results) -> str:
             continue
         kind = "svg+xml" if figure.name.endswith(".svg") else "png"
         data = f"data:image/{kind};base64,{base64.b64encode(figure.content).decode('ascii')}"
-        figures.append(
-            {"data": data, "alt": figure.alt, "caption": figure.caption, "name": figure.name}
-        )
+        figures.append(figure._asdict() | {"data": data})
     first = len(_list(summary, "headline")) + len(_list(summary, "score")) or FIRST_SENTENCES
-    plotted = {
-        view.id: json.loads(view.figure.to_json()) for part in views.values() for view in part
-    }
+    shown = [view for part in views.values() for view in part]
+    plotted = {view.id: json.loads(view.figure.to_json()) for view in shown}
+    scripts = [*([_plotly()] if plotted else []), _asset("page.js")]
     return _template().render(
         title=str(summary.get("title") or _title(results)),
         results=results,
@@ -100,9 +87,7 @@ def _page(results: Results) -> str:
         style=Markup(_asset("page.css")),
         data=Markup(_json(plotted)),
         licence=_licence() if plotted else "",
-        scripts=[
-            Markup(_script(text)) for text in (*([_plotly()] if plotted else []), _asset("page.js"))
-        ],
+        scripts=[Markup(_script(text)) for text in scripts],
     )
 
 
@@ -117,9 +102,7 @@ def _views(results: Results) -> dict[str, list[Any]]:
         "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results, motions)]),
         "Rate space": results.attempt("rate space", lambda: list(rate_space(results))),
     }
-    known = {
-        title: [view for view in part or [] if view is not None] for title, part in parts.items()
-    }
+    known = {title: [view for view in part or [] if view] for title, part in parts.items()}
     return {title: part for title, part in known.items() if part}
 
 
@@ -152,16 +135,11 @@ def _events(results: Results) -> list[PageTable]:
         return []
     from sunspin.vehicle.timeline import utc_after
 
-    line = results.timeline
-    rows = [
-        [
-            utc_after(event.t_s, line.epoch_utc),
-            event.name.replace("_", " "),
-            event.note,
-            event.refined_source or event.source,
-        ]
-        for event in line.events
-    ]
+    rows = []
+    for event in results.timeline.events:
+        utc = utc_after(event.t_s, results.timeline.epoch_utc)
+        source = event.refined_source or event.source
+        rows.append([utc, event.name.replace("_", " "), event.note, source])
     return [PageTable("Timeline", ["UTC", "event", "", "source"], rows)]
 
 
@@ -194,9 +172,8 @@ def _provenance(results: Results) -> list[tuple[str, str]]:
 
 @cache
 def _template() -> Any:
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
     return environment.from_string(_asset("page.html.j2"))
 
 
@@ -220,9 +197,8 @@ def _plotly() -> str:
     try:
         from plotly.offline import get_plotlyjs
     except ImportError:
-        raise OutputError(
-            "plotly, which draws the report, is not installed", do="pip install plotly"
-        ) from None
+        what = "plotly, which draws the report, is not installed"
+        raise OutputError(what, do="pip install plotly") from None
     return get_plotlyjs()
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import xarray as xr
 
@@ -46,8 +46,7 @@ MAX_ROWS = 200
 """Rows of a table that the page shows."""
 
 
-@dataclass(frozen=True)
-class PageTable:
+class PageTable(NamedTuple):
     """A table as text: title, headings, rows, the file it is from, how many rows are left out."""
 
     title: str
@@ -57,8 +56,7 @@ class PageTable:
     left: int = 0
 
 
-@dataclass(frozen=True)
-class PageFigure:
+class PageFigure(NamedTuple):
     """A figure as the bytes of an SVG or PNG file, what it shows in words, its caption."""
 
     name: str
@@ -109,11 +107,8 @@ class Results:
         try:
             return read()
         except Exception as error:  # data of any origin
-            why = (
-                str(error)
-                if isinstance(error, SunspinError)
-                else f"{type(error).__name__}: {error}"
-            )
+            kind = "" if isinstance(error, SunspinError) else f"{type(error).__name__}: "
+            why = f"{kind}{error}"
             self.problems.append(f"{printable(what)} could not be read or shown: {printable(why)}")
             return None
 
@@ -127,21 +122,21 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
         No such folder, not one of ours, or of a version that wrote no manifest or had other names.
     """
     path = Path(folder)
+    command = maker(path / MARKER) if path.is_dir() and is_own(path / MARKER) else ""
+    what, do = "", "give the --out of an earlier command"
     if not path.is_dir():
-        do = "give the --out of an earlier command"
-        raise InputError("there is no such folder", do=do, where=str(path))
-    if not is_own(path / MARKER):
+        what = "there is no such folder"
+    elif not is_own(path / MARKER):
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
-        do = "give the --out of an earlier command"
-        raise InputError(what, do=do, where=str(path))
-    results = Results(path, maker(path / MARKER))
-    if results.command in ("coverage", "worth"):
-        what = f"results of `sunspin {results.command}` are no longer shown, as the command is gone"
+    elif command in ("coverage", "worth"):
+        what = f"results of `sunspin {command}` are no longer shown, as the command is gone"
         do = "python -m studies.coverage OUT repeats the study"
-        raise InputError(what, do=do, where=str(path))
-    if not is_own(path / MANIFEST):
+    elif not is_own(path / MANIFEST):
         what = f"the folder has no {MANIFEST}: an earlier version wrote it, or the run did not end"
-        raise InputError(what, do="run the command again", where=str(path))
+        do = "run the command again"
+    if what:
+        raise InputError(what, do=do, where=str(path))
+    results = Results(path, command)
     manifest = results.attempt(MANIFEST, lambda: _object(path / MANIFEST)) or {}
     results.summary = results.attempt("summary.json", lambda: _object(path / "summary.json")) or {}
     damaged, entries = 0, _entries(results, manifest, "data")
@@ -168,9 +163,8 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
     if os.path.lexists(path / craft):
         results.vehicle = results.attempt(craft, lambda: read_vehicle(_own(path, craft)))
     if os.path.lexists(path / line):
-        results.timeline = results.attempt(
-            line, lambda: parse_timeline(_text(_own(path, line)), line)
-        )
+        timeline = results.attempt(line, lambda: parse_timeline(_text(_own(path, line)), line))
+        results.timeline = timeline
     return results
 
 
@@ -180,9 +174,8 @@ def _entries(results: Results, manifest: dict[str, Any], key: str) -> list[Any]:
         results.problems.append(f"{MANIFEST}: {key} is no list.")
         return []
     if len(entries) > MAX_FILES:
-        results.problems.append(
-            f"{MANIFEST} lists more than {MAX_FILES} {key}; the rest is left out."
-        )
+        what = f"{MANIFEST} lists more than {MAX_FILES} {key}"
+        results.problems.append(f"{what}; the rest is left out.")
     return entries[:MAX_FILES]
 
 
@@ -194,11 +187,8 @@ def _name(entry: Any) -> str:
 def _own(folder: Path, name: Any) -> Path:
     """The file of this name in the folder itself: no path, no link, no device."""
     if not isinstance(name, str) or Path(name).name != name or not is_own(folder / name):
-        raise InputError(
-            "this is not a regular file of the folder",
-            do="put the file itself there",
-            where=str(name)[:200],
-        )
+        what, do = "this is not a regular file of the folder", "put the file itself there"
+        raise InputError(what, do=do, where=str(name)[:200])
     return folder / name
 
 
@@ -229,12 +219,9 @@ def _data(results: Results, path: Path, tried: bool) -> bool:
 
 def _figure(folder: Path, entry: Any) -> PageFigure:
     path = _own(folder, entry["file"])
-    if (
-        path.suffix == ".svg"
-        and path.stat().st_size > 1_000_000
-        and is_own(path.with_suffix(".png"))
-    ):
-        path = path.with_suffix(".png")  # very many points
+    smaller = path.with_suffix(".png")
+    if path.suffix == ".svg" and path.stat().st_size > 1_000_000 and is_own(smaller):
+        path = smaller  # very many points
     content = read_bytes(path, MAX_TEXT_BYTES, "figure", InputError, "run the command again")
     return PageFigure(path.name, content, str(entry.get("alt", "")), str(entry.get("caption", "")))
 
@@ -250,9 +237,8 @@ def _table(folder: Path, entry: Any) -> Iterator[PageTable]:
     places = [(head.index(name), str(heading)) for name, heading in shown.items() if name in head]
     cells = [[_cell(row[place]) for place, _ in places] for row in islice(rows, MAX_ROWS)]
     left = sum(1 for _ in rows)
-    yield PageTable(
-        str(entry.get("title", "")), [text for _, text in places], cells, path.name, left
-    )
+    head = [text for _, text in places]
+    yield PageTable(str(entry.get("title", "")), head, cells, path.name, left)
 
 
 def _cell(text: str) -> str:

@@ -59,16 +59,13 @@ def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
         sections.setdefault(row["section"], {}).setdefault(row["part"], []).append(row)
     count = Counter(row["verdict"] for row in shown)
     tests = any(count[key] for key in TESTS)
-    return {
-        "title": "The paper against this run, row by row" if tests else "Figures of this run",
-        "lead": lead(shown),
-        "sections": sections,
-        "filters": [
-            {"key": key, "label": text[2:], "count": count[key]}
-            for key, text in VERDICTS.items()
-            if count[key]
-        ],
-    }
+    title = "The paper against this run, row by row" if tests else "Figures of this run"
+    filters = [
+        {"key": key, "label": text[2:], "count": count[key]}
+        for key, text in VERDICTS.items()
+        if count[key]
+    ]
+    return {"title": title, "lead": lead(shown), "sections": sections, "filters": filters}
 
 
 def lead(rows: list[dict[str, str]]) -> list[str]:
@@ -77,33 +74,35 @@ def lead(rows: list[dict[str, str]]) -> list[str]:
         Counter(r["verdict"] for r in rows if (WITHOUT in r["section"]) is apart)
         for apart in (False, True)
     )
-    found, told = here + lines, []
+    count, words = here + lines, []
     if any(here[key] for key in TESTS):
-        told.append(
+        words.append(
             f"Tests on this telemetry: {here['agrees']} agree, {here['differs']} differ, {here['uninformative']} are "
             "uninformative: these data leave nearly all that was possible before them."
         )
     elif any(lines[key] for key in TESTS):
-        told.append("No row is a test on this telemetry.")
+        words.append("No row is a test on this telemetry.")
     if any(lines[key] for key in TESTS):
-        told.append(
+        words.append(
             f"Tests without telemetry (the equations and the printed lines): {lines['agrees']} agree, {lines['differs']} differ"
             + (f", {lines['uninformative']} are uninformative" if lines["uninformative"] else "")
             + ". No telemetry can change them."
         )
-    back, missing = found["comes-back"], found["not-back"]
-    if put := back + missing + found["put-in"]:
-        told.append(
+    back, missing = count["comes-back"], count["not-back"]
+    if put := back + missing + count["put-in"]:
+        words.append(
             f"Put in: {put} figures; {back} come back, {missing} do not. This tests the code and not the paper."
         )
-    holds, fails = found["holds"], found["holds-not"]
-    if own := holds + fails + found["arithmetic"]:
-        told.append(
+    holds, fails = count["holds"], count["holds-not"]
+    if own := holds + fails + count["arithmetic"]:
+        words.append(
             f"The paper's own arithmetic and stored constants: {own} rows; {holds} hold, {fails} do not."
         )
-    if apart := found["not-comparable"]:
-        told.append(f"Not comparable: {apart} rows show two different things; the note says which.")
-    return told
+    if apart := count["not-comparable"]:
+        words.append(
+            f"Not comparable: {apart} rows show two different things; the note says which."
+        )
+    return words
 
 
 def verdict_of(row: dict[str, Any]) -> str:
@@ -128,11 +127,8 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
     if row.get("informative") is False and verdict == "not-comparable":
         more = "the data leave it open"
     chain = str(row.get("chain") or "")
-    return {
-        "id": str(row.get("id", "")),
-        "part": str(row.get("part", "")),
-        "section": str(row.get("section", "")),
-        "what": str(row.get("what", "")),
+    texts = ("id", "part", "section", "what", "note", "source")
+    return {name: str(row.get(name, "")) for name in texts} | {
         "published": "–" if row.get("published") is None else number_text(row["published"]),
         "ours": number_text(row.get("ours")),
         "interval": between(row.get("low"), row.get("high")),
@@ -142,8 +138,6 @@ def _shown(row: dict[str, Any]) -> dict[str, str]:
         "verdict": verdict,
         "verdict_text": VERDICTS[verdict],
         "more": more,
-        "note": str(row.get("note", "")),
-        "source": str(row.get("source", "")),
     }
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import plotly.graph_objects as go
@@ -31,8 +30,7 @@ FIRST = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest 
 """Motions of the Philae study in the order in which they are shown."""
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """A figure for the browser: its heading, the plotly figure, what it shows in words, its caption."""
 
     id: str
@@ -68,11 +66,9 @@ def sun_on_sphere(results: Results, motions: Motions) -> View | None:
     bare = len(traces)
     if sun is not None:
         known = np.isfinite(sun["sun_B"].values).all(axis=1)
-        phase = (
-            sun["phase"].values.astype(str)
-            if "phase" in sun.coords
-            else np.full(known.size, "samples")
-        )
+        phase = np.full(known.size, "samples")
+        if "phase" in sun.coords:
+            phase = sun["phase"].values.astype(str)
         for k, name in enumerate(dict.fromkeys(phase[known])):
             points = _thinned(sun["sun_B"].values[known & (phase == name)])
             traces.append(_cloud(points, name.replace("_", " "), COLOURS[k % 6], 4))
@@ -86,12 +82,9 @@ def sun_on_sphere(results: Results, motions: Motions) -> View | None:
         traces.append(_normals(results.vehicle))
     figure = go.Figure(traces)
     axis = {"range": [-1.25, 1.25], "nticks": 5}
+    axes = {f"{a}axis": {**axis, "title": {"text": f"{a}, body"}} for a in "xyz"}
     figure.update_layout(
-        scene={
-            **{f"{a}axis": {**axis, "title": {"text": f"{a}, body"}} for a in "xyz"},
-            "aspectmode": "cube",
-            "camera": {"eye": {"x": 1.35, "y": -1.4, "z": 0.9}},
-        }
+        scene=axes, scene_aspectmode="cube", scene_camera_eye={"x": 1.35, "y": -1.4, "z": 0.9}
     )
     return View(
         "sphere",
@@ -115,10 +108,8 @@ def _sphere() -> list[Any]:
     ball = 0.98 * np.stack([np.sin(v) * np.cos(u), np.sin(v) * np.sin(u), np.cos(v)])
     pale = [[0, "#b8c0c8"], [1, "#b8c0c8"]]
     surface = go.Surface(
-        x=float32(ball[0]),
-        y=float32(ball[1]),
-        z=float32(ball[2]),
-        surfacecolor=float32(0 * ball[0]),
+        places(np.moveaxis(ball, 0, -1)),
+        surfacecolor=(0 * ball[0]).astype(np.float32),
         colorscale=pale,
         showscale=False,
         hoverinfo="skip",
@@ -134,9 +125,7 @@ def _normals(vehicle: Vehicle) -> go.Scatter3d:
     names = np.array(vehicle.panel_names)
     texts = [", ".join(names[side_of.ravel() == k]) for k in range(len(sides))]
     return go.Scatter3d(
-        x=1.1 * sides[:, 0],
-        y=1.1 * sides[:, 1],
-        z=1.1 * sides[:, 2],
+        dict(zip("xyz", 1.1 * sides.T, strict=True)),
         mode="text",
         text=texts,
         hoverinfo="skip",
@@ -160,37 +149,29 @@ def rate_space(results: Results) -> Iterator[View]:
         return
     for k, (_, scan) in enumerate(results.having("near_minimum")):
         points = scan["near_minimum"].values
-        member = (
-            scan["member"].values
-            if "member" in scan and scan["member"].size == len(points)
-            else 0 * points[:, 0]
-        )
+        member = 0 * points[:, 0]
+        if "member" in scan and scan["member"].size == len(points):
+            member = scan["member"].values
         traces = [
             _cloud(_thinned(points[member == group]), f"set {int(group) + 1}", COLOURS[i % 6], 3)
             for i, group in enumerate(np.unique(member))
         ]
-        box = [
-            (float(scan[a].min()), float(scan[a].max())) for a in ("omega_x", "omega_y", "omega_z")
-        ]
+        rates = (scan[f"omega_{a}"] for a in "xyz")
+        box = [(float(rate.min()), float(rate.max())) for rate in rates]
         for point, direction, label, colour in (
             ("point", "direction", "fitted lines", INK),
             ("published_point", "published_direction", "published lines", COLOURS[1]),
         ):
             if point in scan and scan[point].ndim == 2:
-                ends = [
-                    _clipped(p, d, box)
-                    for p, d in zip(scan[point].values, scan[direction].values, strict=True)
-                ]
-                path = np.concatenate(
-                    [np.concatenate([end, np.full((1, 3), np.nan)]) for end in ends]
+                both, gap = (
+                    zip(scan[point].values, scan[direction].values, strict=True),
+                    [[np.nan] * 3],
                 )
+                path = np.concatenate([e for p, d in both for e in (_clipped(p, d, box), gap)])
                 traces.append(line(path, colour, 5, label).update(showlegend=True))
         if "truth" in scan:
-            traces.append(
-                _cloud(
-                    scan["truth"].values[None], "truth of the synthetic telemetry", COLOURS[4], 8
-                )
-            )
+            name, point = "truth of the synthetic telemetry", scan["truth"].values[None]
+            traces.append(_cloud(point, name, COLOURS[4], 8))
         about = str(scan.attrs.get("about", ""))
         caption = (
             f"Each dot is a motion, by its initial body rate: the {len(points)} with a misfit near the smallest. "
@@ -212,7 +193,7 @@ def _rates(traces: list[Any], unit: str) -> go.Figure:
     figure = go.Figure(traces)
     axes = {f"{a}axis": {"title": {"text": f"ω{a} ({unit})"}, "nticks": 6} for a in "xyz"}
     figure.update_layout(
-        scene={**axes, "aspectmode": "data", "camera": {"eye": {"x": 1.5, "y": 1.7, "z": 1.0}}}
+        scene=axes, scene_aspectmode="data", scene_camera_eye={"x": 1.5, "y": 1.7, "z": 1.0}
     )
     return styled(figure)
 
@@ -226,18 +207,14 @@ def _clipped(point: np.ndarray, along: np.ndarray, box: list[tuple[float, float]
 
 
 def _cloud(points: np.ndarray, name: str, colour: str, size: float) -> go.Scatter3d:
-    x, y, z = (float32(points[:, k]) for k in range(3))
     marker = {"size": size, "color": colour}
-    return go.Scatter3d(x=x, y=y, z=z, mode="markers", name=name, marker=marker)
+    return go.Scatter3d(places(points), mode="markers", name=name, marker=marker)
 
 
 def line(points: np.ndarray, colour: str, width: float, name: str = "") -> go.Scatter3d:
     """A line through points (n, 3), broken where they are NaN."""
-    x, y, z = (float32(points[:, k]) for k in range(3))
-    style = {"width": width, "color": colour}
-    return go.Scatter3d(
-        x=x, y=y, z=z, mode="lines", line=style, name=name, hoverinfo="skip", showlegend=False
-    )
+    style = {"line": {"width": width, "color": colour}, "hoverinfo": "skip"}
+    return go.Scatter3d(places(points), mode="lines", name=name, showlegend=False, **style)
 
 
 def styled(figure: go.Figure) -> go.Figure:
@@ -258,6 +235,6 @@ def _thinned(points: np.ndarray) -> np.ndarray:
     return points[:: -(-len(points) // MOST_POINTS) or 1]
 
 
-def float32(values: Any) -> np.ndarray:
-    """Numbers as the page stores them."""
-    return np.asarray(values, dtype=np.float32)
+def places(points: np.ndarray) -> dict[str, np.ndarray]:
+    """Points (..., 3) as plotly takes them, with the digits that the page stores."""
+    return {axis: points[..., k].astype(np.float32) for k, axis in enumerate("xyz")}

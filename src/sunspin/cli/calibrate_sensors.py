@@ -8,13 +8,14 @@ from dataclasses import replace
 import click
 
 from sunspin.base.errors import OutputError
+from sunspin.cli.changes import Command
 from sunspin.cli.common import PATH, read_both, shared
 
 COPY = "calibrated.toml"
 """The vehicle's copy in a results folder."""
 
 
-@click.command("calibrate-sensors")
+@click.command("calibrate-sensors", cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry")
 @click.option(
@@ -25,7 +26,7 @@ COPY = "calibrated.toml"
     "folder for it; neither may have one yet.",
 )
 @shared("--data", "--tle", "--tle-shift-sigma", out=False)
-def calibrate_sensors(vehicle, telemetry, target, data, elements, shift_sigma, output) -> None:
+def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output) -> None:
     """Calibrate panels, Sun sensors, magnetometer and gyro by the telemetry itself, and write a copy of the vehicle file.
 
     Gains of panels come from how bright samples in full Sun are. With orbital elements the strength of the field and its angle to
@@ -44,7 +45,7 @@ def calibrate_sensors(vehicle, telemetry, target, data, elements, shift_sigma, o
     from sunspin.vehicle.file import parse_vehicle, vehicle_text
     from sunspin.vehicle.rewrite import rewritten
 
-    craft, samples = read_both(vehicle, telemetry, data)
+    craft, samples = read_both(vehicle, telemetry)
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     copy = None if target is None else target if target.suffix == ".toml" else target / COPY
     if copy is not None and os.path.lexists(copy):
@@ -56,6 +57,6 @@ def calibrate_sensors(vehicle, telemetry, target, data, elements, shift_sigma, o
     if copy is not None:
         text = rewritten(vehicle_text(vehicle), new_values(result))
         parse_vehicle(text, str(copy))  # what is written can be read
-        write_whole(copy, lambda part: part.write_text(text, "utf-8"))
+        write_whole(copy, text)
         lines = [f"Calibrated copy: {copy}"]
     output.deliver(result, vehicle, samples, lines=lines, main=COPY)
