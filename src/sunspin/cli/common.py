@@ -237,6 +237,7 @@ SHARED = {
     ),
     "--scheduler": click.option(
         "--scheduler",
+        "executor",
         metavar="ADDRESS",
         help="Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
         'Needs pip install "sunspin[cluster]".',

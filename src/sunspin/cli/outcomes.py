@@ -89,7 +89,7 @@ def outcomes(
     condition,
     data,
     store,
-    scheduler,
+    executor,
     sets,
     seed,
     workers,
@@ -140,7 +140,7 @@ def outcomes(
         scenario,
         store=store,
         workers=workers,
-        scheduler=scheduler,
+        executor=executor,
         progress=output.progress,
     )
     weighted = against_kernel(craft.name, next(iter(found.values())), data) if condition else None
