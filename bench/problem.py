@@ -72,7 +72,7 @@ class Problem:
             wheel_speed_rad_s=self.wheel_speed_rad_s,
             duration_s=self.window_s,
             workers=workers,
-            direction_error=direction_error,
+            propagation=ss.Propagation(direction_error=direction_error),
         )
 
     def starts(self, omega_B: np.ndarray) -> np.ndarray:

@@ -258,7 +258,7 @@ def hostile_value(parameter: click.Parameter, rng: np.random.Generator) -> str:
         pool = hostile.OPTION_NUMBERS
     else:
         pool = hostile.TEXTS
-    if parameter.name == "scheduler":
+    if parameter.name == "executor":
         pool = ("", "nonsense", "tcp://", "tcp://127.0.0.1:1", "http://x", "\n", "tcp://[::1")
     if parameter.name == "workers":
         pool = ("1", "2", "0", "-1", "nan", "4097", "1e3", "")

@@ -31,7 +31,11 @@ if (
     from sunspin.estimate.calibrate.sensors import calibrate_sensors as calibrate_sensors
     from sunspin.estimate.rates.estimate import rates as rates
     from sunspin.estimate.terms.period import Period as Period
-    from sunspin.estimate.scan.volume import near_minimum as near_minimum, scan as scan
+    from sunspin.estimate.scan.volume import (
+        Propagation as Propagation,
+        near_minimum as near_minimum,
+        scan as scan,
+    )
     from sunspin.telemetry.health import panel_health as panel_health
     from sunspin.vehicle.response.panels import panel_power as panel_power
     from sunspin.telemetry.assess import panel_quality as panel_quality
@@ -86,6 +90,7 @@ _HOME = {
     "direction_error": "sunspin.estimate.scan.metrics",
     "emd": "sunspin.estimate.scan.metrics",
     "scan": "sunspin.estimate.scan.volume",
+    "Propagation": "sunspin.estimate.scan.volume",
     "near_minimum": "sunspin.estimate.scan.volume",
     "fit_lines": "sunspin.estimate.scan.lines",
     "posterior": "sunspin.estimate.posterior.estimate",

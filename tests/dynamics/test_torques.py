@@ -185,14 +185,17 @@ def test_a_scan_runs_under_torques():
         SUN,
         *grid,
         SPEED,
-        direction_error=1e-8,
-        environment=ORBIT,
-        torques=PULL,
-        B_from_N=ATTITUDE.as_quat(),
-        start_s=START_S,
+        propagation=ss.Propagation(
+            direction_error=1e-8,
+            environment=ORBIT,
+            torques=PULL,
+            B_from_N=ATTITUDE.as_quat(),
+            start_s=START_S,
+        ),
     )
     assert found.values[0, 0, 0] < 1e-12 < found.values.ravel()[1:].min()
-    other = ss.scan(BODY, track, SUN, *grid, SPEED, direction_error=1e-8)
+    free = ss.Propagation(direction_error=1e-8)
+    other = ss.scan(BODY, track, SUN, *grid, SPEED, propagation=free)
     assert other.values[0, 0, 0] > 1e-7  # the control: without the torque it is another motion
 
 

@@ -34,9 +34,8 @@ def paper(case):
 def rows_of(case, n=24, strategy="off", **changes) -> OutcomeRows:
     scenario = replace(sc.case_scenario(case), **changes)
     candidates = candidates_of(case.vehicle, published_candidates(case), scenario)
-    return OutcomeRows(
-        case.vehicle, scenario, sc.strategy_of(case.vehicle, strategy), candidates, n, 3
-    )
+    how = sc.strategy_of(case.vehicle, strategy)
+    return OutcomeRows(case.vehicle, scenario, how, *candidates, n, 3)
 
 
 @pytest.mark.evidence("outcomes", "verified", "other threads and chunks")

@@ -7,8 +7,7 @@ import sunspin as ss
 from chains import chain_on_the_lines
 from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
-from sunspin.landing.tally import estimate
-from sunspin.landing.weighted import explained, facts_of, weightings
+from sunspin.landing.tally import estimate, explained, facts_of, weightings
 from sunspin.philae import collision as co
 from sunspin.philae import landing as la
 from sunspin.philae.rebound import published_candidates

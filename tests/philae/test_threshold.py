@@ -9,8 +9,8 @@ import pytest
 import sunspin as ss
 from philae_sun import as_drawn
 from sunspin.base.errors import InputError
-from sunspin.estimate.scan.rows import Start
-from sunspin.estimate.scan.table import HistogramRows, Table, make_table
+from sunspin.estimate.scan.rows import ScanRows, Start
+from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import carries
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
@@ -113,7 +113,7 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
         CASE.vehicle, list(rb.grid(CASE).values()), REBOUND.sun_B, rb.nominal_speed(CASE.vehicle)
     )
     whole = Table(
-        HistogramRows(CASE.vehicle, grid, REBOUND.window_s), np.zeros((0, 1)), np.zeros(0)
+        ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist"), np.zeros((0, 1)), np.zeros(0)
     )
     assert th.key_of(REBOUND, whole) == shipped.key, (
         "the built-in telemetry needs another calibration: threshold.ship"

@@ -193,7 +193,7 @@ SHARED: dict[str, dict[str, Any]] = {
         "type": PATH,
         "help": "Checkpoint folder: the same command resumes from it after an interruption. Other inputs need another folder.",
     },
-    "--scheduler": {
+    "--scheduler executor": {
         "metavar": "ADDRESS",
         "help": "Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
         'Needs pip install "sunspin[cluster]".',

@@ -76,7 +76,7 @@ def outcomes(
     condition,
     data,
     store,
-    scheduler,
+    executor,
     changes,
     seed,
     workers,
@@ -122,7 +122,7 @@ def outcomes(
         scenario,
         store=store,
         workers=workers,
-        scheduler=scheduler,
+        executor=executor,
         progress=output.progress,
     )
     weighted = against_kernel(craft.name, next(iter(found.values())), data) if condition else None

@@ -77,8 +77,8 @@ def scan(
       sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x-deg-s=-6:6:1 --omega-y-deg-s=-6:6:1 --omega-z-deg-s=0:6:1
       sunspin scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:60:6 --store scan-rows --out scan-results
     """
+    from sunspin.estimate.scan import volume as scans
     from sunspin.estimate.scan.chosen import with_chosen
-    from sunspin.estimate.scan.volume import scan as run_scan
     from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
 
@@ -98,16 +98,18 @@ def scan(
         target = track["sun_B"].values[:, 2]
         weights = target_weights(study.target_weights, track["time"].values)
     output.claim()
-    volume = run_scan(
+    how = scans.Propagation(run.pop("wheel_mode"), run.pop("direction_error"))
+    volume = scans.scan(
         craft,
         target,
         track["sun_B"].values[0],
-        **run,
         wheel_speed_rad_s=speeds or None,
         duration_s=float(track["time"].values[-1]),
-        progress=output.progress,
-        mask=None if study.mask == "everywhere" else study.mask,
+        propagation=how,
         weights=weights,
+        mask=None if study.mask == "everywhere" else study.mask,
+        progress=output.progress,
+        **run,
     )
     result = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
     output.deliver(result, made.file, samples, {"seed": seed}, main="scan.nc")

@@ -50,7 +50,7 @@ class Bodies:
         return cls(inertia_kg_m2, none, none, none, still, np.zeros((0, 3)))
 
     @classmethod
-    def stack(cls, vehicles: Sequence[Vehicle]) -> Bodies:
+    def stack(cls, vehicles: Sequence[Vehicle | Bodies]) -> Bodies:
         """The numbers of vehicles (n) that differ in inertia and friction only."""
         variants = [cls.of(vehicle) for vehicle in vehicles]
         names = [field.name for field in fields(cls)[:-1]]

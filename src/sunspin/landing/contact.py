@@ -80,8 +80,6 @@ def _facets(
     points: np.ndarray, kind: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | tuple[None, None, None]:
     """Normals, distances and kinds of the hull's facets; None where it has no volume or leaves the centre of mass out."""
-    if len(points) < 4:
-        return None, None, None
     try:
         equations = ConvexHull(points).equations
     except QhullError:

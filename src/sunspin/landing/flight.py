@@ -47,32 +47,17 @@ def fly(
     times = np.asarray(times_s, dtype=np.float64)
     pieces, outcome = [], np.zeros(len(rows), dtype=np.int64)
     for begin, end, command in legs_of(schedule, begin_s, times[-1]):
-        wanted = (
-            times[(times > begin) & (times <= end)]
-            if end > begin
-            else times[(times < begin) & (times >= end)]
-        )
-        stops = np.unique(np.concatenate([wanted, [end]]))
-        stops = stops if end > begin else stops[::-1]
-        result = k.run_rows(
+        low, high = sorted((begin, end))
+        wanted = times[(times >= low) & (times <= high) & (times != begin)]
+        stops = wanted if len(wanted) and wanted[-1] == end else np.append(wanted, end)
+        run = k.run_rows(
             vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR
         )
-        piece = Track(
-            result.momentum_B,
-            result.sun_B,
-            result.omega_B,
-            result.wheel_speed_rad_s,
-            result.outcome,
-        )
-        outcome = np.where(outcome == 0, result.outcome, outcome)
-        rows = piece.at(-1)
-        pieces.append((piece, np.isin(stops, wanted)))
-    parts = ("momentum_B", "sun_B", "omega_B", "wheel_speed_rad_s")
-    joined = {
-        name: np.concatenate([getattr(piece, name)[:, use] for piece, use in pieces], axis=1)
-        for name in parts
-    }
-    return Track(**joined, outcome=outcome)
+        outcome = np.where(outcome == 0, run.outcome, outcome)
+        values = run.momentum_B, run.sun_B, run.omega_B, run.wheel_speed_rad_s
+        rows = Track(*values, outcome).at(-1)
+        pieces.append([value[:, : len(wanted)] for value in values])
+    return Track(*(np.concatenate(piece, axis=1) for piece in zip(*pieces, strict=True)), outcome)
 
 
 def sun_height_shares(
@@ -92,14 +77,8 @@ def sun_height_shares(
     return total, outcome
 
 
-def triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
-    """Orthonormal triads (..., 3, 3), rows in body axes, made of two directions fixed in space; NaN where they are parallel."""
-    first = _unit(momentum_B)
-    third = _unit(np.cross(first, sun_B), smallest=1e-6)
-    return np.stack([first, np.cross(third, first), third], axis=-2)
-
-
 def _unit(vector: np.ndarray, smallest: float = 0.0) -> np.ndarray:
+    """Unit vectors; NaN for those no longer than `smallest`."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.where(length > smallest, vector / np.where(length > smallest, length, 1.0), np.nan)
 
@@ -120,6 +99,13 @@ def carry(
     -------
     (n, ..., 3) or (n_direction, n, ..., 3), NaN where momentum and Sun are parallel.
     """
+
+    def triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
+        """Orthonormal triads (..., 3, 3), rows in body axes."""
+        first = _unit(momentum_B)
+        third = _unit(np.cross(first, sun_B), smallest=1e-6)
+        return np.stack([first, np.cross(third, first), third], axis=-2)
+
     fixed = np.einsum("nij,...nj->...ni", triad(*start), direction_B)
     frames = triad(*end)
     fixed = fixed.reshape(*fixed.shape[:-1], *(1,) * (frames.ndim - 3), 3)

@@ -6,7 +6,6 @@ the orbiter is), see :mod:`sunspin.landing.scenario`; the runs go through the en
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,13 +23,10 @@ from sunspin.dynamics.wheel_modes import command_at, mode_before
 from sunspin.landing import scenario as sc
 from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of, support
 from sunspin.landing.flight import angle_about, carry, fly, sun_height_shares
-from sunspin.landing.outcome_data import dataset
+from sunspin.landing.outcome_data import BINS, VARIABLES, dataset, dim_of
 from sunspin.solve.rotations import smallest_turn
 from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Antenna, Vehicle
-
-BINS = 80
-"""Bins of r_z over [-1, 1]; the paper's bounds -0.5 and -0.2 lie between bins."""
 
 CHUNK = 2048
 """Runs per call: the tracks of one chunk take some 100 MB."""
@@ -48,71 +44,57 @@ APPROACH_TURN_RAD = 0.25
 samples 1.2 rad apart a tenth of the runs touched with the wrong point."""
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """Possible motions at one instant: rates (m, 3) rad/s, Sun (m, 3), wheel speeds (m, n_wheel), how likely (m, sum 1)."""
-
-    omega_B: np.ndarray
-    sun_B: np.ndarray
-    wheel_speed_rad_s: np.ndarray
-    probability: np.ndarray
-
-    def pick(self, uniform: np.ndarray) -> np.ndarray:
-        """Numbers of the candidates that uniform numbers in [0, 1) fall on."""
-        return np.minimum(
-            np.searchsorted(np.cumsum(self.probability), uniform, side="right"),
-            len(self.omega_B) - 1,
-        )
-
-    def rows(self, index: np.ndarray) -> k.Rows:
-        return k.Rows(self.omega_B[index], self.sun_B[index], self.wheel_speed_rad_s[index])
+Draws = dict[str, np.ndarray]
+"""Of each of `scenario.DRAWS` a uniform number for each run."""
 
 
-def candidates_of(vehicle: Vehicle, given: Any, scenario: sc.Scenario) -> Candidates:
-    """Candidates from rates (m, 3) rad/s, or from a Dataset with `omega_B` and, if it has them, `sun_B`,
-    `wheel_speed_rad_s` and `log_weight`; the scenario's Sun and wheel speeds where they are not given.
+def candidates_of(vehicle: Vehicle, given: Any, scenario: sc.Scenario) -> tuple[k.Rows, np.ndarray]:
+    """Possible motions (m) at one instant and their probabilities (m), from rates (m, 3) rad/s, or from a Dataset with `omega_B`
+    and, if it has them, `sun_B`, `wheel_speed_rad_s` and `log_weight`; the scenario's Sun and wheel speeds where it has not.
     """
     held = given if isinstance(given, xr.Dataset) else {"omega_B": given}
     try:
         omega = np.atleast_2d(np.asarray(held["omega_B"], dtype=np.float64))
     except (KeyError, TypeError, ValueError):
         omega = np.zeros(0)
-    if (
-        omega.ndim != 2
-        or omega.shape[1:] != (3,)
-        or len(omega) == 0
-        or not np.all(np.isfinite(omega))
-    ):
-        raise InputError(
-            "candidates must be rates (m, 3) in rad/s, finite", got=f"shape {omega.shape}"
-        )
-    m, n_wheel = len(omega), len(vehicle.wheels)
+    if omega.shape[1:] != (3,) or len(omega) == 0 or not np.all(np.isfinite(omega)):
+        what = "candidates must be rates (m, 3) in rad/s, finite"
+        raise InputError(what, got=f"shape {omega.shape}")
+    m = len(omega)
     own = wheel_speeds(vehicle, list(scenario.wheel_speed_rad_s) or None)
-    sun = np.asarray(
-        held["sun_B"] if "sun_B" in held else np.tile(scenario.sun_B, (m, 1)), dtype=np.float64
+    default = {
+        "sun_B": np.tile(scenario.sun_B, (m, 1)),
+        "wheel_speed_rad_s": np.tile(own, (m, 1)),
+        "log_weight": np.zeros(m),
+    }
+    sun, speeds, weight = (
+        np.asarray(held[name] if name in held else values, dtype=np.float64)
+        for name, values in default.items()
     )
-    speeds = np.asarray(
-        held["wheel_speed_rad_s"] if "wheel_speed_rad_s" in held else np.tile(own, (m, 1)),
-        dtype=np.float64,
-    )
-    weight = np.asarray(
-        held["log_weight"] if "log_weight" in held else np.zeros(m), dtype=np.float64
-    )
-    if (
-        sun.shape != (m, 3)
-        or speeds.shape != (m, n_wheel)
-        or weight.shape != (m,)
-        or not np.any(np.isfinite(weight))
-    ):
-        shapes = f"{sun.shape}, {speeds.shape}, {weight.shape}"
-        wanted = f"({m}, 3), ({m}, {n_wheel}), ({m},)"
-        raise InputError(
-            f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {wanted}",
-            got=shapes,
-        )
+    shapes, wanted = (sun.shape, speeds.shape, weight.shape), ((m, 3), (m, len(own)), (m,))
+    if shapes != wanted or not np.any(np.isfinite(weight)):
+        what = f"sun_B, wheel_speed_rad_s and log_weight of the candidates must be {wanted}"
+        raise InputError(what, got=shapes)
     likely = np.nan_to_num(np.exp(weight - np.nanmax(weight)))
-    return Candidates(
-        omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds, likely / likely.sum()
+    states = k.Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
+    return states, likely / likely.sum()
+
+
+def collide(
+    vehicle: Vehicle, scenario: sc.Scenario, draw: Draws, before: k.Rows, mode: Any
+) -> tuple[np.ndarray, xr.Dataset]:
+    """Numbers (n) of the legs that hit, drawn at random, and the :func:`sunspin.impact` of each on a motion (paper, eqs. 8-11)."""
+    leg = (draw["leg"] * len(vehicle.legs)).astype(int)
+    axis = np.tile(scenario.collision_axis_B, (len(leg), 1))
+    return leg, impact(
+        vehicle,
+        before.omega_B,
+        before.wheel_speed_rad_s,
+        scenario.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"]),
+        leg,
+        mode,
+        restitution=scenario.restitution,
+        damper=scenario.damper,
     )
 
 
@@ -123,35 +105,16 @@ class OutcomeRows:
     vehicle: Vehicle
     scenario: sc.Scenario
     strategy: sc.Strategy
-    candidates: Candidates
+    candidates: k.Rows
+    probability: np.ndarray
     n: int
     seed: int
     shape: Shape | None = field(init=False, repr=False)
     verticals: np.ndarray = field(init=False, repr=False)
 
     outputs = {
-        "outcome": ("int8", ()),
-        "candidate": ("int32", ()),
-        "leg": ("int8", ()),
-        "rz_share": ("float32", (BINS,)),
-        "omega_before_B": ("float64", (3,)),
-        "omega_after_B": ("float64", (3,)),
-        "momentum_before": ("float64", ()),
-        "momentum_after": ("float64", ()),
-        "velocity_change": ("float64", ()),
-        "speed_after": ("float64", ()),
-        "change_to_sun": ("float64", ()),
-        "change_about_sun": ("float64", ()),
-        "contact_point": ("int16", ()),
-        "lowest_point": ("int16", ()),
-        "contact_speed": ("float64", ()),
-        "leg_tip_speed": ("float64", ()),
-        "leg_tip_bound": ("float64", ()),
-        "up_z": ("float64", ()),
-        "antenna_share": ("float32", ()),
-        "antenna_at_contact": ("int8", ()),
-        "antenna_at_rest": ("int8", ()),
-        "rest_facet": ("int16", ()),
+        name: (dtype, {"rz": (BINS,), "axis": (3,), None: ()}[dim_of(name)])
+        for name, (dtype, _, _) in VARIABLES.items()
     }
 
     def __post_init__(self) -> None:
@@ -164,11 +127,8 @@ class OutcomeRows:
 
     @property
     def collides(self) -> bool:
-        return (
-            self.scenario.collision_speed_m_s is not None
-            and bool(self.vehicle.legs)
-            and self.vehicle.mass_kg is not None
-        )
+        speed, mass = self.scenario.collision_speed_m_s, self.vehicle.mass_kg
+        return speed is not None and bool(self.vehicle.legs) and mass is not None
 
     @property
     def lands(self) -> bool:
@@ -182,26 +142,39 @@ class OutcomeRows:
         return 1.02 * reach / (sc.STEEPEST_SINE * self.scenario.landing_speed_m_s) + 1.0
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        draw = sc.draws(self.seed, index)
+        s, draw = self.scenario, sc.draws(self.seed, index)
         out = {
             name: np.full((len(index), *shape), _nothing(dtype), dtype)
             for name, (dtype, shape) in self.outputs.items()
         }
-        out["candidate"][:] = self.candidates.pick(draw["candidate"])
+        number = np.searchsorted(np.cumsum(self.probability), draw["candidate"], side="right")
+        out["candidate"][:] = np.minimum(number, len(self.candidates) - 1)
         drawn, run_of = np.unique(out["candidate"], return_inverse=True)
-        (touchdown, before), bad = self._to_collision(self.candidates.rows(drawn))
+        touchdown, before, bad = self._to_collision(self.candidates.take(drawn))
         touchdown, before, bad = touchdown.take(run_of), before.take(run_of), bad[run_of]
-        after, impulse_B = self._collide(before, draw, out) if self.collides else (before, None)
+        after, impulse_B = before, None
         if self.collides:
+            mode = command_at(self.strategy.schedule, s.collision_s)
+            out["leg"][:], hit = collide(self.vehicle, s, draw, before, mode)
+            impulse_B = hit["impulse_B"].values
+            after = k.Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values)
+            size = np.linalg.norm(impulse_B, axis=1)
+            out["velocity_change"][:] = size / self.vehicle.require_mass()
+            out["speed_after"][:] = np.linalg.norm(hit["velocity_B"].values, axis=1)
             out["omega_before_B"][:], out["omega_after_B"][:] = before.omega_B, after.omega_B
         momenta = [
             g.total_momentum(self.vehicle, x.omega_B, x.wheel_speed_rad_s)
             for x in (touchdown, before, after)
         ]
-        for name, momentum in zip(("momentum_before", "momentum_after"), momenta[1:], strict=True):
-            out[name][:] = np.linalg.norm(momentum, axis=1)
+        out["momentum_before"][:] = np.linalg.norm(momenta[1], axis=1)
+        out["momentum_after"][:] = np.linalg.norm(momenta[2], axis=1)
         up = self.verticals[(draw["vertical"] * len(self.verticals)).astype(int)]
-        orbiter = self._orbiter(up, draw)
+        if isinstance(s.orbiter, str):
+            polar = draw["orbiter_polar"]
+            cosine = polar if s.orbiter == "above_horizon" else 2 * polar - 1
+            orbiter = sc.about(up, cosine, draw["orbiter_azimuth"])
+        else:
+            orbiter = np.tile(np.array(s.orbiter, float) / np.linalg.norm(s.orbiter), (len(up), 1))
         ends = (momenta[0], touchdown.sun_B), (momenta[1], before.sun_B)
         fixed = carry(np.stack([up, orbiter]), *ends)
         if impulse_B is not None:
@@ -209,65 +182,42 @@ class OutcomeRows:
                 impulse_B, before.sun_B, fixed[0]
             )
         bad = self._after(after, momenta[2], fixed, draw, out, bad)
-        return _without(out, bad)
+        for name, values in out.items():
+            if name != "candidate":
+                values[bad != 0] = _nothing(values.dtype)
+        out["outcome"][:] = bad
+        return out
 
-    def _to_collision(self, start: k.Rows) -> tuple[tuple[k.Rows, k.Rows], np.ndarray]:
+    def _to_collision(self, start: k.Rows) -> tuple[k.Rows, k.Rows, np.ndarray]:
         """States at the touchdown and just before the collision of candidates (n), each run once however often it is drawn;
-        the outcome (n)."""
-        s = self.scenario
-        flown = ((-np.inf, mode_before(start.wheel_speed_rad_s)),)
-        back = fly(self.vehicle, start, flown, s.lead_s, np.array([0.0])) if s.lead_s > 0 else None
-        bad = np.zeros(len(start), dtype=np.int64) if back is None else back.outcome
-        touchdown = start if back is None else _healthy(back.at(0), start, bad)
-        if s.collision_s == 0:
-            return (touchdown, touchdown), bad
-        track = fly(self.vehicle, touchdown, self.strategy.schedule, 0.0, np.array([s.collision_s]))
-        bad = np.where(bad == 0, track.outcome, bad)
-        return (touchdown, _healthy(track.at(0), start, bad)), bad
-
-    def _collide(
-        self, before: k.Rows, draw: dict[str, np.ndarray], out: dict[str, np.ndarray]
-    ) -> tuple[k.Rows, np.ndarray]:
-        """The state after the impact of a leg drawn at random (paper, eqs. 8-11: it sticks), and the impulse (n, 3) N s."""
-        s = self.scenario
-        leg = (draw["leg"] * len(self.vehicle.legs)).astype(int)
-        axis = np.tile(s.collision_axis_B, (len(leg), 1))
-        velocity = s.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])
-        mode = command_at(self.strategy.schedule, s.collision_s)
-        hit = impact(
-            self.vehicle,
-            before.omega_B,
-            before.wheel_speed_rad_s,
-            velocity,
-            leg,
-            mode,
-            restitution=s.restitution,
-            damper=s.damper,
-        )
-        out["leg"][:] = leg
-        out["velocity_change"][:] = (
-            np.linalg.norm(hit["impulse_B"].values, axis=1) / self.vehicle.require_mass()
-        )
-        out["speed_after"][:] = np.linalg.norm(hit["velocity_B"].values, axis=1)
-        return k.Rows(hit["omega_B"].values, before.sun_B, hit["wheel_speed_rad_s"].values), hit[
-            "impulse_B"
-        ].values
-
-    def _orbiter(self, up: np.ndarray, draw: dict[str, np.ndarray]) -> np.ndarray:
-        wanted = self.scenario.orbiter
-        if not isinstance(wanted, str):
-            return np.tile(np.array(wanted, float) / np.linalg.norm(wanted), (len(up), 1))
-        cosine = (
-            draw["orbiter_polar"] if wanted == "above_horizon" else 2 * draw["orbiter_polar"] - 1
-        )
-        return sc.about(up, cosine, draw["orbiter_azimuth"])
+        the outcome (n). Those that fail go on from a finite state, and are blanked at the end."""
+        s, states, bad = self.scenario, [start], np.zeros(len(start), dtype=np.int64)
+        back = ((-np.inf, mode_before(start.wheel_speed_rad_s)),)
+        for schedule, begin, end in (
+            (back, s.lead_s, 0.0),
+            (self.strategy.schedule, 0.0, s.collision_s),
+        ):
+            if begin == end:
+                states.append(states[-1])
+                continue
+            track = fly(self.vehicle, states[-1], schedule, begin, np.array([end]))
+            bad = np.where(bad == 0, track.outcome, bad)
+            use, at = (bad == 0)[:, None], track.at(0)
+            states.append(
+                k.Rows(
+                    np.where(use, at.omega_B, start.omega_B),
+                    np.where(use, at.sun_B, start.sun_B),
+                    np.where(use, at.wheel_speed_rad_s, start.wheel_speed_rad_s),
+                )
+            )
+        return states[1], states[2], bad
 
     def _after(
         self,
         start: k.Rows,
         momentum: np.ndarray,
         fixed: np.ndarray,
-        draw: dict[str, np.ndarray],
+        draw: Draws,
         out: dict[str, np.ndarray],
         bad: np.ndarray,
     ) -> np.ndarray:
@@ -282,103 +232,82 @@ class OutcomeRows:
         times = np.unique(np.concatenate([flight, approach]))
         track = fly(self.vehicle, start, schedule, s.collision_s, times)
         bad = np.where(bad == 0, track.outcome, bad)
-        ends = (momentum, start.sun_B), (track.momentum_B, track.sun_B)
-        up, orbiter = carry(fixed, *ends)
-        known = (
-            (bad == 0) & np.isfinite(up).all(axis=(1, 2)) & np.isfinite(orbiter).all(axis=(1, 2))
-        )
+        seen = carry(fixed, (momentum, start.sun_B), (track.momentum_B, track.sun_B))
+        known = (bad == 0) & np.isfinite(seen).all(axis=(0, 2, 3))
         if self.vehicle.antenna is not None:
-            served = _served(self.vehicle.antenna, orbiter[:, np.isin(times, flight)])
+            served = _served(self.vehicle.antenna, seen[1][:, np.isin(times, flight)])
             out["antenna_share"][:] = np.where(known, served.mean(axis=1), np.nan)
         if not self.lands:
             return bad
         last = np.isin(times, approach)
-        turned = np.linalg.norm(track.omega_B[:, last], axis=2).max(axis=1) * (
-            times[last][1] - times[last][0]
-        )
+        omega_B, step_s = track.omega_B[:, last], approach[1] - approach[0]
+        turned = np.linalg.norm(omega_B[known], axis=2).max(axis=1) * step_s
         finer = np.zeros(len(bad), dtype=int)
-        finer[known] = np.ceil(np.log2(np.maximum(turned[known] / APPROACH_TURN_RAD, 1.0)))
-        pieces = up[:, last], orbiter[:, last], track.omega_B[:, last]
-        self._land_some(np.flatnonzero(known & (finer == 0)), approach, pieces, draw, out)
-        for rows, level in _slices(finer):
-            t = self._approach_times(level)
-            some = k.Rows(start.omega_B[rows], start.sun_B[rows], start.wheel_speed_rad_s[rows])
-            track = fly(self.vehicle, some, schedule, s.collision_s, t)
-            again = carry(
-                fixed[:, rows], (momentum[rows], some.sun_B), (track.momentum_B, track.sun_B)
-            )
-            bad[rows] = np.where(bad[rows] == 0, track.outcome, bad[rows])
-            self._land_some(rows, t, (*again, track.omega_B), draw, out, np.arange(len(rows)))
+        finer[known] = np.ceil(np.log2(np.maximum(turned / APPROACH_TURN_RAD, 1.0)))
+        usual = np.flatnonzero(known & (finer == 0))
+        self._land(usual, approach, seen[:, usual][:, :, last], omega_B[usual], draw, out)
+        for level in np.unique(finer[finer > 0]).tolist():
+            close, size = np.flatnonzero(finer == level), max(CHUNK >> level, 1)
+            times = self._approach_times(level)
+            for at in range(0, len(close), size):  # no more memory than a chunk of usual samples
+                rows = close[at : at + size]
+                some = start.take(rows)
+                track = fly(self.vehicle, some, schedule, s.collision_s, times)
+                bad[rows] = np.where(bad[rows] == 0, track.outcome, bad[rows])
+                ends = (momentum[rows], some.sun_B), (track.momentum_B, track.sun_B)
+                self._land(rows, times, carry(fixed[:, rows], *ends), track.omega_B, draw, out)
         return bad
-
-    def _land_some(
-        self,
-        rows: np.ndarray,
-        t: np.ndarray,
-        pieces: tuple[np.ndarray, np.ndarray, np.ndarray],
-        draw: dict[str, np.ndarray],
-        out: dict[str, np.ndarray],
-        at: np.ndarray | None = None,
-    ) -> None:
-        """First contact and rest of some runs; `pieces`: vertical, orbiter, rate (n, n_t, 3), of which these are at `at`."""
-        if not len(rows):
-            return
-        part = {name: values[rows] for name, values in out.items()}
-        up, orbiter, omega = (x[rows if at is None else at] for x in pieces)
-        self._land(t, up, orbiter, omega, {name: value[rows] for name, value in draw.items()}, part)
-        for name, values in part.items():
-            out[name][rows] = values
 
     def _approach_times(self, finer: int = 0) -> np.ndarray:
         """The last instants, 2^finer times as close as usual."""
-        count = (
-            min(int(np.ceil(self.approach_s / APPROACH_STEP_S)), MAX_APPROACH_SAMPLES) * 2**finer
-        )
+        usual = min(int(np.ceil(self.approach_s / APPROACH_STEP_S)), MAX_APPROACH_SAMPLES)
+        count = usual * 2**finer
         return self.scenario.landing_s - self.approach_s * np.arange(count, -1, -1) / count
 
     def _land(
         self,
+        rows: np.ndarray,
         t: np.ndarray,
-        up: np.ndarray,
-        orbiter: np.ndarray,
+        seen: np.ndarray,
         omega: np.ndarray,
-        draw: dict[str, np.ndarray],
+        draw: Draws,
         out: dict[str, np.ndarray],
     ) -> None:
-        sine, shape, antenna = sc.STEEPEST_SINE, self.shape, self.vehicle.antenna
-        assert shape is not None  # `lands`
-        normal = np.sqrt(
-            sine**2 + (1 - sine**2) * draw["incidence"]
-        )  # cosine law: what a plane of any direction shows
-        speed = self.scenario.landing_speed_m_s
+        """First contact and rest of the runs `rows` (n); `seen` (2, n, n_t, 3): vertical and orbiter, `omega` (n, n_t, 3)."""
+        shape, antenna, legs = self.shape, self.vehicle.antenna, self.vehicle.legs
+        if not len(rows) or shape is None:
+            return
+        (up, orbiter), sine, speed = seen, sc.STEEPEST_SINE, self.scenario.landing_speed_m_s
+        # cosine law: what a plane of any direction shows
+        normal = np.sqrt(sine**2 + (1 - sine**2) * draw["incidence"][rows])
         contact = first_contact(shape, t, up, omega, speed * normal)
-        velocity = speed * sc.about(-contact.up_B, normal, draw["heading"])
-        out["contact_point"][:] = contact.point
-        out["lowest_point"][:] = support(shape.points_B_m, -up[:, -1])[1]
+        velocity = speed * sc.about(-contact.up_B, normal, draw["heading"][rows])
         point = shape.points_B_m[contact.point]
-        out["contact_speed"][:] = np.linalg.norm(
-            velocity + np.cross(contact.omega_B, point), axis=1
-        )
-        out["up_z"][:] = contact.up_B[:, 2]
-        if self.vehicle.legs:
-            tips = np.array([leg.tip_B_m for leg in self.vehicle.legs])
+        over_ground = velocity + np.cross(contact.omega_B, point)
+        out["contact_point"][rows] = contact.point
+        out["lowest_point"][rows] = support(shape.points_B_m, -up[:, -1])[1]
+        out["contact_speed"][rows] = np.linalg.norm(over_ground, axis=1)
+        out["up_z"][rows] = contact.up_B[:, 2]
+        if legs:
+            tips = np.array([leg.tip_B_m for leg in legs])
             at_tips = velocity[:, None] + np.cross(contact.omega_B[:, None], tips)
-            out["leg_tip_speed"][:] = np.linalg.norm(at_tips, axis=2).max(axis=1)
-            rate, length = (
-                np.linalg.norm(contact.omega_B, axis=1),
-                np.linalg.norm(tips, axis=1).max(),
-            )
-            out["leg_tip_bound"][:] = speed + rate * length
-        seen = _at(t, orbiter, contact.t_s)
+            out["leg_tip_speed"][rows] = np.linalg.norm(at_tips, axis=2).max(axis=1)
+            rate = np.linalg.norm(contact.omega_B, axis=1)
+            out["leg_tip_bound"][rows] = speed + rate * np.linalg.norm(tips, axis=1).max()
+        # the orbiter at the contact, between samples along the chord
+        i, after = np.arange(len(rows)), np.clip(np.searchsorted(t, contact.t_s), 1, len(t) - 1)
+        part = ((contact.t_s - t[after - 1]) / (t[after] - t[after - 1]))[:, None]
+        towards = (1 - part) * orbiter[i, after - 1] + part * orbiter[i, after]
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         if antenna is not None:
-            out["antenna_at_contact"][:] = _served(antenna, seen)
+            out["antenna_at_contact"][rows] = _served(antenna, towards)
         if shape.outward_B is not None and shape.complete:
             facet = rest_facet(shape, contact.up_B)
-            out["rest_facet"][:] = facet
+            out["rest_facet"][rows] = facet
             if antenna is not None:
-                out["antenna_at_rest"][:] = _served(
-                    antenna, smallest_turn(contact.up_B, -shape.outward_B[facet], seen)
-                )
+                down = -shape.outward_B[facet]
+                resting = smallest_turn(contact.up_B, down, towards)
+                out["antenna_at_rest"][rows] = _served(antenna, resting)
 
 
 def _served(antenna: Antenna, orbiter_B: np.ndarray) -> np.ndarray:
@@ -386,43 +315,9 @@ def _served(antenna: Antenna, orbiter_B: np.ndarray) -> np.ndarray:
     return orbiter_B @ antenna.axis_B >= np.cos(antenna.opening_rad / 2)
 
 
-def _slices(finer: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
-    """Runs that need closer samples, and how much closer, in pieces that take no more memory than a chunk of usual ones."""
-    for level in np.unique(finer[finer > 0]):
-        rows = np.flatnonzero(finer == level)
-        size = max(CHUNK >> int(level), 1)
-        yield from ((rows[i : i + size], int(level)) for i in range(0, len(rows), size))
-
-
-def _nothing(dtype: str) -> float:
+def _nothing(dtype: Any) -> float:
     """What stands where nothing is told: NaN, or -1 in whole numbers."""
-    return np.nan if dtype.startswith("float") else -1
-
-
-def _healthy(rows: k.Rows, instead: k.Rows, bad: np.ndarray) -> k.Rows:
-    """Rows to go on with: failed ones restart from a finite state, and are blanked at the end."""
-    use = (bad != 0)[:, None]
-    omega, sun = (
-        np.where(use, instead.omega_B, rows.omega_B),
-        np.where(use, instead.sun_B, rows.sun_B),
-    )
-    return k.Rows(omega, sun, np.where(use, instead.wheel_speed_rad_s, rows.wheel_speed_rad_s))
-
-
-def _without(out: dict[str, np.ndarray], bad: np.ndarray) -> dict[str, np.ndarray]:
-    for name, values in out.items():
-        if name != "candidate":
-            values[bad != 0] = _nothing(str(values.dtype))
-    out["outcome"][:] = bad
-    return out
-
-
-def _at(t: np.ndarray, values: np.ndarray, when: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) at times `when` (n) from samples (n, n_t, 3), interpolated along the chord."""
-    rows, after = np.arange(len(when)), np.clip(np.searchsorted(t, when), 1, len(t) - 1)
-    part = ((when - t[after - 1]) / (t[after] - t[after - 1]))[:, None]
-    between = (1 - part) * values[rows, after - 1] + part * values[rows, after]
-    return between / np.linalg.norm(between, axis=1, keepdims=True)
+    return np.nan if np.dtype(dtype).kind == "f" else -1
 
 
 def outcomes(
@@ -435,7 +330,7 @@ def outcomes(
     scenario: sc.Scenario | None = None,
     workers: int | None = None,
     store: str | Path | None = None,
-    scheduler: Any = None,
+    executor: Any = None,
     progress: bool = False,
     chunk: int = CHUNK,
 ) -> xr.Dataset:
@@ -457,7 +352,7 @@ def outcomes(
         Run i draws from SeedSequence(seed, spawn_key=(i,)): runs of two strategies with one seed share what is drawn.
     scenario : Scenario, optional
         Times, speeds, distributions; default: that of the built-in case of the vehicle's name.
-    workers, store, scheduler, progress, chunk
+    workers, store, executor, progress, chunk
         As in :func:`sunspin.compute.rows.ensemble`.
 
     Returns
@@ -479,18 +374,20 @@ def outcomes(
         vehicle,
         scenario,
         sc.strategy_of(vehicle, strategy),
-        candidates_of(vehicle, candidates, scenario),
+        *candidates_of(vehicle, candidates, scenario),
         int(n),
         int(seed),
     )
-    options: dict[str, Any] = {
-        "workers": workers,
-        "store": store,
-        "scheduler": scheduler,
-        "progress": progress,
-        "chunk": chunk,
-    }
-    return dataset(rows, ensemble(rows, label="runs", **options))
+    values = ensemble(
+        rows,
+        workers=workers,
+        chunk=chunk,
+        store=store,
+        scheduler=executor,
+        progress=progress,
+        label="runs",
+    )
+    return dataset(rows, values)
 
 
 def own_scenario(vehicle: Vehicle) -> sc.Scenario:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.impact import impact
-from sunspin.estimate.posterior.model import Model
 from sunspin.estimate.posterior.predict import (
     carried,
     checked_times,
@@ -24,7 +23,8 @@ from sunspin.estimate.posterior.predict import (
     predictions,
     run_to,
 )
-from sunspin.landing import scenario as sc
+from sunspin.landing.outcomes import collide
+from sunspin.landing.scenario import draws, paper_scenario
 from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.assumptions import Collision
@@ -71,85 +71,48 @@ def predicted(
     times = checked_times(times_s, first)
     blow = collision_s(vehicle, tree.attrs.get("epoch_utc"), timeline)
     unknown, rows = drawn_rows(vehicle, tree)
+    mode, parts, said = unknown.wheel_mode, [], "none: free motion throughout"
     behind = np.zeros(times.size, dtype=bool) if blow is None else times > blow
-    parts = []
     if not behind.all():
-        run = run_to(vehicle, rows, times[~behind] - first, unknown.wheel_mode, workers)
+        run = run_to(vehicle, rows, times[~behind] - first, mode, workers)
         parts.append(predictions(unknown, rows, run, times[~behind]))
-    said = "none: free motion throughout" if blow is None else "later than all times"
+    if blow is not None:
+        said = "later than all times"
     if blow is not None and behind.any():
-        parts.append(_after(unknown, rows, first, times[behind], blow, seed, collision, workers))
-        speed = _scenario(vehicle).collision_speed_m_s
-        does = (
-            "sticks for an instant"
-            if collision == STICKS
-            else (f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})")
+        at = run_to(vehicle, rows, [blow - first], mode, workers)
+        fine = np.all(np.isfinite(at["omega_B"]), axis=(1, 2))
+        before = k.Rows(
+            np.nan_to_num(at["omega_B"][:, 0]),
+            np.where(fine[:, None], at["sun_B"][:, 0], rows.sun_B),
+            np.nan_to_num(at["wheel_speed_rad_s"][:, 0]),
         )
-        said = f"a leg drawn at random {does}, the centre of mass at {speed:g} m/s in any direction with a part along -z"
-    found = xr.concat(parts, "predicted_s", data_vars="minimal").assign_coords(
-        after_collision=("predicted_s", behind)
+        law = {"restitution": collision.restitution, "damper": collision.damper}
+        scenario = replace(paper_scenario(load_case(vehicle.name)), **law)
+        _, hit = collide(vehicle, scenario, draws(seed, np.arange(len(rows))), before, mode)
+        bodies = rows.bodies_of(vehicle)  # of torques after the blow nothing is known
+        bodies = replace(bodies, steady_N_m=np.zeros_like(bodies.steady_N_m))
+        speeds = hit["wheel_speed_rad_s"].values
+        after = k.Rows(hit["omega_B"].values, before.sun_B, speeds, bodies)
+        run = run_to(vehicle, after, times[behind] - blow, mode, workers)
+        run = {name: np.where(fine[:, None, None], x, np.nan) for name, x in run.items()}
+        parts.append(predictions(unknown, after, run, times[behind]))
+        does = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
+        does = "sticks for an instant" if collision == STICKS else does
+        said = (
+            f"a leg drawn at random {does}, the centre of mass at {scenario.collision_speed_m_s:g} m/s in any direction with a "
+            "part along -z"
+        )
+    return (
+        xr.concat(parts, "predicted_s", data_vars="minimal")
+        .assign_coords(after_collision=("predicted_s", behind))
+        .assign_attrs(carried(tree), collision=said)
     )
-    return found.assign_attrs(carried(tree), collision=said)
 
 
 def with_predictions(
-    vehicle: Vehicle,
-    tree: xr.DataTree,
-    times: Mapping[float, str],
-    seed: int = 0,
-    timeline: Timeline | None = None,
-    collision: Collision = STICKS,
-    workers: int | None = None,
+    vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], *options: Any
 ) -> None:
     """Add the group `predictions` to a posterior: :func:`predicted` at `times`, s from the epoch -> as asked for."""
-    found = predicted(vehicle, tree, list(times), seed, timeline, collision, workers)
-    tree["predictions"] = xr.DataTree(
-        found.assign_coords(asked=("predicted_s", list(times.values())))
-    )
-
-
-def _scenario(vehicle: Vehicle) -> sc.Scenario:
-    return sc.paper_scenario(load_case(vehicle.name))
-
-
-def _after(
-    unknown: Model,
-    rows: k.Rows,
-    first_s: float,
-    times_s: np.ndarray,
-    blow_s: float,
-    seed: int,
-    collision: Collision,
-    workers: int | None,
-) -> xr.Dataset:
-    """The draws (n), `rows` at the first sample, at times behind the blow."""
-    vehicle = unknown.vehicle
-    reached = run_to(vehicle, rows, [blow_s - first_s], unknown.wheel_mode, workers)
-    omega, sun, speeds = (reached[name][:, 0] for name in ("omega_B", "sun_B", "wheel_speed_rad_s"))
-    fine = np.all(np.isfinite(omega), axis=1)
-    scenario, draw = _scenario(vehicle), sc.draws(seed, np.arange(len(rows)))
-    axis = np.tile(scenario.collision_axis_B, (len(rows), 1))
-    velocity = scenario.collision_speed_m_s * sc.about(axis, draw["polar"], draw["azimuth"])
-    leg = (draw["leg"] * len(vehicle.legs)).astype(int)
-    hit = impact(
-        vehicle,
-        np.nan_to_num(omega),
-        np.nan_to_num(speeds),
-        velocity,
-        leg,
-        unknown.wheel_mode,
-        restitution=collision.restitution,
-        damper=collision.damper,
-    )
-    bodies = rows.bodies_of(vehicle)
-    start = k.Rows(
-        hit["omega_B"].values,
-        np.where(fine[:, None], sun, rows.sun_B),
-        hit["wheel_speed_rad_s"].values,
-        bodies=replace(
-            bodies, steady_N_m=np.zeros_like(bodies.steady_N_m)
-        ),  # of torques after the blow nothing is known
-    )
-    run = run_to(vehicle, start, times_s - blow_s, unknown.wheel_mode, workers)
-    run = {name: np.where(fine[:, None, None], values, np.nan) for name, values in run.items()}
-    return predictions(unknown, start, run, times_s)
+    at_times = predicted(vehicle, tree, list(times), *options)
+    asked = ("predicted_s", list(times.values()))
+    tree["predictions"] = xr.DataTree(at_times.assign_coords(asked=asked))

@@ -12,10 +12,9 @@ import numpy as np
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import is_sensible, plain_number
 from sunspin.dynamics.wheel_modes import Schedule, schedules
-from sunspin.landing.contact import Shape, legs_down, shape_of
+from sunspin.landing.contact import legs_down, shape_of
 from sunspin.telemetry.case import Case, case_names, load_case, timeline_of
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.timeline import Timeline
 
 SPIRAL = 20_000
 """Directions, evenly over the sphere, among which the local vertical is drawn: 1.5 degrees apart."""
@@ -77,39 +76,32 @@ class Scenario:
     def __post_init__(self) -> None:
         for name in ("sun_B", "wheel_speed_rad_s", "collision_axis_B"):
             object.__setattr__(self, name, tuple(float(x) for x in np.ravel(getattr(self, name))))
-        sun = np.array(self.sun_B)
-        if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) < 1e-2:
-            raise InputError("sun_B must be a unit vector of three components", got=self.sun_B)
         axis = np.array(self.collision_axis_B)
+        if len(self.sun_B) != 3 or not abs(np.linalg.norm(self.sun_B) - 1) < 1e-2:
+            raise InputError("sun_B must be a unit vector of three components", got=self.sun_B)
         if axis.shape != (3,) or not (np.all(np.isfinite(axis)) and np.linalg.norm(axis) > 0):
-            raise InputError(
-                "collision_axis_B must be three numbers, not all zero", got=self.collision_axis_B
-            )
+            what = "collision_axis_B must be three numbers, not all zero"
+            raise InputError(what, got=self.collision_axis_B)
         object.__setattr__(self, "collision_axis_B", tuple(axis / np.linalg.norm(axis)))
         if isinstance(self.orbiter, str):
             known = self.orbiter in ("above_horizon", "any")
         else:
             known = np.shape(self.orbiter) == (3,) and np.linalg.norm(self.orbiter) > 0
         if not known:
-            raise InputError(
-                'orbiter must be "above_horizon", "any" or three numbers', got=self.orbiter
-            )
-        self._check_times_and_speeds()
-
-    def _check_times_and_speeds(self) -> None:
+            what = 'orbiter must be "above_horizon", "any" or three numbers'
+            raise InputError(what, got=self.orbiter)
         for name in ("restitution", "damper"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} must be a share between 0 and 1", got=getattr(self, name))
         for name in ("before_s", "lead_s"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(
-                    f"{name} must be zero or a positive time in s", got=getattr(self, name)
-                )
+            if not 0 <= getattr(self, name) < np.inf:
+                what = f"{name} must be zero or a positive time in s"
+                raise InputError(what, got=getattr(self, name))
         for name in ("after_s", "landing_speed_m_s", "collision_speed_m_s"):
             value: float | None = getattr(self, name)
             if value is None and name == "collision_speed_m_s":
                 continue
-            if value is None or not (np.isfinite(value) and value > 0):
+            if value is None or not 0 < value < np.inf:
                 raise InputError(f"{name} must be positive", got=value)
 
     @property
@@ -138,24 +130,13 @@ def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     With `rebound` from the first direction of that telemetry, at its own time.
     """
     published = case.published
-    return Scenario(
-        sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
-        wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
+    return _of_case(
+        case,
+        rebound,
         before_s=60.0 * published["scan_duration"].value if rebound is None else rebound.window_s,
         after_s=60.0 * published["duration_after_collision"].value,
         collision_speed_m_s=published["collision_speed"].value,
-        landing_speed_m_s=published["kernel_speed_before_landing"].value,
-        restitution=case.assumptions.collision.restitution,
-        damper=case.assumptions.collision.damper,
     )
-
-
-def times_of(timeline: Timeline | None) -> dict[str, float]:
-    """The times of a `Scenario`, as far as the timeline has both events of each."""
-    if timeline is None:
-        return {}
-    named = {event.name for event in timeline.events}
-    return {key: timeline.seconds(*ends) for key, ends in TIMES.items() if named.issuperset(ends)}
 
 
 TIMES = {
@@ -172,27 +153,27 @@ def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
     With `rebound` candidates are at the first direction of that telemetry.
     """
     if case.timeline is None or "kernel_speed_before" not in case.published:
-        raise InputError(
-            f"case {case.name!r} knows of no landing", do="give a Scenario of your own"
-        )
-    published, times = (
-        case.published,
-        {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()},
-    )
+        what = f"case {case.name!r} knows of no landing"
+        raise InputError(what, do="give a Scenario of your own")
+    times = {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()}
     if case.assumptions.study.lead_s is not None:
         times["lead_s"] = case.assumptions.study.lead_s
     if rebound is not None:
         times |= {"lead_s": rebound.lead_s, "before_s": rebound.window_s}
+    speed = case.published["kernel_speed_before"].value
+    return _of_case(case, rebound, collision_speed_m_s=speed, **times)
+
+
+def _of_case(case: Case, rebound: FirstSample | None, **fields: Any) -> Scenario:
+    """A scenario with the case's first direction (or a telemetry's), wheels, landing speed and law of the collision."""
+    sun = np.array(case.published["first_sun"].value) if rebound is None else rebound.sun_B
     return Scenario(
-        sun_B=_first_sun(case) if rebound is None else tuple(rebound.sun_B),
+        sun_B=tuple(sun / np.linalg.norm(sun) if rebound is None else sun),
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
-        collision_speed_m_s=published["kernel_speed_before"].value,
-        landing_speed_m_s=published["kernel_speed_before_landing"].value,
-        lead_s=times["lead_s"],
-        before_s=times["before_s"],
-        after_s=times["after_s"],
+        landing_speed_m_s=case.published["kernel_speed_before_landing"].value,
         restitution=case.assumptions.collision.restitution,
         damper=case.assumptions.collision.damper,
+        **fields,
     )
 
 
@@ -207,22 +188,18 @@ def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scena
     timeline = timeline_of(vehicle)
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
-        return replace(
-            case_scenario(replace(case, vehicle=craft, timeline=timeline or case.timeline)), **given
-        )
-    speeds = tuple(wheel.speed_rad_s for wheel in craft.wheels)
-    known: dict[str, Any] = {"wheel_speed_rad_s": speeds, **times_of(timeline), **given}
+        case = replace(case, vehicle=craft, timeline=timeline or case.timeline)
+        return replace(case_scenario(case), **given)
+    known: dict[str, Any] = {"wheel_speed_rad_s": [wheel.speed_rad_s for wheel in craft.wheels]}
+    if timeline is not None:
+        named = {event.name for event in timeline.events}
+        known |= {k: timeline.seconds(*ends) for k, ends in TIMES.items() if named.issuperset(ends)}
+    known |= given
     for key, option in (("sun_B", "--sun"), ("after_s", "--after")):
         if key not in known:
-            raise InputError(
-                f"{option} is missing", do=f"no times and directions are known of {craft.name!r}"
-            )
+            do = f"no times and directions are known of {craft.name!r}"
+            raise InputError(f"{option} is missing", do=do)
     return Scenario(**known)
-
-
-def _first_sun(case: Case) -> tuple[float, ...]:
-    sun = np.array(case.published["first_sun"].value)
-    return tuple(sun / np.linalg.norm(sun))
 
 
 @dataclass(frozen=True)
@@ -251,18 +228,22 @@ def strategy_of(vehicle: Vehicle, given: Any) -> Strategy:
         Unknown names, delays that are no positive number, a brake that the vehicle does not have.
     """
     if isinstance(given, Strategy):
-        found = given
+        strategy = given
     elif isinstance(given, str) and given in NAMED:
-        found = Strategy(given, NAMED[given])
+        strategy = Strategy(given, NAMED[given])
     elif isinstance(given, str) and given.startswith("delay:"):
-        found = delayed(_seconds(given.removeprefix("delay:")))
+        delay = plain_number(given.removeprefix("delay:"))
+        if not (is_sensible(delay) and delay >= 0):
+            what = "a delay must be zero or a positive number of seconds below 1e30"
+            raise InputError(what, got=given.removeprefix("delay:"), do="for example delay:600")
+        strategy = delayed(delay)
     elif isinstance(given, Sequence) and not isinstance(given, str):
-        found = Strategy("schedule", tuple((float(t), str(command)) for t, command in given))
+        strategy = Strategy("schedule", tuple((float(t), str(command)) for t, command in given))
     else:
         known = f"{', '.join(NAMED)}, delay:SECONDS"
         raise InputError("there is no wheel strategy of this name", got=given, do=f"known: {known}")
-    schedules(vehicle, found.schedule)
-    return found
+    schedules(vehicle, strategy.schedule)
+    return strategy
 
 
 def delayed(delay_s: float) -> Strategy:
@@ -270,14 +251,6 @@ def delayed(delay_s: float) -> Strategy:
     if delay_s == 0:
         return Strategy("delay:0", NAMED["off"])
     return Strategy(f"delay:{delay_s:g}", ((0.0, "hold"), (float(delay_s), "coast")))
-
-
-def _seconds(text: str) -> float:
-    value = plain_number(text)
-    if not (is_sensible(value) and value >= 0):
-        what = "a delay must be zero or a positive number of seconds below 1e30"
-        raise InputError(what, got=text, do="for example delay:600")
-    return value
 
 
 def spiral(count: int = SPIRAL) -> np.ndarray:
@@ -291,43 +264,32 @@ def spiral(count: int = SPIRAL) -> np.ndarray:
 
 def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
     """Equally likely directions up from the ground (m, 3), body axes at the touchdown, and in words what they are."""
-    if isinstance(wanted, str):
-        if wanted == "any":
-            return spiral(), "every direction"
-        if wanted == "legs_down":
-            return _legs_down(vehicle, shape_of(vehicle))
-    elif np.ndim(wanted) == 0 and 0 < float(wanted) <= np.pi:
-        up = standing_up(vehicle)
-        return spiral()[
-            spiral() @ up >= np.cos(float(wanted))
-        ], f"within {np.degrees(float(wanted)):g} degrees of {up}"
-    elif np.shape(wanted) == (3,) and np.linalg.norm(wanted) > 0:
-        return np.atleast_2d(np.array(wanted, float) / np.linalg.norm(wanted)), "one direction"
-    raise InputError(
-        'vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers', got=wanted
+    shape, everywhere = shape_of(vehicle), spiral()
+    standing = (
+        -np.sum([leg.tip_B_m for leg in vehicle.legs], axis=0) if vehicle.legs else np.zeros(3)
     )
-
-
-def standing_up(vehicle: Vehicle) -> np.ndarray:
-    """Up (3) in body axes when the vehicle stands: opposite to the legs' mean direction; +z without legs."""
-    mean = np.sum([leg.tip_B_m for leg in vehicle.legs], axis=0) if vehicle.legs else np.zeros(3)
-    length = np.linalg.norm(mean)
-    return -mean / length if length > 0 else np.array([0.0, 0.0, 1.0])
-
-
-def _legs_down(vehicle: Vehicle, shape: Shape | None) -> tuple[np.ndarray, str]:
-    if not vehicle.legs or shape is None:
-        return spiral(), "every direction (the vehicle has no legs)"
-    if not shape.complete:
-        up = standing_up(vehicle)
-        return spiral()[spiral() @ up > 0], "every direction on the legs' side (no hull is given)"
-    found = spiral()[legs_down(shape, spiral())]
-    if not len(found):
-        raise InputError(
-            "no leg of this vehicle can be its lowest point",
-            do="check the hull, or give a vertical",
-        )
-    return found, "every direction for which an end of a leg was the lowest point at the touchdown"
+    up = standing / np.linalg.norm(standing) if standing.any() else np.array([0.0, 0.0, 1.0])
+    if isinstance(wanted, str) and wanted == "any":
+        return everywhere, "every direction"
+    if isinstance(wanted, str) and wanted == "legs_down":
+        if not vehicle.legs or shape is None:
+            return everywhere, "every direction (the vehicle has no legs)"
+        if not shape.complete:
+            words = "every direction on the legs' side (no hull is given)"
+            return everywhere[everywhere @ up > 0], words
+        low = everywhere[legs_down(shape, everywhere)]
+        if not len(low):
+            what = "no leg of this vehicle can be its lowest point"
+            raise InputError(what, do="check the hull, or give a vertical")
+        words = "every direction for which an end of a leg was the lowest point at the touchdown"
+        return low, words
+    if not isinstance(wanted, str) and np.ndim(wanted) == 0 and 0 < float(wanted) <= np.pi:
+        near = everywhere[everywhere @ up >= np.cos(float(wanted))]
+        return near, f"within {np.degrees(float(wanted)):g} degrees of {up}"
+    if np.shape(wanted) == (3,) and np.linalg.norm(wanted) > 0:
+        return np.atleast_2d(np.array(wanted, float) / np.linalg.norm(wanted)), "one direction"
+    what = 'vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers'
+    raise InputError(what, got=wanted)
 
 
 def draws(seed: int, index: np.ndarray) -> dict[str, np.ndarray]:

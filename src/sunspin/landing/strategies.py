@@ -20,25 +20,6 @@ from sunspin.vehicle import Vehicle
 STRATEGIES = ("off", "held", "delay:1200", "delay:3000", "brake", "after_rest")
 DELAYS_S = (0.0, 300.0, 600.0, 1200.0, 1800.0, 2400.0, 3000.0, 3600.0, 4500.0, 5400.0, 6300.0)
 LEVELS = (0.05, 0.5, 0.95)
-TABLE = (
-    "touch_leg",
-    "touch_panel",
-    "touch_body",
-    "rest_leg",
-    "rest_panel",
-    "leg_tip_speed",
-    "contact_speed",
-    "antenna_share",
-    "antenna_at_contact",
-    "antenna_at_rest",
-    "rz_time_below_0",
-    "rz_time_below_-0.5",
-    "rz_ever_below_-0.5",
-    "rate_before",
-    "rate_after",
-)
-"""Quantities of a printed comparison."""
-
 BOOTSTRAP = 400
 """Resamplings of the runs for the spread of the best delay."""
 
@@ -74,30 +55,31 @@ def compare(
         runs[name] = outcomes(
             vehicle, candidates, strategy, n, seed, scenario=scenario, store=own, **options
         )
-        if (runs[name]["outcome"].values != 0).all():
-            why = "; ".join(
-                OUTCOME_TEXT[Outcome(code)] for code in np.unique(runs[name]["outcome"].values)
-            )
+        outcome = runs[name]["outcome"].values
+        if np.all(outcome != 0):
+            why = "; ".join(OUTCOME_TEXT[Outcome(code)] for code in np.unique(outcome))
             raise InputError(f"no run of the strategy {name!r} could be computed", got=why)
-    names = list(runs)
-    tallies = {name: tally(found) for name, found in runs.items()}
-    quantities = list(tallies[names[0]])
-    first, each = per_run(runs[names[0]]), {name: per_run(found) for name, found in runs.items()}
-    none = Estimate(np.nan, np.nan)
-    means = [[tallies[name].get(q, none) for q in quantities] for name in names]
-    spread = [[_quantiles(each[name].get(q)) for q in quantities] for name in names]
-    gains = [[estimate(each[name][q] - first[q]) for q in quantities] for name in names]
+    each, tallies = [per_run(x) for x in runs.values()], [tally(x) for x in runs.values()]
+    quantities, unknown = list(tallies[0]), Estimate(np.nan, np.nan)
+    means = np.array([[found.get(q, unknown) for q in quantities] for found in tallies])
+    gains = np.array([[estimate(found[q] - each[0][q]) for q in quantities] for found in each])
+    levels = np.full((len(runs), len(quantities), len(LEVELS)), np.nan)
+    for i, found in enumerate(each):
+        for j, q in enumerate(quantities):
+            if np.isfinite(found[q]).any():
+                levels[i, j] = np.quantile(found[q][np.isfinite(found[q])], LEVELS)
     dims = ("strategy", "quantity")
     table = xr.Dataset(
         {
-            "value": (dims, [[x.value for x in row] for row in means]),
-            "error": (dims, [[x.error for x in row] for row in means]),
-            "quantile": ((*dims, "level"), spread),
-            "gain": (dims, [[x.value for x in row] for row in gains]),
-            "gain_error": (dims, [[x.error for x in row] for row in gains]),
+            "value": (dims, means[..., 0]),
+            "error": (dims, means[..., 1]),
+            "quantile": ((*dims, "level"), levels),
+            "gain": (dims, gains[..., 0]),
+            "gain_error": (dims, gains[..., 1]),
         },
-        coords={"strategy": names, "quantity": quantities, "level": list(LEVELS)},
-        attrs=runs[names[0]].attrs | {"kind": "strategies", "strategy": "compared", "runs": n},
+        coords={"strategy": list(runs), "quantity": quantities, "level": list(LEVELS)},
+        attrs=next(iter(runs.values())).attrs
+        | {"kind": "strategies", "strategy": "compared", "runs": n},
     )
     return table, runs
 
@@ -116,26 +98,6 @@ def compared(
     return xr.DataTree.from_dict(
         {"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes}
     )
-
-
-def _quantiles(values: np.ndarray | None) -> np.ndarray:
-    known = np.zeros(0) if values is None else values[np.isfinite(values)]
-    return np.quantile(known, LEVELS) if known.size else np.full(len(LEVELS), np.nan)
-
-
-def records(table: xr.Dataset) -> list[dict[str, Any]]:
-    """The comparison as lines for a printed table: one per quantity, with (value, error) for each strategy by its name."""
-    known = [name for name in TABLE if name in table["quantity"].values]
-    return [
-        {"quantity": name}
-        | {
-            str(s): Estimate(
-                *(table[part].sel(strategy=s, quantity=name).item() for part in ("value", "error"))
-            )
-            for s in table["strategy"].values
-        }
-        for name in known
-    ]
 
 
 def best_delay(
@@ -164,28 +126,19 @@ def best_delay(
         raise InputError(f"vehicle {vehicle.name!r} has no wheel to switch off")
     scenario = scenario or own_scenario(vehicle)
     if delays_s is None:
-        end = scenario.landing_s
-        delays_s = (
-            DELAYS_S
-            if end > DELAYS_S[-1]
-            else np.linspace(0.0, end, len(DELAYS_S), endpoint=False).round(1).tolist()
-        )
+        even = np.linspace(0.0, scenario.landing_s, len(DELAYS_S), endpoint=False).round(1).tolist()
+        delays_s = DELAYS_S if scenario.landing_s > DELAYS_S[-1] else even
     table, runs = compare(
         vehicle, candidates, [delayed(t) for t in delays_s], n, seed, scenario, **options
     )
-    each = [per_run(found).get(metric) for found in runs.values()]
-    if each[0] is None or not np.isfinite(each[0]).any():
-        known = ", ".join(table["quantity"].values)
-        raise InputError(
-            "these runs do not tell the quantity to be made largest",
-            got=metric,
-            do=f"known: {known}",
-        )
+    each = [per_run(x).get(metric, np.array([np.nan])) for x in runs.values()]
+    if not np.isfinite(each[0]).any():
+        what, known = "these runs do not tell the quantity to be made largest", table["quantity"]
+        raise InputError(what, got=metric, do=f"known: {', '.join(known.values)}")
     values = np.array(each)
     values = values[:, np.isfinite(values).all(axis=0)]
     best = int(np.argmax(values.mean(axis=1)))
-    pairs = [estimate(row - values[best]) for row in values]
-    behind, error = np.array([p.value for p in pairs]), np.array([p.error for p in pairs])
+    behind, error = np.array([estimate(row - values[best]) for row in values]).T
     delays = np.array(delays_s, dtype=np.float64)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(n, len(delays))))
     size = values.shape[1]
@@ -194,17 +147,14 @@ def best_delay(
         for _ in range(BOOTSTRAP)
     ]
     low, high = np.quantile(winners, [0.16, 0.84], method="nearest")
-    by = "strategy"
     return (
         table.assign(
-            behind=(by, behind), behind_error=(by, error), as_good=(by, behind >= -2 * error)
+            behind=("strategy", behind),
+            behind_error=("strategy", error),
+            as_good=("strategy", behind >= -2 * error),
         )
-        .assign_coords(delay_s=(by, delays, {"units": "s"}))
-        .assign_attrs(
-            metric=metric,
-            best_s=float(delays[best]),
-            spread_s=[float(low), float(high)],
-        )
+        .assign_coords(delay_s=("strategy", delays, {"units": "s"}))
+        .assign_attrs(metric=metric, best_s=float(delays[best]), spread_s=[float(low), float(high)])
     )
 
 
@@ -223,32 +173,24 @@ def settling(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, Any]]:
     feet = len(vehicle.legs)
     lever = float(np.mean([np.linalg.norm(leg.tip_B_m) for leg in vehicle.legs]))
     weight = vehicle.require_mass() * gravity_m_s2 / feet
-    found = []
+    lines = []
     for wheel in vehicle.wheels:
-        friction = wheel.friction.coulomb_N_m + wheel.friction.viscous_N_m_s * abs(
-            wheel.speed_rad_s
-        )
-        momentum = wheel.inertia_kg_m2 * abs(wheel.speed_rad_s)
-        ways = {
-            "off": (
-                friction,
-                spin_down_time(wheel.friction, wheel.inertia_kg_m2, wheel.speed_rad_s),
-            )
-        }
-        if wheel.brake_torque_N_m is not None:
-            ways["brake"] = (friction + wheel.brake_torque_N_m, momentum / wheel.brake_torque_N_m)
+        speed, inertia, brake = abs(wheel.speed_rad_s), wheel.inertia_kg_m2, wheel.brake_torque_N_m
+        friction = wheel.friction.coulomb_N_m + wheel.friction.viscous_N_m_s * speed
+        ways = {"off": (friction, spin_down_time(wheel.friction, inertia, wheel.speed_rad_s))}
+        if brake is not None:
+            ways["brake"] = (friction + brake, inertia * speed / brake)
         for way, (torque, time) in ways.items():
             force = torque / (feet * lever)
-            found.append(
-                {
-                    "wheel": wheel.name,
-                    "way": way,
-                    "torque_N_m": torque,
-                    "momentum_N_m_s": momentum,
-                    "foot_force_N": force,
-                    "weight_per_foot_N": weight,
-                    "friction_coefficient": force / weight,
-                    "stop_s": float(time),
-                }
-            )
-    return found
+            line = {
+                "wheel": wheel.name,
+                "way": way,
+                "torque_N_m": torque,
+                "momentum_N_m_s": inertia * speed,
+                "foot_force_N": force,
+                "weight_per_foot_N": weight,
+                "friction_coefficient": force / weight,
+                "stop_s": float(time),
+            }
+            lines.append(line)
+    return lines

@@ -1,9 +1,11 @@
-"""From runs to probabilities and densities, each with its standard error; runs may carry weights."""
+"""From runs to probabilities and densities, each with its standard error; runs may carry weights.
+
+Collisions that were weighted by what is known of the blow are a Dataset of their own (kind "collision").
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -177,37 +179,37 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
     `rz_time_below_X` share of the time, `rz_ever_below_X`; `antenna_share`, `antenna_at_contact`, `antenna_at_rest`; speeds
     (m/s); `rate_before`, `rate_after` (rad/s).
     """
-    found = dict(_low_sun(runs))
-    for name in ("omega_before_B", "omega_after_B"):
-        found[f"rate_{name.split('_')[1]}"] = np.linalg.norm(runs[name].values, axis=1)
-    for name in (
-        "velocity_change",
-        "speed_after",
-        "contact_speed",
-        "leg_tip_speed",
-        "leg_tip_bound",
-        "up_z",
-        "antenna_share",
-    ):
-        found[name] = runs[name].values
-    for name in ("antenna_at_contact", "antenna_at_rest"):
-        found[name] = told(runs[name].values)
-    return found | _contacts(runs)
-
-
-def told(numbers: np.ndarray) -> np.ndarray:
-    """Whole numbers as floats, NaN where -1 stands for what is not told."""
-    return np.where(numbers < 0, np.nan, numbers.astype(np.float64))
-
-
-def _low_sun(runs: xr.Dataset) -> Iterator[tuple[str, np.ndarray]]:
+    answers: dict[str, np.ndarray] = {}
     share = runs["rz_share"].values.astype(np.float64)
     edges = runs["rz"].values + 1.0 / share.shape[1]
     for bound in LOW_RZ:
         low = share[:, edges <= bound + 1e-9].sum(axis=1)
         low = np.where(np.isfinite(share).all(axis=1), low, np.nan)
-        yield f"rz_time_below_{bound:g}", low
-        yield f"rz_ever_below_{bound:g}", np.where(np.isnan(low), np.nan, low > 0)
+        answers[f"rz_time_below_{bound:g}"] = low
+        answers[f"rz_ever_below_{bound:g}"] = np.where(np.isnan(low), np.nan, low > 0)
+    for when in ("before", "after"):
+        answers[f"rate_{when}"] = np.linalg.norm(runs[f"omega_{when}_B"].values, axis=1)
+    for name in ("velocity_change", "speed_after", "contact_speed", "leg_tip_speed"):
+        answers[name] = runs[name].values
+    for name in ("leg_tip_bound", "up_z", "antenna_share"):
+        answers[name] = runs[name].values
+    for name in ("antenna_at_contact", "antenna_at_rest"):
+        answers[name] = np.where(runs[name].values < 0, np.nan, runs[name].values.astype(float))
+    for prefix, number, kinds in (
+        ("touch", "contact_point", "point_kind"),
+        ("lowest", "lowest_point", "point_kind"),
+        ("rest", "rest_facet", "facet_kind"),
+    ):
+        if kinds in runs.coords:
+            index, names = runs[number].values, runs[kinds].values
+            for kind in (kind for kind in KINDS if kind in names):
+                answers[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
+    if "point_on_panel" in runs.coords:
+        index = runs["contact_point"].values
+        on_panel = runs["point_on_panel"].values[index].astype(float)
+        for panel, on in zip(runs["panel"].values, on_panel.T, strict=True):
+            answers[f"{ONE_PANEL}{panel}"] = np.where(index < 0, np.nan, on)
+    return answers
 
 
 def lowest_rz(runs: xr.Dataset) -> np.ndarray:
@@ -220,21 +222,26 @@ def lowest_rz(runs: xr.Dataset) -> np.ndarray:
     )
 
 
-def _contacts(runs: xr.Dataset) -> dict[str, np.ndarray]:
-    found: dict[str, np.ndarray] = {}
-    for prefix, number, kinds in (
-        ("touch", "contact_point", "point_kind"),
-        ("lowest", "lowest_point", "point_kind"),
-        ("rest", "rest_facet", "facet_kind"),
-    ):
-        if kinds not in runs.coords:
-            continue
-        index, names = runs[number].values, runs[kinds].values
-        for kind in (kind for kind in KINDS if kind in names):
-            found[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
-    if "point_on_panel" in runs.coords:
-        index = runs["contact_point"].values
-        for k, panel in enumerate(runs["panel"].values):
-            on = runs["point_on_panel"].values[index, k].astype(float)
-            found[f"touch_panel_{panel}"] = np.where(index < 0, np.nan, on)
-    return found
+def facts_of(found: Any) -> dict[str, float]:
+    """What the trajectory shows, by name."""
+    return dict(
+        zip(found["fact"].values.tolist(), found["fact_value"].values.tolist(), strict=True)
+    )
+
+
+def weightings(found: Any) -> list[dict[str, Any]]:
+    """A line for each weighting: its `name`, and each quantity as an `Estimate`, or as a number where it is no mean."""
+    numbers, quantities = ("effective_runs", "median_period_after"), found["quantity"].values
+    lines = []
+    for i, name in enumerate(found["weighting"].values):
+        line: dict[str, Any] = {"name": str(name)}
+        for j, key in enumerate(quantities.tolist()):
+            value, error = float(found["value"][i, j]), float(found["error"][i, j])
+            line[key] = value if key in numbers else Estimate(value, error)
+        lines.append(line)
+    return lines
+
+
+def explained(found: Any) -> Estimate:
+    """The share of collisions, as drawn, that come near the trajectory's speeds."""
+    return Estimate(float(found["explained"]), float(found["explained_error"]))

@@ -19,7 +19,6 @@ from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.scan.end_rates import end_rates
-from sunspin.estimate.scan.rows import histograms
 from sunspin.estimate.scan.table import Table
 from sunspin.landing.outcomes import BINS
 from sunspin.landing.tally import Estimate, estimate
@@ -216,9 +215,10 @@ def _with_runs(
 
 def _heights(rebound: rb.Rebound, states: Rows) -> np.ndarray:
     """Smallest and largest height (n, 2) of the Sun over the xy plane up to the collision, rad, to a bin of r_z."""
-    hist, _ = histograms(rebound.case.vehicle, states, rebound.window_s, None, bins=BINS)
+    vehicle, window_s = rebound.case.vehicle, rebound.window_s
+    run = k.run_rows(vehicle, states, window_s, emd_error=k.EMD_ERROR, bins=BINS)
     edges = np.linspace(-1, 1, BINS + 1)
-    seen = hist > 0
+    seen = run.hist > 0
     low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
     return np.arcsin(np.stack([low, high], axis=1))
 

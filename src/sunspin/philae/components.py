@@ -105,9 +105,9 @@ def compute(
             np.ascontiguousarray(hist[part, axis])
             for part in (slice(None, len(grid)), slice(len(grid), None))
         )
-        targets = [(one.seen_B[:, axis], one.weights) for one in alike]
+        targets = [target_segments(one.seen_B[:, axis], one.weights) for one in alike]
         ratio = [
-            _distances(true[i : i + 1], *target)[0] / _distances(scan, *target).min()
+            distances_to(true[i : i + 1], target)[0] / distances_to(scan, target).min()
             for i, target in enumerate(targets)
         ]
         factor = float(
@@ -115,7 +115,8 @@ def compute(
                 threshold.check_confidence(len(ratio), case.assumptions.study.confidence)
             ]
         )
-        emd = _distances(scan, rebound.samples["sun_B"].values[rebound.told, axis], rebound.weights)
+        measured = rebound.samples["sun_B"].values[rebound.told, axis]
+        emd = distances_to(scan, target_segments(measured, rebound.weights))
         found[name] = float(emd.min()), factor, float(np.mean(emd < factor * emd.min()))
     emd_min, factor, share = ({name: values[i] for name, values in found.items()} for i in range(3))
     return Components(
@@ -127,12 +128,6 @@ def compute(
         len(alike),
         len(grid),
     )
-
-
-def _distances(hist: np.ndarray, measured: np.ndarray, weights: np.ndarray | None) -> np.ndarray:
-    """EMD (n) of histograms (n, BINS) to measured values; 1 where nothing was seen."""
-    emd, seen = distances_to(hist, target_segments(measured, weights))
-    return np.where(seen == 0, 1.0, emd)
 
 
 def rows(r: Components) -> list[Row]:

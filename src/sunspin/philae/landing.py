@@ -15,8 +15,15 @@ import xarray as xr
 from sunspin.landing import strategies as st
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
-from sunspin.landing.tally import Estimate, density, lowest_rz, tally
-from sunspin.landing.weighted import explained, facts_of, weightings
+from sunspin.landing.tally import (
+    Estimate,
+    density,
+    explained,
+    facts_of,
+    lowest_rz,
+    tally,
+    weightings,
+)
 from sunspin.philae import collision as co
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import NARROWER, Row, over_candidates, row, share_of_candidates
@@ -82,13 +89,10 @@ def compute(case: Case, chain: Chain, *, n: int = RUNS, seed: int = 0, **options
         Runs of Fig. 13 and of the collision for the chosen candidates, half as many for the others; strategies get a fifth, each
         delay a tenth.
     options
-        workers, progress, scheduler.
+        workers, progress, executor.
     """
-    vehicle, as_paper, real = (
-        case.vehicle,
-        paper_scenario(case, chain.rebound),
-        case_scenario(case, chain.rebound),
-    )
+    vehicle, rebound = case.vehicle, chain.rebound
+    as_paper, real = paper_scenario(case, rebound), case_scenario(case, rebound)
 
     def runs(
         of: Candidates, strategy: str, count: int, scenario: Scenario, craft: Vehicle = vehicle

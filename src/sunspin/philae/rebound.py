@@ -18,11 +18,11 @@ from sunspin.dynamics.ensemble import Mask, Rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.estimate.scan import window
-from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, EndSpeedRows, end_rates
+from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, end_rates
 from sunspin.estimate.scan.lines import Line, fit_lines, line_deviation, match_lines, point_at
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import emd
-from sunspin.estimate.scan.rows import Start
+from sunspin.estimate.scan.rows import ScanRows, Start
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
@@ -367,10 +367,11 @@ def run_back(
 
 def speeds_back(
     case: Case, start: Start, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR
-) -> EndSpeedRows:
+) -> ScanRows:
     """Row of a grid -> angular speed (rad/s) `lead_s` before, as by `run_back`."""
-    return EndSpeedRows(
-        case.vehicle, start, -lead_s, direction_error, mode_before(start.wheel_speed_rad_s)
+    mode = mode_before(start.wheel_speed_rad_s)
+    return ScanRows(
+        case.vehicle, start, -lead_s, "speed", wheel_mode=mode, direction_error=direction_error
     )
 
 

@@ -9,7 +9,8 @@ import xarray as xr
 from scipy.signal import find_peaks
 
 from sunspin.estimate.scan import error_growth as gr
-from sunspin.estimate.scan.error_maps import nominal, of_length, parameter_map, rate_map
+from sunspin.estimate.scan.parameters import nominal
+from sunspin.estimate.scan.volume import scan
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.case import Case
@@ -80,13 +81,15 @@ def compute(
     box, omega = published["E_study_box"], np.array(published["E_study_omega"])
     counts = [max(n // coarser, 2) for n in (*MAP_POINTS, *PARAMETER_POINTS)]
     axes = [_even(box[0], counts[0]), _even(box[1], counts[1]), np.array(box[2][:1])]
-    rates = rate_map(vehicle, samples, quoted / length, axes, speed, workers).isel(omega_z=0)
+    rates = scan(
+        vehicle, samples, quoted / length, *axes, wheel_speed_rad_s=speed, workers=workers
+    ).isel(omega_z=0)
     ranges = {
         "mu_0": _even(published["E_study_coulomb"], counts[2]),
         "theta_xx": _even(published["E_study_inertia"], counts[3]),
     }
-    parameters = parameter_map(vehicle, samples, quoted / length, omega, speed, ranges, workers)
     motions = {"Fig. 8 B": gr.Motion.of(vehicle, omega, quoted, speed, window)}
+    parameters = gr.parameter_map(motions["Fig. 8 B"], samples, ranges, workers)
     for k, (point, direction) in enumerate(rb.published_lines(case)):
         start = rb.point_at(point, direction, 2, np.array([LINE_OMEGA_Z]))[0]
         motions[f"L{k + 1}"] = gr.Motion.of(vehicle, start, rb.first_sun(case), speed, window)
@@ -98,8 +101,8 @@ def compute(
         case,
         bool(sun.attrs.get("synthetic")),
         int(np.isfinite(samples["sun_B"].values[:, 0]).sum()),
-        of_length(rates, length).assign_attrs(units="1"),
-        of_length(parameters, length).assign_attrs(units="1"),
+        gr.of_length(rates, length).assign_attrs(units="1"),
+        gr.of_length(parameters, length).assign_attrs(units="1"),
         [gr.growth(motion) for motion in motions.values()],
         [gr.one_percent(motion, interval) for motion in motions.values()],
         list(motions),

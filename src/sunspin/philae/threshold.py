@@ -23,7 +23,7 @@ from sunspin.base.errors import InputError
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.rows import BINS, distances_to, histograms, target_segments
+from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
 from sunspin.philae.twin_philae import drawn_panels
@@ -222,12 +222,9 @@ def reached(
     vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask | None, targets: list[Target]
 ) -> np.ndarray:
     """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen."""
-    hist, _ = histograms(vehicle, states, window_s, mask)
-    each = [
-        distances_to(hist[i : i + 1], target_segments(*target))[0][0]
-        for i, target in enumerate(targets)
-    ]
-    return np.where(np.isnan(each), 1.0, each)
+    hist = k.run_rows(vehicle, states, window_s, emd_error=k.EMD_ERROR, mask=mask, bins=BINS).hist
+    pairs = zip(hist, targets, strict=True)
+    return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sunspin.base.errors import MotionError
 from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.rows import Start
 from sunspin.vehicle import Vehicle
 
 RATE_DIRECTION_ERROR = 1e-9
@@ -33,38 +30,20 @@ def end_rates(
     """
     if len(states) == 0:
         return np.zeros((0, 3))
-    run = k.run_rows(
-        vehicle, states, float(duration_s), wheel_mode=wheel_mode, direction_error=direction_error
+    return rates_at_end(
+        k.run_rows(
+            vehicle,
+            states,
+            float(duration_s),
+            wheel_mode=wheel_mode,
+            direction_error=direction_error,
+        )
     )
+
+
+def rates_at_end(run: k.BlockResult) -> np.ndarray:
+    """Body rates (n, 3) in rad/s at the last time of a run; `MotionError` if a motion could not be followed."""
     if np.any(run.outcome != k.Outcome.FINE):
-        raise MotionError(
-            "a motion could not be followed", got=k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))]
-        )
-    return run.omega_B[:, 0]
-
-
-@dataclass(frozen=True)
-class EndSpeedRows:
-    """Row -> angular speed (rad/s) of a motion of the grid after `duration_s`."""
-
-    vehicle: Vehicle
-    start: Start
-    duration_s: float
-    direction_error: float = RATE_DIRECTION_ERROR
-    wheel_mode: str = "coast"
-
-    outputs = {"speed": ("float64", ())}
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.start)
-
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        omega = end_rates(
-            self.vehicle,
-            self.start.take(index),
-            self.duration_s,
-            self.direction_error,
-            self.wheel_mode,
-        )
-        return {"speed": np.linalg.norm(omega, axis=1)}
+        what = k.OUTCOME_TEXT[k.Outcome(int(run.outcome.max()))]
+        raise MotionError("a motion could not be followed", got=what)
+    return run.omega_B[:, -1]

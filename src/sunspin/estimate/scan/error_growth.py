@@ -7,7 +7,8 @@ error is of the size of a turn, E no longer tells near from far, so its valley i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics.propagate import propagate, wheel_speeds
-from sunspin.estimate.scan.error_maps import nominal, varied
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error, emd
-from sunspin.estimate.scan.rows import Start, TrackRows
+from sunspin.estimate.scan.parameters import nominal, variants, varied
+from sunspin.estimate.scan.rows import ScanRows, Start, track_rows
 from sunspin.vehicle import Vehicle
 
 RATES = ("omega_x", "omega_y", "omega_z")
@@ -78,14 +79,12 @@ class Motion:
     def changed(self, name: str, relative: float) -> Motion:
         """With one input changed by this part of itself; a rate by this part of the angular speed."""
         if name in RATES:
-            omega = self.omega_B.copy()
-            omega[RATES.index(name)] += relative * np.linalg.norm(self.omega_B)
-            return Motion(self.vehicle, omega, self.sun_B, self.wheel_speed_rad_s, self.duration_s)
+            step = relative * np.linalg.norm(self.omega_B)
+            return replace(self, omega_B=self.omega_B + step * (np.array(RATES) == name))
         if name == "wheel_speed":
-            speeds = self.wheel_speed_rad_s * (1 + relative)
-            return Motion(self.vehicle, self.omega_B, self.sun_B, speeds, self.duration_s)
-        vehicle = varied(self.vehicle, name, nominal(self.vehicle, name) * (1 + relative))
-        return Motion(vehicle, self.omega_B, self.sun_B, self.wheel_speed_rad_s, self.duration_s)
+            return replace(self, wheel_speed_rad_s=self.wheel_speed_rad_s * (1 + relative))
+        value = nominal(self.vehicle, name) * (1 + relative)
+        return replace(self, vehicle=varied(self.vehicle, name, value))
 
     def track(self, t_s: np.ndarray) -> np.ndarray:
         """Directions to the Sun (n, 3) at t_s."""
@@ -156,12 +155,9 @@ def one_percent(motion: Motion, sample_step_s: float) -> xr.Dataset:
     for i, name in enumerate(motion.inputs):
         for sign in (1, -1):
             track = motion.changed(name, sign * ONE_PERCENT).track(t)
-            other = track[allows(mask, track), 2]
-            found = (
-                direction_error(track[::every], unchanged[::every]),
-                emd(other, seen) if other.size else 1.0,
-            )
-            table[i] = np.maximum(table[i], found)
+            z = track[allows(mask, track), 2]
+            error = direction_error(track[::every], unchanged[::every])
+            table[i] = np.maximum(table[i], (error, emd(z, seen) if z.size else 1.0))
     return xr.Dataset(
         {
             "E": ("input", table[:, 0], {"units": "1"}),
@@ -180,19 +176,16 @@ def valleys(
     workers: int | None = None,
 ) -> xr.DataArray:
     """E over (window, change of omega_x in rad/s) against the motion's own directions, sampled every `sample_step_s`."""
-    change, windows = (
-        np.asarray(change_rad_s, dtype=np.float64),
-        np.asarray(windows_s, dtype=np.float64),
-    )
+    change, windows = (np.asarray(x, dtype=np.float64) for x in (change_rad_s, windows_s))
     axes = [motion.omega_B[0] + change, motion.omega_B[1:2], motion.omega_B[2:]]
     start = Start.on_grid(motion.vehicle, axes, motion.sun_B, motion.wheel_speed_rad_s)
-    found = []
+    E = []
     for window in windows:
         times = np.arange(0.0, window + sample_step_s / 2, sample_step_s)
-        rows = TrackRows(motion.vehicle, start, motion.track(times), times)
-        found.append(ensemble(rows, workers=workers, chunk=512)["E"])
+        rows = ScanRows(motion.vehicle, start, times, "E", motion.track(times))
+        E.append(ensemble(rows, workers=workers)["E"])
     return xr.DataArray(
-        np.array(found),
+        np.array(E),
         dims=("window", "change"),
         name="E",
         attrs={"units": "1"},
@@ -213,3 +206,27 @@ def valley_width(valley: xr.DataArray) -> np.ndarray:
             (right.min() if right.size else np.inf) - (left.max() if left.size else -np.inf)
         )
     return np.array(widths)
+
+
+def parameter_map(
+    motion: Motion,
+    track: xr.Dataset,
+    parameters: Mapping[str, np.ndarray],
+    workers: int | None = None,
+) -> xr.DataArray:
+    """E over a grid of the vehicle's parameters (names of `varied`) for a motion's start, against the directions of a track.
+
+    `track`: `sun_B (time, axis)` at `time`, s after the start; samples without a direction take no part.
+    """
+    rates = [motion.omega_B[i : i + 1] for i in range(3)]
+    start = Start.on_grid(motion.vehicle, rates, motion.sun_B, motion.wheel_speed_rad_s)
+    start = replace(start, bodies=variants(motion.vehicle, parameters))
+    E = ensemble(track_rows(motion.vehicle, start, track), workers=workers)["E"]
+    coords = {name: np.asarray(values, dtype=np.float64) for name, values in parameters.items()}
+    shape = [len(values) for values in coords.values()]
+    return xr.DataArray(E.reshape(shape), coords, list(coords), name="E", attrs={"units": "1"})
+
+
+def of_length(error: Any, length: float) -> Any:
+    """E for a start direction of another length than one: the motion is linear in it, so E = (1 - length (1 - 2 E_1)) / 2."""
+    return (1 - length * (1 - 2 * error)) / 2

@@ -11,12 +11,11 @@ LANES = 32
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def emd_rows(hist, bin_of, low, high, level, emd, seen):
+def emd_rows(hist, bin_of, low, high, level, emd):
     """EMD of each row's histogram to a target: half the integral of |C_r - C_n| over [-1, 1] (paper, eq. 13).
 
     hist (n, bins) over [-1, 1]; C_r is linear inside a bin. The target's CDF is constant on segments: segment s lies in bin
-    bin_of[s] from fraction low[s] to high[s] of that bin, with C_n = level[s]. Fills emd (n) and seen (n), the sum of the
-    row; a row that was never seen gets NaN in emd and 0 in seen.
+    bin_of[s] from fraction low[s] to high[s] of that bin, with C_n = level[s]. Fills emd (n); a row that was never seen gets 1.
     """
     n, bins = hist.shape
     width = 2.0 / bins
@@ -46,5 +45,4 @@ def emd_rows(hist, bin_of, low, high, level, emd, seen):
                 straight, crossing = 0.5 * abs(a + b), 0.5 * (a * a + b * b) / abs(b - a)
                 area[i] += (straight if a * b >= 0.0 else crossing) * length
         for i in range(min(LANES, n - first)):
-            seen[first + i] = total[i]
-            emd[first + i] = 0.5 * area[i] if total[i] != 0.0 else np.nan
+            emd[first + i] = 0.5 * area[i] if total[i] != 0.0 else 1.0

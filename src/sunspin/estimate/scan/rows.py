@@ -1,21 +1,24 @@
-"""The rows of a scan: initial states on a grid of rates, and what each one's Sun track is worth against the measured one.
+"""The rows of a scan: initial states on a grid of rates, and what is kept of the motion that follows from each.
 
 Frozen plain data, so that they can be sent to other processes; compiled kernels are found there when they are first needed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.propagate import SUN_LENGTH_TOLERANCE, wheel_speeds
 from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.estimate.scan.end_rates import rates_at_end
 from sunspin.estimate.scan.histogram import emd_rows
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
@@ -24,7 +27,7 @@ from sunspin.vehicle import Vehicle
 BINS = 256
 """Bins of r_z over [-1, 1]; the CDF is linear inside a bin, the measured one exact. Error below 1e-3, see the tests."""
 
-TRACK_DIRECTION_ERROR = 1e-3
+TRACK_ERROR = 1e-3
 """Default error of the direction (rad) at the last sample for E, which compares directions."""
 
 MAX_TARGET = 4096
@@ -35,7 +38,8 @@ MAX_TARGET = 4096
 class Start:
     """Initial states: a grid of body rates (three axes, rad/s), one direction to the Sun (3), wheel speeds (n_wheel) rad/s.
 
-    Under torques (`acting`) also one attitude `B_from_N` (4), scalar last.
+    Under torques (`acting`) also one attitude `B_from_N` (4), scalar last. With `bodies` (m) each of them begins at each rate:
+    the grid has a fourth axis.
     """
 
     omega_x: np.ndarray
@@ -45,6 +49,7 @@ class Start:
     wheel_speed_rad_s: np.ndarray
     acting: Acting = NOTHING
     B_from_N: np.ndarray | None = None
+    bodies: k.Bodies | None = None
 
     @classmethod
     def on_grid(
@@ -61,186 +66,141 @@ class Start:
         sun = np.asarray(sun_B, dtype=np.float64)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
             raise InputError("sun_B must be a unit vector of three components", got=sun_B)
+        speeds, attitude = wheel_speeds(vehicle, wheel_speed_rad_s), acting.attitude(B_from_N, sun)
         x, y, z = axes
-        attitude = acting.attitude(B_from_N, sun)
-        return cls(
-            x,
-            y,
-            z,
-            sun,
-            wheel_speeds(vehicle, wheel_speed_rad_s),
-            acting,
-            attitude if acting.torques else None,
-        )
+        return cls(x, y, z, sun, speeds, acting, attitude if acting.torques else None)
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        return len(self.omega_x), len(self.omega_y), len(self.omega_z)
+    def shape(self) -> tuple[int, ...]:
+        rates = len(self.omega_x), len(self.omega_y), len(self.omega_z)
+        return rates if self.bodies is None else (*rates, *self.bodies.shape)
 
     def __len__(self) -> int:
         return int(np.prod(self.shape))
 
     def take(self, index: np.ndarray) -> k.Rows:
         """States of the rows `index`, in C order of the grid; made chunk by chunk so that no grid is stored."""
-        where = np.unravel_index(index, self.shape)
-        axes = (self.omega_x, self.omega_y, self.omega_z)
-        omega = np.stack([axis[i] for axis, i in zip(axes, where, strict=True)], axis=-1)
-        n = len(index)
-        attitude = None if self.B_from_N is None else np.tile(self.B_from_N, (n, 1))
+        n, (i, j, l, *body) = len(index), np.unravel_index(index, self.shape)
         return k.Rows(
-            omega,
+            np.stack([self.omega_x[i], self.omega_y[j], self.omega_z[l]], axis=-1),
             np.tile(self.sun_B, (n, 1)),
             np.tile(self.wheel_speed_rad_s, (n, 1)),
-            B_from_N=attitude,
+            None if self.bodies is None else self.bodies.take(*body),
+            None if self.B_from_N is None else np.tile(self.B_from_N, (n, 1)),
         )
 
 
-@dataclass(frozen=True)
-class EmdRows:
-    """Row -> EMD between the distributions of r_z, simulated over `duration_s` and given as `target_z` with `weights`.
+class Measure(NamedTuple):
+    """What a scan keeps of each motion: `of` a run and the scan's target, an array (n, *shape)."""
 
-    Simulated so that the EMD errs by `emd_error` (1e-3 unless given), or that the Sun's direction at the end errs by
-    `direction_error` rad.
+    bins: int
+    """Of a histogram of r_z; 0: the run has a track."""
+    dtype: str
+    shape: tuple[int, ...]
+    of: Callable[[k.BlockResult, Any], np.ndarray]
+
+
+MEASURES = {
+    "emd": Measure(BINS, "float64", (), lambda run, segments: distances_to(run.hist, segments)),
+    "hist": Measure(BINS, "float32", (BINS,), lambda run, _: run.hist),
+    "E": Measure(0, "float64", (), lambda run, sun_B: direction_error(run.sun_B, sun_B)),
+    "speed": Measure(0, "float64", (), lambda run, _: np.linalg.norm(rates_at_end(run), axis=1)),
+}
+"""EMD to a target (paper, eq. 13), the histogram itself (s), E against directions (eq. 12), angular speed at the end (rad/s)."""
+
+
+@dataclass(frozen=True)
+class ScanRows:
+    """Row -> what `measure`, a name in `MEASURES`, keeps of one motion of a grid, and its outcome.
+
+    Attributes
+    ----------
+    t_s : length of the run in s; for E the times (n) of the directions, after the start.
+    target : for EMD the pieces that `target_segments` gives, for E the directions (n, 3).
+    mask : directions that count in a histogram: "reconstructible", or None for all.
+    emd_error, direction_error : error wanted of the EMD, or of the Sun's direction at the end (rad); 1e-3 of what is measured.
     """
 
     vehicle: Vehicle
     start: Start
-    target_z: npt.ArrayLike
-    weights: npt.ArrayLike | None
-    duration_s: float
-    mask: str | None = "reconstructible"
+    t_s: float | np.ndarray
+    measure: str
+    target: Any = None
+    mask: str | None = None
     wheel_mode: str | tuple[str, ...] = "coast"
     emd_error: float | None = None
     direction_error: float | None = None
     condition: k.Mask | None = field(init=False)
-    segments: tuple[np.ndarray, ...] = field(init=False, repr=False)
-
-    outputs = {"emd": ("float64", ()), "outcome": ("int8", ())}
 
     def __post_init__(self) -> None:
-        if self.duration_s is None or not (np.isfinite(self.duration_s) and self.duration_s != 0):
-            raise InputError("duration_s must be the length of the run in s", got=self.duration_s)
         if self.mask not in ("reconstructible", None):
             raise InputError('mask must be "reconstructible" or None', got=self.mask)
         k.check_commands(self.vehicle, self.wheel_mode)
         if self.emd_error is None and self.direction_error is None:
-            object.__setattr__(self, "emd_error", k.EMD_ERROR)
+            default = ("emd_error", k.EMD_ERROR) if self.bins else ("direction_error", TRACK_ERROR)
+            object.__setattr__(self, *default)
         k.accuracy(self.direction_error, self.emd_error)
-        object.__setattr__(
-            self, "condition", reconstructible_mask(self.vehicle) if self.mask else None
-        )
-        object.__setattr__(self, "segments", target_segments(self.target_z, self.weights))
+        condition = reconstructible_mask(self.vehicle) if self.mask else None
+        object.__setattr__(self, "condition", condition)
+
+    @property
+    def bins(self) -> int:
+        """Of the histograms that the runs make; 0: they make tracks."""
+        return MEASURES[self.measure].bins
+
+    @property
+    def outputs(self) -> dict[str, tuple[str, tuple[int, ...]]]:
+        measure = MEASURES[self.measure]
+        return {self.measure: (measure.dtype, measure.shape), "outcome": ("int8", ())}
 
     @property
     def n_rows(self) -> int:
         return len(self.start)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        emd, seen, outcome = self._distances(self.start.take(index))
-        return {"emd": np.where(seen == 0, 1.0, emd), "outcome": outcome.astype(np.int8)}
-
-    def _distances(self, states: k.Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """EMD, time (s) that the mask let pass, and outcome of each state (n)."""
-        hist, outcome = histograms(
+        run = k.run_rows(
             self.vehicle,
-            states,
-            self.duration_s,
-            self.condition,
-            self.wheel_mode,
-            emd_error=self.emd_error,
+            self.start.take(index),
+            self.t_s,
+            wheel_mode=self.wheel_mode,
             direction_error=self.direction_error,
+            emd_error=self.emd_error,
+            mask=self.condition,
+            bins=self.bins,
             acting=self.start.acting,
         )
-        return *distances_to(hist, self.segments), outcome
+        values = MEASURES[self.measure].of(run, self.target)
+        return {self.measure: values, "outcome": run.outcome.astype(np.int8)}
 
 
-def histograms(
-    vehicle: Vehicle,
-    states: k.Rows,
-    duration_s: float,
-    condition: k.Mask | None,
-    wheel_mode: str | tuple[str, ...] = "coast",
-    *,
-    emd_error: float | None = k.EMD_ERROR,
-    direction_error: float | None = None,
-    bins: int = BINS,
-    acting: Acting = NOTHING,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Time (s) by r_z (n, bins) in the run of each state, of directions that the mask lets pass; outcome (n)."""
-    result = k.run_rows(
-        vehicle,
-        states,
-        float(duration_s),
-        wheel_mode=wheel_mode,
-        direction_error=direction_error,
-        emd_error=emd_error,
-        mask=condition,
-        bins=bins,
-        acting=acting,
-    )
-    return result.hist, result.outcome
+def track_rows(vehicle: Vehicle, start: Start, track: xr.Dataset, **options: Any) -> ScanRows:
+    """E against the directions that a track gives: `sun_B (time, axis)` at `time`, s after the start. `options`: of `ScanRows`."""
+    sun_B = np.asarray(track["sun_B"], dtype=np.float64)
+    known = np.all(np.isfinite(sun_B), axis=1)
+    if not known.any():
+        raise InputError("the track holds no direction to compare with")
+    times = np.asarray(track["time"], dtype=np.float64)[known]
+    return ScanRows(vehicle, start, times, "E", sun_B[known], **options)
 
 
 def distances_to(
     hist: np.ndarray, segments: tuple[np.ndarray, ...], workers: int = 1
-) -> tuple[np.ndarray, np.ndarray]:
-    """EMD (n) of histograms (n, BINS) to the target of `target_segments`, NaN where nothing was seen; time seen (n).
+) -> np.ndarray:
+    """EMD (n) of histograms (n, BINS) to the target of `target_segments`; 1, the largest there is, where nothing was seen.
 
     `workers`: threads, each of which takes its share of the rows.
     """
-    emd, seen = np.empty(len(hist)), np.empty(len(hist))
-    bin_of, low, high, level = segments
+    emd, share = np.empty(len(hist)), -(-len(hist) // workers) or 1
 
-    def some(part: slice) -> None:
-        emd_rows(hist[part], bin_of, low, high, level, emd[part], seen[part])
+    def fill(at: int) -> None:
+        emd_rows(hist[at : at + share], *segments, emd[at : at + share])
 
     if workers == 1:
-        some(slice(None))
+        fill(0)
     else:
-        share = -(-len(hist) // workers) or 1
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(some, [slice(at, at + share) for at in range(0, len(hist), share)]))
-    return emd, seen
-
-
-@dataclass(frozen=True)
-class TrackRows:
-    """Row -> E, the mean misfit of directions at `times` (n, s after the start) against `measured` (n, 3).
-
-    The direction at the last of them errs by `direction_error` rad.
-    """
-
-    vehicle: Vehicle
-    start: Start
-    measured: np.ndarray
-    times: np.ndarray
-    wheel_mode: str | tuple[str, ...] = "coast"
-    direction_error: float = TRACK_DIRECTION_ERROR
-
-    outputs = {"E": ("float64", ()), "outcome": ("int8", ())}
-
-    def __post_init__(self) -> None:
-        k.check_commands(self.vehicle, self.wheel_mode)
-        k.accuracy(self.direction_error, None)
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.start)
-
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        result = k.run_rows(
-            self.vehicle,
-            self.start.take(index),
-            self.times,
-            wheel_mode=self.wheel_mode,
-            direction_error=self.direction_error,
-            acting=self.start.acting,
-        )
-        simulated = result.sun_B
-        return {
-            "E": direction_error(simulated, self.measured),
-            "outcome": result.outcome.astype(np.int8),
-        }
+            list(pool.map(fill, range(0, len(hist), share)))
+    return emd
 
 
 def target_segments(
@@ -260,21 +220,14 @@ def target_segments(
         )
     if not (np.all(w >= 0) and w.sum() > 0):
         raise InputError("weights must not be negative and not all zero")
-    if z.size > MAX_TARGET:
-        z, w = _thinned(z, w)
     order = np.argsort(z, kind="stable")
+    if z.size > MAX_TARGET:  # their distribution moves by less than 1 / MAX_TARGET
+        levels = (np.arange(MAX_TARGET) + 0.5) / MAX_TARGET
+        z = z[order][np.searchsorted(np.cumsum(w[order]) / w.sum(), levels)]
+        w, order = np.ones(MAX_TARGET), np.arange(MAX_TARGET)
     place = np.clip((z[order] + 1) * BINS / 2, 0, BINS)
-    knots = np.concatenate([np.arange(BINS + 1, dtype=float), place])
-    knots = np.unique(knots)
+    knots = np.unique(np.concatenate([np.arange(BINS + 1, dtype=float), place]))
     cdf = np.concatenate([[0.0], np.cumsum(w[order])]) / w.sum()
     bin_of = np.minimum(np.floor(knots[:-1]).astype(np.int64), BINS - 1)
     level = cdf[np.searchsorted(place, knots[:-1], side="right")]
     return bin_of, knots[:-1] - bin_of, knots[1:] - bin_of, level
-
-
-def _thinned(z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """MAX_TARGET quantiles in the place of a larger sample: the distribution moves by less than 1 / MAX_TARGET."""
-    order = np.argsort(z, kind="stable")
-    cdf = np.cumsum(w[order]) / w.sum()
-    levels = (np.arange(MAX_TARGET) + 0.5) / MAX_TARGET
-    return z[order][np.searchsorted(cdf, levels)], np.ones(MAX_TARGET)

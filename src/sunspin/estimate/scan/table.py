@@ -7,7 +7,7 @@ motion itself, so that many data sets (twins, thresholds, resampled telemetry) t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,47 +15,16 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.compute.rows import ensemble
-from sunspin.dynamics import ensemble as k
-from sunspin.estimate.scan.mask import reconstructible_mask
-from sunspin.estimate.scan.rows import BINS, Start, distances_to, histograms, target_segments
+from sunspin.estimate.scan.rows import ScanRows, Start, distances_to, target_segments
 from sunspin.estimate.scan.volume import volume
 from sunspin.vehicle import Vehicle
-
-
-@dataclass(frozen=True)
-class HistogramRows:
-    """Row -> histogram of r_z over `duration_s` of one motion of a grid, the wheels coasting: of directions that are
-    reconstructible, or of all."""
-
-    vehicle: Vehicle
-    start: Start
-    duration_s: float
-    mask: str | None = "reconstructible"
-    condition: k.Mask | None = field(init=False)
-
-    outputs = {"hist": ("float32", (BINS,)), "outcome": ("int8", ())}
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "condition", reconstructible_mask(self.vehicle) if self.mask else None
-        )
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.start)
-
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        hist, outcome = histograms(
-            self.vehicle, self.start.take(index), self.duration_s, self.condition
-        )
-        return {"hist": hist, "outcome": outcome.astype(np.int8)}
 
 
 @dataclass(frozen=True)
 class Table:
     """Histograms `hist` (n, BINS; s) and outcomes (n) of the motions of a grid; 1 kB a motion."""
 
-    rows: HistogramRows
+    rows: ScanRows
     hist: np.ndarray
     outcome: np.ndarray
 
@@ -63,25 +32,14 @@ class Table:
         self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
     ) -> np.ndarray:
         """EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`: 1 where never seen."""
-        emd, seen = distances_to(self.hist, target_segments(target_z, weights), workers)
-        return np.where(seen == 0, 1.0, emd)
+        return distances_to(self.hist, target_segments(target_z, weights), workers)
 
     def volume(
         self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
     ) -> xr.DataArray:
         """The same as a DataArray over (omega_x, omega_y, omega_z), as `scan` returns it."""
-        emd = self.distances(target_z, weights, workers)
-        start, count = self.rows.start, np.size(target_z)
-        return volume(
-            self.rows.vehicle,
-            start,
-            "emd",
-            emd,
-            self.outcome,
-            self.rows.mask,
-            "coast",
-            directions=count,
-        )
+        values = {"emd": self.distances(target_z, weights, workers), "outcome": self.outcome}
+        return volume(self.rows.vehicle, self.rows, "emd", values, np.size(target_z))
 
 
 def make_table(
@@ -109,8 +67,7 @@ def make_table(
         As in :func:`sunspin.compute.rows.ensemble`.
     """
     grid = [np.asarray(axes[name], dtype=np.float64) for name in ("omega_x", "omega_y", "omega_z")]
-    rows = HistogramRows(
-        vehicle, Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s), float(duration_s), mask
-    )
+    start = Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s)
+    rows = ScanRows(vehicle, start, float(duration_s), "hist", mask=mask)
     out = ensemble(rows, workers=workers, progress=progress, label="scan")
     return Table(rows, out["hist"], out["outcome"])

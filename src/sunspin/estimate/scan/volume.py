@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +18,18 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
-from sunspin.compute.rows import CHUNK, ensemble
+from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
-from sunspin.dynamics.torques import acting
+from sunspin.dynamics.torques import Steady, acting
 from sunspin.environment import Environment
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.rows import (
     BINS,
-    TRACK_DIRECTION_ERROR,
-    EmdRows,
+    ScanRows,
     Start,
-    TrackRows,
     distances_to,
     target_segments,
+    track_rows,
 )
 from sunspin.vehicle import Vehicle
 
@@ -45,6 +44,29 @@ MANY_ROWS = 5_000
 compiled beside the first."""
 
 
+@dataclass(frozen=True)
+class Propagation:
+    """How the motions of a scan are propagated.
+
+    Attributes
+    ----------
+    wheel_mode : "coast", "hold", "brake", or one per wheel.
+    direction_error : rad
+        Error wanted of the simulated Sun's direction at the end, in the place of `emd_error`; for a track 1e-3 unless given.
+    environment, torques, B_from_N
+        As in :func:`sunspin.propagate`; such a scan runs by series.
+    start_s : s
+        When the motions begin, on the environment's clock.
+    """
+
+    wheel_mode: str | Sequence[str] = "coast"
+    direction_error: float | None = None
+    environment: Environment | None = None
+    torques: Sequence[str | Steady] = ()
+    B_from_N: npt.ArrayLike | None = None
+    start_s: float = 0.0
+
+
 def scan(
     vehicle: Vehicle,
     target_z: Any,
@@ -57,17 +79,12 @@ def scan(
     *,
     weights: npt.ArrayLike | None = None,
     mask: str | None = "reconstructible",
-    wheel_mode: str | Sequence[str] = "coast",
     emd_error: float | None = None,
-    direction_error: float | None = None,
+    propagation: Propagation = Propagation(),
     workers: int | None = None,
     store: str | Path | None = None,
-    scheduler: Any = None,
+    executor: Any = None,
     progress: bool = False,
-    environment: Environment | None = None,
-    torques: Sequence[str] = (),
-    B_from_N: npt.ArrayLike | None = None,
-    start_s: float = 0.0,
 ) -> xr.DataArray:
     """Distance between simulation and measurement over a grid of initial body rates.
 
@@ -88,23 +105,18 @@ def scan(
         Weights of `target_z`.
     mask : "reconstructible" or None
         Count only directions that the panels allow to reconstruct, or all. Only for EMD.
-    wheel_mode : "coast", "hold", "brake", or one per wheel.
     emd_error : float, optional
         Error wanted of the EMD; 1e-3 unless given. Anything tighter is much slower.
-    direction_error : float, optional
-        Instead, error wanted (rad) of the simulated Sun's direction at the end; for a track 1e-3 unless given.
+    propagation : Propagation
+        Wheel modes, torques, and the error wanted of directions.
     workers : int, optional
-        Threads, or worker processes of the scheduler "local"; default one per core.
+        Threads, or worker processes of the executor "local"; default one per core.
     store : path, optional
         Folder in which rows are kept as they are computed; the same call resumes there after any interruption.
-    scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
-        Compute the rows on a Dask cluster or an executor. Both as in :func:`sunspin.compute.rows.ensemble`.
+    executor : concurrent.futures.Executor, dask.distributed.Client, address or "local", optional
+        Compute the rows there, as the `scheduler` of :func:`sunspin.compute.rows.ensemble`.
     progress : bool
         Show a progress bar on a terminal.
-    environment, torques, B_from_N
-        As in :func:`sunspin.propagate`; such a scan runs by series.
-    start_s : float
-        When the motions begin, on the environment's clock.
 
     Returns
     -------
@@ -116,50 +128,35 @@ def scan(
         _axis(values, name)
         for values, name in ((omega_x, "omega_x"), (omega_y, "omega_y"), (omega_z, "omega_z"))
     ]
-    n_rows = math.prod(len(axis) for axis in axes)
     check_size(*(len(axis) for axis in axes))
-    forces = acting(torques, environment, start_s)
     # what free motion and light do not depend on: a store stays good if it changes
     landing = {"mass_kg": None, "legs": (), "hull": (), "antenna": None}
     body = replace(vehicle, **landing, facts={}, changes=())
-    start = Start.on_grid(vehicle, axes, sun_B, wheel_speed_rad_s, forces, B_from_N)
-    mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
-    rows: EmdRows | TrackRows
-    if isinstance(target_z, xr.Dataset):
-        name, rows = (
-            "E",
-            _track_rows(body, start, target_z, mode, emd_error, direction_error),
-        )
-    else:
-        length = np.nan if duration_s is None else duration_s  # refused there
-        name, rows = (
-            "emd",
-            EmdRows(
-                body,
-                start,
-                target_z,
-                weights,
-                length,
-                mask,
-                mode,
-                emd_error,
-                direction_error,
-            ),
-        )
-    if scheduler is None and isinstance(rows, EmdRows) and n_rows >= MANY_ROWS:
-        k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
-    settings: dict[str, Any] = {
-        "workers": workers,
-        "chunk": CHUNK,
-        "store": store,
-        "scheduler": scheduler,
-        "progress": progress,
+    forces = acting(propagation.torques, propagation.environment, propagation.start_s)
+    start = Start.on_grid(body, axes, sun_B, wheel_speed_rad_s, forces, propagation.B_from_N)
+    mode = propagation.wheel_mode
+    how: dict[str, Any] = {
+        "wheel_mode": mode if isinstance(mode, str) else tuple(mode),
+        "direction_error": propagation.direction_error,
     }
-    count = target_z.sizes["time"] if isinstance(target_z, xr.Dataset) else np.size(target_z)
-    out = ensemble(rows, label="scan", **settings)
-    return volume(
-        vehicle, start, name, out[name], out["outcome"], mask, wheel_mode, directions=count
+    if isinstance(target_z, xr.Dataset):
+        if emd_error is not None:
+            what, got = "a track is compared by E, not by EMD", f"emd_error {emd_error}"
+            raise InputError(what, got=got, do="give Propagation(direction_error=...)")
+        rows, count = track_rows(body, start, target_z, **how), target_z.sizes["time"]
+    else:
+        if duration_s is None or not (np.isfinite(duration_s) and duration_s != 0):
+            raise InputError("duration_s must be the length of the run in s", got=duration_s)
+        target, count = target_segments(target_z, weights), np.size(target_z)
+        rows = ScanRows(
+            body, start, float(duration_s), "emd", target, mask, emd_error=emd_error, **how
+        )
+        if executor is None and len(start) >= MANY_ROWS:
+            k.prepare(vehicle, [(rows.condition, BINS)], forces.torques)
+    out = ensemble(
+        rows, workers=workers, store=store, scheduler=executor, progress=progress, label="scan"
     )
+    return volume(vehicle, rows, rows.measure, out, count)
 
 
 def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
@@ -173,40 +170,28 @@ def compile_kernels(vehicles: Iterable[Vehicle]) -> Path:
 
 
 def volume(
-    vehicle: Vehicle,
-    start: Start,
-    name: str,
-    values: np.ndarray,
-    outcome: np.ndarray,
-    mask: Any,
-    wheel_mode: Any,
-    *,
-    directions: int,
+    vehicle: Vehicle, rows: ScanRows, name: str, values: dict[str, np.ndarray], directions: int
 ) -> xr.DataArray:
-    """Values of all rows of a grid, and their outcomes, as `scan` returns them."""
-    dims = ("omega_x", "omega_y", "omega_z")
-    axes = (start.omega_x, start.omega_y, start.omega_z)
-    result = xr.DataArray(
-        values.reshape(start.shape),
+    """The variable `name` of all rows of a grid, with their outcomes, as `scan` returns them."""
+    start, dims = rows.start, ("omega_x", "omega_y", "omega_z")
+    axes = {dim: (dim, getattr(start, dim), {"units": "rad s-1"}) for dim in dims}
+    flags = {
+        "flag_values": [int(o) for o in k.Outcome],
+        "flag_meanings": " ".join(o.name.lower() for o in k.Outcome),
+    }
+    return xr.DataArray(
+        values[name].reshape(start.shape),
         dims=dims,
-        coords={
-            dim: (dim, axis, {"units": "rad s-1"}) for dim, axis in zip(dims, axes, strict=True)
-        },
+        coords={**axes, "outcome": (dims, values["outcome"].reshape(start.shape), flags)},
         name=name,
         attrs=provenance("scan", **vehicle.said)
         | {
             "units": "1",
-            "mask": str(mask),
-            "wheel_mode": str(wheel_mode),
+            "mask": str(rows.mask),
+            "wheel_mode": str(rows.wheel_mode),
             "directions": directions,
         },
     )
-    result = result.assign_coords(outcome=(dims, outcome.reshape(start.shape)))
-    result["outcome"].attrs = {
-        "flag_values": [int(o) for o in k.Outcome],
-        "flag_meanings": " ".join(o.name.lower() for o in k.Outcome),
-    }
-    return result
 
 
 def check_size(*points: float) -> None:
@@ -231,29 +216,6 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
     if len(np.unique(axis)) < len(axis):
         raise InputError(f"{name} has a rate twice", got=axis[:10].tolist(), do="give each once")
     return axis
-
-
-def _track_rows(
-    vehicle: Vehicle,
-    start: Start,
-    track: xr.Dataset,
-    wheel_mode: str | tuple[str, ...],
-    emd_error: float | None,
-    direction_error: float | None,
-) -> TrackRows:
-    if emd_error is not None:
-        raise InputError(
-            "a track is compared by E, not by EMD",
-            got=f"emd_error {emd_error}",
-            do="give direction_error",
-        )
-    measured = np.asarray(track["sun_B"], dtype=np.float64)
-    known = np.all(np.isfinite(measured), axis=1)
-    if not known.any():
-        raise InputError("the track holds no direction to compare with")
-    times = np.asarray(track["time"], dtype=np.float64)[known]
-    error = TRACK_DIRECTION_ERROR if direction_error is None else direction_error
-    return TrackRows(vehicle, start, measured[known], times, wheel_mode, error)
 
 
 def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
@@ -293,17 +255,12 @@ def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
         raise InputError(
             "motions of this scan are interpolated, as earlier versions could", do="scan again"
         )
-    return _points(emd, _computed(emd) < threshold)
+    chosen = np.nonzero(_computed(emd) < threshold)
+    axes = emd["omega_x"], emd["omega_y"], emd["omega_z"]
+    return np.stack([axis.values[i] for axis, i in zip(axes, chosen, strict=True)], axis=-1)
 
 
 def _computed(emd: xr.DataArray) -> np.ndarray:
     if "outcome" in emd.coords:
         emd = emd.where(emd["outcome"] == k.Outcome.FINE)
     return emd.transpose("omega_x", "omega_y", "omega_z").values
-
-
-def _points(emd: xr.DataArray, chosen: np.ndarray) -> np.ndarray:
-    i, j, l = np.nonzero(chosen)
-    return np.stack(
-        [emd["omega_x"].values[i], emd["omega_y"].values[j], emd["omega_z"].values[l]], axis=-1
-    )

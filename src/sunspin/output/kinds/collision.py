@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.landing.weighted import explained, facts_of, weightings
+from sunspin.landing.tally import explained, facts_of, weightings
 from sunspin.output.figures import ABOVE, COLOURS, axes_grid, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import with_sigma
