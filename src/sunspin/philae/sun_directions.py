@@ -169,7 +169,7 @@ class Phases:
 
     @property
     def twin(self) -> str:
-        """What notes begin with."""
+        """What notes begin with: whether the telemetry is synthetic."""
         return "synthetic telemetry; " if self.sun.attrs.get("synthetic") else ""
 
 
@@ -209,13 +209,13 @@ def _delta_rows(r: Phases) -> list[Row]:
             inside = bool(low <= r.case.published["delta_max"].value <= high)
             judged = {"tolerance": high - low, "agrees": inside, "low": low, "high": high}
         directions, mean, largest = int(kept.sum()), delta[kept].mean(), delta[kept].max()
-        made = "the telemetry is synthetic: its noise was chosen for this figure; "
+        origin = "the telemetry is synthetic: its noise was chosen for this figure; "
         result = [
             row_of(
                 "delta_mean",
                 float(mean),
                 sigma=float(delta[kept].std() / np.sqrt(directions)),
-                chosen=made if r.twin else "",
+                chosen=origin if r.twin else "",
                 directions=directions,
                 of_three=directions - checked.size,
             ),
@@ -276,7 +276,7 @@ def _pattern_rows(r: Phases) -> list[Row]:
     noise = float(sum(v.log10_together for v in verdicts.values())) if verdicts else None
     published = {frozenset(map(str, p)) for p in r.case.published["lit_patterns_at_rest"].value}
     ours = {frozenset(pattern) for pattern in impossible}
-    made = "synthetic telemetry, made with panel 1 in shadow at rest" if r.twin else ""
+    origin = "synthetic telemetry, made with panel 1 in shadow at rest" if r.twin else ""
     # whether turning panel 1 to the Sun was a risk: samples that only its loss explains
     panel_1 = sum(n for p, n in impossible.items() if explanations(vehicle, [p]) == [("1",)])
     allowed = ["-".join(pattern) for pattern in r.health["allowed"]]
@@ -300,12 +300,14 @@ def _pattern_rows(r: Phases) -> list[Row]:
             sorted(map(sorted, ours)),
             published=sorted(map(sorted, published)),
             agrees=published <= ours,
-            made=made,
+            made=origin,
         ),
         row_of(
-            "shadowed_panel", explained, published=[["1"]], agrees=explained == [["1"]], made=made
+            "shadowed_panel", explained, published=[["1"]], agrees=explained == [["1"]], made=origin
         ),
-        row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0, made=f"; {made}" if made else ""),
+        row_of(
+            "panel_1_rotation", panel_1, agrees=panel_1 > 0, made=f"; {origin}" if origin else ""
+        ),
     ]
 
 
