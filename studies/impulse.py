@@ -30,7 +30,7 @@ from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, carries, level_set
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
-from sunspin.philae.reading_noise import with_own_noise
+from sunspin.philae.sun_directions import with_own_noise
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
 from validation.campaign import command, rows_folder
@@ -140,7 +140,7 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
 
 def motions(case: Case, source: str, seed: int) -> candidates.Chain:
     """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
-    case, _ = with_own_noise(case, carries.whole_panels(case, case.telemetry))
+    case, _ = with_own_noise(case)
     sun = sun_directions(case.vehicle, case.telemetry)
     scan = level_set.compute(case, sun, seed).scan
     return candidates.compute(scan, carries.compute(case, sun, None, seed), source, None, seed)

@@ -17,8 +17,8 @@ from sunspin.base.errors import SunspinError
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import candidates, carries, descent, level_set, touchdown
 from sunspin.philae import rebound as rb
-from sunspin.philae.reading_noise import with_own_noise
 from sunspin.philae.row import Row, settled
+from sunspin.philae.sun_directions import with_own_noise
 from sunspin.philae.twin_philae import CELL_W, keep_direction
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
@@ -130,7 +130,7 @@ def chain_of(
     """The chain on a telemetry file, the built-in one unless given."""
     case = load_case("philae")
     case = case if telemetry is None else rb.with_telemetry(case, telemetry)
-    case, _ = with_own_noise(case, carries.whole_panels(case, case.telemetry))
+    case, _ = with_own_noise(case)
     sun = sun_directions(case.vehicle, case.telemetry)
     try:
         fit = descent.compute(case, sun)

@@ -8,7 +8,6 @@ import pytest
 import sunspin as ss
 from philae_sun import AS_DRAWN, CASE, SUN, SUN_AS_DRAWN
 from sunspin.philae import descent
-from sunspin.philae.figures import descent as figures_descent
 
 
 @pytest.fixture(scope="module")
@@ -64,24 +63,17 @@ def test_a_telemetry_with_another_cubic_is_told_from_the_published_one(result):
     """Negative control of the comparison: directions turned by a drift of 0.5 rad over the descent."""
     t = CASE.telemetry["time"].values - CASE.telemetry["time"].values[9]
     angle = 0.5 * np.clip(t / 23400.0, 0, None) ** 2
-    moved = SUN.copy(deep=True)
-    n = SUN["sun_B"].values
-    moved["sun_B"].values[:] = np.stack(
-        [
-            n[:, 0] * np.cos(angle) + n[:, 1] * np.sin(angle),
-            n[:, 1] * np.cos(angle) - n[:, 0] * np.sin(angle),
-            n[:, 2],
-        ],
-        axis=1,
-    )
+    moved, (x, y, z) = SUN.copy(deep=True), SUN["sun_B"].values.T
+    drifted = (x + 1j * y) * np.exp(-1j * angle)
+    moved["sun_B"].values[:] = np.stack([drifted.real, drifted.imag, z], axis=1)
     rows = {row.id: row for row in descent.rows(descent.compute(CASE, moved))}
     assert rows["descent_rate_cubic"].agrees is False
 
 
 def test_the_figure_says_that_the_telemetry_is_synthetic(result):
-    assert "synthetic telemetry" in figures_descent.draw(result)._suptitle.get_text()
+    assert "synthetic telemetry" in descent.draw(result)._suptitle.get_text()
     real = replace(result, sun=result.sun.assign_attrs(synthetic=0))
-    assert "synthetic" not in figures_descent.draw(real)._suptitle.get_text()
+    assert "synthetic" not in descent.draw(real)._suptitle.get_text()
 
 
 def test_telemetry_without_a_descent_is_refused():

@@ -11,17 +11,13 @@ from philae_sun import as_drawn
 from sunspin.base.errors import InputError
 from sunspin.estimate.scan.rows import ScanRows, Start
 from sunspin.estimate.scan.table import Table, make_table
-from sunspin.philae import carries
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
-from sunspin.philae.reading_noise import dark_sigma, with_own_noise
+from sunspin.philae.sun_directions import dark_sigma, with_own_noise
 from sunspin.philae.twin_philae import CELL_W
 from sunspin.telemetry.sun import sun_directions
 
-CASE, NOISE = with_own_noise(
-    ss.load_case("philae"),
-    carries.whole_panels(ss.load_case("philae"), ss.load_case("philae").telemetry),
-)
+CASE, NOISE = with_own_noise(ss.load_case("philae"))
 REBOUND = rb.rebound_of(CASE, sun_directions(CASE.vehicle, CASE.telemetry))
 
 
@@ -160,7 +156,7 @@ def test_noise_on_dark_panels_lights_none(kind):
     data["power_W"].values[:] = np.where(power == 0, noise, power)
     sigma, count = dark_sigma(case.vehicle, data["power_W"].values)
     assert sigma == pytest.approx(0.02, rel=0.35) and count > 50
-    noisy, found = with_own_noise(rb.with_telemetry(case, data), carries.whole_panels(case, data))
+    noisy, found = with_own_noise(rb.with_telemetry(case, data))
     assert 0.06 < found.lit_threshold < 0.12 and "lit above" in found.told
 
     def impossible(vehicle):
@@ -174,7 +170,7 @@ def test_noise_on_dark_panels_lights_none(kind):
 def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
     case = ss.load_case("philae")
     few = case.telemetry.isel(time=slice(0, 5))
-    _, found = with_own_noise(rb.with_telemetry(case, few), np.ones(5, dtype=bool))
+    _, found = with_own_noise(rb.with_telemetry(case, few))
     assert found.lit == case.vehicle.telemetry.noise and "too few samples" in found.told
 
 
@@ -185,7 +181,7 @@ def test_what_a_calibration_depends_on_is_in_its_key():
 
     def key(*changes):
         case = rb.with_telemetry(ss.load_case("philae", changes), CASE.telemetry)
-        case = with_own_noise(case, carries.whole_panels(case, case.telemetry))[0]
+        case = with_own_noise(case)[0]
         rebound = rb.rebound_of(case, ss.sun_directions(case.vehicle, case.telemetry))
         start = Start.on_grid(
             case.vehicle,

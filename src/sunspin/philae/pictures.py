@@ -14,12 +14,12 @@ from sunspin.output import figures
 from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, outcomes, strategies, telemetry
+from sunspin.philae import descent as figures_descent
 from sunspin.philae import rebound as rb
+from sunspin.philae import sun_directions as figures_health
 from sunspin.philae.candidates import Chain
 from sunspin.philae.figures import candidates as figures_candidates
-from sunspin.philae.figures import descent as figures_descent
 from sunspin.philae.figures import directions as figures_directions
-from sunspin.philae.figures import health as figures_health
 from sunspin.philae.figures import level_set as figures_level_set
 from sunspin.philae.figures import precession as figures_precession
 from sunspin.philae.figures import sensitivity as figures_sensitivity

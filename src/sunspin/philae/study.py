@@ -30,15 +30,15 @@ from sunspin.philae import (
     level_set,
     mechanics,
     motions,
-    phases,
     precession,
     published_lines,
     sensitivity,
     touchdown,
 )
 from sunspin.philae import rebound as rb
-from sunspin.philae.reading_noise import ReadingNoise, with_own_noise
+from sunspin.philae import sun_directions as phases
 from sunspin.philae.row import Row, counts, settled, tables
+from sunspin.philae.sun_directions import ReadingNoise, with_own_noise
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.vehicle import Vehicle
@@ -311,7 +311,7 @@ def compute(
     """
     options = options or Options(**chosen)
     require_wheel(case.vehicle)
-    case, noise = with_own_noise(case, carries.whole_panels(case, case.telemetry))
+    case, noise = with_own_noise(case)
     sun = sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
     study = Reproduction(case, options, noise, sun)
