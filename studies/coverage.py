@@ -29,7 +29,7 @@ from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import LEAST_DIRECTIONS
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
-from sunspin.philae.twin_philae import CELL_W, drawn_panels, keep_direction, rebound_times
+from sunspin.philae.twin import CELL_W, drawn_panels, keep_direction, rebound_times
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from sunspin.telemetry.synthetic import noisy_power

@@ -19,7 +19,7 @@ from sunspin.philae import candidates, carries, descent, level_set, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.reading_noise import with_own_noise
 from sunspin.philae.row import Row, settled
-from sunspin.philae.twin_philae import CELL_W, keep_direction
+from sunspin.philae.twin import CELL_W, keep_direction
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator, noisy_power

@@ -8,8 +8,7 @@ import pytest
 
 import sunspin as ss
 from philae_sun import AS_DRAWN, FORMER, FORMER_TRUTH, SUN_AS_DRAWN
-from sunspin.philae.twin import main
-from sunspin.philae.twin_philae import philae_twin
+from sunspin.philae.twin import main, philae_twin
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
 

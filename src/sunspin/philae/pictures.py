@@ -23,9 +23,8 @@ from sunspin.philae.figures import health as figures_health
 from sunspin.philae.figures import level_set as figures_level_set
 from sunspin.philae.figures import precession as figures_precession
 from sunspin.philae.figures import sensitivity as figures_sensitivity
-from sunspin.philae.figures import speed as figures_speed
 from sunspin.philae.level_set import LevelSet
-from sunspin.philae.motions import Motions
+from sunspin.philae.motions import Motions, speed_figure
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.study import Reproduction
 
@@ -81,7 +80,7 @@ def _motions(result: Reproduction, part: Motions) -> Iterator[Drawing]:
     }.get(chain, "")
     yield Drawing(
         "speed",
-        lambda: figures_speed.draw(result.case, part.speed, result.synthetic),
+        lambda: speed_figure(result.case, part.speed, result.synthetic),
         "Angular speed against time: the descent as a line, then a band of rates to the collision and another after it",
         f"How fast Philae turned. Band: {part.speed.attrs['about_candidates']}, slowest to fastest{meaning}. Dashed: "
         f"{part.speed.attrs['about_recipe']}; it has no stated confidence. After the collision: 95 % of simulated collisions of "
