@@ -165,12 +165,10 @@ class Unguarded(Corrupt):
 
     def prepare(self) -> None:
         super().prepare()
-        for place, read in (
-            ("base.netcdf._in_another_process", lambda *_, **__: None),
-            ("environment.ephemeris.elsewhere", run_here),
-            ("output.export.against.elsewhere", run_here),
-        ):
-            self.stack.enter_context(mock.patch(f"sunspin.{place}", read))
+        probe = "sunspin.base.netcdf._in_another_process"
+        self.stack.enter_context(mock.patch(probe, lambda *_, **__: None))
+        for place in ("environment.ephemeris", "output.export.against", "philae.collision"):
+            self.stack.enter_context(mock.patch(f"sunspin.{place}.elsewhere", run_here))
 
 
 def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:  # noqa: ARG001

@@ -289,10 +289,11 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
 
 
 def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
-    runs = next(iter(part.chosen.paper.values())).sizes["run"]
+    paper = part.collision.runs["chosen"]
+    runs = paper["off"].sizes["run"]
     about = part.chain.chosen.about
     of_telemetry = {"synthetic": int(result.synthetic)}
-    after = {name: found.assign_attrs(of_telemetry) for name, found in part.chosen.paper.items()}
+    after = {name: found.assign_attrs(of_telemetry) for name, found in paper.items()}
     yield Drawing(
         "fig13_after_collision",
         lambda: outcomes.sun_height_figure(after),
@@ -302,14 +303,14 @@ def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     )
     yield Drawing(
         "strategies",
-        lambda: strategies.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
+        lambda: strategies.strategies_figure(part.strategies.table.assign_attrs(of_telemetry)),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
         + _note(result),
     )
     yield Drawing(
         "collision",
-        lambda: collision.collision_figure(part.collision.assign_attrs(of_telemetry)),
+        lambda: collision.collision_figure(part.collision.known.assign_attrs(of_telemetry)),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them."
         + _note(result),

@@ -36,13 +36,8 @@ def lower_bound(chain: Chain) -> float:
 
 def rows(chain: Chain) -> list[Row]:
     """Figures of section 3.2 on the touchdown beside ours, and what is known of the two angles."""
-    return [*_speed_rows(chain), *_angle_rows(chain), _height_row(chain)]
-
-
-def _speed_rows(chain: Chain) -> list[Row]:
-    """Least angular speed by the paper's recipe, and the bounds on it from below and above."""
-    case, chosen, about = chain.case, chain.chosen, chain.chosen.about
-    ours, possible = chosen.speed_range(), chain.box.speed_range()
+    case, chosen, box, about = chain.case, chain.chosen, chain.box, chain.chosen.about
+    ours, possible = chosen.speed_range(), box.speed_range()
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
     level = "95 % probable" if chosen.probable else f"{case.assumptions.study.confidence:.0%}"
     recipe = float(chain.recipe.speed_touchdown.min())
@@ -62,26 +57,18 @@ def _speed_rows(chain: Chain) -> list[Row]:
     smallest, below, above = (
         over_candidates(each, chain.name, ours, possible) for each in (smallest, below, above)
     )
-    return [
-        smallest,
-        replace(below, informative=bounded),
-        replace(above, informative=above.informative and chosen.probable),
-    ]
-
-
-def _angle_rows(chain: Chain) -> list[Row]:
-    """The smaller and the larger angle of the momentum, from the z axis and from the Sun."""
-    rows = []
+    below = replace(below, informative=bounded)
+    above = replace(above, informative=above.informative and chosen.probable)
+    angles = []
     for which in ("smaller", "larger"):
-        recipe, about = getattr(chain.recipe, f"{which}_angle"), chain.chosen.about
-        ours = np.degrees([recipe.min(), recipe.max()]).tolist()
-        angle = row(chain.case, "angle", ours, id=f"angle_{which}", which=which, about=about)
-        chosen, box = (
-            np.degrees(c.angle_range(getattr(c, f"{which}_angle"))).tolist()
-            for c in (chain.chosen, chain.box)
+        values = getattr(chain.recipe, f"{which}_angle")
+        recipe = np.degrees([values.min(), values.max()]).tolist()
+        angle = row(case, "angle", recipe, id=f"angle_{which}", which=which, about=about)
+        ours, possible = (
+            np.degrees(c.angle_range(getattr(c, f"{which}_angle"))).tolist() for c in (chosen, box)
         )
-        rows.append(over_candidates(angle, chain.name, chosen, box))
-    return rows
+        angles.append(over_candidates(angle, chain.name, ours, possible))
+    return [smallest, below, above, *angles, _height_row(chain)]
 
 
 def _height_row(chain: Chain) -> Row:

@@ -205,7 +205,7 @@ def philae_twin(
     landed = _state_at(vehicle, after, timeline.event("second_touchdown").t_s)
     sampled = (
         ("first_rebound", start, rebound_times(case, generator(seed, 2))),
-        ("second_rebound", after, _sparse_times(case, generator(seed, 4))),
+        ("second_rebound", after, _sparse_times(case, "collision", generator(seed, 4))),
     )
     parts = [
         *_descent(case, generator(seed, 1)),
@@ -363,18 +363,15 @@ def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([on_time_grid([begin]), _jittered(later, rng)])
 
 
-def _sparse_interval(case: Case) -> float:
-    """Time (s) between samples that spreads the published number over the time from the collision to the second touchdown."""
-    duration = case.require_timeline().seconds("collision", "second_touchdown")
-    return duration / case.published["samples_after_collision"].value
-
-
-def _sparse_times(case: Case, rng: np.random.Generator) -> np.ndarray:
-    begin, n = (
-        case.require_timeline().event("collision").t_s,
-        case.published["samples_after_collision"].value,
-    )
-    return _jittered(begin + _sparse_interval(case) * (np.arange(n) + 0.5), rng)
+def _sparse_times(
+    case: Case, event: str, rng: np.random.Generator, duration_s: float | None = None
+) -> np.ndarray:
+    """Times (n) from an event on, as close as the published number after the collision; that number, or for a duration."""
+    n = case.published["samples_after_collision"].value
+    interval = case.require_timeline().seconds("collision", "second_touchdown") / n
+    n = n if duration_s is None else int(duration_s / interval)
+    begin = case.require_timeline().event(event).t_s
+    return _jittered(begin + interval * (np.arange(n) + 0.5), rng)
 
 
 def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
@@ -416,8 +413,10 @@ def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
 
 
 def _rest(case: Case, rng: np.random.Generator, seen_first: bool) -> Part:
-    begin, interval = case.require_timeline().event("rest").t_s, _sparse_interval(case)
-    t = _jittered(begin + interval * (np.arange(int(REST_DURATION_S / interval)) + 0.5), rng)
+    begin, t = (
+        case.require_timeline().event("rest").t_s,
+        _sparse_times(case, "rest", rng, REST_DURATION_S),
+    )
     at_first, shadow, hides, shows = REST_ANGLES_DEG
     angle = np.radians(at_first) + 2 * np.pi * (t - begin) / COMET_TURN_S
     hidden = (angle > np.radians(hides)) & (angle < np.radians(shows))
