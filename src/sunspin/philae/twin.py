@@ -219,9 +219,8 @@ def philae_twin(
     seen = [np.broadcast_to(part.transmission, (part.t_s.size, panels)) for part in parts]
 
     exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(seen)
-    power = noisy_power(vehicle, exact, sigma, generator(seed, 0))
     first = int(np.flatnonzero(phase == "first_rebound")[0])
-    power[first] = keep_direction(vehicle, sun[first], exact[first], power[first])
+    power = noisy_readings(vehicle, sun, exact, sigma, generator(seed, 0), first)
     truth = {
         "seed": seed,
         "noise": sigma,
@@ -283,18 +282,25 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     return sun
 
 
-def keep_direction(
-    vehicle: Vehicle, sun_B: np.ndarray, exact: np.ndarray, noisy: np.ndarray
+def noisy_readings(
+    vehicle: Vehicle,
+    sun_B: np.ndarray,
+    exact: np.ndarray,
+    sigma: float,
+    rng: np.random.Generator,
+    first: int = 0,
 ) -> np.ndarray:
-    """Confine the noise of one sample, the Sun at sun_B, to what its redundancy shows, so that the measured direction
-    is the one without noise.
+    """Powers (n, n_panel) that are `exact` with the Sun at sun_B (n, 3), with noise of `sigma`; that of sample `first` is confined
+    to what its redundancy shows.
 
     The first direction after the touchdown is published as measured: so this sample's noise may raise Delta but not turn the
     direction.
     """
-    rows = np.where((exact > 0)[:, None], vehicle.response_in().under(sun_B)[1], 0.0)
-    noise = noisy - exact
-    return exact + noise - rows @ (np.linalg.pinv(rows) @ noise)
+    power = noisy_power(vehicle, exact, sigma, rng)
+    rows = np.where((exact[first] > 0)[:, None], vehicle.response_in().under(sun_B[first])[1], 0.0)
+    noise = power[first] - exact[first]
+    power[first] = exact[first] + noise - rows @ (np.linalg.pinv(rows) @ noise)
+    return power
 
 
 def first_state(case: Case, tilt: np.ndarray | None = None) -> State:
