@@ -29,10 +29,9 @@ from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import LEAST_DIRECTIONS
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
-from sunspin.philae.twin_philae import CELL_W, drawn_panels, keep_direction, rebound_times
+from sunspin.philae.twin import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
-from sunspin.telemetry.synthetic import noisy_power
 from validation.campaign import command, kept, rows_folder
 
 FACTOR = 1.1
@@ -112,8 +111,7 @@ def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nd
     run = propagate(vehicle, truth, first, rb.nominal_speed(vehicle), t - t[0], rtol=1e-9)
     true = run["sun_B"].values
     exact = CELL_W * vehicle.response_in().power(true, tilt=tilt)
-    power = noisy_power(vehicle, exact, vehicle.require_noise(), rng)
-    power[0] = keep_direction(vehicle, true[0], exact[0], power[0])
+    power = noisy_readings(vehicle, true, exact, vehicle.require_noise(), rng)
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
 

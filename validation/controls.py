@@ -19,10 +19,10 @@ from sunspin.philae import candidates, carries, descent, level_set, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, settled
 from sunspin.philae.sun_directions import with_own_noise
-from sunspin.philae.twin_philae import CELL_W, keep_direction
+from sunspin.philae.twin import CELL_W, noisy_readings
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
-from sunspin.telemetry.synthetic import generator, noisy_power
+from sunspin.telemetry.synthetic import generator
 
 STILL = (0.0, 0.0, 0.0)
 TUMBLING = (0.35, -0.2, 0.15)
@@ -43,8 +43,7 @@ def with_motion(
     sun, tilt = run["sun_B"].values, np.array(known["tilt_B_rad"]).reshape(-1, 3)
     exact = CELL_W * case.vehicle.response_in().power(sun, tilt=tilt)
     sigma = case.vehicle.require_noise() if noise is None else noise
-    power = noisy_power(case.vehicle, exact, sigma, generator(seed, 20))
-    power[0] = keep_direction(case.vehicle, sun[0], exact[0], power[0])
+    power = noisy_readings(case.vehicle, sun, exact, sigma, generator(seed, 20))
     data["power_W"].values[inside] = power
     data.attrs.pop("sha256", None)  # no longer the file whose truth ships with the case
     return data

@@ -169,6 +169,7 @@ class Unguarded(Corrupt):
             ("base.netcdf.elsewhere", lambda *_, **__: b""),
             ("environment.ephemeris.elsewhere", run_here),
             ("output.export.against.elsewhere", run_here),
+            ("philae.collision.elsewhere", run_here),
         ):
             self.stack.enter_context(mock.patch(f"sunspin.{place}", read))
 

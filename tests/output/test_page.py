@@ -25,7 +25,7 @@ from sunspin.output.report.body import body_in_motion
 from sunspin.output.report.page import _json, _script
 from sunspin.output.report.read import Results, read_results
 from sunspin.output.report.views import motions_of, sun_on_sphere
-from sunspin.philae.figures.speed import draw as draw_speed
+from sunspin.philae.motions import speed_figure
 from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Channel, Panel, Vehicle
 
@@ -197,12 +197,12 @@ def test_panels_of_one_side_have_one_label_on_the_sphere():
 def test_the_axis_of_the_studys_first_picture_holds_every_motion(study):
     speed = xr.load_dataset(study / "speed.nc", engine="h5netcdf")
     parts = ("speed", "speed_after_collision")
-    low, high = draw_speed(load_case("philae"), speed, True).axes[0].get_ylim()
+    low, high = speed_figure(load_case("philae"), speed, True).axes[0].get_ylim()
     assert low <= min(speed[part].min() for part in parts)
     assert high >= max(speed[part].max() for part in parts)
     speed["speed"][{"level": 0, "time": 3}] = 0.0
     speed["speed"][{"level": 2}] = 5.0
-    low, high = draw_speed(load_case("philae"), speed, True).axes[0].get_ylim()
+    low, high = speed_figure(load_case("philae"), speed, True).axes[0].get_ylim()
     assert 0 < low < 1e-4 and high > 5
 
 

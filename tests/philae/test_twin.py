@@ -8,8 +8,7 @@ import pytest
 
 import sunspin as ss
 from philae_sun import AS_DRAWN, FORMER, FORMER_TRUTH, SUN_AS_DRAWN
-from sunspin.philae.twin import main
-from sunspin.philae.twin_philae import philae_twin
+from sunspin.philae.twin import main, philae_twin
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
 
@@ -143,21 +142,8 @@ def test_a_landing_with_turned_panels_shows_what_flew(tilted):
 
 
 def test_the_command_says_how_the_panels_were_turned(tmp_path):
-    assert (
-        main(
-            [
-                "--seed",
-                "3",
-                "--tilt",
-                "1",
-                "--turn",
-                "5",
-                "--no-rest-seen",
-                str(tmp_path / "twin.csv"),
-            ]
-        )
-        == 0
-    )
+    options = "--seed 3 --tilt 1 --turn 5 --no-rest-seen".split()
+    assert main([*options, str(tmp_path / "twin.csv")]) == 0
     again = ss.read_telemetry(tmp_path / "twin.csv", vehicle)
     assert "--seed 3 --tilt 1 --turn 5 --no-rest-seen twin.csv" in again.attrs["comments"]
     known = tomllib.loads((tmp_path / "twin_truth.toml").read_text("utf-8"))

@@ -23,9 +23,10 @@ def datasets(result: Reproduction) -> dict[str, xr.Dataset]:
         ]
     if "landing" in parts:
         tables += [
-            (f"outcomes-{name}", runs) for name, runs in parts["landing"].chosen.paper.items()
+            (f"outcomes-{name}", runs)
+            for name, runs in parts["landing"].collision.runs["chosen"].items()
         ]
-        tables.append(("strategies", parts["landing"].strategies))
+        tables.append(("strategies", parts["landing"].strategies.table))
     if "motions" in parts:
         tables += [
             (f"motion-{_file(name)}", run.assign_attrs(title=name))

@@ -1,16 +1,19 @@
 """Philae's motion to look at: whole candidate motions from touchdown to touchdown, and the angular speed with its spread.
 
 Nothing here is compared with the paper; the report draws it. A candidate after the collision is one of many: which leg hit, and
-in which direction, is drawn once (`twin_philae.collision`) and the same for all, so that their difference is the motion's.
+in which direction, is drawn once (`twin.collide`) and the same for all, so that their difference is the motion's.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.dates import DateFormatter
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from sunspin.dynamics import gyrostat
@@ -20,12 +23,13 @@ from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.environment.frames import BODY_AT_START
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
+from sunspin.output.figures import COLOURS, titled
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.level_set import LevelSet
 from sunspin.philae.row import Row
-from sunspin.philae.twin_philae import State, collision
+from sunspin.philae.twin import State, collide
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
@@ -43,6 +47,9 @@ COLLISIONS = 2000
 AFTER_LEVELS = (0.025, 0.5, 0.975)
 """Quantiles over simulated collisions; before the collision a set is shown from its slowest to its fastest motion."""
 
+FLOOR_RAD_S = 1e-4
+"""Smaller speeds, such as none at all, are drawn as this."""
+
 
 @dataclass(frozen=True)
 class Motions:
@@ -57,14 +64,26 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
     scan: LevelSet = done["level_set"]
     chain: Chain = done["candidates"]
     descent: Descent | None = done.get("descent")
-    blows = {"Truth": rb.twin_file(case).get("seed", seed)} if scan.truth else {}
-    found = {
-        name: landing(chain.rebound, start, about, blows.get(name, seed))
-        for name, (start, about) in chosen(chain, scan).items()
-    }
+    rebound, chosen = chain.rebound, chain.chosen
+    runs = {}
+    if scan.truth:
+        start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
+        about = "the motion from which the synthetic telemetry was made"
+        runs["Truth"] = landing(rebound, start, about, rb.twin_file(case).get("seed", seed))
+    start = scan.scan.table.rows.start.take(np.array([np.argmin(scan.scan.emd)]))
+    about = (
+        "the grid point whose heights of the Sun fit this telemetry best "
+        f"(EMD {scan.scan.smallest:.4f})"
+    )
+    runs["Best fit"] = landing(rebound, start, about, seed)
+    order = np.argsort(chosen.speed_touchdown)
+    for name, at in (("Slowest", 0), ("Middle", len(order) // 2), ("Fastest", -1)):
+        start, speed = chosen.states.take(order[[at]]), chosen.speed_touchdown[order[at]]
+        about = f"{name.lower()} of {chosen.about}: {speed:.3f} rad/s just after the touchdown"
+        runs[f"{name} candidate"] = landing(rebound, start, about, seed)
     if descent is not None:
-        found["Descent"] = descent_motion(case, descent)
-    return Motions(found, speeds(chain, descent, seed, workers))
+        runs["Descent"] = descent_motion(case, descent)
+    return Motions(runs, speeds(chain, descent, seed, workers))
 
 
 def rows(_: Motions) -> list[Row]:
@@ -72,132 +91,81 @@ def rows(_: Motions) -> list[Row]:
     return []
 
 
-def chosen(chain: Chain, scan: LevelSet) -> dict[str, tuple[Rows, str]]:
-    """Name -> (one state at the candidates' instant, why this one)."""
-    rebound, found = chain.rebound, {}
-    if scan.truth:
-        start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
-        found["Truth"] = (start, "the motion from which the synthetic telemetry was made")
-    best = int(np.argmin(scan.scan.emd))
-    found["Best fit"] = (
-        scan.scan.table.rows.start.take(np.array([best])),
-        f"the grid point whose heights of the Sun fit this telemetry best (EMD {scan.scan.smallest:.4f})",
-    )
-    speed = chain.chosen.speed_touchdown
-    for name, at in (
-        ("Slowest", np.argmin(speed)),
-        ("Middle", np.argsort(speed)[len(speed) // 2]),
-        ("Fastest", np.argmax(speed)),
-    ):
-        found[f"{name} candidate"] = (
-            chain.chosen.states.take(np.array([at])),
-            f"{name.lower()} of {chain.chosen.about}: {speed[at]:.3f} rad/s just after the touchdown",
-        )
-    return found
-
-
-def _run(case: Case, start: Rows, t: Any) -> xr.Dataset:
-    mode = mode_before(start.wheel_speed_rad_s) if t[-1] < t[0] else "coast"
-    return propagate(
-        case.vehicle,
-        start.omega_B[0],
-        start.sun_B[0],
-        start.wheel_speed_rad_s[0],
-        t,
-        wheel_mode=mode,
-        rtol=1e-9,
-    )
-
-
-def instant_s(rebound: rb.Rebound) -> float:
-    """The candidates' instant, s from the epoch of the case."""
-    return rebound.case.require_timeline().event("collision").t_s - rebound.window_s
-
-
 def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
-    """One motion from the first touchdown over the collision to the second, time in s from the case's epoch."""
+    """The motion through `start`, one state at the candidates' instant, from the first touchdown over the collision to the second.
+
+    Times in s from the case's epoch.
+    """
     case = rebound.case
-    first, blow_s = instant_s(rebound), case.require_timeline().event("collision").t_s
-    end = case.require_timeline().event("second_touchdown").t_s
-    back = np.arange(0.0, -rebound.lead_s - 1e-6, -STEP_S)
-    forth = np.arange(0.0, blow_s - first + 1e-6, STEP_S)
+    timeline = case.require_timeline()
+    blow_s, end = (timeline.event(name).t_s for name in ("collision", "second_touchdown"))
+    first = blow_s - rebound.window_s
     state = State(first, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
-    _, after, blow = collision(case, state, generator(seed, 3))
-    beyond = np.arange(0.0, end - blow_s + 1e-6, STEP_S)
-    before = [_run(case, start, back).isel(time=slice(None, 0, -1)), _run(case, start, forth)]
-    last = propagate(
-        case.vehicle, after.omega_B, after.sun_B, after.wheel_speed_rad_s, beyond, rtol=1e-9
+    _, after, blow = collide(case, state, generator(seed, 3))
+
+    def seconds(duration_s: float) -> np.ndarray:
+        return np.arange(0.0, duration_s + 1e-6, STEP_S)
+
+    def run(state: State, t_s: np.ndarray, wheel_mode: Any = "coast") -> xr.Dataset:
+        return propagate(case.vehicle, *state[1:], t_s, wheel_mode=wheel_mode, rtol=1e-9)
+
+    back = run(state, -seconds(rebound.lead_s), mode_before(start.wheel_speed_rad_s))
+    forth = run(state, seconds(blow_s - first))
+    beyond = run(after, seconds(end - blow_s))
+    turned = Rotation.from_quat(beyond["B_from_N"].values) * Rotation.from_quat(
+        forth["B_from_N"].values[-1]
     )
-    turned = Rotation.from_quat(last["B_from_N"].values) * Rotation.from_quat(
-        before[1]["B_from_N"].values[-1]
-    )
-    last["B_from_N"] = (last["B_from_N"].dims, turned.as_quat(), last["B_from_N"].attrs)
-    pieces = [*before[:1], before[1].isel(time=slice(None, -1)), last]
-    shifts = (first, first, blow_s)
-    moved = [
-        p.drop_dims("event").assign_coords(time=p["time"] + s)
-        for p, s in zip(pieces, shifts, strict=True)
+    beyond["B_from_N"] = beyond["B_from_N"].copy(data=turned.as_quat())
+    pieces = [
+        (back.isel(time=slice(None, 0, -1)), first),
+        (forth.isel(time=slice(None, -1)), first),
+        (beyond, blow_s),
     ]
     whole = xr.concat(
-        moved, "time", data_vars="minimal", coords="minimal", compat="override", join="override"
+        [p.drop_dims("event").assign_coords(time=p["time"] + shift) for p, shift in pieces],
+        "time",
+        data_vars="minimal",
+        coords="minimal",
+        compat="override",
+        join="override",
     )
-    events = before[1]
-    at = [*(events["event_time_s"].values + first), blow_s]
-    what = [
-        f"{w} {e}"
-        for w, e in zip(events["event_wheel"].values, events["event_what"].values, strict=True)
+    changes = zip(
+        *(forth[f"event_{key}"].values for key in ("time_s", "wheel", "what")), strict=True
+    )
+    events = [(t + first, f"{wheel} {what}") for t, wheel, what in changes] + [
+        (blow_s, "collision")
     ]
-    told = f"{about}; after the collision one of many possible motions (leg {blow['collision_leg']} hits, drawn with seed {seed})"
-    return _with_panels(case, whole, told, at, [*what, "collision"])
+    about += (
+        "; after the collision one of many possible motions "
+        f"(leg {blow['collision_leg']} hits, drawn with seed {seed})"
+    )
+    return _with_panels(case, whole, about, events)
 
 
 def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     """The plain spin about z that fits the descent, time in s from the case's epoch; the turn about z at its start is free."""
     start, end = descent_span(case, descent)
     t = np.arange(0.0, end - start, DESCENT_STEP_S)
-    rate = np.polynomial.polynomial.polyval(t, descent.fit.coefficients)
-    angle = np.polynomial.polynomial.polyval(
-        t, np.polynomial.polynomial.polyint(descent.fit.coefficients)
-    )
+    rate = np.polynomial.Polynomial(descent.fit.coefficients)
     axis = np.array([0.0, 0.0, 1.0])
-    omega = rate[:, None] * axis
+    omega = rate(t)[:, None] * axis
+    turned = Rotation.from_rotvec(-rate.integ()(t)[:, None] * axis).as_quat()
     speed = np.tile(rb.nominal_speed(case.vehicle), (t.size, 1))
+    momentum = gyrostat.total_momentum(case.vehicle, omega, speed)
     body = ("time", "axis")
-    data = xr.Dataset(
+    run = xr.Dataset(
         {
             "omega_B": (body, omega, {"units": "rad s-1"}),
             "sun_B": (body, descent.fit.directions(t), {"units": "1"}),
             "wheel_speed_rad_s": (("time", "wheel"), speed, {"units": "rad s-1"}),
-            "momentum_B": (
-                body,
-                gyrostat.total_momentum(case.vehicle, omega, speed),
-                {"units": "N m s"},
-            ),
-            "B_from_N": (
-                ("time", "quaternion"),
-                Rotation.from_rotvec(-angle[:, None] * axis).as_quat(),
-                {"units": "1"},
-            ),
+            "momentum_B": (body, momentum, {"units": "N m s"}),
+            "B_from_N": (("time", "quaternion"), turned, {"units": "1"}),
         },
         coords={"time": ("time", t + start, {"units": "s"}), "axis": ["x", "y", "z"]},
         attrs={"frame_N": BODY_AT_START},
     )
-    return _with_panels(
-        case,
-        data,
-        "the spin about z that fits the directions of the descent, wheel held by its motor",
-        [],
-        [],
-    )
-
-
-def _spread(case: Case, states: Rows, seed: int) -> Rows:
-    """Some of the states (n), and those of least and most angular speed and momentum."""
-    momentum = gyrostat.total_momentum(case.vehicle, states.omega_B, states.wheel_speed_rad_s)
-    sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
-    edges = [f(size) for size in sizes for f in (np.argmin, np.argmax)]
-    pick = generator(seed, 4).choice(len(states), min(SPREAD_MOTIONS, len(states)), replace=False)
-    return states.take(np.unique([*edges, *pick]))
+    about = "the spin about z that fits the directions of the descent, wheel held by its motor"
+    return _with_panels(case, run, about, [])
 
 
 def descent_span(case: Case, descent: Descent) -> tuple[float, float]:
@@ -208,22 +176,18 @@ def descent_span(case: Case, descent: Descent) -> tuple[float, float]:
 
 
 def _with_panels(
-    case: Case, run: xr.Dataset, about: str, event_s: list[float], events: list[str]
+    case: Case, run: xr.Dataset, about: str, events: list[tuple[float, str]]
 ) -> xr.Dataset:
+    """The motion with the signal of each panel and the `events`: s from the case's epoch, what happens."""
+    signal = {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"}
     power = panel_power(case.vehicle, run["sun_B"].values)
-    run["panel_signal"] = (
-        ("time", "panel"),
-        power,
-        {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"},
-    )
-    run["event_time_s"] = ("event", np.array(event_s, dtype=np.float64), {"units": "s"})
-    run["event_what"] = ("event", np.array(events, dtype=np.str_))
+    event_s = np.array([t for t, _ in events], dtype=np.float64)
+    run["panel_signal"] = (("time", "panel"), power, signal)
+    run["event_time_s"] = ("event", event_s, {"units": "s"})
+    run["event_what"] = ("event", np.array([what for _, what in events], dtype=np.str_))
     run = run.assign_coords(panel=np.array(case.vehicle.panel_names, dtype=np.str_))
-    run.attrs = {
-        "vehicle": case.vehicle.name,
-        "about": about,
-        "epoch_utc": case.require_timeline().epoch_utc,
-    }
+    epoch = case.require_timeline().epoch_utc
+    run.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": epoch}
     return run
 
 
@@ -236,40 +200,30 @@ def speeds(
     counts as much as another. After the collision: `AFTER_LEVELS` over simulated collisions of the set.
     """
     case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
+    vehicle, scenario = case.vehicle, case_scenario(case, rebound)
     sets = {"candidates": chain.chosen, "recipe": chain.recipe}
-    first, blow = instant_s(rebound), timeline.event("collision").t_s
-    t = np.append(np.arange(0.0, blow - first, SPREAD_STEP_S), blow - first)
-    scenario = case_scenario(case, rebound)
+    first = timeline.event("collision").t_s - rebound.window_s
+    t = np.append(np.arange(0.0, rebound.window_s, SPREAD_STEP_S), rebound.window_s)
     before, after, count = [], [], []
     for candidates in sets.values():
         states = _spread(case, candidates.states, seed)
-        run = np.linalg.norm(
-            run_rows(case.vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B, axis=2
-        )
-        run = np.concatenate([np.linalg.norm(states.omega_B, axis=1)[:, None], run], axis=1)
-        before.append(np.quantile(run, [0.0, 0.5, 1.0], axis=0))
-        hit = outcomes(
-            case.vehicle,
-            candidates.dataset(),
-            "off",
-            COLLISIONS,
-            seed,
-            scenario=scenario,
-            workers=workers,
-        )
-        after.append(
-            np.nanquantile(np.linalg.norm(hit["omega_after_B"].values, axis=1), AFTER_LEVELS)
-        )
+        run = run_rows(vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B
+        speed = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
+        before.append(np.quantile(speed, [0.0, 0.5, 1.0], axis=0))
         count.append(len(states))
-    names = list(sets)
+        starts = candidates.dataset()
+        hit = outcomes(vehicle, starts, "off", COLLISIONS, seed, scenario=scenario, workers=workers)
+        speed = np.linalg.norm(hit["omega_after_B"].values, axis=1)
+        after.append(np.nanquantile(speed, AFTER_LEVELS))
+    rate = {"units": "rad s-1"}
     data = xr.Dataset(
         {
-            "speed": (("set", "level", "time"), np.array(before), {"units": "rad s-1"}),
-            "speed_after_collision": (("set", "level"), np.array(after), {"units": "rad s-1"}),
+            "speed": (("set", "level", "time"), np.array(before), rate),
+            "speed_after_collision": (("set", "level"), np.array(after), rate),
             "motions": ("set", count, {"units": "1"}),
         },
         coords={
-            "set": names,
+            "set": [*sets],
             "level": ["low", "middle", "high"],
             "time": ("time", t + first, {"units": "s"}),
         },
@@ -286,7 +240,86 @@ def speeds(
         return data
     begin, end = descent_span(case, descent)
     when = np.linspace(0.0, end - begin, 100)
-    rate = np.abs(np.polynomial.polynomial.polyval(when, descent.fit.coefficients))
-    return data.assign(descent_speed=("descent_time", rate, {"units": "rad s-1"})).assign_coords(
+    spin = np.abs(np.polynomial.Polynomial(descent.fit.coefficients)(when))
+    return data.assign(descent_speed=("descent_time", spin, rate)).assign_coords(
         descent_time=("descent_time", when + begin, {"units": "s"})
     )
+
+
+def _spread(case: Case, states: Rows, seed: int) -> Rows:
+    """Some of the states (n), and those of least and most angular speed and momentum."""
+    momentum = gyrostat.total_momentum(case.vehicle, states.omega_B, states.wheel_speed_rad_s)
+    sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
+    edges = [f(size) for size in sizes for f in (np.argmin, np.argmax)]
+    pick = generator(seed, 4).choice(len(states), min(SPREAD_MOTIONS, len(states)), replace=False)
+    return states.take(np.unique([*edges, *pick]))
+
+
+def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
+    """Angular speed against time: the descent's fit, bands of the candidates and of the paper's recipe, the magnetometer.
+
+    Parameters
+    ----------
+    speed : Dataset of :func:`speeds`
+    """
+    timeline, published = case.require_timeline(), case.published
+    at = {event.name: event.t_s for event in timeline.events}
+    epoch = np.datetime64(timeline.epoch_utc.removesuffix("Z"), "ms")
+
+    def clock(seconds: float | Sequence[float] | np.ndarray) -> Any:
+        return epoch + np.round(1000 * np.asarray(seconds)).astype("timedelta64[ms]")
+
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1, 2.6))
+    if "descent_speed" in speed:
+        t, spin = clock(speed["descent_time"].values), speed["descent_speed"].values
+        left.plot(t, spin, color=COLOURS[2], lw=2.5, label="fit of the descent")
+    bands = [
+        (clock(speed["time"].values), speed["speed"].clip(min=FLOOR_RAD_S)),
+        (
+            clock([at["collision"], at["second_touchdown"]]),
+            speed["speed_after_collision"].clip(min=FLOOR_RAD_S).expand_dims(time=2, axis=-1),
+        ),
+    ]
+    for k, (t, band) in enumerate(bands):
+        low, _, high = band.sel(set="candidates").values
+        label = None if k else "all candidates: slowest to fastest"
+        right.fill_between(t, low, high, color=COLOURS[0], alpha=0.25, lw=0, label=label)
+    for k, (t, band) in enumerate(bands):
+        low, middle, high = band.sel(set="recipe").values
+        label = None if k else "the paper's recipe on this telemetry, and its median"
+        right.plot(t, low, "--", color=COLOURS[1], lw=1.2, label=label)
+        right.plot(t, high, "--", color=COLOURS[1], lw=1.2)
+        right.plot(t, middle, color=COLOURS[1], lw=1.6)
+    marks: dict[str, Any] = {"marker": "D", "ls": "", "ms": 7, "color": COLOURS[6]}
+    middle_s = (at["separation"] + at["first_touchdown"]) / 2
+    spin = published["descent_rate_romap"].value
+    left.plot(clock(middle_s), spin, label="magnetometer (not used)", **marks)
+    for t, name in ((-240, "romap_period_before"), (600, "romap_period_after")):
+        right.plot(clock(at["collision"] + t), 2 * np.pi / published[name].value, **marks)
+    for name, text in (
+        ("first_touchdown", "bounce"),
+        ("collision", "hits crater rim"),
+        ("second_touchdown", "lands"),
+    ):
+        right.axvline(clock(at[name]), color=COLOURS[7], ls=":", lw=1)
+        above = right.get_xaxis_transform()
+        right.text(clock(at[name]), 1.01, text, fontsize=8, transform=above, ha="center")
+    left.set(xlim=clock([at["separation"], at["first_touchdown"]]), title="descent")
+    right.set_xlim(clock([at["first_touchdown"] - 120.0, at["second_touchdown"] + 120.0]))
+    drawn = np.concatenate([band.values.ravel() for _, band in bands])
+    left.set_yscale("log")
+    left.set_ylim(min(0.006, 0.8 * np.nanmin(drawn)), max(2.2, 1.2 * np.nanmax(drawn)))
+    left.set_ylabel("angular speed (rad/s)")
+    periods = right.secondary_yaxis("right")
+    named = {600: "10 min", 60: "1 min", 30: "30 s", 13: "13 s", 5: "5 s"}
+    periods.set_yticks([2 * np.pi / seconds for seconds in named], list(named.values()))
+    periods.minorticks_off()
+    periods.set_ylabel("rotation period")
+    for axes in (left, right):
+        axes.xaxis.set_major_formatter(DateFormatter("%H:%M"))
+        axes.tick_params(axis="x", labelrotation=30)
+        axes.set_xlabel(f"UTC, {timeline.epoch_utc[:10]}")
+    figure.legend(ncols=2, fontsize=8, loc="outside lower center", frameon=False)
+    figure.suptitle(titled("How fast Philae turned", synthetic), fontsize=11)
+    return figure

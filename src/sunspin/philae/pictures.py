@@ -23,9 +23,8 @@ from sunspin.philae.figures import directions as figures_directions
 from sunspin.philae.figures import level_set as figures_level_set
 from sunspin.philae.figures import precession as figures_precession
 from sunspin.philae.figures import sensitivity as figures_sensitivity
-from sunspin.philae.figures import speed as figures_speed
 from sunspin.philae.level_set import LevelSet
-from sunspin.philae.motions import Motions
+from sunspin.philae.motions import Motions, speed_figure
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.study import Reproduction
 
@@ -81,7 +80,7 @@ def _motions(result: Reproduction, part: Motions) -> Iterator[Drawing]:
     }.get(chain, "")
     yield Drawing(
         "speed",
-        lambda: figures_speed.draw(result.case, part.speed, result.synthetic),
+        lambda: speed_figure(result.case, part.speed, result.synthetic),
         "Angular speed against time: the descent as a line, then a band of rates to the collision and another after it",
         f"How fast Philae turned. Band: {part.speed.attrs['about_candidates']}, slowest to fastest{meaning}. Dashed: "
         f"{part.speed.attrs['about_recipe']}; it has no stated confidence. After the collision: 95 % of simulated collisions of "
@@ -290,10 +289,11 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
 
 
 def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
-    runs = next(iter(part.chosen.paper.values())).sizes["run"]
+    paper = part.collision.runs["chosen"]
+    runs = paper["off"].sizes["run"]
     about = part.chain.chosen.about
     of_telemetry = {"synthetic": int(result.synthetic)}
-    after = {name: found.assign_attrs(of_telemetry) for name, found in part.chosen.paper.items()}
+    after = {name: found.assign_attrs(of_telemetry) for name, found in paper.items()}
     yield Drawing(
         "fig13_after_collision",
         lambda: outcomes.sun_height_figure(after),
@@ -303,14 +303,14 @@ def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
     )
     yield Drawing(
         "strategies",
-        lambda: strategies.strategies_figure(part.strategies.assign_attrs(of_telemetry)),
+        lambda: strategies.strategies_figure(part.strategies.table.assign_attrs(of_telemetry)),
         "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
         f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
         + _note(result),
     )
     yield Drawing(
         "collision",
-        lambda: collision.collision_figure(part.collision.assign_attrs(of_telemetry)),
+        lambda: collision.collision_figure(part.collision.known.assign_attrs(of_telemetry)),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them."
         + _note(result),

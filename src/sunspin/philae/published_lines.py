@@ -18,8 +18,8 @@ from sunspin.estimate.scan.table import Table, make_table
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, paper_scenario
 from sunspin.landing.tally import Estimate, lowest_rz, tally
-from sunspin.philae import landing
 from sunspin.philae import rebound as rb
+from sunspin.philae.collision import rz_range
 from sunspin.philae.row import Row, interval, row
 from sunspin.telemetry.case import Case
 
@@ -212,7 +212,7 @@ def _collision_rows(r: PublishedLines) -> list[Row]:
     case = r.case
     told = {name: tally(runs) for name, runs in r.runs.items()}
     slow = {name: tally(runs) for name, runs in r.slow.items()}
-    low, high, reaches = landing.rz_range(r.runs["off"])
+    low, high, reaches = rz_range(r.runs["off"])
     fast_v, slow_v = case.published["collision_speed"].value, case.published["landing_speed"].value
     lowest = {
         v: float(np.nanmin(lowest_rz(runs["held"])))

@@ -26,7 +26,7 @@ from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.philae import rebound as rb
-from sunspin.philae.twin_philae import drawn_panels
+from sunspin.philae.twin import drawn_panels
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle

@@ -36,132 +36,92 @@ def lower_bound(chain: Chain) -> float:
 
 def rows(chain: Chain) -> list[Row]:
     """Figures of section 3.2 on the touchdown beside ours, and what is known of the two angles."""
-    return [*_speed_rows(chain), *_angle_rows(chain), _height_row(chain)]
-
-
-def _speed_rows(chain: Chain) -> list[Row]:
-    case, chosen = chain.case, chain.chosen
-    ours, possible = chosen.speed_range(), chain.box.speed_range()
-    level = "95 % probable" if chosen.probable else f"{case.assumptions.study.confidence:.0%}"
+    case, chosen, box, about = chain.case, chain.chosen, chain.box, chain.chosen.about
+    ours, possible = chosen.speed_range(), box.speed_range()
     bounded = bool(ours[0] > possible[0] + LEAST_STEP_RAD_S)
+    level = "95 % probable" if chosen.probable else f"{case.assumptions.study.confidence:.0%}"
     recipe = float(chain.recipe.speed_touchdown.min())
-    smallest = row(
-        case, "rate_at_touchdown_min", recipe, motions=len(chain.recipe), about=chosen.about
-    )
-    bound = row(
+    smallest = row(case, "rate_at_touchdown_min", recipe, motions=len(chain.recipe), about=about)
+    below = row(
         case,
         "rate_at_touchdown_bound",
         ours[0],
         says=("note",) if bounded else ("note", "note_unbounded"),
         published=case.published["rate_at_touchdown_min"].value,
         level=level,
-        about=chosen.about,
+        about=about,
         prior_low=possible[0],
     )
-    above = row(
-        case,
-        "rate_at_touchdown_max",
-        ours[1],
-        says=("note_probable" if chosen.probable else "note",),
-        level=level,
+    says = ("note_probable" if chosen.probable else "note",)
+    above = row(case, "rate_at_touchdown_max", ours[1], says=says, level=level)
+    smallest, below, above = (
+        over_candidates(each, chain.name, ours, possible) for each in (smallest, below, above)
     )
-    smallest, bound, above = (
-        over_candidates(one, chain.name, ours, possible) for one in (smallest, bound, above)
-    )
-    return [
-        smallest,
-        replace(bound, informative=bounded),
-        above if chosen.probable else replace(above, informative=False),
-    ]
-
-
-def _angle_rows(chain: Chain) -> list[Row]:
-    found = []
-    for which, values in (
-        ("smaller", lambda c: c.smaller_angle),
-        ("larger", lambda c: c.larger_angle),
-    ):
-        ours, possible = (_degrees(c.angle_range(values(c))) for c in (chain.chosen, chain.box))
-        recipe = [float(np.degrees(f(values(chain.recipe)))) for f in (np.min, np.max)]
-        one = row(
-            chain.case, "angle", recipe, id=f"angle_{which}", which=which, about=chain.chosen.about
+    below = replace(below, informative=bounded)
+    above = replace(above, informative=above.informative and chosen.probable)
+    angles = []
+    for which in ("smaller", "larger"):
+        values = getattr(chain.recipe, f"{which}_angle")
+        recipe = np.degrees([values.min(), values.max()]).tolist()
+        angle = row(case, "angle", recipe, id=f"angle_{which}", which=which, about=about)
+        ours, possible = (
+            np.degrees(c.angle_range(getattr(c, f"{which}_angle"))).tolist() for c in (chosen, box)
         )
-        found.append(over_candidates(one, chain.name, ours, possible))
-    return found
-
-
-def _degrees(pair: tuple[float, float]) -> tuple[float, float]:
-    return float(np.degrees(pair[0])), float(np.degrees(pair[1]))
+        angles.append(over_candidates(angle, chain.name, ours, possible))
+    return [smallest, below, above, *angles, _height_row(chain)]
 
 
 def _height_row(chain: Chain) -> Row:
     """Mean of the smallest and of the largest height of the Sun up to the collision."""
-    case = chain.case
-    low, high = case.published["sun_height_range"].value
-    ours = [estimate.value for estimate in chain.recipe.mean_height()]
-    chosen, box = chain.chosen.mean_height(), chain.box.mean_height()
-    agrees = all(
-        abs(mine.value - theirs) <= HEIGHT_DEG
-        for mine, theirs in zip(chosen, (low, high), strict=True)
-    )
+    case, chosen = chain.case, chain.chosen.mean_height()
+    published = case.published["sun_height_range"].value
+    ours = [height.value for height in chain.recipe.mean_height()]
+    agrees = bool(np.all(np.abs([h.value for h in chosen] - np.array(published)) <= HEIGHT_DEG))
     shown = row(case, "sun_height_range", ours, within=HEIGHT_DEG, about=chain.chosen.about)
-    each = [
-        share_of_candidates(shown, chain.name, mine, before, agrees)
-        for mine, before in zip(chosen, box, strict=True)
+    ends = [
+        share_of_candidates(shown, chain.name, after, before, agrees)
+        for after, before in zip(chosen, chain.box.mean_height(), strict=True)
     ]
-    informative = any(one.informative for one in each)
-    merged = {
-        key: [getattr(one, key) for one in each]
+    informative = any(end.informative for end in ends)
+    intervals = {
+        key: [getattr(end, key) for end in ends]
         for key in ("low", "high", "prior_low", "prior_high")
     }
-    return replace(
-        each[0], informative=informative, agrees=agrees if informative else None, **merged
-    )
+    agrees = agrees if informative else None
+    return replace(ends[0], informative=informative, agrees=agrees, **intervals)
 
 
 def sentences(chain: Chain) -> list[str]:
     """What the heights of the Sun say, one-sided, in words."""
     chosen, box = chain.chosen, chain.box
-    level = (
-        "each with 95 % probability"
-        if chosen.probable
-        else f"{chain.case.assumptions.study.confidence:.0%}"
-    )
-    small, possible = (_degrees(c.angle_range(c.smaller_angle)) for c in (chosen, box))
-    large = _degrees(chosen.angle_range(chosen.larger_angle))
-    found = []
-    if small[1] < 0.9 * possible[1] or small[0] > possible[0] + 1:
-        parts = [f"above {small[0]:.0f} degrees"] if small[0] >= 1 else []
-        parts += [f"below {small[1]:.0f} degrees"] if small[1] < 0.9 * possible[1] else []
-        found.append(
+    confidence = f"{chain.case.assumptions.study.confidence:.0%}"
+    level = "each with 95 % probability" if chosen.probable else confidence
+    small, possible = (np.degrees(c.angle_range(c.smaller_angle)) for c in (chosen, box))
+    large = np.degrees(chosen.angle_range(chosen.larger_angle))
+    above, below = small[0] >= 1, small[1] < 0.9 * possible[1]
+    if below or small[0] > possible[0] + 1:
+        limits = [f"above {small[0]:.0f} degrees"] if above else []
+        limits += [f"below {small[1]:.0f} degrees"] if below else []
+        angles = (
             "The smaller of the angles from the momentum to the body's z axis and to the Sun is "
-            f"{' and '.join(parts) or 'unknown'}, "
-            f"{level}"
-            + (
-                f"; the momentum lies within {small[1]:.0f} degrees of z or of the Sun."
-                if small[1] < STILL_DEG
-                else "."
-            )
+            f"{' and '.join(limits)}, {level}"
         )
+        if small[1] < STILL_DEG:
+            angles += f"; the momentum lies within {small[1]:.0f} degrees of z or of the Sun"
     else:
-        found.append(
-            "The heights of the Sun leave the angles from the momentum to the z axis and to the Sun nearly open."
+        angles = (
+            "The heights of the Sun leave the angles from the momentum to the z axis and to the Sun "
+            "nearly open"
         )
-    found[-1] = (
-        found[-1].removesuffix(".")
-        + f"; the larger is between {large[0]:.0f} and {large[1]:.0f} degrees."
-    )
+    angles += f"; the larger is between {large[0]:.0f} and {large[1]:.0f} degrees."
     slow, fast = chosen.speed_range()
-    least = box.speed_range()[0]
-    bound = (
-        f"Just after the touchdown it turned at {slow:.2g} rad/s or faster, {level}"
-        if slow > least + LEAST_STEP_RAD_S
-        else "Just after the touchdown it may have stood still: no lower bound on its "
-        "angular speed follows"
-    )
-    upper = (
-        f", at {fast:.3g} rad/s or slower"
-        if chosen.probable
-        else "; from above the heights of the Sun bound nothing"
-    )
-    return [*found, bound + upper + "."]
+    if slow > box.speed_range()[0] + LEAST_STEP_RAD_S:
+        speed = f"Just after the touchdown it turned at {slow:.2g} rad/s or faster, {level}"
+    else:
+        speed = (
+            "Just after the touchdown it may have stood still: no lower bound on its angular speed "
+            "follows"
+        )
+    if chosen.probable:
+        return [angles, f"{speed}, at {fast:.3g} rad/s or slower."]
+    return [angles, f"{speed}; from above the heights of the Sun bound nothing."]

@@ -1,7 +1,29 @@
-"""Synthetic telemetry with known truth: a vehicle's own motion, or the landing of a built-in case.
+"""Synthetic telemetry with known truth: of a vehicle that moves as told, or of the whole landing of Philae.
 
-The landing of Philae, phase by phase, is in :mod:`sunspin.philae.twin_philae`; ``python -m sunspin.philae.twin --seed N OUT.csv``
-writes it as a telemetry file.
+The measured panel powers are not public, so the landing stands in for them, made from published facts;
+``python -m sunspin.philae.twin --seed N OUT.csv`` writes it as a telemetry file. What the facts leave open is drawn from the
+seed or chosen here, and said where it is:
+
+- scale: `CELL_W` watts per cell, so that the lander makes some 8 W, about right at 2.99 AU; no result depends on it;
+- noise: the vehicle file's, the same for each lit panel; dark panels read zero, lit ones never;
+- panels: each off by `tilt_rad`, and all together turned by `turned_rad` against the axes of inertia and wheel, drawn from the
+  seed with the vehicle file's sigmas. These were chosen so that E and Delta of the descent are as published in the mean of
+  twenty seeds, and noise alone gives a tenth of that E; the published first direction is what the panels show, and the true one
+  what lies behind it;
+- deployment: rotation as after it (the paper sees a slight variation only); the folded legs take a fixed part of the
+  light of each side panel, until sample 10;
+- first rebound: the state at the first sample is the published direction, the published wheel speed, and the rate on
+  the published line L3 that has |omega| = 2 pi / 13 s at the collision (the magnetometer's "13 s" read as the angular
+  speed);
+- collision: a sticking impact on a leg, in a direction and at the speed of the paper's section 3.3;
+- settling: the direction turns from where it was at the second touchdown to where it is at rest, evenly;
+- rest: the comet turns the Sun along a great circle in body axes; rocks shadow panel 1 wholly and panels 2 and 3 in
+  part, then hide the Sun until it stands below the panel plane. The orientation is chosen for the published lit
+  patterns;
+- first samples at rest (`rest_seen`): a rock covers panel 1 only after them, so that these give a direction, wrong by 25 degrees
+  and with a large Delta: the paper's Fig. 4D has directions after the landing.
+
+The seed of the committed file is 0, the first: none was picked.
 """
 
 from __future__ import annotations
@@ -9,19 +31,66 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import version
+from sunspin.dynamics.impact import impact
+from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
-from sunspin.philae.twin_philae import philae_twin
 from sunspin.telemetry.case import Case, case_names, load_case
-from sunspin.telemetry.synthetic import csv_text, truth_text, write_new
+from sunspin.telemetry.synthetic import (
+    csv_text,
+    drawn_tilts,
+    generator,
+    noisy_power,
+    on_time_grid,
+    telemetry_dataset,
+    truth_text,
+    write_new,
+)
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.response.panels import stated_sigma
+
+CELL_W = 0.02
+"""Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
+
+FOLDED_LEG_TRANSMISSION = (0.42, 0.72, 0.42, 0.72, 0.42, 1.0)
+"""Part of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta in 0.1 .. 0.2."""
+
+REST_TRANSMISSION = (0.0, 0.4, 0.4, 0.4, 0.4, 1.0)
+"""The same past the rocks at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
+
+BEFORE_THE_SHADOW = (0.15, 0.6, 0.3, 0.4, 0.4, 1.0)
+"""The same before the shadow is all over panel 1: the pattern (1, 2, 3, 6) has a direction, with Delta in 0.1 .. 0.2."""
+
+REST_ANGLES_DEG = (-60.0, -50.0, -40.0, 3.0)
+"""Angle of the Sun along its circle from where it sinks below the xy plane: when the lander comes to rest; until where the shadow
+leaves panel 1 free (some five samples); between which the rocks hide the Sun."""
+
+COMET_TURN_S = 12.4 * 3600.0
+"""Rotation period of 67P on the day."""
+
+SPIN_PERIOD_S = 13.0
+"""Turn before the collision: ROMAP team, 2014; read here as 2 pi / |omega|."""
+
+SAMPLES_BEFORE_DESCENT, SAMPLES_OF_REBOUND = 9, 23
+DEPLOYMENT_INTERVAL_S = 102.0  # nine samples between separation and 08:50:30 leave no more
+REBOUND_INTERVAL_S = 120.0  # paper, section 1: about 2 min
+SETTLING_INTERVAL_S = 150.0
+REST_DURATION_S = 4.0 * 3600.0
+JITTER_S = 6.0
+"""Sample times are irregular by up to this, as housekeeping is."""
+
+MAX_DRAWS = 200
+"""Draws of what has to be possible, before it is refused."""
 
 
 def twin(
@@ -35,13 +104,13 @@ def twin(
     Parameters
     ----------
     source : Case, Vehicle or name of a case
-        ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.twin_philae.philae_twin`.
+        ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.twin.philae_twin`.
     truth : Truth, or a mapping with its fields
     seed : int
         Of the noise and of what else is drawn. The same seed gives the same data.
     landing
         Of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
-        :func:`sunspin.philae.twin_philae.philae_twin`.
+        :func:`sunspin.philae.twin.philae_twin`.
 
     Returns
     -------
@@ -68,63 +137,348 @@ def twin(
     return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
 
 
+# ---- The landing of Philae ---------------------------------------------------------------------------------------------------
+
+
+class State(NamedTuple):
+    """A state of the motion: t_s, omega_B, sun_B, wheel speed (n_wheel)."""
+
+    t_s: float
+    omega_B: np.ndarray
+    sun_B: np.ndarray
+    wheel_speed_rad_s: np.ndarray
+
+
+class Part(NamedTuple):
+    """The samples of one phase: times (n), true directions (n, 3), part of the light that reaches each panel, (n, n_panel) or as
+    broadcast to it."""
+
+    phase: str
+    t_s: np.ndarray
+    sun_B: np.ndarray
+    transmission: Any = 1.0
+
+
+def philae_twin(
+    seed: int,
+    noise: float | None = None,
+    *,
+    tilt_rad: float | None = None,
+    turned_rad: float | None = None,
+    rest_seen: bool = True,
+) -> xr.Dataset:
+    """Synthetic telemetry of the whole landing.
+
+    Parameters
+    ----------
+    seed : int
+        The same seed gives the same data.
+    noise : float, optional
+        One sigma in W; default: the vehicle file's. Zero gives the powers that the true directions make.
+    tilt_rad, turned_rad : float, optional
+        One sigma of the angles by which each panel's normal is off to each side, and all panels together about each axis; default:
+        the vehicle file's. Zero for panels as drawn.
+    rest_seen : bool
+        Whether the first samples at rest give a direction.
+
+    Raises
+    ------
+    InputError
+        Turns so large that no Sun makes the panels show the published first direction: another seed may.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from `read_telemetry`, with coordinate `phase (time)`, `true_sun_B (time, axis)` and the truth in
+        ``truth_...`` attributes.
+    """
+    case = load_case("philae")
+    vehicle, timeline = case.vehicle, case.require_timeline()
+    sigma = vehicle.require_noise() if noise is None else noise
+    own, common = stated_sigma(vehicle)
+    own = own if tilt_rad is None else tilt_rad
+    common = common if turned_rad is None else turned_rad
+    tilt = panel_turns(vehicle, own, common, generator(seed, 7))
+
+    start = first_state(case, tilt)
+    before, after, blow = collide(case, start, generator(seed, 3))
+    landed = _state_at(vehicle, after, timeline.event("second_touchdown").t_s)
+    sampled = (
+        ("first_rebound", start, rebound_times(case, generator(seed, 2))),
+        ("second_rebound", after, _sparse_times(case, "collision", generator(seed, 4))),
+    )
+    parts = [
+        *_descent(case, generator(seed, 1)),
+        *(Part(phase, t, _sun_at(vehicle, state, t)) for phase, state, t in sampled),
+        _settling(case, landed.sun_B, generator(seed, 5)),
+        _rest(case, generator(seed, 6), rest_seen),
+    ]
+    t, sun = (np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B"))
+    phase = np.repeat([part.phase for part in parts], [part.t_s.size for part in parts])
+    panels = len(vehicle.panels)
+    seen = [np.broadcast_to(part.transmission, (part.t_s.size, panels)) for part in parts]
+
+    exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(seen)
+    first = int(np.flatnonzero(phase == "first_rebound")[0])
+    power = noisy_readings(vehicle, sun, exact, noise, generator(seed, 0), first)
+    truth = {
+        "seed": seed,
+        "noise": sigma,
+        "scale": CELL_W,
+        **start._asdict(),
+        "collision_t_s": before.t_s,
+        "collision_omega_before_B": before.omega_B,
+        "collision_omega_after_B": after.omega_B,
+        "collision_sun_B": before.sun_B,
+        "collision_wheel_speed_after_rad_s": after.wheel_speed_rad_s,
+        **blow,
+    }
+    if tilt is not None:
+        truth |= {"tilt_sigma_rad": own, "turned_sigma_rad": common, "tilt_B_rad": tilt.ravel()}
+    truth["descent_rate_cubic"] = np.array(case.published["descent_rate_cubic"].value)
+    return telemetry_dataset(vehicle, t, power, sun, timeline.epoch_utc, truth, phase)
+
+
+def panel_turns(
+    vehicle: Vehicle, tilt_rad: float | np.ndarray, turned_rad: float, rng: np.random.Generator
+) -> np.ndarray | None:
+    """Turns (n_panel, 3) in rad of the panels: each its own, and one of all; None where neither is asked for."""
+    if not (np.any(tilt_rad) or turned_rad):
+        return None
+    return turned_rad * rng.standard_normal(3) + drawn_tilts(vehicle, tilt_rad, rng)
+
+
+def drawn_panels(
+    vehicle: Vehicle, shown_B: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """Turns (n_panel, 3) of the panels, drawn with the sigmas of the vehicle's file (None where it has none), and the direction (3)
+    behind what they show; drawn again where no Sun makes them show it."""
+    sigmas = stated_sigma(vehicle)
+    for _ in range(MAX_DRAWS):
+        tilt = panel_turns(vehicle, *sigmas, rng)
+        if tilt is None:
+            return None, shown_B
+        with suppress(InputError):
+            return tilt, behind(vehicle, shown_B, tilt)
+    raise InputError(
+        f"no Sun makes panels show this direction in {MAX_DRAWS} draws", got=f"sigmas {sigmas}"
+    )
+
+
+def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """The direction (3) of the Sun that panels turned by `tilt` (n_panel, 3) show as `shown_B` (3) where there is no noise."""
+    response = vehicle.response_in()
+    lit = (response.power(shown_B) > 0)[:, None]
+    turned = response.slopes(shown_B, tilt=tilt)
+    # power is linear in the direction while the same panels are lit
+    rows = turned.to_sun + turned.power[:, None] * shown_B
+    drawn = np.where(lit, response.under(shown_B)[1], 0.0)
+    sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
+    sun /= np.linalg.norm(sun)
+    if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
+        raise InputError(
+            "no Sun makes panels turned so far show the published direction", do="take another seed"
+        )
+    return sun
+
+
+def noisy_readings(
+    vehicle: Vehicle,
+    sun_B: np.ndarray,
+    exact: np.ndarray,
+    sigma: float | None,
+    rng: np.random.Generator,
+    first: int = 0,
+) -> np.ndarray:
+    """Powers (n, n_panel) that are `exact` with the Sun at sun_B (n, 3), with noise of `sigma` (None: the vehicle file's); that of sample `first` is confined
+    to what its redundancy shows.
+
+    The first direction after the touchdown is published as measured: so this sample's noise may raise Delta but not turn the
+    direction.
+    """
+    power = noisy_power(vehicle, exact, sigma, rng)
+    rows = np.where((exact[first] > 0)[:, None], vehicle.response_in().under(sun_B[first])[1], 0.0)
+    noise = power[first] - exact[first]
+    power[first] = exact[first] + noise - rows @ (np.linalg.pinv(rows) @ noise)
+    return power
+
+
+def first_state(case: Case, tilt: np.ndarray | None = None) -> State:
+    """The true state at the first sample after the first touchdown; `tilt` (n_panel, 3): turns of the panels."""
+    timeline, published = case.require_timeline(), case.published
+    t = timeline.event("first_sample_after_touchdown").t_s
+    sun = np.array(published["first_sun"].value)
+    sun = sun if tilt is None else behind(case.vehicle, sun, tilt)
+    speed = np.array([published["wheel_speed"].value])
+    duration = timeline.event("collision").t_s - t
+    point, along = np.array(published["line_L3"].value)
+
+    def excess(step: float) -> float:
+        run = propagate(case.vehicle, point + step * along, sun, speed, [0.0, duration])
+        return float(np.linalg.norm(run["omega_B"].values[-1])) - 2 * np.pi / SPIN_PERIOD_S
+
+    step = brentq(excess, 0.0, 0.2, xtol=1e-14)
+    return State(t, point + step * along, sun, speed)
+
+
+def collide(
+    case: Case, start: State, rng: np.random.Generator
+) -> tuple[State, State, dict[str, Any]]:
+    """The states just before and after the collision, and what hit: leg and velocity."""
+    before = _state_at(case.vehicle, start, case.require_timeline().event("collision").t_s)
+    legs, assumed = case.vehicle.legs, case.assumptions.collision
+    leg = legs[int(rng.integers(len(legs)))].name
+    direction = rng.standard_normal(3)
+    direction /= np.linalg.norm(direction)
+    direction[2] = -abs(direction[2])  # paper, section 3.3: any direction, but towards -z
+    velocity = case.published["collision_speed"].value * direction
+    after = impact(
+        case.vehicle,
+        before.omega_B,
+        before.wheel_speed_rad_s,
+        velocity,
+        leg,
+        restitution=assumed.restitution,
+        damper=assumed.damper,
+    )
+    omega, speed = after["omega_B"].values, after["wheel_speed_rad_s"].values
+    blow = {"collision_leg": leg, "collision_velocity_B": velocity}
+    return before, State(before.t_s, omega, before.sun_B, speed), blow
+
+
+def _state_at(vehicle: Vehicle, state: State, t_s: float) -> State:
+    run = propagate(vehicle, state.omega_B, state.sun_B, state.wheel_speed_rad_s, [state.t_s, t_s])
+    return State(t_s, *(run[key].values[-1] for key in State._fields[1:]))
+
+
+def _sun_at(vehicle: Vehicle, state: State, t: np.ndarray) -> np.ndarray:
+    """Directions (n, 3) at t (n), the first of which may be the state's own time."""
+    times = t if t[0] == state.t_s else np.concatenate([[state.t_s], t])
+    run = propagate(vehicle, state.omega_B, state.sun_B, state.wheel_speed_rad_s, times)
+    return run["sun_B"].values[-t.size :]
+
+
+def _jittered(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return on_time_grid(t_s + rng.uniform(-JITTER_S, JITTER_S, t_s.size))
+
+
+def rebound_times(case: Case, rng: np.random.Generator) -> np.ndarray:
+    """Times (n) in s of the samples of the first rebound: even but for `JITTER_S`, the first where it is known to be."""
+    begin = case.require_timeline().event("first_sample_after_touchdown").t_s
+    later = begin + REBOUND_INTERVAL_S * np.arange(1, SAMPLES_OF_REBOUND)
+    return np.concatenate([on_time_grid([begin]), _jittered(later, rng)])
+
+
+def _sparse_times(
+    case: Case, event: str, rng: np.random.Generator, duration_s: float | None = None
+) -> np.ndarray:
+    """Times (n) from an event on, as close as the published number after the collision; that number, or for a duration."""
+    n = case.published["samples_after_collision"].value
+    interval = case.require_timeline().seconds("collision", "second_touchdown") / n
+    n = n if duration_s is None else int(duration_s / interval)
+    begin = case.require_timeline().event(event).t_s
+    return _jittered(begin + interval * (np.arange(n) + 0.5), rng)
+
+
+def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
+    """Samples 1 to 9 with folded legs, then 10 to the touchdown: rotation about z at the published cubic rate."""
+    timeline, published = case.require_timeline(), case.published
+    begin, end = (timeline.event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
+    first, last = published["descent_samples"].value
+    interval = published["descent_span"].value * 3600.0 / (last - first)
+    count = int((end - begin - JITTER_S) / interval)
+    folded = begin - DEPLOYMENT_INTERVAL_S * np.arange(SAMPLES_BEFORE_DESCENT, 0, -1)
+    folded = _jittered(folded, rng)
+    unfolded = np.append(begin, _jittered(begin + interval * np.arange(1, count + 1), rng))
+    azimuth = rng.uniform(0, 2 * np.pi)
+    rate, z = published["descent_rate_cubic"].value, published["nz_descent"].value
+
+    def sun(t_s: np.ndarray) -> np.ndarray:
+        """The Sun goes round backward; before sample 10 at the first rate."""
+        before, after = np.minimum(t_s - begin, 0.0), np.maximum(t_s - begin, 0.0)
+        angle = sum(c * after ** (k + 1) / (k + 1) for k, c in enumerate(rate)) + rate[0] * before
+        flat = np.sqrt(1 - z**2)
+        x, y = flat * np.cos(azimuth - angle), flat * np.sin(azimuth - angle)
+        return np.stack([x, y, np.full(t_s.shape, z)], axis=-1)
+
+    return (
+        Part("deployment", folded, sun(folded), FOLDED_LEG_TRANSMISSION),
+        Part("descent", unfolded, sun(unfolded)),
+    )
+
+
+def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
+    begin, end = (case.require_timeline().event(name).t_s for name in ("second_touchdown", "rest"))
+    t = np.arange(begin + SETTLING_INTERVAL_S / 2, end - JITTER_S, SETTLING_INTERVAL_S)
+    t = _jittered(t, rng)
+    start, goal = sun_B / np.linalg.norm(sun_B), _rest_sun(np.radians(REST_ANGLES_DEG[:1]))[0]
+    turn = np.cross(start, goal)
+    turn *= np.arctan2(np.linalg.norm(turn), start @ goal) / np.linalg.norm(turn)
+    sun = Rotation.from_rotvec(((t - begin) / (end - begin))[:, None] * turn).apply(start)
+    return Part("settling", t, sun)
+
+
+def _rest(case: Case, rng: np.random.Generator, seen_first: bool) -> Part:
+    begin, t = (
+        case.require_timeline().event("rest").t_s,
+        _sparse_times(case, "rest", rng, REST_DURATION_S),
+    )
+    at_first, shadow, hides, shows = REST_ANGLES_DEG
+    angle = np.radians(at_first) + 2 * np.pi * (t - begin) / COMET_TURN_S
+    hidden = (angle > np.radians(hides)) & (angle < np.radians(shows))
+    early = seen_first & (angle < np.radians(shadow))
+    seen = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION) * ~hidden[:, None]
+    return Part("rest", t, _rest_sun(angle), seen)
+
+
+def _rest_sun(angle: np.ndarray) -> np.ndarray:
+    """Directions (n, 3) at angles (rad) along the Sun's circle, a great one, 80 degrees to xy, which it meets at 86."""
+    azimuth, tilt = np.radians(86.0), np.radians(80.0)
+    node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    down = np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0])
+    return np.cos(angle)[:, None] * node + np.sin(angle)[:, None] * down
+
+
+# ---- The command -------------------------------------------------------------------------------------------------------------
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
-    parser.add_argument(
-        "out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it"
-    )
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument(
-        "--tilt",
-        type=float,
-        help="sigma of each panel's normal to each side, degrees; default: vehicle file's",
-    )
-    parser.add_argument(
-        "--turn",
-        type=float,
-        help="sigma of one turn of all panels about each axis, degrees; default: the same",
-    )
-    parser.add_argument(
-        "--rest-seen",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="the first samples at rest give a direction (default)",
-    )
-    parser.add_argument("--case", default="philae", choices=case_names())
-    parser.add_argument("--force", action="store_true", help="replace existing files")
+    add = parser.add_argument
+    add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
+    add("--seed", type=int, required=True)
+    tilt = "sigma of each panel's normal to each side, degrees; default: vehicle file's"
+    add("--tilt", type=float, help=tilt)
+    turn = "sigma of one turn of all panels about each axis, degrees; default: the same"
+    add("--turn", type=float, help=turn)
+    seen = "the first samples at rest give a direction (default)"
+    add("--rest-seen", action=argparse.BooleanOptionalAction, default=True, help=seen)
+    add("--case", default="philae", choices=case_names())
+    add("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
+    options: dict[str, Any] = {"rest_seen": given.rest_seen}
+    command = f"python -m sunspin.philae.twin --case {given.case} --seed {given.seed}"
+    for name, option in (("tilt", "tilt_rad"), ("turn", "turned_rad")):
+        if (degrees := getattr(given, name)) is not None:
+            options[option] = float(np.radians(degrees))
+            command += f" --{name} {degrees:g}"
+    command += " --no-rest-seen" * (not given.rest_seen)
+    name, truth = given.out.name, given.out.parent / "twin_truth.toml"
+    comments = [
+        f"synthetic: not measured; made by sunspin {version()} from published facts",
+        f"synthetic: {command} {name}",
+    ]
+    scale = (
+        "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
+    )
+    about = f"The truth behind {name}; see sunspin.philae.twin for how each part was chosen."
     try:
         case = load_case(given.case)
-        turns = {
-            name: value
-            for name, value in (("tilt", given.tilt), ("turn", given.turn))
-            if value is not None
-        }
-        asked = "".join(
-            f" --{name} {value:g}" for name, value in turns.items()
-        ) + " --no-rest-seen" * (not given.rest_seen)
-        keys = {"tilt": "tilt_rad", "turn": "turned_rad"}
-        radians: dict[str, Any] = {
-            keys[name]: float(np.radians(value)) for name, value in turns.items()
-        }
-        telemetry = twin(case, seed=given.seed, rest_seen=given.rest_seen, **radians)
-        comments = [
-            f"synthetic: not measured; made by sunspin {version()} from published facts",
-            f"synthetic: python -m sunspin.philae.twin --case {given.case} --seed {given.seed}{asked} {given.out.name}",
-        ]
-        more = [
-            "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
-        ]
-        write_new(given.out, csv_text(case.vehicle, telemetry, comments + more), given.force)
-        about = [
-            f"The truth behind {given.out.name}; see sunspin.philae.twin_philae for how each part was chosen."
-        ]
-        write_new(
-            given.out.parent / "twin_truth.toml",
-            truth_text(telemetry, comments + about),
-            given.force,
-        )
+        telemetry = twin(case, seed=given.seed, **options)
+        write_new(given.out, csv_text(case.vehicle, telemetry, [*comments, scale]), given.force)
+        write_new(truth, truth_text(telemetry, [*comments, about]), given.force)
     except SunspinError as error:
         print(error, file=sys.stderr)
         return 2
