@@ -16,7 +16,7 @@ myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
 myst_dmath_double_inline = False
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build", "images"]
+exclude_patterns = ["_build", "images", "records", "variables.md"]
 
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True

@@ -73,6 +73,48 @@ def examples() -> str:
     return "\n".join(parts)
 
 
+def variables() -> str:
+    """The vocabulary of NetCDF variables, with units."""
+    import csv
+
+    path = ROOT / "src" / "sunspin" / "base" / "variables.csv"
+    rows = ["| variable | unit | meaning |", "|---|---|---|"]
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            rows.append(f"| `{row['name']}` | {row['units']} | {row['long_name']} |")
+    return "\n".join(rows) + "\n"
+
+
+GALLERY = {
+    "rates": "rates vehicle.toml telemetry.csv --out {out}",
+    "ambiguous": "rates vehicle.toml telemetry.csv --max-rate-deg-s 30 --to 70 --out {out}",
+    "sun": "sun vehicle.toml telemetry.csv --out {out}",
+}
+"""Picture of the gallery -> the command that makes it, on the files of `sunspin init`."""
+
+
+def draw_gallery(folder: Path) -> None:
+    """Run the cheap cases of the gallery and keep their pictures; those that are there are not drawn again."""
+    import contextlib
+    import shutil
+    import tempfile
+
+    from click.testing import CliRunner
+
+    from sunspin.cli import cli
+
+    missing = [name for name in GALLERY if not (folder / f"{name}.png").exists()]
+    folder.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
+        run = CliRunner()
+        run.invoke(cli, ["init", "."], catch_exceptions=False)
+        for name in missing:
+            words = GALLERY[name].format(out=name).split()
+            run.invoke(cli, [*words, "--quiet"], catch_exceptions=False)
+            picture = "sun" if name == "sun" else "rates"
+            shutil.copy(Path(name) / f"{picture}.png", folder / f"{name}.png")
+
+
 def write_pages(app) -> None:
     """Generated pages are rewritten only where they changed, so that a second build is short."""
     from evidence_page import page
@@ -80,12 +122,14 @@ def write_pages(app) -> None:
     written = {
         "cli.md": commands(),
         "examples.md": examples(),
+        "variables.md": variables(),
         "believe.md": page(app.config.evidence_file or None),
     }
     for name, text in written.items():
         target = HERE / name
         if not target.exists() or target.read_text("utf-8") != text:
             target.write_text(text, "utf-8")
+    draw_gallery(HERE / "gallery")
 
 
 def setup(app) -> dict:

@@ -26,6 +26,9 @@ from typing import NamedTuple
 from click.testing import CliRunner
 
 ROOT = Path(__file__).parents[1]
+WRITTEN = {"believe.md", "cli.md", "examples.md", "variables.md"}
+"""Pages that the build of the site writes."""
+
 NOT_RUN = re.compile(r"\*Not run by the tests: .{10,}\.\*")
 MARKS = {"<!-- long -->": "long", "<!-- slow -->": "slow"}
 LANGUAGES = {"python", "console", "text", "toml", "csv", "html"}
@@ -41,10 +44,10 @@ class Block(NamedTuple):
 
 
 def pages() -> list[Path]:
-    """All documents, but not those that the build of the site writes."""
-    written = {"believe.md", "cli.md", "examples.md"}
-    found = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    return sorted(path for path in found if path.name not in written and "build" not in path.parts)
+    """All documents, but not those that the build of the site writes, nor the records of measurements."""
+    paths = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    apart = {"build", "records"}
+    return sorted(path for path in paths if path.name not in WRITTEN and not apart & {*path.parts})
 
 
 def blocks(text: str) -> list[Block]:

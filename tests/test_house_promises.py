@@ -117,6 +117,6 @@ def test_nothing_listens_but_what_dask_is_asked_for():
 def test_every_campaign_is_on_the_page():
     from validation.__main__ import CAMPAIGNS
 
-    text = (ROOT / "docs" / "validation.md").read_text("utf-8")
+    text = (ROOT / "docs" / "records" / "validation.md").read_text("utf-8")
     for name in CAMPAIGNS:
         assert f"python -m validation {name}" in text

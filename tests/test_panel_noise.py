@@ -10,7 +10,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.estimate.posterior.data import readings
-from sunspin.philae.reading_noise import with_own_noise
+from sunspin.philae.sun_directions import with_own_noise
 from sunspin.solve.linear import plain_covariance
 from sunspin.telemetry.health import noise_alone
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle

@@ -14,7 +14,7 @@ import sunspin as ss
 from docs.skcube_gyro import FREE_S, fit, pairs
 from sunspin.compute.pool import worker_count
 
-PAGE = Path(__file__).parents[1] / "docs" / "real-data.md"
+PAGE = Path(__file__).parents[1] / "docs" / "records" / "real-data.md"
 
 SIDES = {"Sun sensors and magnetometer": ["gyro_B"], "Sun sensors alone": ["gyro_B", "field_B"]}
 """What `rates` is given, and the variables that are taken away for it."""
@@ -193,7 +193,7 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
 HEAD = """# How right is it on real data
 
 Written by `make validate-real` (`python -m validation real`), which repeats the comparison wherever the data lie in `SUNSPIN_DATA`;
-[Other people's data](data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
+[Other people's data](../data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
 has measured too, is rare: skCUBE's is the one set so far.
 
 - **skCUBE**, a 1U CubeSat, 23 to 28 June 2017: Sun sensors, magnetometer, gyro of unknown scale, 40 s apart in passes of ten

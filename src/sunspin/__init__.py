@@ -16,7 +16,11 @@ from typing import TYPE_CHECKING, Any
 if (
     TYPE_CHECKING
 ):  # what type checkers and editors see; test_house_rules.py compares it with the names below
-    from sunspin.telemetry.case import Case as Case, load_case as load_case
+    from sunspin.telemetry.case import (
+        Case as Case,
+        load_case as load_case,
+        load_example as load_example,
+    )
     from sunspin.base.errors import (
         InputError as InputError,
         MotionError as MotionError,
@@ -66,6 +70,7 @@ if (
 _HOME = {
     "Case": "sunspin.telemetry.case",
     "load_case": "sunspin.telemetry.case",
+    "load_example": "sunspin.telemetry.case",
     "Vehicle": "sunspin.vehicle",
     "Panel": "sunspin.vehicle",
     "Wheel": "sunspin.vehicle",

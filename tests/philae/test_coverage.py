@@ -159,4 +159,4 @@ def test_the_readme_states_what_the_study_and_the_calibration_give():
     assert f"in {share} % of {count} ({low} to {high} %)" in text
     path = CASE.folder / threshold.SHIPPED
     factor = threshold.from_json(path.read_text("utf-8"), str(path), "shipped").factor()[0]
-    assert f"90 % region: {factor:.2f} times the smallest EMD" in text
+    assert f"threshold of {factor:.2f} times the smallest EMD" in text

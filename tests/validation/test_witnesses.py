@@ -1,4 +1,4 @@
-"""The table of docs/validation.md: each witness agrees to the digits that it should, and would notice an error."""
+"""The table of docs/records/validation.md: each witness agrees to the digits that it should, and would notice an error."""
 
 import re
 from functools import cache
@@ -11,7 +11,7 @@ import sunspin as ss
 from sunspin.vehicle import Vehicle
 from validation.witnesses import SUN, WITNESSES, Row, euler, table
 
-PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
+PAGE = Path(__file__).parents[2] / "docs" / "records" / "validation.md"
 OTHER_MACHINE = 1.5
 """Digits by which differences of rounding size may differ on another processor."""
 

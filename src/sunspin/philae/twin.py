@@ -290,8 +290,8 @@ def noisy_readings(
     rng: np.random.Generator,
     first: int = 0,
 ) -> np.ndarray:
-    """Powers (n, n_panel) that are `exact` with the Sun at sun_B (n, 3), with noise of `sigma` (None: the vehicle file's); that of sample `first` is confined
-    to what its redundancy shows.
+    """Powers (n, n_panel) that are `exact` with the Sun at sun_B (n, 3), with noise of `sigma` (None: the vehicle file's); that of
+    sample `first` is confined to what its redundancy shows.
 
     The first direction after the touchdown is published as measured: so this sample's noise may raise Delta but not turn the
     direction.

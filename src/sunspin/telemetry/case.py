@@ -136,6 +136,32 @@ def load_case(name: str, changes: Changes = None) -> Case:
     )
 
 
+def load_example(name: str = "cubesat") -> tuple[Vehicle, xr.Dataset]:
+    """The example that `sunspin init` writes: a made-up satellite and its synthetic telemetry.
+
+    Parameters
+    ----------
+    name : str
+        Only ``"cubesat"``: a 3U CubeSat with five panels and a wheel, 40 samples 20 s apart.
+
+    Returns
+    -------
+    vehicle : Vehicle
+    telemetry : Dataset
+        As of :func:`sunspin.read_telemetry`; ``attrs["synthetic"]`` is 1.
+
+    Raises
+    ------
+    InputError
+        For another name.
+    """
+    if name != "cubesat":
+        raise InputError("there is no example of this name", got=name, do="known: cubesat")
+    folder = Path(str(resources.files("sunspin").joinpath("template")))
+    vehicle = load_vehicle(folder / "vehicle.toml")
+    return vehicle, read_telemetry(folder / "telemetry.csv", vehicle)
+
+
 def timeline_of(vehicle: object) -> Timeline | None:
     """The `timeline.toml` beside a vehicle file, as `sunspin reproduce` writes both; of a built-in vehicle that of its case.
 
