@@ -100,7 +100,7 @@ def test_synthetic_data_have_the_noise_of_each_panel():
     panels = [replace(x, noise=0.02 * s) for x, s in zip(case.vehicle.panels, shape, strict=True)]
     own = replace(case, vehicle=replace(case.vehicle, panels=tuple(panels)))
     own.__dict__["telemetry"] = case.telemetry
-    scaled, noise = with_own_noise(own, np.ones(case.telemetry.sizes["time"], dtype=bool))
+    scaled, noise = with_own_noise(own)
     ratio = scaled.vehicle.input_noise / np.median(shape)
     assert np.allclose(ratio / shape * np.median(shape) ** 2, noise.lit)
 

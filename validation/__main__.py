@@ -20,7 +20,9 @@ CAMPAIGNS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    told = "Campaigns that judge sunspin, most by trying to break it; see docs/records/validation.md."
+    told = (
+        "Campaigns that judge sunspin, most by trying to break it; see docs/records/validation.md."
+    )
     parser = argparse.ArgumentParser(prog="python -m validation", description=told)
     commands = parser.add_subparsers(dest="campaign", required=True)
     for name, told in CAMPAIGNS.items():

@@ -193,7 +193,7 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
 HEAD = """# How right is it on real data
 
 Written by `make validate-real` (`python -m validation real`), which repeats the comparison wherever the data lie in `SUNSPIN_DATA`;
-[Other people's data](../data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
+[Data](../data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
 has measured too, is rare: skCUBE's is the one set so far.
 
 - **skCUBE**, a 1U CubeSat, 23 to 28 June 2017: Sun sensors, magnetometer, gyro of unknown scale, 40 s apart in passes of ten

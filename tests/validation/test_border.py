@@ -1,4 +1,4 @@
-"""What hostile input found: a sentence each time. A small part of the campaigns of docs/records/validation.md, and a case for each mend."""
+"""What hostile input found: a sentence each time. A small part of the campaigns of validation/, and a case for each mend."""
 
 import json
 import os

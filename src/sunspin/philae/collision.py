@@ -20,8 +20,17 @@ from sunspin.base.errors import InputError
 from sunspin.base.untrusted import Elsewhere, elsewhere
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
-from sunspin.landing.tally import Estimate, density, effective_runs, estimate, lowest_rz, tally
-from sunspin.landing.weighted import explained, facts_of, weightings
+from sunspin.landing.tally import (
+    Estimate,
+    density,
+    effective_runs,
+    estimate,
+    explained,
+    facts_of,
+    lowest_rz,
+    tally,
+    weightings,
+)
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
 from sunspin.telemetry.case import Case

@@ -208,7 +208,9 @@ def made_by(health: PanelHealth, n: int) -> str:
         log10 = float(health["log10_together"].sum()) + any_of_them / np.log(10)
         if log10 > np.log10(NOISE_ALONE):
             return NOISE
-    least = health["turned"].values  # turns are the same in all samples: only the least probable counts
+    least = health[
+        "turned"
+    ].values  # turns are the same in all samples: only the least probable counts
     return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
 
 
