@@ -23,11 +23,6 @@ Share = Annotated[
 ]
 
 
-def _text(raw: Any) -> Any:
-    """A text without its certificate."""
-    return raw["value"] if isinstance(raw, dict) and "value" in raw else raw
-
-
 @part
 class Study(Part):
     """Rules of the reconstruction.
@@ -42,8 +37,8 @@ class Study(Part):
         Annotated[Number, must(lambda lead: lead >= 0, "{path} must be zero or a positive time")]
         | None
     ) = None
-    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(_text)] = "equal"
-    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(_text)] = (
+    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(ch.bare)] = "equal"
+    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(ch.bare)] = (
         "reconstructible"
     )
     near_minimum_factor: Annotated[
@@ -63,20 +58,18 @@ class Collision(Part):
 
 
 @part
-class Assumptions(Part):
-    """All of these; `changes`: what was set for this run."""
-
-    study: Study = Study()
-    collision: Collision = Collision()
-    changes: tuple[Any, ...] = ()
-
-
-@part
 class AssumptionsFile(Part):
     """The tables of the file."""
 
     study: Study = Study()
     collision: Collision = Collision()
+
+
+@part
+class Assumptions(AssumptionsFile):
+    """All of these; `changes`: what was set for this run."""
+
+    changes: tuple[Any, ...] = ()
 
 
 TABLES = tuple(keys_of(AssumptionsFile))
