@@ -10,6 +10,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.estimate.posterior.data import readings
+from sunspin.output.check.samples import noise_lines
 from sunspin.philae.sun_directions import with_own_noise
 from sunspin.solve.linear import plain_covariance
 from sunspin.telemetry.health import noise_alone
@@ -95,6 +96,8 @@ def test_synthetic_data_have_the_noise_of_each_panel():
     pull = np.where(exact > 0, (samples["power_W"].values - exact) / NOISE, np.nan)
     assert np.all(np.abs(np.sqrt(np.nanmean(pull**2, axis=0)) - 1) < 0.1)
     assert np.array_equal(samples.attrs["truth_noise"], NOISE)
+    line = "  noise of panel readings, as stated for each: 0 0.1, 1 0.1, 2 0.01"
+    assert noise_lines(ss.sun_directions(craft(), samples))[0].startswith(line)
     case = ss.load_case("philae")
     shape = np.linspace(1.0, 2.0, len(case.vehicle.panels))
     panels = [replace(x, noise=0.02 * s) for x, s in zip(case.vehicle.panels, shape, strict=True)]
@@ -106,7 +109,7 @@ def test_synthetic_data_have_the_noise_of_each_panel():
 
 
 def test_rates_and_posterior_use_them():
-    samples = track()
+    samples = track(12)
     quality = ss.panel_quality(craft(), samples)
     assert np.allclose(quality["noise"], NOISE, rtol=1e-3)
     rates = ss.rates(craft(), samples, max_rate_rad_s=0.1)

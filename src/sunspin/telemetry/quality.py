@@ -217,7 +217,7 @@ def judge_readings(
                 {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"},
             ),
             "why": ("time", why.astype(np.str_)),
-            "noise": ("panel", noise, {"long_name": "one sigma of a reading's noise"}),
+            "noise": ("panel", noise),
             "dead": ("panel", dead),
             "weak": ("panel", told.weak),
             "missed": ("panel", missed | (dead & vehicle.throttled)),

@@ -246,8 +246,8 @@ def sun_directions(
         status=("time", status, flags),
         status_text=("time", texts.astype(np.str_), {"long_name": "status in words"}),
         lit=(("time", "panel"), lit, {"long_name": "panel is lit"}),
-        noise=("panel", sigma, {"long_name": "one sigma of a panel's reading"}),
-        lit_threshold=("panel", every * threshold, {"long_name": "a panel that reads more is lit"}),
+        noise=("panel", sigma, {"units": "as the readings"}),
+        lit_threshold=("panel", every * threshold, {"units": "as the readings"}),
     )
 
 

@@ -51,13 +51,13 @@ def noise_lines(sun: xr.Dataset) -> list[str]:
     """What the error of directions from panels rests on, if the vehicle file does not state one noise for all; `sun`: of
     `sun_directions`."""
     noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
-    unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
-    if source == "given" and len(np.unique(sun["noise"])) > 1:
-        own = zip(sun["panel"].values, sun["noise"].values, strict=True)
-        each = ", ".join(f"{panel} {sigma:.3g}" for panel, sigma in own)
-        return [f"  noise of panel readings, as stated for each: {each} {unit}"]
-    if source == "given" or not np.isfinite(noise):
+    own = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
+    if not np.isfinite(noise) or (source == "given" and len({*own.values()}) == 1):
         return []
+    unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
+    if source == "given":
+        each = ", ".join(f"{panel} {sigma:.3g}" for panel, sigma in own.items())
+        return [f"  noise of panel readings, as stated for each: {each} {unit}"]
     if source != ASSUMED_FROM:
         return [f"  noise of panel readings: {noise:.3g} {unit}, {source}"]
     return [
