@@ -107,7 +107,7 @@ class OutcomeRows:
     strategy: sc.Strategy
     candidates: k.Rows
     probability: np.ndarray
-    n: int
+    n_rows: int
     seed: int
     shape: Shape | None = field(init=False, repr=False)
     verticals: np.ndarray = field(init=False, repr=False)
@@ -120,10 +120,6 @@ class OutcomeRows:
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", shape_of(self.vehicle))
         object.__setattr__(self, "verticals", sc.verticals(self.vehicle, self.scenario.vertical)[0])
-
-    @property
-    def n_rows(self) -> int:
-        return self.n
 
     @property
     def collides(self) -> bool:

@@ -98,18 +98,15 @@ def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Est
     x = np.asarray(values, dtype=np.float64)
     w = np.ones_like(x) if weights is None else np.asarray(weights, dtype=np.float64)
     if x.shape != w.shape or x.ndim != 1 or np.any(w < 0):
-        raise InputError(
-            "an estimate needs values (n) and as many weights, none negative",
-            got=(x.shape, w.shape),
-        )
+        what = "an estimate needs values (n) and as many weights, none negative"
+        raise InputError(what, got=(x.shape, w.shape))
     use = np.isfinite(x) & (w > 0)
     if not use.any():
         return Estimate(np.nan, np.nan)
     x, w = x[use], w[use]
     mean = float(w @ x / w.sum())
-    return Estimate(
-        mean, float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum()) if x.size > 1 else np.nan
-    )
+    error = float(np.sqrt(w**2 @ (x - mean) ** 2) / w.sum())
+    return Estimate(mean, error if x.size > 1 else np.nan)
 
 
 def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
@@ -120,9 +117,7 @@ def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -
     found = estimate(x, weights)
     if found.value not in (0.0, 1.0):
         return found
-    n = effective_runs(
-        np.isfinite(x) * (1.0 if weights is None else np.asarray(weights, dtype=np.float64))
-    )
+    n = effective_runs(np.isfinite(x) * (1.0 if weights is None else np.asarray(weights)))
     return Estimate(found.value, float(np.sqrt((n + 1) / n) / (n + 2)))
 
 
@@ -151,11 +146,11 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
         raise InputError(f"merge must divide the number of bins, {share.shape[1]}", got=merge)
     share = share.reshape(len(share), -1, merge).sum(axis=2)
     width = 2.0 / share.shape[1]
-    pairs = [estimate(column, weights) for column in share.T]
+    value, error = np.array([estimate(column, weights) for column in share.T]).T / width
     return xr.Dataset(
         {
-            "density": ("rz", [pair.value / width for pair in pairs], {"units": "1"}),
-            "error": ("rz", [pair.error / width for pair in pairs], {"units": "1"}),
+            "density": ("rz", value, {"units": "1"}),
+            "error": ("rz", error, {"units": "1"}),
         },
         coords={"rz": ("rz", runs["rz"].values.reshape(-1, merge).mean(axis=1), runs["rz"].attrs)},
         attrs={"strategy": runs.attrs["strategy"], "runs": runs.sizes["run"]},
@@ -189,12 +184,10 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
         answers[f"rz_ever_below_{bound:g}"] = np.where(np.isnan(low), np.nan, low > 0)
     for when in ("before", "after"):
         answers[f"rate_{when}"] = np.linalg.norm(runs[f"omega_{when}_B"].values, axis=1)
-    for name in ("velocity_change", "speed_after", "contact_speed", "leg_tip_speed"):
-        answers[name] = runs[name].values
-    for name in ("leg_tip_bound", "up_z", "antenna_share"):
-        answers[name] = runs[name].values
-    for name in ("antenna_at_contact", "antenna_at_rest"):
-        answers[name] = np.where(runs[name].values < 0, np.nan, runs[name].values.astype(float))
+    for name in (str(name) for name in runs.data_vars if name in QUANTITIES):
+        values = runs[name].values
+        unknown = np.isnan(values) if values.dtype.kind == "f" else values < 0
+        answers[name] = np.where(unknown, np.nan, values)
     for prefix, number, kinds in (
         ("touch", "contact_point", "point_kind"),
         ("lowest", "lowest_point", "point_kind"),
@@ -215,18 +208,14 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
 def lowest_rz(runs: xr.Dataset) -> np.ndarray:
     """Lower edge (n) of the lowest bin of r_z that each run reaches."""
     share = runs["rz_share"].values
-    return np.where(
-        np.isnan(share[:, 0]),
-        np.nan,
-        runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1],
-    )
+    edge = runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1]
+    return np.where(np.isnan(share[:, 0]), np.nan, edge)
 
 
 def facts_of(found: Any) -> dict[str, float]:
     """What the trajectory shows, by name."""
-    return dict(
-        zip(found["fact"].values.tolist(), found["fact_value"].values.tolist(), strict=True)
-    )
+    values = found["fact_value"].values.tolist()
+    return dict(zip(found["fact"].values.tolist(), values, strict=True))
 
 
 def weightings(found: Any) -> list[dict[str, Any]]:
