@@ -12,9 +12,9 @@ import sunspin as ss
 from sunspin.estimate.posterior.data import readings
 from sunspin.output.check.samples import noise_lines
 from sunspin.philae.sun_directions import with_own_noise
-from sunspin.solve.linear import plain_covariance
 from sunspin.telemetry.health import noise_alone
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from sunspin.vehicle.response.flat import plain_covariance
 
 NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
 TURNED = np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3)

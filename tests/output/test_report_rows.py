@@ -246,7 +246,7 @@ def test_a_page_without_conclusions_gives_the_reason_and_claims_nothing(no_concl
         Page(no_conclusion / "report.html"),
     )
     first = page.part("summary")
-    assert {"candidates", "touchdown", "landing", "motions"} <= set(
+    assert {"candidates", "touchdown", "collision", "strategies", "motions"} <= set(
         summary["missing"]
     ) and "could not be" not in page.text
     assert not any((no_conclusion / f"{name}.nc").exists() for name in FILES_OF_CANDIDATES)

@@ -9,19 +9,30 @@ from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import estimate, explained, facts_of, weightings
 from sunspin.philae import collision as co
-from sunspin.philae import landing as la
+from sunspin.philae import strategies as sg
 from sunspin.philae.rebound import published_candidates
 from sunspin.philae.row import settled
 
+PHILAE = ss.load_case("philae")
+
 
 @pytest.fixture(scope="module")
-def landing():
-    case = ss.load_case("philae")
-    return la.compute(case, chain_on_the_lines(case), n=500, seed=2, workers=2)
+def chain():
+    return chain_on_the_lines(PHILAE)
 
 
-def test_strategies_share_their_draws_and_differ_only_in_the_wheel(landing):
-    table, runs = landing.strategies.table, landing.strategies.runs
+@pytest.fixture(scope="module")
+def strategies(chain):
+    return sg.compute(PHILAE, chain, 100, seed=2, workers=2)
+
+
+@pytest.fixture(scope="module")
+def collision(chain):
+    return co.compute(PHILAE, chain, 500, seed=2, workers=2)
+
+
+def test_strategies_share_their_draws_and_differ_only_in_the_wheel(strategies):
+    table, runs = strategies.table, strategies.runs
     for name in ("candidate", "leg"):
         assert np.array_equal(runs["off"][name].values, runs["held"][name].values)
     gain = table["gain"]
@@ -47,8 +58,8 @@ def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
     )
 
 
-def test_the_best_delay_is_the_largest_and_as_good_as_itself(landing):
-    search = landing.strategies.delay
+def test_the_best_delay_is_the_largest_and_as_good_as_itself(strategies):
+    search = strategies.delay
     at = int(np.argmax(search["value"].sel(quantity="touch_leg").values))
     assert search.attrs["best_s"] == search["delay_s"][at] and bool(search["as_good"][at])
     assert search["behind"][at] == 0 and np.all(search["behind"] <= 1e-12)
@@ -69,8 +80,8 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
     assert way["brake"]["friction_coefficient"] > 5 * way["off"]["friction_coefficient"]
 
 
-def test_weights_prefer_what_the_kernel_shows(landing):
-    found = landing.collision.known
+def test_weights_prefer_what_the_kernel_shows(collision):
+    found = collision.known
     facts, weight = facts_of(found), found["weight"].values
     near = np.hypot(
         found["velocity_change"] - facts["velocity_change"],
@@ -105,8 +116,9 @@ def test_weights_prefer_what_the_kernel_shows(landing):
     )
 
 
-def test_rows_say_what_is_reproduced_and_what_is_not(landing):
-    rows = {row.id: settled(row) for row in la.rows(landing)}
+def test_rows_say_what_is_reproduced_and_what_is_not(collision, strategies):
+    every = [*co.rows(collision), *sg.rows(strategies)]
+    rows = {row.id: settled(row) for row in every}
     assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(
         0.559, abs=1e-3
     )
@@ -133,7 +145,7 @@ def test_rows_say_what_is_reproduced_and_what_is_not(landing):
     assert rows["romap_period_after"].kind == "not_comparable"
     assert {row.chain for row in rows.values()} == {"published", "none"}
     assert all(row.note or row.holds for row in rows.values())
-    assert len(rows) == len(la.rows(landing))
+    assert len(rows) == len(every)
 
 
 def test_a_missing_or_damaged_kernel_is_one_sentence(tmp_path):

@@ -21,12 +21,12 @@ def datasets(result: Reproduction) -> dict[str, xr.Dataset]:
             ("map_rates", parts["sensitivity"].rates.to_dataset()),
             ("map_parameters", _parameters(parts["sensitivity"])),
         ]
-    if "landing" in parts:
+    if "collision" in parts:
         tables += [
-            (f"outcomes-{name}", runs)
-            for name, runs in parts["landing"].collision.runs["chosen"].items()
+            (f"outcomes-{name}", runs) for name, runs in parts["collision"].runs["chosen"].items()
         ]
-        tables.append(("strategies", parts["landing"].strategies.table))
+    if "strategies" in parts:
+        tables.append(("strategies", parts["strategies"].table))
     if "motions" in parts:
         tables += [
             (f"motion-{_file(name)}", run.assign_attrs(title=name))

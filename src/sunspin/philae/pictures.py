@@ -18,6 +18,7 @@ from sunspin.philae import descent as figures_descent
 from sunspin.philae import rebound as rb
 from sunspin.philae import sun_directions as figures_health
 from sunspin.philae.candidates import Chain
+from sunspin.philae.collision import AfterCollision
 from sunspin.philae.figures import candidates as figures_candidates
 from sunspin.philae.figures import directions as figures_directions
 from sunspin.philae.figures import level_set as figures_level_set
@@ -26,6 +27,7 @@ from sunspin.philae.figures import sensitivity as figures_sensitivity
 from sunspin.philae.level_set import LevelSet
 from sunspin.philae.motions import Motions, speed_figure
 from sunspin.philae.published_lines import PublishedLines
+from sunspin.philae.strategies import Strategies
 from sunspin.philae.study import Reproduction
 
 Sheets = Callable[[Reproduction, Any], Iterator[Drawing]]
@@ -288,31 +290,37 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
     )
 
 
-def _landing(result: Reproduction, part: Any) -> Iterator[Drawing]:
-    paper = part.collision.runs["chosen"]
-    runs = paper["off"].sizes["run"]
-    about = part.chain.chosen.about
-    of_telemetry = {"synthetic": int(result.synthetic)}
-    after = {name: found.assign_attrs(of_telemetry) for name, found in paper.items()}
+def _of_telemetry(result: Reproduction) -> dict[str, int]:
+    return {"synthetic": int(result.synthetic)}
+
+
+def _collision(result: Reproduction, part: AfterCollision) -> Iterator[Drawing]:
+    own = _of_telemetry(result)
+    after = {name: runs.assign_attrs(own) for name, runs in part.runs["chosen"].items()}
+    about = result.parts["candidates"].chosen.about
     yield Drawing(
         "fig13_after_collision",
         lambda: outcomes.sun_height_figure(after),
         "Densities of the z component between collision and second touchdown, wheel off and held",
-        f"The Sun's height after the collision (paper, Fig. 13), {runs} simulated collisions of {about}; each area is 1."
-        + _note(result),
-    )
-    yield Drawing(
-        "strategies",
-        lambda: strategies.strategies_figure(part.strategies.table.assign_attrs(of_telemetry)),
-        "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
-        f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
-        + _note(result),
+        f"The Sun's height after the collision (paper, Fig. 13), {after['off'].sizes['run']} simulated collisions of {about}; "
+        "each area is 1." + _note(result),
     )
     yield Drawing(
         "collision",
-        lambda: collision.collision_figure(part.collision.known.assign_attrs(of_telemetry)),
+        lambda: collision.collision_figure(part.known.assign_attrs(own)),
         "Simulated collisions against the trajectory kernel's speeds",
         "The simulated collisions against what the trajectory kernel and the magnetometer say of them."
+        + _note(result),
+    )
+
+
+def _strategies(result: Reproduction, part: Strategies) -> Iterator[Drawing]:
+    about = result.parts["candidates"].chosen.about
+    yield Drawing(
+        "strategies",
+        lambda: strategies.strategies_figure(part.table.assign_attrs(_of_telemetry(result))),
+        "What touches first, antenna, speeds and the Sun's height for several commands to the wheel",
+        f"What other commands to the wheel would have done (paper, section 4), from the same draws of {about}."
         + _note(result),
     )
 
@@ -336,7 +344,8 @@ SHEETS: tuple[tuple[tuple[str, ...], Sheets], ...] = (
     (("descent",), _descent),
     (("precession",), _precession),
     (("touchdown",), _touchdown),
-    (("landing",), _landing),
+    (("collision",), _collision),
+    (("strategies",), _strategies),
     (("published_lines",), _published_lines),
     (("phases",), _health),
 )

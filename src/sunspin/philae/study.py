@@ -23,16 +23,17 @@ from sunspin.landing.outcomes import BINS as OUTCOME_BINS
 from sunspin.philae import (
     candidates,
     carries,
+    collision,
     components,
     descent,
     inputs,
-    landing,
     level_set,
     mechanics,
     motions,
     precession,
     published_lines,
     sensitivity,
+    strategies,
     touchdown,
 )
 from sunspin.philae import rebound as rb
@@ -158,9 +159,14 @@ def _level_set(s: Reproduction) -> level_set.LevelSet:
     return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
 
 
-def _landing(s: Reproduction) -> landing.Landing:
+def _collision(s: Reproduction) -> collision.AfterCollision:
     o, chain = s.options, s.parts["candidates"]
-    return landing.compute(s.case, chain, n=s.runs, seed=o.seed, workers=o.workers)
+    return collision.compute(s.case, chain, s.runs, o.seed, workers=o.workers)
+
+
+def _strategies(s: Reproduction) -> strategies.Strategies:
+    o, chain = s.options, s.parts["candidates"]
+    return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
 
 
 def _components(s: Reproduction) -> components.Components:
@@ -222,11 +228,19 @@ STEPS = (
         needs=("candidates",),
     ),
     Step(
-        "landing",
-        "Sections 3.3 and 4: after the collision",
+        "collision",
+        "Section 3.3: after the collision",
         "telemetry",
-        _landing,
-        landing.rows,
+        _collision,
+        collision.rows,
+        needs=("candidates",),
+    ),
+    Step(
+        "strategies",
+        "Section 4: wheel strategies",
+        "telemetry",
+        _strategies,
+        strategies.rows,
         needs=("candidates",),
     ),
     Step(

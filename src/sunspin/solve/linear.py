@@ -45,14 +45,6 @@ def dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return step, -(system.slope * step).sum(axis=1) / 2
 
 
-def plain_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Covariance (..., k, k) of unweighted least squares with a `design` (..., m, k), of data with errors `sigma` (m)."""
-    turned, least = np.swapaxes(design, -1, -2), np.min(sigma)
-    inverse = np.linalg.inv(turned @ design)
-    more = inverse @ turned * np.sqrt(sigma**2 - least**2)  # none if all err alike
-    return least**2 * inverse + more @ np.swapaxes(more, -1, -2)
-
-
 class Bordered(NamedTuple):
     """K chains of n nodes with b unknowns each, of which neighbours meet, and m unknowns that meet all.
 

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.solve.linear import plain_covariance
 from sunspin.solve.rotations import seen_turned
 from sunspin.vehicle.response.planes import (
     ON_PLANE,
@@ -35,6 +34,14 @@ NUMBERS = 10_000_000
 
 RANK_TOLERANCE = 1e-6
 """Normals whose smallest singular value is below this lie in one plane (or on one line)."""
+
+
+def plain_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Covariance (..., k, k) of unweighted least squares with a `design` (..., m, k), of data with errors `sigma` (m)."""
+    turned, least = np.swapaxes(design, -1, -2), np.min(sigma)
+    inverse = np.linalg.inv(turned @ design)
+    more = inverse @ turned * np.sqrt(sigma**2 - least**2)  # none if all err alike
+    return least**2 * inverse + more @ np.swapaxes(more, -1, -2)
 
 
 class Slopes(NamedTuple):

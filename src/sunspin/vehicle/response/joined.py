@@ -15,7 +15,6 @@ from itertools import combinations
 import numpy as np
 
 from sunspin.base.errors import VehicleError
-from sunspin.solve.linear import plain_covariance
 from sunspin.solve.rotations import moved, tangents
 from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
@@ -24,6 +23,7 @@ from sunspin.vehicle.response.flat import (
     Regions,
     Slopes,
     misfit,
+    plain_covariance,
     unit_readings,
 )
 from sunspin.vehicle.response.planes import ON_PLANE, Counted, formula, sphere
