@@ -149,7 +149,7 @@ def test_a_spinner_without_noise_is_judged_and_its_rate_is_determined(tmp_path, 
     vehicle, telemetry, elements = UNSTATED.write(tmp_path)
     text = said("check", vehicle, telemetry, "--tle", elements)
     assert (
-        "copies with node and phase turned at random predict better" in text
+        "randomised comparison orbits with random node and phase fit better" in text
         and "field of 60" in text
     )
     out = tmp_path / "rates"

@@ -141,7 +141,7 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     telemetry.write_text("\n".join([*rows[:20], *rows[9:12], *rows[20:]]) + "\n")
     said = sunspin("check", vehicle, telemetry)[1]
     assert (
-        "3  repeats merged" in said
+        "3  duplicate rows merged" in said
         and "flagged: time_not_increasing" not in said
         and "14 s apart at least" in said
     )
@@ -170,7 +170,7 @@ def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunsp
     said = sunspin("check", vehicle, telemetry)[1]
     assert (
         "from 2026-01-01T00:00:00Z" in said
-        and "times are counted from 2025-12-31T00:00:00Z, 86400 s before" in said
+        and "time zero: 2025-12-31T00:00:00Z, 86400 s before" in said
     )
 
 

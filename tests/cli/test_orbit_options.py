@@ -44,7 +44,7 @@ def test_wrong_elements_are_one_sentence(satellite):
         == "elements are compared with telemetry; give TELEMETRY too"
     )
     assert said("vehicle.toml", "telemetry.csv", "--tle-shift-sigma", "5").startswith(
-        "a shift along the track needs elements"
+        "an along-track offset needs elements"
     )
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle", command="rates")
     assert text.startswith("bad.tle, line 1: the checksum")

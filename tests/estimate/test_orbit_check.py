@@ -139,7 +139,7 @@ def test_the_vehicle_file_gives_the_orbit_and_the_command_line_comes_first(twin,
     vehicle, data, given, _ = twin
     assert orbit_of(vehicle, data) is None
     with pytest.raises(
-        ss.InputError, match="a shift along the track needs elements; give --tle FILE"
+        ss.InputError, match="an along-track offset needs elements; give --tle FILE"
     ):
         orbit_of(vehicle, data, shift_sigma_s=3.0)
     stated = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit(given, -3.0, 7.0, 2.0))

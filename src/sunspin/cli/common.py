@@ -148,7 +148,7 @@ class Output:
             folder = result.sunspin.save(self.folder, **inputs, also=also, lines=lines)
             lines_shown += [
                 f"Results: {folder / main}",
-                f"A page to look into it: sunspin report {folder}",
+                f"View as HTML: sunspin report {folder}",
             ]
         self.report({**summary, **(also or {})}, lines_shown)
 

@@ -120,9 +120,9 @@ def estimate_gains(
     `dark` (n_panel) never read anything; of these the `lost` ones are dead, while the others may never have been in the Sun.
     `earth_light`: on a panel that looks at the Earth, as a share of full Sun."""
     prior, around = prior_sigmas(vehicle), looks_all_around(vehicle, lost)
-    why = "panels do not look all around, a Sun that stands aside looks dim"
+    why = "the panels do not cover all directions, so a low signal may only mean an oblique Sun"
     if vehicle.throttled:
-        why = "inputs are throttled, and no sample need be in full Sun"
+        why = "inputs are throttled, so no sample need be in full Sun"
     elif around and len(value) < FEWEST:
         why = f"fewer than {FEWEST} samples in full Sun"
     covariance, none = np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), np.zeros(len(prior), bool)

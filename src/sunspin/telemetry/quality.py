@@ -85,13 +85,15 @@ CLEAN_SCALE = 0.06
 NOT_INCREASING = 4
 """The bit of `flag` of a time that does not increase (`sunspin.telemetry.reader.FLAGS`)."""
 
-LATE = "dropped: a late or repeated frame (time does not increase)"
-STALE = "dropped: repeats the sample before it to the last digit (stale frame)"
-BELOW_FULL = "down-weighted: below full Sun, so the battery and not the Sun sets the current, or a dead panel is lit"
-IDLE = "dropped: far below full Sun, so the battery alone sets which panel gives the current"
-BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was left out"
+LATE = "dropped: duplicate or out-of-order frame"
+STALE = "dropped: identical to the previous sample (stale frame)"
+BELOW_FULL = (
+    "down-weighted: signal below full Sun (battery-limited current, or a failed panel is sunlit)"
+)
+IDLE = "dropped: far below full Sun (current set by the battery, not by the Sun)"
+BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was excluded"
 
-ASIDE = "used: below full Sun, as where the Sun stands beside what the panels see; a full battery would look the same"
+ASIDE = "used: signal below full Sun (oblique Sun, or battery-limited; the data cannot distinguish them)"
 
 DIRECTIONS = 3000
 """Directions (about 4 degrees apart) among which the Sun is looked for beside the panels."""

@@ -49,14 +49,14 @@ class SunStatus(IntEnum):
 
 
 STATUS_TEXT = {
-    SunStatus.OK: "reconstructed; more than three panels lit, so Delta checks it",
-    SunStatus.UNCHECKED: "reconstructed from exactly three lit panels: nothing is redundant and Delta checks nothing",
-    SunStatus.IMPOSSIBLE: "the Sun alone cannot light these panels: noise, other light, a shadow, a panel dead or read wrong",
+    SunStatus.OK: "direction determined and checked (more than three panels lit)",
+    SunStatus.UNCHECKED: "direction determined, not checked (exactly three panels lit: no redundancy)",
+    SunStatus.IMPOSSIBLE: "impossible illumination pattern (noise, albedo, shadow, failed panel or wrong column)",
     SunStatus.RULE: "excluded by a rule of the vehicle",
-    SunStatus.ARC: "lit panels face directions in one plane only: the Sun lies somewhere on an arc",
-    SunStatus.REGION: "lit panels all face one way: the Sun lies somewhere in a region",
+    SunStatus.ARC: "direction known only to an arc (normals of the lit panels are coplanar)",
+    SunStatus.REGION: "direction known only to a region (lit panels have the same normal)",
     SunStatus.DARK: "no panel lit",
-    SunStatus.SEVERAL: "several directions fit alike: the panels that would be lit there do not tell one from the other",
+    SunStatus.SEVERAL: "ambiguous: several directions fit equally well",
     SunStatus.MISSING: "the telemetry of this sample is missing or flagged",
 }
 

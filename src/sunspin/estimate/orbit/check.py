@@ -77,9 +77,9 @@ FEW = 1.15
 class Verdict(Enum):
     """What the rank says; the values are the sentences."""
 
-    FITS = "the elements fit the telemetry"
-    REFUSED = "the elements do not fit the telemetry: no answer may rest on them"
-    UNDECIDED = "the telemetry cannot tell these elements from others; what is known of the shift stays as it was"
+    FITS = "elements consistent with the telemetry"
+    REFUSED = "elements not consistent with the telemetry; not used"
+    UNDECIDED = "inconclusive: this telemetry cannot distinguish the elements from random ones; the along-track prior is unchanged"
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class OrbitCheck:
 def check_orbit(
     orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset | Assessment, *, seed: int = 0
 ) -> OrbitCheck:
-    """Rank an orbit against copies with node and phase turned at random, by what telemetry shows whatever the attitude.
+    """Rank an orbit against randomised comparison orbits with random node and phase, by what telemetry shows whatever the attitude.
 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """

@@ -1,6 +1,6 @@
 """What a magnetometer reads in an orbit that is known: zero and matrix (scale, soft iron, axes), with their errors, from a file.
 
-It is the calibration by which the shift along the track is found: with biases and scales of Sun sensors where there are any
+It is the calibration by which the along-track offset is found: with biases and scales of Sun sensors where there are any
 (:mod:`sunspin.estimate.orbit.sensor_calibration`), else by strength of the field and its angle to the Sun
 (:mod:`sunspin.estimate.orbit.invariants`). Of few readings little more comes back than the priors, which are wide: then a fit of
 the motion finds the rest. What is open of the place along the track is part of the errors: a calibration along a shifted orbit is

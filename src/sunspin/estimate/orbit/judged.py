@@ -35,7 +35,7 @@ def elements_of(
     if stated.tle:
         return parse_elements("\n".join(stated.tle), f"[orbit] of {vehicle.name}")
     if shift_sigma_s is not None:
-        what = "a shift along the track needs elements"
+        what = "an along-track offset needs elements"
         raise InputError(
             what, do="give --tle FILE or --omm FILE, or tle under [orbit] in the vehicle file"
         )
@@ -70,7 +70,7 @@ def drifting(found: OrbitCheck) -> str:
     """How the shift changes, in words, where the telemetry has shown it."""
     if found.made is None:
         return ""
-    return f" in the middle of the file, {found.drift_s_day:+z.1f} ± {found.drift_sigma_s_day:.1f} s a day"
+    return f" at mid-file, {found.drift_s_day:+z.1f} ± {found.drift_sigma_s_day:.1f} s a day"
 
 
 def clock_off(found: OrbitCheck) -> str:
@@ -92,7 +92,7 @@ def judged_orbit(
     """
     found = check_orbit(orbit, vehicle, telemetry)
     sign = (
-        "; THE MAGNETOMETER READS THE FIELD WITH THE OPPOSITE SIGN: turn its `matrix` round"
+        "; THE MAGNETOMETER HAS THE OPPOSITE SIGN: change the sign of `matrix` in the vehicle file"
         if found.sign_turned
         else ""
     )

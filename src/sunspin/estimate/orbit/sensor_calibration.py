@@ -3,7 +3,7 @@
 In each sample the Sun and the field have known directions in J2000, and the field a known strength; the attitude (three unknowns)
 turns both into the body, where the sensors read them. Two angles of the Sun and three components of the field leave two conditions
 a sample: the field's strength and its angle to the Sun; where a second face or the panels see the Sun too, more. Zero and matrix of
-the magnetometer, bias and scale of each Sun sensor, the shift along the track and its drift are common to the whole file. They are
+the magnetometer, bias and scale of each Sun sensor, the along-track offset and its drift are common to the whole file. They are
 fitted together with all attitudes, under Student tails of each sample and with the noise of each kind of sensor estimated. This is
 Deming's regression: that both angles read and angles by the field are noisy draws no scale down. Integrating the attitudes out
 instead, as if any were as likely, would.

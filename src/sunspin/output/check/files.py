@@ -19,7 +19,7 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns
 from sunspin.vehicle.timeline import utc_after
 
-NOT_READ = "  directions, gains and lit faces say nothing while the readings are in a wrong unit; `--json` has them"
+NOT_READ = "  Sun directions, gains and lit panels are not reported until the unit is fixed (`--json` lists them)"
 
 
 def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
@@ -35,12 +35,14 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
     parts = ", ".join(counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
     known = "given"
     if not summary["inertia_given"]:
-        known = "not given (for `rates` a sphere; nothing can be simulated)"
+        known = "not given: `rates` starts from a sphere, `simulate` and `scan` are not available"
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         lit, clear = len(lit_patterns(craft)), len(reconstructible_patterns(craft))
         summary |= {"lit_patterns": lit, "reconstructible": clear}
-        lines += [f"  the Sun can light {lit} sets of panels; {clear} of them give a direction"]
+        lines += [
+            f"  geometry: {lit} panel combinations can be sunlit; {clear} of them determine the Sun direction"
+        ]
     if craft.channels:
         reads = {"largest": "the largest", "sum": "the sum"}
         about = "; ".join(
@@ -49,8 +51,8 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
         )
         summary["channels"] = {channel.name: list(channel.panels) for channel in craft.channels}
         copies = len(craft.response_in().images)
-        alike = f", so that {copies} directions fit a sample alike" if copies > 1 else ""
-        lines += [f"  inputs of several panels: {about}; which of them is lit is not told{alike}"]
+        alike = f", so each sample allows {copies} Sun directions" if copies > 1 else ""
+        lines += [f"  shared inputs: {about}. The readings do not show which panel is lit{alike}"]
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
@@ -88,11 +90,11 @@ def about_telemetry(
     lines = [f"Telemetry {path.name}: {size} from {begin}"]
     if time.size and round(float(time[0])):
         before = f"{time.min():.0f} s before the first sample"
-        lines.append(f"  times are counted from {epoch}, {before}")
+        lines.append(f"  time zero: {epoch}, {before}")
     if spread:
-        apart = "  {:.6g} s apart at least, {:.6g} s in the middle, {:.6g} s at most"
+        apart = "  sampling interval: {:.6g} s min, {:.6g} s median, {:.6g} s max"
         lines.append(apart.format(*spread))
-    order = {"rows_sorted": "put in the order of time", "rows_merged": "repeats merged"}
+    order = {"rows_sorted": "rows sorted by time", "rows_merged": "duplicate rows merged"}
     for key, text in order.items():
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])

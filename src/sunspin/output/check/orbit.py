@@ -22,7 +22,7 @@ from sunspin.vehicle.timeline import utc_after
 def about_orbit(
     assessment: Assessment, elements: Path | None, shift_sigma: float | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on whether the elements fit the telemetry; nothing where there are none."""
+    """Summary and lines on whether elements consistent with the telemetry; nothing where there are none."""
     craft, samples = assessment.vehicle, assessment.telemetry
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
@@ -100,29 +100,32 @@ def _lines(elements: Any, found: Any, notes: list[str]) -> list[str]:
     if off := clock_off(found):
         lines.append(f"  {off}")
     if found.sign_turned:
-        turned = "the magnetometer reads the field with the opposite sign: turn its `matrix` round"
+        turned = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
         lines.append(f"  {turned}")
     if found.turned_axes:
         lines.append(f"  {found.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
     if not used:
-        return [*lines, "  no sample shows a field, the Sun or the dark"]
-    copies = f"{found.copies} copies with node and phase turned at random"
-    lines.append(f"  {found.better} of {copies} predict better ({used} samples)")
+        return [
+            *lines,
+            "  no sample can be compared: no magnetic field, Sun direction or eclipse in the file",
+        ]
+    copies = f"{found.copies} randomised comparison orbits with random node and phase"
+    lines.append(f"  {found.better} of {copies} fit better (samples: {used})")
     if found.turn_times > 1.05:
         turn = f"with the node turned by {np.degrees(found.turn_rad):+z.0f} deg"
         lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
-    both = " (with the clock: of both, the data determine the sum)"
+    both = " (includes any clock error)"
     shift = with_sigma(found.shift_s, found.shift_sigma_s, "s")
-    lines.append(f"  shift along the track {shift}{drifting(found)}{both}{border}")
+    lines.append(f"  along-track offset {shift}{drifting(found)}{both}{border}")
     if np.isfinite(found.strength_residual_T):
         angle, n = np.degrees(found.angle_residual_rad), found.samples.get("field and Sun", 0)
         few = f" (too few samples to judge: {n})" if n < FEWEST else ""
-        sun = f", of its angle to the Sun {angle:.1f} deg{few}" if np.isfinite(angle) else ""
+        sun = f", Sun-field angle {angle:.1f} deg{few}" if np.isfinite(angle) else ""
         strength = f"{1e6 * found.strength_residual_T:.2f} uT"
-        lines.append(f"  residuals in the middle: of the field's strength {strength}{sun}")
+        lines.append(f"  median residuals: field magnitude {strength}{sun}")
     seen, dark = found.eclipse
     if dark:
-        lines.append(f"  {dark} samples lie in the Earth's shadow; {seen} of them show a Sun")
+        lines.append(f"  eclipse: {dark} samples, {seen} of them with a Sun signal")
     return lines

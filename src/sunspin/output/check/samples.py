@@ -35,9 +35,9 @@ def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str
     gyro_misread = any(wrong.table == "gyro" for wrong in assessment.wrong_units)
     axes = None if gyro_misread else wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []
-    lines += [f"  the file has no columns of: {', '.join(missing)}"] if missing else []
+    lines += [f"  sensors without columns in this file: {', '.join(missing)}"] if missing else []
     more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
-    lines += [f"  columns that nothing uses: {', '.join(unused[:SHOWN])}{more}"] if unused else []
+    lines += [f"  unused columns: {', '.join(unused[:SHOWN])}{more}"] if unused else []
     misread = any(
         wrong.table == "telemetry" and wrong.key.startswith("scale")
         for wrong in assessment.wrong_units
@@ -109,10 +109,12 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     }
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
-        text = "never reads anything: dead, or never in the Sun; left out"
+        text = "no signal in any sample (failed, or never sunlit); excluded"
         lines.append(f"  panel {', '.join(dead)} {text}")
     if unlit:
-        text = "reads nothing, as if never in the Sun: the others show full Sun; not used"
+        text = (
+            "no signal, probably never sunlit (the other panels account for the full Sun); not used"
+        )
         lines.append(f"  panel {', '.join(unlit)} {text}")
     pairs = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
     pairs = pairs / craft.input_gains[:, None]
@@ -130,13 +132,17 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     gains = f"  gains: {quality.attrs['gains_from']}"
     if np.isfinite(quality.attrs["spread"]):
         each = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
-        gains = f"  gains over those of the vehicle file, {quality.attrs['gains_from']}: {each}"
+        gains = (
+            f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {each}"
+        )
     lines.append(gains)
-    lines.append(f"  light on dark faces: up to {quality.attrs['albedo']:.0%} of full Sun")
+    lines.append(
+        f"  albedo and stray light on unlit panels: up to {quality.attrs['albedo']:.0%} of full Sun"
+    )
     counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
     lines.append(
-        f"  {lit} lit: {counted} samples; three give a direction, fewer an arc or a region that `sunspin rates` uses too"
+        f"  {lit} lit: {counted} samples; three determine the direction; `sunspin rates` also uses samples with one or two"
     )
     return summary, lines
 
@@ -163,14 +169,14 @@ def intervals(samples: xr.Dataset) -> np.ndarray:
 def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
     gaps = intervals(samples)
     if len(gaps) < 2:
-        return {}, ["  too few samples to tell a rate"]
+        return {}, ["  too few samples to estimate a rate"]
     usual = float(np.median(gaps))
     clear = 180 / usual
     near = gaps[gaps < 6 * usual]
     jitter = float(np.std(near) / usual)
-    unambiguous = "can be determined unambiguously (half a turn between samples)"
+    unambiguous = "are unambiguous (half a revolution between samples); faster rates alias"
     lines = [f"  sampling: rates up to {clear:.3g} deg/s {unambiguous}"]
     if jitter < 0.02:
-        text = f"a rate and one that differs by {360 / usual:.3g} deg/s look alike"
-        lines.append(f"  the samples are evenly spaced: {text}")
+        text = f"rates that differ by {360 / usual:.3g} deg/s are indistinguishable (aliases)"
+        lines.append(f"  even sampling: {text}")
     return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines

@@ -71,7 +71,7 @@ def health_summary(health: Any) -> Summary:
         "explanations": [list(lost) for lost in named_panels(health, "lost")],
         "noise_probability": {lit: value for lit, value in chance if np.isfinite(value)},
     }
-    none = "no set of lit panels is one that the Sun cannot light"
+    none = "all illumination patterns are physically possible"
     return Summary(numbers, health_lines(numbers) or [none])
 
 
@@ -82,11 +82,11 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     often = sorted(numbers["impossible"].items(), key=lambda item: -item[1])
     seen = ", ".join(f"{lit} ({n})" for lit, n in often[:SETS])
     seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
-    head = "  sets of lit panels that the Sun cannot light"
+    head = "  impossible illumination patterns"
     if made_by := numbers.get("made_by"):
-        return [f"{head}, as {made_by} {'makes' if made_by == NOISE else 'make'} them: {seen}"]
+        return [f"{head}, explained by {made_by}: {seen}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
-    why = f"the loss or shading of {lost} would explain" if lost else "no loss of panels explains"
+    why = f"a failed or shaded panel {lost} would explain" if lost else "no failed panel explains"
     likely, noise = max(numbers["noise_probability"].values(), default=0.0), ""
     if likely > HARDLY:
         noise = f"; noise alone makes the likeliest of them with a probability of at most {number_text(likely, 2)}"

@@ -71,7 +71,7 @@ def rates_summary(result: Any) -> Summary:
         numbers["periods"] = json.loads(result.attrs["periods"])
         lines += [f"  {_period(result, period)}" for period in numbers["periods"]]
     if left_out:
-        why = "never reads anything: dead, or never in the Sun; left out"
+        why = "no signal in any sample (failed, or never sunlit); excluded"
         lines.append(f"  panel {left_out} {why}")
     numbers |= {key: result.attrs[key] for key in ("noise", "noise_from") if key in result.attrs}
     if numbers.get("noise_from", "given") != "given":

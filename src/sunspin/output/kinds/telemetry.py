@@ -81,12 +81,12 @@ def sun_summary(sun: Any) -> Summary:
         "noise_from": sun.attrs["noise_from"],
         "synthetic_telemetry": bool(sun.attrs.get("synthetic", 0)),
     }
-    lines = [f"{known.sum()} of {known.size} samples give a direction to the Sun"]
+    lines = [f"Sun direction determined for {known.sum()} of {known.size} samples"]
     lines += status_lines(sun)
     if numbers["median_sigma_deg"] is not None:
         size = "" if numbers["noise_from"] == "given" else f"{number_text(numbers['noise'], 3)}, "
         noise = f"(noise: {size}{numbers['noise_from']})"
-        lines.append(f"  median uncertainty {numbers['median_sigma_deg']:.2f} deg {noise}")
+        lines.append(f"  median 1-sigma error {numbers['median_sigma_deg']:.2f} deg {noise}")
     return Summary(numbers, lines)
 
 
@@ -154,7 +154,7 @@ def sun_directions_figure(
     delta = np.maximum(sun["delta"].values, 1e-4)
     low.semilogy(x[checked], delta[checked], ".", color=COLOURS[6], ms=4)
     if unchecked.any():
-        text = "exactly three panels lit: 0 whatever the powers"
+        text = "exactly three panels lit: always 0"
         zero = np.full(unchecked.sum(), 1e-4)
         low.plot(x[unchecked], zero, "x", color=COLOURS[7], ms=4, label=text)
         low.legend(**ABOVE)
