@@ -23,7 +23,6 @@ from sunspin.landing.outcomes import BINS as OUTCOME_BINS
 from sunspin.philae import (
     candidates,
     carries,
-    components,
     descent,
     landing,
     level_set,
@@ -224,20 +223,6 @@ PARTS = (
         ),
         landing.rows,
         ("candidates",),
-    ),
-    Part(
-        "components",
-        "Section 2.3: r_x and r_y",
-        "telemetry",
-        lambda i: components.compute(
-            i.case,
-            i.done["level_set"].scan.rebound,
-            i.options.seed,
-            i.options.coarser,
-            i.options.workers,
-        ),
-        components.rows,
-        ("candidates", "level_set"),
     ),
     Part(
         "sensitivity",
