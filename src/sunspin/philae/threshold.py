@@ -57,6 +57,10 @@ UNUSUAL_SIGMAS = 3.5
 about one right file in 4,000 is accused."""
 
 
+LISTS = ("ratio", "emd_min", "directions")
+"""Fields of a calibration with a number for each synthetic rebound."""
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Synthetic rebounds like the data: `ratio` (n), EMD of the truth over the smallest; `emd_min` (n); how they were made.
@@ -218,12 +222,11 @@ def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterato
         yield Alike(truth[i], np.concatenate([first, directions[i, seen[i]]]), weights)
 
 
-Target = tuple[np.ndarray, np.ndarray | None]
-"""Measured z components (n) and their weights (n), None where each counts the same."""
+def reached(case: Case, states: k.Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
+    """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen.
 
-
-def reached(case: Case, states: k.Rows, window_s: float, targets: list[Target]) -> np.ndarray:
-    """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen."""
+    A target is z components (n) and their weights (n), None where each counts the same.
+    """
     hist, _ = histograms(case.vehicle, states, window_s, rb.counted(case))
     each = [
         distances_to(hist[i : i + 1], target_segments(*target))[0][0]
@@ -296,21 +299,18 @@ def to_json(calibration: Calibration) -> str:
         "synthetic": True,
         "key": calibration.key,
         "seed": calibration.seed,
-        "ratio": [float(f"{x:.6g}") for x in calibration.ratio],
-        "emd_min": [float(f"{x:.6g}") for x in calibration.emd_min],
-        "directions": calibration.directions.tolist(),
     }
-    return json.dumps(data) + "\n"
+    lists = {name: [float(f"{x:.6g}") for x in getattr(calibration, name)] for name in LISTS}
+    return json.dumps(data | lists) + "\n"
 
 
 def from_json(text: str, where: str, source: str) -> Calibration:
     """What `to_json` wrote."""
     try:
         data = json.loads(text)
-        lists = np.array([data[name] for name in ("ratio", "emd_min", "directions")], np.float64)
-        if not np.all(np.isfinite(lists)):
+        ratio, emd_min, directions = np.array([data[name] for name in LISTS], dtype=np.float64)
+        if not np.all(np.isfinite([ratio, emd_min, directions])):
             raise ValueError("lists of finite numbers are needed")
-        ratio, emd_min, directions = lists
         return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"this is no calibration of a threshold ({error})", where=where) from None
