@@ -98,6 +98,7 @@ bench: $(READY)
 studies: $(READY)
 	$(BIN)/python -m studies.coverage $(STUDIES)/coverage
 	$(BIN)/python -m studies.contradictions $(STUDIES)/contradictions
+	$(BIN)/python -m studies.components $(STUDIES)/components
 	test -z "$$SUNSPIN_DATA" || $(BIN)/python -m studies.impulse $(STUDIES)/impulse
 
 # goes on where it was stopped

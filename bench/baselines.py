@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 
 from bench.problem import Problem
 from sunspin.dynamics import gyrostat as g
+from sunspin.dynamics.friction import spin_down_time
 
 LOOK_AHEAD_S = 4.0
 """Stops of the members of a batch lie this close together, about: the free motion is followed in pieces of this length."""
@@ -56,13 +57,6 @@ def stuck_system(problem: Problem) -> list:
     return list(zip(variables, [*dH, *dr], strict=True))
 
 
-def fixed_body_stop_s(problem: Problem) -> float:
-    """When the wheel would stop on a body that does not turn: W' = -(c + v W) / J. Stops of the motions lie around it."""
-    (wheel,) = problem.vehicle.wheels
-    c, v, inertia = wheel.friction.coulomb_N_m, wheel.friction.viscous_N_m_s, wheel.inertia_kg_m2
-    return float(np.log1p(v * problem.wheel_speed_rad_s[0] / c) * inertia / v)
-
-
 class TaylorBatch:
     """heyoka's batch integrator, `size` motions at once.
 
@@ -82,7 +76,9 @@ class TaylorBatch:
         system, speed = free_system(problem)
         event = hk.nt_event_batch(speed, note, direction=hk.event_direction.negative)
         self.problem, self.size, self.stops = problem, size, stops
-        self.first_s = fixed_body_stop_s(problem)
+        (wheel,) = problem.vehicle.wheels
+        # on a body that does not turn, W' = -(c + v W) / J: stops of the motions lie around that one
+        self.first_s = spin_down_time(wheel.friction, wheel.inertia_kg_m2, wheel.speed_rad_s)
         self.free = hk.taylor_adaptive_batch(
             system, np.zeros((N_STATE, size)), nt_events=[event], tol=tol
         )
@@ -126,10 +122,6 @@ class DormandPrince:
         dH, dh, dr = g.rhs(values[:3], values[3:4], sun(values[4:]), p)
         return [*dH, *dh, *dr]
 
-    def _speed(self, t: float, y: np.ndarray, p: g.Parameters) -> float:
-        values = y.tolist()
-        return g.wheel_speed(values[3], g.body_rate(values[:3], values[3:4], p), p.wheels[0])
-
     def _piece(self, start: float, y: np.ndarray, p: g.Parameters, events: list | None) -> Any:
         span = (start, self.window_s)
         return solve_ivp(
@@ -138,7 +130,8 @@ class DormandPrince:
 
     def __call__(self, starts: np.ndarray) -> End:
         def stop(t: float, y: np.ndarray, p: g.Parameters) -> float:
-            return self._speed(t, y, p)
+            values = y.tolist()
+            return g.wheel_speed(values[3], g.body_rate(values[:3], values[3:4], p), p.wheels[0])
 
         stop.terminal, stop.direction = True, -1.0
         sun, when = np.empty((len(starts), 3)), np.empty(len(starts))

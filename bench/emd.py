@@ -23,7 +23,17 @@ def run(quick: bool) -> Table:
     table = Table(
         f"emd: distances of {SAMPLES} against {TARGET} samples", ("by", "ms", "largest difference")
     )
-    ways = _ways(z, target)
+    ways: dict[str, Callable[[], float]] = {
+        "ss.emd": lambda: ss.emd(z, target),
+        "scipy wasserstein_distance": lambda: float(wasserstein_distance(z, target)) / 2,
+    }
+    if importlib.util.find_spec("ot"):
+        import ot
+
+        ways["POT wasserstein_1d"] = lambda: float(ot.wasserstein_1d(z, target, p=1)) / 2
+        ways["POT emd2_1d"] = lambda: float(ot.emd2_1d(z, target, metric="cityblock")) / 2
+    else:
+        table.notes.append("POT is not installed (the extra `bench`): its rows are left out.")
     values = {name: call() for name, call in ways.items()}
     work: dict[str, Callable] = dict(ways)
     axes = philae().axes(8, 8, 8) if quick else philae().axes(16, 16, 16)
@@ -33,26 +43,7 @@ def run(quick: bool) -> Table:
         table.rows.append((name, 1e3 * seconds[name], abs(values[name] - values["ss.emd"])))
     fused = seconds[FUSED] / np.prod([len(axis) for axis in axes.values()])
     table.rows.append((FUSED, 1e3 * fused, None))
-    if not _has_pot():
-        table.notes.append("POT is not installed (the extra `bench`): its rows are left out.")
     table.notes.append(
         "SciPy's and POT's values are halved: the paper's distance is half of theirs."
     )
     return table
-
-
-def _ways(z: np.ndarray, target: np.ndarray) -> dict[str, Callable[[], float]]:
-    ways: dict[str, Callable[[], float]] = {
-        "ss.emd": lambda: ss.emd(z, target),
-        "scipy wasserstein_distance": lambda: float(wasserstein_distance(z, target)) / 2,
-    }
-    if _has_pot():
-        import ot
-
-        ways["POT wasserstein_1d"] = lambda: float(ot.wasserstein_1d(z, target, p=1)) / 2
-        ways["POT emd2_1d"] = lambda: float(ot.emd2_1d(z, target, metric="cityblock")) / 2
-    return ways
-
-
-def _has_pot() -> bool:
-    return importlib.util.find_spec("ot") is not None

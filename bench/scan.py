@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import wasserstein_distance
 
 import sunspin as ss
+from bench.accuracy import last_sun, states
 from bench.baselines import Contestant, DormandPrince, TaylorBatch, on_cores
 from bench.problem import AXES, Problem, grid_sample, philae
 from bench.timing import Table, cores, timings
@@ -74,7 +75,7 @@ def run(quick: bool) -> Table:
         rows[name] = len(starts)
         work |= {(name, n): on_cores([make() for _ in range(n)], starts, block) for n in its_teams}
         some = problem.starts(grid_sample(axes, min(judged, len(starts)), seed=2))
-        reference = [last_sun(problem, omega) for omega in problem.rates(some)]
+        reference = last_suns(problem, problem.rates(some))
         errors[name] = float(np.linalg.norm(make()(some).sun_B - reference, axis=1).max())
 
     times = timings(work, repeats)
@@ -97,17 +98,18 @@ def run(quick: bool) -> Table:
 def our_direction_error(problem: Problem, axes: dict[str, np.ndarray], n: int) -> float:
     """Largest error (rad) of the kernel's last direction over n random rows, asked for DIRECTION_ERROR."""
     rates = grid_sample(axes, n, seed=2)
-    rows = k.Rows(rates, np.tile(problem.sun_B, (n, 1)), np.tile(problem.wheel_speed_rad_s, (n, 1)))
+    rows = states(problem.sun_B, rates, problem.wheel_speed_rad_s)
     ends = k.run_rows(problem.vehicle, rows, problem.window_s, direction_error=DIRECTION_ERROR)
-    reference = [last_sun(problem, omega) for omega in rates]
-    return float(np.linalg.norm(ends.sun_B[:, 0] - reference, axis=1).max())
+    error = ends.sun_B[:, 0] - last_suns(problem, rates)
+    return float(np.linalg.norm(error, axis=1).max())
 
 
-def last_sun(problem: Problem, omega_B: np.ndarray) -> np.ndarray:
-    """The reference's direction to the Sun (3) at the end of the window."""
-    times = [0.0, problem.window_s]
-    run = ss.propagate(problem.vehicle, omega_B, problem.sun_B, problem.wheel_speed_rad_s, times)
-    return run["sun_B"].values[-1]
+def last_suns(problem: Problem, omega_B: np.ndarray) -> np.ndarray:
+    """The reference's directions to the Sun (n, 3) at the end of the window, from rates (n, 3)."""
+    rows = states(problem.sun_B, omega_B, problem.wheel_speed_rad_s)
+    return np.array(
+        [last_sun(problem.vehicle, rows, i, problem.window_s) for i in range(len(rows))]
+    )
 
 
 def scanned_emd(problem: Problem, omega_B: np.ndarray) -> float:

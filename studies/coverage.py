@@ -20,14 +20,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import binomtest
 
-from sunspin.compute.rows import ensemble
 from sunspin.dynamics.ensemble import Outcome, Rows
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.lines import point_at
-from sunspin.estimate.scan.table import Table, make_table
+from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import LEAST_DIRECTIONS
+from sunspin.philae.level_set import families
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.philae.twin import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.telemetry.case import Case, load_case
@@ -54,11 +53,10 @@ class Grid(NamedTuple):
 
 def make_grid(case: Case, coarser: int) -> Grid:
     """Run every motion of the grid once."""
-    speeds, mask = rb.nominal_speed(case.vehicle), rb.counted(case) and "reconstructible"
-    scan = case.vehicle, rb.first_sun(case), rb.grid(case, coarser), speeds, rb.window_s(case)
-    table = make_table(*scan, mask=mask)
-    back = rb.speeds_back(case, table.rows.start, rb.after_touchdown_s(case))
-    return Grid(case, table, ensemble(back)["speed"])
+    table = rb.grid_table(case, rb.first_sun(case), rb.window_s(case), coarser)
+    every = table.rows.start.take(np.arange(len(table.hist)))
+    back = rb.run_back(case, every, rb.after_touchdown_s(case))
+    return Grid(case, table, np.linalg.norm(back, axis=1))
 
 
 def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
@@ -76,17 +74,14 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
     state = rows_of(case, truth[None])
     back = rb.run_back(case, state, rb.after_touchdown_s(case))
-    near = rb.families(case, volume, FACTOR, seed=0)
+    near = families(case, volume, FACTOR, seed=0)
     angles = [float("nan")] * 4  # too few points for four lines
     if near.lines is not None:
         angles = [apart["angle_rad"] for apart in near.deviation]
-    target = [(z, None)]
     return {
         "truth_touchdown_speed": float(np.linalg.norm(back)),
         "emd_min": smallest,
-        "emd_truth": float(
-            reached(case.vehicle, state, rb.window_s(case), rb.counted(case), target)[0]
-        ),
+        "emd_truth": float(reached(case, state, rb.window_s(case), [(z, None)])[0]),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
         "line_angle": angles,
         "factor_count": count.tolist(),
@@ -99,8 +94,8 @@ def true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarray:
     if kind == "grid":
         return rng.uniform(*box(case).T)
     published = rb.published_lines(case)
-    point, direction = published[int(rng.integers(len(published)))]
-    return point_at(point, direction, 2, np.array([rng.uniform(*rb.LINE_RANGE)]))[0]
+    line = published[int(rng.integers(len(published)))]
+    return rb.on_lines([line], [rng.uniform(*rb.LINE_RANGE)])[0, 0]
 
 
 def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:

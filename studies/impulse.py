@@ -30,10 +30,9 @@ from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, carries, level_set
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
-from sunspin.philae.sun_directions import with_own_noise
 from sunspin.telemetry.case import Case, load_case
-from sunspin.telemetry.sun import sun_directions
 from validation.campaign import command, rows_folder
+from validation.controls import case_of
 
 SUN = ("philae_spk", "sun_from_67p_20141112.csv")
 
@@ -138,10 +137,9 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
     return sun / np.linalg.norm(sun)
 
 
-def motions(case: Case, source: str, seed: int) -> candidates.Chain:
+def motions(source: str, seed: int) -> candidates.Chain:
     """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
-    case, _ = with_own_noise(case)
-    sun = sun_directions(case.vehicle, case.telemetry)
+    case, sun = case_of()
     scan = level_set.compute(case, sun, seed).scan
     return candidates.compute(scan, carries.compute(case, sun, None, seed), source, None, seed)
 
@@ -232,7 +230,7 @@ def main(arguments: list[str] | None = None) -> None:
     seen, out = seen_in(case, Path(given.data)), rows_folder(given.out)
     each = {}
     for source in SOURCES:
-        each[source] = collisions(motions(case, source, given.seed), given.runs, given.seed)
+        each[source] = collisions(motions(source, given.seed), given.runs, given.seed)
     text = f"Change of velocity {seen.change_m_s:.4f} m/s, {np.degrees(seen.to_sun_rad):.1f} deg from the Sun.\n"
     for source, runs in each.items():
         text += "\n" + table_of(SOURCES[source], runs, seen)

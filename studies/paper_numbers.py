@@ -12,7 +12,6 @@ import numpy as np
 from studies.coverage import rows_of
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
-from sunspin.estimate.scan.lines import point_at
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import error_of_rate, turned
 from sunspin.landing.strategies import settling
@@ -47,21 +46,21 @@ class Lines(NamedTuple):
 def motions_on_lines(case: Case) -> Lines:
     """Run points of the lines to the collision, even in omega_z over the compared range, or even along them in the box."""
     box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
-    omega_z, even, inside = np.linspace(*rb.LINE_RANGE, LINE_POINTS), [], []
+    omega_z, inside = np.linspace(*rb.LINE_RANGE, LINE_POINTS), []
+    even = rb.on_lines(rb.published_lines(case), omega_z)
     for point, along in rb.published_lines(case):
-        even.append(point_at(point, along, 2, omega_z))
         ends = np.sort((box - point[:, None]) / along[:, None], axis=1)
         steps = np.linspace(ends[:, 0].max(), ends[:, 1].min(), LINE_POINTS)
         inside.append(point + steps[:, None] * along)
     starts = {
-        f"evenly in omega_z over {list(rb.LINE_RANGE)}": np.concatenate(even),
+        f"evenly in omega_z over {list(rb.LINE_RANGE)}": even.reshape(-1, 3),
         "evenly along the lines within the scanned box": np.concatenate(inside),
     }
     at_collision = {
         rule: np.array([speed_at_collision(case, omega) for omega in omegas])
         for rule, omegas in starts.items()
     }
-    nutation = rb.momentum_angles(case.vehicle, rows_of(case, np.concatenate(even)))[0]
+    nutation = rb.momentum_angles(case.vehicle, rows_of(case, even.reshape(-1, 3)))[0]
     return Lines(at_collision, np.degrees(nutation.reshape(len(even), -1)), omega_z)
 
 

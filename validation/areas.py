@@ -380,10 +380,7 @@ def _exchange(seed: int, satellite: int, which: int) -> Row:
     from validation.exchanges import run
 
     row = run((seed, satellite, which))
-    return {
-        "outcome": _EXCHANGES[row["outcome"]],
-        "says": f"{row['outcome']}: {row['verdict']}",
-    }
+    return {"outcome": _EXCHANGES[row["outcome"]], "says": f"{row['outcome']}: {row['verdict']}"}
 
 
 def files(level: str, seed: int) -> Iterator[Task]:

@@ -86,7 +86,7 @@ CONTROLS: dict[str, Callable[[Case], xr.Dataset]] = {
     "never tumbled": lambda case: with_motion(case, STILL),
     "spins about z": lambda case: with_motion(case, (0.0, 0.0, 0.3)),
     "another motion": lambda case: with_motion(case, TUMBLING),
-    "wheel held": lambda case: with_motion(case, rb.twin_truth(case), "hold"),
+    "wheel held": lambda case: with_motion(case, rb.twin_file(case)["omega_B"], "hold"),
     "each panel shuffled": shuffled_panels,
     "samples shuffled": shuffled_samples,
     "panels 1 and 2 exchanged": exchanged_panels,
@@ -120,6 +120,14 @@ class Found:
         return {row.id: settled(row) for row in found}
 
 
+def case_of(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
+    """The case with this telemetry, the built-in one unless given, and its own noise; its Sun directions."""
+    case = load_case("philae")
+    case = case if telemetry is None else rb.with_telemetry(case, telemetry)
+    case, _ = with_own_noise(case)
+    return case, sun_directions(case.vehicle, case.telemetry)
+
+
 def chain_of(
     telemetry: xr.Dataset | None = None,
     source: str = "scan",
@@ -127,10 +135,7 @@ def chain_of(
     **options: Any,
 ) -> Found:
     """The chain on a telemetry file, the built-in one unless given."""
-    case = load_case("philae")
-    case = case if telemetry is None else rb.with_telemetry(case, telemetry)
-    case, _ = with_own_noise(case)
-    sun = sun_directions(case.vehicle, case.telemetry)
+    case, sun = case_of(telemetry)
     try:
         fit = descent.compute(case, sun)
     except SunspinError:

@@ -11,21 +11,7 @@ import numpy as np
 
 from tests.corrupted import BYTES, CELLS
 
-NUMBERS = (
-    "0",
-    "-0.0",
-    "1",
-    "-1",
-    "nan",
-    "inf",
-    "1e308",
-    "5e-324",
-    "1e12",
-    "1e30",
-    "1e-30",
-    "0.1",
-    "1000000000000",
-)
+NUMBERS = tuple("0 -0.0 1 -1 nan inf 1e308 5e-324 1e12 1e30 1e-30 0.1 1000000000000".split())
 
 WORDS = (
     '""',
@@ -177,19 +163,7 @@ def _table_moved(text: str, rng: np.random.Generator) -> str:
     return "".join(parts)
 
 
-EDITS = (
-    _value,
-    _value,
-    _value,
-    _number,
-    _number,
-    _number,
-    _word,
-    _line_gone,
-    _line_twice,
-    _line_new,
-    _table_moved,
-)
+EDITS = (*[_value] * 3, *[_number] * 3, _word, _line_gone, _line_twice, _line_new, _table_moved)
 
 AXES = ("[1, 0, 0]", "[0, 1, 0]", "[0, 0, 1]", "[0.6, 0.8, 0]", "[0, 0.6, 0.8]", "[-0.6, 0, 0.8]")
 
@@ -327,15 +301,7 @@ TABLE_BOMBS: tuple[Callable[[bytes], bytes], ...] = (
 )
 
 
-OPTION_NUMBERS = (
-    *NUMBERS,
-    "9" * 400,
-    "",
-    " ",
-    "0x10",
-    "\u0664",
-    "99999999999999999999",
-)
+OPTION_NUMBERS = (*NUMBERS, "9" * 400, "", " ", "0x10", "\u0664", "99999999999999999999")
 TEXTS = (
     "",
     " ",

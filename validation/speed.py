@@ -97,19 +97,9 @@ def sunspin(python: Path, home: Path, arguments: str, cache: str | None = None) 
 def size_MB(python: Path) -> float:
     """Size of the package's files that an interpreter imports."""
     code = "import pathlib, sunspin; print(pathlib.Path(sunspin.__file__).parent)"
-    place = Path(
-        subprocess.run(
-            [str(python), "-c", code], capture_output=True, text=True, check=True
-        ).stdout.strip()
-    )
-    return (
-        sum(
-            path.stat().st_size
-            for path in place.rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts
-        )
-        / 1e6
-    )
+    printed = subprocess.run([str(python), "-c", code], capture_output=True, text=True, check=True)
+    files = [path for path in Path(printed.stdout.strip()).rglob("*") if path.is_file()]
+    return sum(f.stat().st_size for f in files if "__pycache__" not in f.parts) / 1e6
 
 
 def row(before: str, level: str, folder: Path) -> dict[str, object]:
@@ -119,8 +109,4 @@ def row(before: str, level: str, folder: Path) -> dict[str, object]:
         name for name, ratio in measured.items() if name.endswith("/ before") and ratio > MOST_RATIO
     ]
     outcome = "wrong" if slower else "right"
-    return {
-        "outcome": outcome,
-        "says": "; ".join(slower),
-        "measured": measured,
-    }
+    return {"outcome": outcome, "says": "; ".join(slower), "measured": measured}

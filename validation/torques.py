@@ -35,19 +35,14 @@ LEVELS = {
 SAMPLES, INTERVALS_S, TURN = 20, (10.0, 60.0), 2.5
 """Samples, the range of their intervals (log-uniform), and the most that a body turns in one (rad)."""
 
-FACES = {
-    "+x": [1, 0, 0],
-    "-x": [-1, 0, 0],
-    "+y": [0, 1, 0],
-    "-y": [0, -1, 0],
-    "+z": [0, 0, 1],
-    "-z": [0, 0, -1],
-}
+NORMALS = np.kron(np.eye(3), [[1], [-1]])
 
 BOX = Vehicle(
     "box",
     inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
-    panels=[Panel(name, n, 1.0) for name, n in FACES.items()],
+    panels=[
+        Panel(name, n, 1.0) for name, n in zip("+x -x +y -y +z -z".split(), NORMALS, strict=True)
+    ],
     telemetry=TelemetryForm(quantity="current_A", noise=0.02),
 )
 

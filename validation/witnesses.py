@@ -45,20 +45,11 @@ class Row(NamedTuple):
 
 
 def basilisk() -> Iterator[Row]:
-    run = ss.propagate(
-        Vehicle("hub", np.diag([500.0, 200.0, 300.0])),
-        [0.5, -0.4, 0.7],
-        [1, 0, 0],
-        None,
-        [0.0, 10.0],
-    )
+    hub = Vehicle("hub", np.diag([500.0, 200.0, 300.0]))
+    run = ss.propagate(hub, [0.5, -0.4, 0.7], [1, 0, 0], None, [0.0, 10.0])
     mrp = Rotation.from_quat(run["B_from_N"].values[-1]).inv().as_mrp()
-    yield Row(
-        "Basilisk, published",
-        "attitude (MRP) after 10 s",
-        float(np.abs(mrp - BASILISK_MRP).max()),
-        5e-10,
-    )
+    error = float(np.abs(mrp - BASILISK_MRP).max())
+    yield Row("Basilisk, published", "attitude (MRP) after 10 s", error, 5e-10)
 
 
 def free_rigid_body() -> Iterator[Row]:
@@ -72,22 +63,14 @@ def free_rigid_body() -> Iterator[Row]:
         expected = euler(moments, np.array(omega), t)
         run = ss.propagate(Vehicle("free", np.diag(moments)), omega, SUN, None, t)
         error = np.abs(run["omega_B"].values - expected).max() / np.linalg.norm(omega)
-        yield Row(
-            "Jacobi's elliptic functions (SciPy)",
-            f"free body {name}, rates with phase, 1300 s",
-            float(error),
-            1e-10,
-        )
+        what = f"free body {name}, rates with phase, 1300 s"
+        yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-10)
         sized = 100.0 * np.diag(moments), np.tile(omega, (1, 1)).astype(float)
         rows = k.Rows(sized[1], SUN[None], np.zeros((1, 0)))
         end = k.run_rows(Vehicle("free", sized[0]), rows, t[1:], direction_error=1e-9).omega_B[0]
         error = np.abs(end - expected[1:]).max() / np.linalg.norm(omega)
-        yield Row(
-            "Jacobi's elliptic functions (SciPy)",
-            f"the ensemble kernel, the same {name}",
-            float(error),
-            1e-8,
-        )
+        what = f"the ensemble kernel, the same {name}"
+        yield Row("Jacobi's elliptic functions (SciPy)", what, float(error), 1e-8)
 
 
 def euler(moments: np.ndarray, omega: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -139,12 +122,8 @@ def gyrostat() -> Iterator[Row]:
     error = float(np.abs(run["wheel_speed_rad_s"].values[:, 0] - speed).max() / begin)
     yield Row("closed form", "wheel spin-down on a free body, 1 h", error, 1e-10)
     stop = tau * np.log1p(begin / dry)
-    yield Row(
-        "closed form",
-        "instant at which the wheel stops",
-        float(abs(run["event_time_s"].values[0] - stop) / stop),
-        1e-11,
-    )
+    error = float(abs(run["event_time_s"].values[0] - stop) / stop)
+    yield Row("closed form", "instant at which the wheel stops", error, 1e-11)
     axial_rate = omega[2] + inertia * (begin - speed) / axial
     error = float(np.abs(run["omega_B"].values[:, 2] - axial_rate).max() / 0.3)
     yield Row("closed form", "axial rate of the body meanwhile", error, 1e-10)
@@ -185,9 +164,8 @@ def paper_equations() -> Iterator[Row]:
     yield Row("DOP853 (SciPy), paper's equations", "instant of the stop", error, 1e-11)
     error = float(np.abs(run["sun_B"].values[-1] - second.y[4:, -1]).max())
     yield Row("DOP853 (SciPy), paper's equations", "Sun after 45 min", error, 1e-8)
-    rate = np.abs(run["omega_B"].values[-1] - second.y[:3, -1]).max() / np.linalg.norm(
-        second.y[:3, -1]
-    )
+    last = second.y[:3, -1]
+    rate = np.abs(run["omega_B"].values[-1] - last).max() / np.linalg.norm(last)
     yield Row("DOP853 (SciPy), paper's equations", "rates after 45 min", float(rate), 1e-8)
 
 
@@ -213,35 +191,22 @@ def transport() -> Iterator[Row]:
     if _pot(a, b, wa, wb) is not None:
         yield Row("POT, emd2_1d", "EMD, weighted samples", worst["pot"], 1e-14)
     yield Row("closed form", "EMD of equal numbers: sorted differences", worst["sorted"], 1e-14)
-    vehicle, target, omega = (
-        Vehicle("free", np.diag([0.7, 1.0, 1.6])),
-        rng.uniform(-1, 1, 20),
-        np.array([0.2, 0.3, 0.6]),
-    )
+    vehicle, target = Vehicle("free", np.diag([0.7, 1.0, 1.6])), rng.uniform(-1, 1, 20)
+    omega = np.array([0.2, 0.3, 0.6])
     ours = ss.scan(vehicle, target, SUN, *omega[:, None], None, 900.0, mask=None).item()
     track = ss.propagate(vehicle, omega, SUN, None, np.linspace(0, 900, 90_001), rtol=1e-9)[
         "sun_B"
     ].values[:, 2]
     error = abs(ours - wasserstein_distance(track, target) / 2)
-    yield Row(
-        "SciPy, wasserstein_distance",
-        "EMD of a scan, of a sampled track of the reference",
-        error,
-        1e-3,
-    )
+    what = "EMD of a scan, of a sampled track of the reference"
+    yield Row("SciPy, wasserstein_distance", what, error, 1e-3)
 
 
 def _cheapest(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float:
-    leaves, arrives = (
-        np.kron(np.eye(len(a)), np.ones(len(b))),
-        np.kron(np.ones(len(a)), np.eye(len(b))),
-    )
-    plan = linprog(
-        np.abs(a[:, None] - b).ravel() / 2,
-        A_eq=np.vstack([leaves, arrives]),
-        b_eq=np.concatenate([wa, wb]),
-    )
-    return float(plan.fun)
+    leaves = np.kron(np.eye(len(a)), np.ones(len(b)))
+    arrives = np.kron(np.ones(len(a)), np.eye(len(b)))
+    cost, shares = np.abs(a[:, None] - b).ravel() / 2, np.concatenate([wa, wb])
+    return float(linprog(cost, A_eq=np.vstack([leaves, arrives]), b_eq=shares).fun)
 
 
 def _pot(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> float | None:
@@ -274,12 +239,8 @@ def return_trips() -> Iterator[Row]:
     far = k.run_rows(vehicle, rows, 2000.0, direction_error=1e-9)
     turned = k.Rows(far.omega_B[:, 0], far.sun_B[:, 0], far.wheel_speed_rad_s[:, 0])
     home = k.run_rows(vehicle, turned, -2000.0, direction_error=1e-9)
-    yield Row(
-        "itself, backward",
-        "the ensemble kernel, 2000 s there and back",
-        float(np.abs(home.sun_B[0, 0] - SUN).max()),
-        1e-8,
-    )
+    error = float(np.abs(home.sun_B[0, 0] - SUN).max())
+    yield Row("itself, backward", "the ensemble kernel, 2000 s there and back", error, 1e-8)
 
 
 WITNESSES = (basilisk, free_rigid_body, gyrostat, paper_equations, transport, return_trips)

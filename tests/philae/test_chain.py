@@ -64,7 +64,9 @@ def test_what_is_concluded_holds_the_truth(found, name, omega):
     one = found(name)
     assert one.carries.one_sun and one.chain is not None, one.why
     chosen = one.chain.chosen
-    small, large, speed = truth_of(rb.twin_truth(CASE) if omega is None else np.array(omega), one)
+    small, large, speed = truth_of(
+        np.array(rb.twin_file(CASE)["omega_B"] if omega is None else omega), one
+    )
     for value, values in ((small, chosen.smaller_angle), (large, chosen.larger_angle)):
         low, high = chosen.angle_range(values)
         assert low <= value <= high, (name, np.degrees([low, value, high]))

@@ -71,9 +71,7 @@ def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
     states = study.rows_of(CASE, np.array([truth, other]))
     target = rb.seen_z(CASE, truth), None
-    own, wrong = threshold.reached(
-        CASE.vehicle, states, rb.window_s(CASE), rb.counted(CASE), [target, target]
-    )
+    own, wrong = threshold.reached(CASE, states, rb.window_s(CASE), [target, target])
     assert own < 1e-3 and wrong > 0.02
 
 

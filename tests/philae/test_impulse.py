@@ -75,7 +75,7 @@ def drawn():
 
 def test_the_study_writes_table_and_picture(drawn, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(im, "seen_in", lambda case, folder: SEEN)
-    monkeypatch.setattr(im, "motions", lambda case, source, seed: SimpleNamespace())
+    monkeypatch.setattr(im, "motions", lambda source, seed: SimpleNamespace())
     monkeypatch.setattr(im, "collisions", lambda chain, n, seed: drawn)
     assert im.main([str(tmp_path / "out"), "--data", str(tmp_path)]) == 0
     assert (tmp_path / "out" / "impulse.png").stat().st_size > 10_000

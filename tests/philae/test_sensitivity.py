@@ -113,14 +113,8 @@ def test_growth_of_a_plain_spin_is_the_closed_form():
     assert (
         float(table["error_rad"].sel(input="theta_zz").max()) < 1e-6
     )  # negative control: it does not enter
-    assert table["input"].values.tolist() == [
-        "omega_x",
-        "omega_y",
-        "omega_z",
-        "theta_xx",
-        "theta_yy",
-        "theta_zz",
-    ]
+    names = "omega_x omega_y omega_z theta_xx theta_yy theta_zz"
+    assert " ".join(table["input"].values) == names
 
 
 def test_friction_makes_the_error_grow_with_the_square():
@@ -158,11 +152,7 @@ def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
 def test_one_percent_moves_e_and_not_emd(result):
     """Paper, section 2.3; PHYSICS: 180 to 2000 rad per rad/s at 45 min; the printed start allows no E below 0.0177."""
     rows = {row.id: row for row in sensitivity.rows(result)}
-    assert (
-        rows["one_percent_E"].agrees
-        and rows["one_percent_emd"].agrees
-        and rows["phase_growth"].agrees
-    )
+    assert all(rows[name].agrees for name in ("one_percent_E", "one_percent_emd", "phase_growth"))
     assert rows["one_percent_E"].ours > 20 * rows["one_percent_emd"].ours
     per_rate = [
         float(table["error_rad"].sel(input=n).isel(time=-1)) / table.attrs["angular_speed_rad_s"]
@@ -176,10 +166,8 @@ def test_one_percent_moves_e_and_not_emd(result):
 
 
 def test_one_percent_is_the_larger_of_more_and_less():
-    motion, t = (
-        gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0),
-        np.arange(0.0, 121.0, 20.0),
-    )
+    motion = gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0)
+    t = np.arange(0.0, 121.0, 20.0)
     both = [
         ss.direction_error(motion.changed("theta_xx", change).track(t), motion.track(t))
         for change in (0.01, -0.01)

@@ -8,8 +8,9 @@ import pytest
 
 import sunspin as ss
 from philae_sun import as_drawn
+from studies import components
 from sunspin.base.errors import InputError
-from sunspin.estimate.scan.rows import ScanRows, Start
+from sunspin.estimate.scan.rows import ScanRows, Start, distances_to, target_segments
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
@@ -36,7 +37,7 @@ def made(n, seed):
 @pytest.mark.evidence("reproduce", "verified", "order statistics of 4,000 drawn calibrations")
 def test_a_factor_holds_a_further_truth_as_often_as_it_says(reached):
     rng, n, studies = np.random.default_rng(5), 59, 4000
-    held = np.mean([rng.gamma(2.0) < made(n, 10 + i).factor(0.9)[0] for i in range(studies)])
+    held = np.mean([rng.gamma(2.0) < made(n, 10 + i).factor()[0] for i in range(studies)])
     assert held == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / studies))
     reached("share of further truths held, asked for 0.9", held)
     value, low, high = made(400, 3).factor()
@@ -48,6 +49,17 @@ def test_an_unusually_large_emd_is_noticed_and_a_usual_one_is_not():
     assert not any(found.unusual(x) for x in found.emd_min) and found.unusual(
         10 * found.emd_min.max()
     )
+
+
+def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
+    """Sampled tracks against the kernel's histograms; shares of the table by hand."""
+    rows = table.rows.start.take(np.arange(len(table.hist)))
+    hist = components.histograms(REBOUND, rows.omega_B)
+    apart = np.abs(distances_to(hist[2], target_segments(REBOUND.z)) - table.distances(REBOUND.z))
+    assert np.median(apart) < 5e-3 and apart.max() < 0.03
+    scans = [{"emd": np.array([0.01, 0.02, 0.05]), "factor": factor} for factor in (9.0, 4.0, 1.5)]
+    lines = components.table_of(scans).splitlines()[2:]
+    assert [line.split("|")[-2].strip() for line in lines] == ["100.0%", "66.7%", "33.3%"]
 
 
 @pytest.mark.evidence("reproduce", "verified", "fresh synthetic rebounds of known truth")
@@ -65,7 +77,7 @@ def test_rebounds_of_a_calibration_have_panels_that_stand_off_where_the_file_say
     """The same truths and the same first direction as measured; what follows is seen elsewhere, by some of 0.09 rad."""
     case = rb.with_telemetry(replace(CASE, vehicle=as_drawn(CASE.vehicle)), CASE.telemetry)
     drawn, turned = (
-        list(th._block(rebound, np.arange(6), 0))
+        list(th.drawn_rebounds(rebound, np.arange(6), 0))
         for rebound in (replace(REBOUND, case=case), REBOUND)
     )
     for one, other in zip(drawn, turned, strict=True):
@@ -114,10 +126,10 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     assert th.key_of(REBOUND, whole) == shipped.key, (
         "the built-in telemetry needs another calibration: threshold.ship"
     )
-    assert th.calibration(CASE, REBOUND, table, 0) is None  # another grid: another key
+    assert th.calibration(REBOUND, table, 0) is None  # another grid: another key
     monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
-    assert th.calibration(CASE, REBOUND, table, 0).source == "shipped with the case"
-    assert th.calibration(CASE, REBOUND, table, 20).n == 20  # asked for, it is made
+    assert th.calibration(REBOUND, table, 0).source == "shipped with the case"
+    assert th.calibration(REBOUND, table, 20).n == 20  # asked for, it is made
 
 
 def test_a_file_of_a_calibration_can_be_read_again():
@@ -125,11 +137,8 @@ def test_a_file_of_a_calibration_can_be_read_again():
     again = th.from_json(th.to_json(found), "here", "here")
     np.testing.assert_allclose(again.ratio, found.ratio, rtol=1e-5)
     assert again.key == found.key and again.n == 40
-    for text in (
-        "{}",
-        "no",
-        '{"key": "a", "seed": 0, "ratio": [1], "emd_min": [], "directions": [1]}',
-    ):
+    ragged = '{"key": "a", "seed": 0, "ratio": [1], "emd_min": [], "directions": [1]}'
+    for text in ("{}", "no", ragged):
         with pytest.raises(InputError, match="no calibration of a threshold"):
             th.from_json(text, "here", "here")
 
@@ -183,12 +192,8 @@ def test_what_a_calibration_depends_on_is_in_its_key():
         case = rb.with_telemetry(ss.load_case("philae", changes), CASE.telemetry)
         case = with_own_noise(case)[0]
         rebound = rb.rebound_of(case, ss.sun_directions(case.vehicle, case.telemetry))
-        start = Start.on_grid(
-            case.vehicle,
-            list(rb.grid(case).values()),
-            rebound.sun_B,
-            rb.nominal_speed(case.vehicle),
-        )
+        grid, speed = list(rb.grid(case).values()), rb.nominal_speed(case.vehicle)
+        start = Start.on_grid(case.vehicle, grid, rebound.sun_B, speed)
         return th.key_of(rebound, SimpleNamespace(rows=SimpleNamespace(start=start)))
 
     assert key() == shipped == key("collision.restitution=0.3", "study.confidence=0.8")

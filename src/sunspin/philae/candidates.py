@@ -1,7 +1,7 @@
 """The motions that stand for the landing: from which the touchdown, the collision and what follows are computed.
 
 `--candidates` says where they come from: the 90 % set of the scan against the telemetry (the default), the posterior of its
-readings, the lines that the paper prints (whatever the telemetry says), or a file. Beside them stand the whole scanned box, which
+readings, the lines that the paper prints (whatever the telemetry says), or a file. With them stand the whole scanned box, which
 is what was possible before the data, and the paper's own set, below 1.1 times the smallest EMD.
 """
 
@@ -9,37 +9,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
-from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import Rows
+from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.estimate.scan.end_rates import end_rates
-from sunspin.estimate.scan.table import Table
 from sunspin.landing.outcomes import BINS
 from sunspin.landing.tally import Estimate, estimate
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import Carries
+from sunspin.philae.collision import KERNEL, condition, kernel_facts
+from sunspin.philae.level_set import Scanned
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
-from sunspin.telemetry.case import Case
+from sunspin.telemetry.case import Case, case_names, load_case
 from sunspin.telemetry.synthetic import generator
+from sunspin.vehicle import Vehicle
 
-CHAINS = ("scan", "posterior", "published")
-"""Sources of candidates; anything else names a file."""
-
-DRAWS = 10_000
-"""Motions drawn evenly from a set where each costs a run to the collision."""
+DRAWS, HEIGHT_DRAWS, POSTERIOR_DRAWS = 10_000, 2_000, 4_000
+"""Motions drawn evenly from a set where each costs a run to the collision, or the heights of its Sun; draws of a posterior."""
 
 DIRECTION_ERROR = 1e-5
 """Error (rad) of directions at the touchdown and at the collision: angular speeds then err by far less than the grid's step."""
 
-HEIGHT_DRAWS = 2_000
-
-POSTERIOR_DRAWS = 4_000
 TAIL = (1 - CONFIDENCE) / 2
 
 
@@ -49,7 +46,6 @@ class Candidates:
 
     Attributes
     ----------
-    name : "set", "box" or "recipe"
     chain : "scan", "posterior", "published" or the file's name
     about : in words, what they are
     states : `Rows` of all of them (n)
@@ -57,12 +53,11 @@ class Candidates:
     theta, alpha : (n) rad, angles of the momentum H from the body's z axis and from the Sun at their instant
     speed_collision : (n_draws) rad/s just before the collision, of motions drawn evenly
     height : (n_draws, 2) rad, smallest and largest height of the Sun up to the collision, of motions drawn evenly
-    probable : whether they are draws of a probability: intervals are then its 5 to 95 %, else the least and largest
     cell_rad_s : half the diagonal of the scanned grid's cell: each motion stands for all as near as this; 0 without a grid
     angle_cell : rad by which the momentum turns within that cell, at the median size of the momentum
+    probable : whether they are draws of a probability: intervals are then its 5 to 95 %, else the least and largest
     """
 
-    name: str
     chain: str
     about: str
     states: Rows
@@ -71,19 +66,17 @@ class Candidates:
     alpha: np.ndarray
     speed_collision: np.ndarray
     height: np.ndarray
-    probable: bool
     cell_rad_s: float
     angle_cell: float
+    probable: bool = False
 
     def __len__(self) -> int:
         return len(self.states)
 
     def range(self, values: np.ndarray) -> tuple[float, float]:
         """Least and largest of values over the candidates; 5 and 95 % where they are draws of a probability."""
-        if self.probable:
-            low, high = np.quantile(values, [TAIL, 1 - TAIL])
-            return float(low), float(high)
-        return float(values.min()), float(values.max())
+        low, high = np.quantile(values, [TAIL, 1 - TAIL] if self.probable else [0.0, 1.0])
+        return float(low), float(high)
 
     def speed_range(self) -> tuple[float, float]:
         """Least and largest angular speed (rad/s) just after the touchdown, over the cells of the grid."""
@@ -92,11 +85,9 @@ class Candidates:
 
     def angle_range(self, values: np.ndarray) -> tuple[float, float]:
         """Least and largest of angles (n), rad, over the cells of the grid; `values` is one of the properties below."""
-        if self.probable:
-            return self.range(values)
-        return max(float((values - self.angle_cell).min()), 0.0), min(
-            float((values + self.angle_cell).max()), np.pi
-        )
+        low, high = self.range(values)
+        cell = 0.0 if self.probable else self.angle_cell
+        return max(low - cell, 0.0), min(high + cell, np.pi)
 
     @property
     def smaller_angle(self) -> np.ndarray:
@@ -115,20 +106,56 @@ class Candidates:
 
     def dataset(self) -> xr.Dataset:
         """As `outcomes` takes candidates: all equally likely."""
-        body = ("candidate", "axis")
+        body, speed = ("candidate", "axis"), self.states.wheel_speed_rad_s
         return xr.Dataset(
             {
                 "omega_B": (body, self.states.omega_B, {"units": "rad s-1"}),
                 "sun_B": (body, self.states.sun_B, {"units": "1"}),
-                "wheel_speed_rad_s": (
-                    ("candidate", "wheel"),
-                    self.states.wheel_speed_rad_s,
-                    {"units": "rad s-1"},
-                ),
+                "wheel_speed_rad_s": (("candidate", "wheel"), speed, {"units": "rad s-1"}),
             },
             coords={"axis": ["x", "y", "z"]},
             attrs={"about": self.about, "chain": self.chain},
         )
+
+
+def described(
+    rebound: rb.Rebound,
+    states: Rows,
+    seed: int,
+    grid: tuple[np.ndarray, float] | None = None,
+    **labels: Any,
+) -> Candidates:
+    """Candidates with what is asked of them; runs to the collision are made for even draws only.
+
+    `grid`: of points of a scan their speeds at the touchdown (n) and half the diagonal of a cell, rad/s; `labels`: `chain`,
+    `about` and `probable` of :class:`Candidates`.
+    """
+    vehicle, draws = rebound.case.vehicle, states
+    if grid is None:
+        back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
+        grid = np.linalg.norm(back, axis=1), 0.0
+    if len(states) > DRAWS:
+        draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
+    at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
+    few = draws.take(np.arange(min(HEIGHT_DRAWS, len(draws))))
+    run = k.run_rows(vehicle, few, rebound.window_s, emd_error=k.EMD_ERROR, bins=BINS)
+    seen = run.hist > 0
+    edges = np.linspace(-1, 1, BINS + 1)
+    low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
+    theta, alpha, momentum = rb.momentum_angles(vehicle, states)
+    largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
+    turn = largest * grid[1] / max(float(np.median(momentum)), 1e-12)
+    return Candidates(
+        states=states,
+        speed_touchdown=grid[0],
+        theta=theta,
+        alpha=alpha,
+        speed_collision=np.linalg.norm(at_collision, axis=1),
+        height=np.arcsin(np.stack([low, high], axis=1)),
+        cell_rad_s=grid[1],
+        angle_cell=float(np.arctan(turn)),
+        **labels,
+    )
 
 
 @dataclass(frozen=True)
@@ -151,94 +178,6 @@ class Chain:
     @property
     def name(self) -> str:
         return self.chosen.chain
-
-
-def described(
-    rebound: rb.Rebound,
-    name: str,
-    chain: str,
-    about: str,
-    states: Rows,
-    seed: int,
-    probable: bool = False,
-) -> Candidates:
-    """Candidates that stand for themselves alone, with what is asked of them."""
-    speed = np.linalg.norm(
-        rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR), axis=1
-    )
-    return _with_runs(rebound, name, chain, about, states, speed, seed, probable)
-
-
-def _with_runs(
-    rebound: rb.Rebound,
-    name: str,
-    chain: str,
-    about: str,
-    states: Rows,
-    speed: np.ndarray,
-    seed: int,
-    probable: bool = False,
-    cell_rad_s: float = 0.0,
-) -> Candidates:
-    """The same with the speeds at the touchdown known; runs to the collision are made for even draws only."""
-    vehicle = rebound.case.vehicle
-    draws = (
-        states
-        if len(states) <= DRAWS
-        else states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
-    )
-    speed_collision = np.linalg.norm(
-        end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR), axis=1
-    )
-    height = _heights(rebound, draws.take(np.arange(min(HEIGHT_DRAWS, len(draws)))))
-    theta, alpha, momentum = rb.momentum_angles(vehicle, states)
-    turn = (
-        float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
-        * cell_rad_s
-        / max(float(np.median(momentum)), 1e-12)
-    )
-    return Candidates(
-        name,
-        chain,
-        about,
-        states,
-        speed,
-        theta,
-        alpha,
-        speed_collision,
-        height,
-        probable,
-        cell_rad_s,
-        float(np.arctan(turn)),
-    )
-
-
-def _heights(rebound: rb.Rebound, states: Rows) -> np.ndarray:
-    """Smallest and largest height (n, 2) of the Sun over the xy plane up to the collision, rad, to a bin of r_z."""
-    vehicle, window_s = rebound.case.vehicle, rebound.window_s
-    run = k.run_rows(vehicle, states, window_s, emd_error=k.EMD_ERROR, bins=BINS)
-    edges = np.linspace(-1, 1, BINS + 1)
-    seen = run.hist > 0
-    low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
-    return np.arcsin(np.stack([low, high], axis=1))
-
-
-@dataclass(frozen=True)
-class Scanned:
-    """The scan against the telemetry: its table, EMD (n) of every motion (infinite where it failed), the rebound it is of."""
-
-    rebound: rb.Rebound
-    table: Table
-    emd: np.ndarray
-
-    @property
-    def smallest(self) -> float:
-        return float(self.emd.min())
-
-
-def scanned(rebound: rb.Rebound, table: Table, emd: np.ndarray) -> Scanned:
-    """Of every motion of a table its EMD, of any shape, to the z components of the rebound's directions."""
-    return Scanned(rebound, table, np.where(table.outcome == k.Outcome.FINE, emd.ravel(), np.inf))
 
 
 def compute(
@@ -271,76 +210,55 @@ def compute(
             got="; ".join(carries.reasons),
             do="check the panels' columns, gains and units",
         )
-    found = (
-        calibration(case, rebound, scan.table, twins, seed, workers=workers, progress=progress)
-        if source == "scan"
-        else None
-    )
+    calibrated = None
     if source == "scan":
-        _refuse_unfit(scan, found)
-    start = scan.table.rows.start
+        calibrated = calibration(rebound, scan.table, twins, seed, workers, progress)
+        if calibrated is None:
+            raise TelemetryError(
+                "the threshold of the set is not calibrated for these data",
+                do="run without --calibrate 0: it takes a minute",
+            )
+        if calibrated.unusual(scan.smallest):
+            raise TelemetryError(
+                "no motion of the model fits the heights of the Sun",
+                got=f"a smallest EMD of {scan.smallest:.4f}, where {calibrated.n} synthetic rebounds like these data have "
+                f"{calibrated.emd_min.min():.4f} to {calibrated.emd_min.max():.4f}",
+                do="check the vehicle, the wheel's command and the panels' gains",
+            )
+    start, lead = scan.table.rows.start, rebound.lead_s
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
     cell = float(np.linalg.norm(steps)) / 2
-    speeds = ensemble(
-        rb.speeds_back(case, start, rebound.lead_s, DIRECTION_ERROR), workers=workers
-    )["speed"]
+    every = start.take(np.arange(len(start)))
+    speeds = np.linalg.norm(rb.run_back(case, every, lead, DIRECTION_ERROR), axis=1)
 
-    def of(name: str, chain: str, about: str, chosen: np.ndarray) -> Candidates:
-        index = np.flatnonzero(chosen & np.isfinite(scan.emd))
-        return _with_runs(
-            rebound, name, chain, about, start.take(index), speeds[index], seed, cell_rad_s=cell
-        )
+    def below(level: float, chain: str, about: str) -> Candidates:
+        index = np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd))
+        grid = speeds[index], cell
+        return described(rebound, every.take(index), seed, grid, chain=chain, about=about)
 
-    box = of(
-        "box",
-        source,
-        "the whole scanned box: what was possible before the data",
-        np.ones(len(speeds), dtype=bool),
-    )
-    factor = case.assumptions.study.near_minimum_factor
-    recipe = of(
-        "recipe",
-        "scan",
-        f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest",
-        scan.emd < factor * scan.smallest,
-    )
-    share, verdict = float("nan"), ""
-    if source == "scan":
-        assert found is not None
-        level = found.factor()[0]
-        inside = scan.emd < level * scan.smallest
-        held = f"{inside.mean():.0%} of the scanned box"
-        about = f"the {case.assumptions.study.confidence:.0%} set of the scan: EMD below {level:.3g} times the smallest, {held}"
-        chosen, share = of("set", source, about, inside), float(inside.mean())
-    elif source == "posterior":
+    factor, share, verdict = case.assumptions.study.near_minimum_factor, float("nan"), ""
+    about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
+    recipe = below(factor * scan.smallest, "scan", about)
+    if source == "posterior":
         chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)
+        return Chain(case, rebound, chosen, box, recipe, None, share, scan.smallest, verdict)
+    box = below(np.inf, source, "the whole scanned box: what was possible before the data")
+    if calibrated is not None:
+        level = calibrated.factor()[0]
+        share = float(np.mean(scan.emd < level * scan.smallest))
+        about = (
+            f"the {calibrated.confidence:.0%} set of the scan: EMD below {level:.3g} times the smallest, {share:.0%} of the "
+            "scanned box"
+        )
+        chosen = below(level * scan.smallest, source, about)
     elif source == "published":
         about = "the lines that the paper prints, whatever this telemetry says"
-        chosen = described(
-            rebound, "set", source, about, rebound.states(rb.published_candidates(case)), seed
-        )
+        states = rebound.states(rb.published_candidates(case))
+        chosen = described(rebound, states, seed, chain=source, about=about)
     else:
-        states, about = (
-            rebound.states(_from_file(Path(source))),
-            f"the motions of {Path(source).name}",
-        )
-        chosen = described(rebound, "set", Path(source).name, about, states, seed)
-    return Chain(case, rebound, chosen, box, recipe, found, share, scan.smallest, verdict)
-
-
-def _refuse_unfit(scan: Scanned, found: Calibration | None) -> None:
-    if found is None:
-        raise TelemetryError(
-            "the threshold of the set is not calibrated for these data",
-            do="run without --calibrate 0: it takes a minute",
-        )
-    if found.unusual(scan.smallest):
-        raise TelemetryError(
-            "no motion of the model fits the heights of the Sun",
-            got=f"a smallest EMD of {scan.smallest:.4f}, where {found.n} synthetic rebounds like these data have "
-            f"{found.emd_min.min():.4f} to {found.emd_min.max():.4f}",
-            do="check the vehicle, the wheel's command and the panels' gains",
-        )
+        states, name = rebound.states(_from_file(Path(source))), Path(source).name
+        chosen = described(rebound, states, seed, chain=name, about=f"the motions of {name}")
+    return Chain(case, rebound, chosen, box, recipe, calibrated, share, scan.smallest)
 
 
 def _from_posterior(
@@ -360,36 +278,27 @@ def _from_posterior(
         workers=workers,
         progress=progress,
     )
-    if tree.attrs["verdict_word"] == "not explained":
-        raise TelemetryError(
-            "no motion explains the readings of the rebound", got=tree.attrs["verdict"]
-        )
+    word, verdict = tree.attrs["verdict_word"], str(tree.attrs["verdict"])
+    if word == "not explained":
+        raise TelemetryError("no motion explains the readings of the rebound", got=verdict)
     drawn = tree["posterior"].to_dataset()
     omega, sun, speeds = (
         drawn[name].values.reshape(-1, drawn[name].shape[-1])
         for name in ("omega_B", "sun_B", "wheel_speed_rad_s")
     )
     states = Rows(omega, sun / np.linalg.norm(sun, axis=1, keepdims=True), speeds)
-    about = f"{len(states)} draws of the posterior of the readings ({tree.attrs['verdict_word']})"
-    radius = float(tree.attrs["max_rate_rad_s"])
-    rng = generator(seed, 11)
+    radius, rng = float(tree.attrs["max_rate_rad_s"]), generator(seed, 11)
     direction = rng.standard_normal((DRAWS, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
-    before = described(
-        rebound,
-        "box",
-        "posterior",
-        f"even in the ball of {radius:g} rad/s of the posterior's prior",
-        ball,
-        seed,
-        True,
+    chosen, before = (
+        described(rebound, motions, seed, chain="posterior", about=about, probable=True)
+        for motions, about in (
+            (states, f"{len(states)} draws of the posterior of the readings ({word})"),
+            (ball, f"even in the ball of {radius:g} rad/s of the posterior's prior"),
+        )
     )
-    return (
-        described(rebound, "set", "posterior", about, states, seed, True),
-        before,
-        str(tree.attrs["verdict"]),
-    )
+    return chosen, before, verdict
 
 
 def _from_file(path: Path) -> np.ndarray:
@@ -400,17 +309,69 @@ def _from_file(path: Path) -> np.ndarray:
             got=str(path),
             do="give a table with columns omega_x, omega_y, omega_z in rad/s",
         )
-    table = read_table(path)
-    names = ("omega_x", "omega_y", "omega_z")
+    table, names = read_table(path), ("omega_x", "omega_y", "omega_z")
     if missing := [name for name in names if name not in table.header]:
         what = "candidates need columns omega_x, omega_y, omega_z, rad/s"
-        got = f"no {', '.join(missing)}"
-        raise InputError(what, got=got, where=str(path))
+        raise InputError(what, got=f"no {', '.join(missing)}", where=str(path))
     omega = table.numbers(names)
     if not len(omega) or not np.all(np.isfinite(omega)):
-        raise InputError(
-            "candidates must be finite rates, one row each",
-            got=f"{len(omega)} rows",
-            where=str(path),
-        )
+        what, got = "candidates must be finite rates, one row each", f"{len(omega)} rows"
+        raise InputError(what, got=got, where=str(path))
     return omega
+
+
+def starts(
+    craft: Vehicle, omega: list[list[float]], scan: Path | None, factor: float
+) -> tuple[np.ndarray, str]:
+    """Candidate rates (m, 3) in rad/s of `sunspin outcomes`, and in words where they come from and whose they are.
+
+    They are `omega` where any are given, else the near-minimum set of a stored scan, else the case's printed lines, which are
+    those of the case's own body: for another they are refused.
+    """
+
+    def body(said: dict[str, str]) -> str:
+        changes = said.get("changes", "as in its file").splitlines()
+        return ", ".join([said.get("vehicle", "a vehicle without a name"), *changes])
+
+    if scan is not None and omega:
+        raise InputError("candidates come from --scan or from --omega-deg-s", do="give one of them")
+    if omega:
+        return np.array(omega), "as given"
+    if scan is not None:
+        of, mine, about = stored_vehicle(scan), craft.said, f"the near-minimum set of {scan.name}"
+        if of != mine:
+            about += f"; of another body than this run's: {body(of)}, here {body(mine)}"
+        return stored_near_minimum(scan, factor), about
+    case = load_case(craft.name) if craft.name in case_names() else None
+    if case is None or "line_L1" not in case.published:
+        do = "give --omega-deg-s x,y,z or --scan scan.nc"
+        raise InputError("no candidate motions are given", do=do)
+    if rb.moving_and_seeing(craft) != rb.moving_and_seeing(case.vehicle):
+        raise InputError(
+            "the printed lines were found for another body, wheel or panels than these",
+            got=body(craft.said),
+            do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
+        )
+    return rb.published_candidates(case), "the lines that the paper prints"
+
+
+def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
+    """The simulated collisions `runs` against the kernel in the folder `data`, or against the facts that come with the case.
+
+    Raises
+    ------
+    InputError
+        No such kernel is known for the case, or the runs have no collision.
+    """
+    case = load_case(case_name) if case_name in case_names() else None
+    if (
+        case is None
+        or "kernel_speed_before" not in case.published
+        or not np.isfinite(runs["speed_after"]).any()
+    ):
+        raise InputError(
+            "--condition needs collisions of a case with a trajectory kernel",
+            do="use it with philae",
+        )
+    there = data if data is not None and data.joinpath(*KERNEL).is_file() else None
+    return condition(case, runs, None if there is None else kernel_facts(case, there))

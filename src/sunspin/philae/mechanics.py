@@ -25,7 +25,7 @@ STILL_Z = 0.01
 
 @dataclass(frozen=True)
 class Mechanics:
-    """`examples`: runs as `propagate` returns them; `spin_down`: see `spin_down`."""
+    """`examples`: runs of Figs. 6 and 7 as `propagate` returns them; `spin_down`: see `spin_down`."""
 
     case: Case
     examples: list[xr.Dataset]
@@ -34,56 +34,40 @@ class Mechanics:
 
 def compute(case: Case) -> Mechanics:
     """Nothing here depends on telemetry."""
-    return Mechanics(case, examples(case), spin_down(case))
-
-
-def examples(case: Case) -> list[xr.Dataset]:
-    """The example trajectories of Figs. 6 and 7."""
     t = np.arange(0.0, 60.0 * case.published["example_duration"].value + 0.5, 1.0)
-    return [
-        propagate(case.vehicle, omega, rb.first_sun(case), rb.nominal_speed(case.vehicle), t)
-        for omega in case.published["example_rates"].value
-    ]
+    start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
+    rates = case.published["example_rates"].value
+    runs = [propagate(case.vehicle, omega, *start, t) for omega in rates]
+    return Mechanics(case, runs, spin_down(case))
 
 
 def spin_down(case: Case) -> dict[str, Any]:
     """Fig. 5: the wheel on a body that stays at rest, with the fitted and with the printed friction; the fit recovered."""
     wheel = case.vehicle.wheels[0]
-    printed = case.vehicle.with_friction("printed").wheels[0].friction
+    rounded = case.vehicle.with_friction("printed").wheels[0].friction
+    law = rounded.coulomb_N_m, rounded.viscous_N_m_s, wheel.inertia_kg_m2
     c1, c2, c3 = case.published["spin_down_coefficients"].value
     t = np.linspace(0.0, 0.999 * np.log(-c3 / c1) / c2, 200)  # up to just before the stop
     record = spin_down_curve(t, c1, c2, c3)
-    fit = fit_spin_down(t, record, wheel.inertia_kg_m2)
     return {
         "t_s": t,
         "record": record,
-        "fit": fit,
-        "printed": spin_down_speed(
-            printed.coulomb_N_m, printed.viscous_N_m_s, wheel.inertia_kg_m2, record[0], t
-        ),
-        "stop_printed_s": spin_down_time(printed, wheel.inertia_kg_m2, wheel.speed_rad_s),
+        "fit": fit_spin_down(t, record, wheel.inertia_kg_m2),
+        "printed": spin_down_speed(*law, record[0], t),
+        "stop_printed_s": spin_down_time(rounded, wheel.inertia_kg_m2, wheel.speed_rad_s),
     }
 
 
 def rows(result: Mechanics) -> list[Row]:
     """Figures of section 2.2 beside ours."""
-    case, fall = result.case, result.spin_down
-    still = result.examples[0]
-    stop = [float(t) for t in still["event_time_s"].values]
-    z = still["sun_B"].values[:, 2]
-    fit = fall["fit"]
+    case, still, fit = result.case, result.examples[0], result.spin_down["fit"]
+    z, stops = still["sun_B"].values[:, 2], still["event_time_s"].values / 60
+    ends, constant = [float(z.min()), float(z.max())], bool(np.ptp(z) < STILL_Z)
+    stop, rounded = float(stops[0]) if len(stops) else None, result.spin_down["stop_printed_s"] / 60
     return [
         row(case, "spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]),
         row(case, "friction_coulomb", fit.friction.coulomb_N_m),
         row(case, "friction_viscous", fit.friction.viscous_N_m_s),
-        row(
-            case, "wheel_stop", stop[0] / 60 if stop else None, printed=fall["stop_printed_s"] / 60
-        ),
-        row(
-            case,
-            "example_still_z",
-            [float(z.min()), float(z.max())],
-            tolerance=STILL_Z,
-            agrees=bool(np.ptp(z) < STILL_Z),
-        ),
+        row(case, "wheel_stop", stop, printed=rounded),
+        row(case, "example_still_z", ends, tolerance=STILL_Z, agrees=constant),
     ]

@@ -15,15 +15,16 @@ from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, outcomes, strategies, telemetry
 from sunspin.philae import descent as figures_descent
+from sunspin.philae import level_set as figures_level_set
+from sunspin.philae import precession as figures_precession
+from sunspin.philae import published_lines as figures_lines
 from sunspin.philae import rebound as rb
+from sunspin.philae import sensitivity as figures_sensitivity
 from sunspin.philae import sun_directions as figures_health
 from sunspin.philae.candidates import Chain
 from sunspin.philae.collision import AfterCollision
 from sunspin.philae.figures import candidates as figures_candidates
 from sunspin.philae.figures import directions as figures_directions
-from sunspin.philae.figures import level_set as figures_level_set
-from sunspin.philae.figures import precession as figures_precession
-from sunspin.philae.figures import sensitivity as figures_sensitivity
 from sunspin.philae.level_set import LevelSet
 from sunspin.philae.motions import Motions, speed_figure
 from sunspin.philae.published_lines import PublishedLines
@@ -211,7 +212,7 @@ def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
         "Cumulative distributions of the z component",
         "z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one "
         "distribution (EMD to "
-        f"their mean at most {max(rb.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
+        f"their mean at most {max(figures_lines.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
         + note,
     )
 
@@ -233,7 +234,7 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
     )
     yield Drawing(
         "thresholds",
-        lambda: figures_level_set.thresholds_figure(part.thresholds, clean.factor),
+        lambda: figures_lines.thresholds_figure(part.thresholds, clean.factor),
         "Size of the near-minimum set and distance of its lines against the factor",
         "What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor "
         "used above. Fewer points than four lines need have no line.",
@@ -241,7 +242,7 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
     smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
     yield Drawing(
         "fig12_lines",
-        lambda: figures_level_set.backward_figure(
+        lambda: figures_lines.backward_figure(
             part.near_touchdown,
             part.on_lines_touchdown,
             smallest,

@@ -24,7 +24,6 @@ from sunspin.philae import (
     candidates,
     carries,
     collision,
-    components,
     descent,
     inputs,
     level_set,
@@ -169,11 +168,6 @@ def _strategies(s: Reproduction) -> strategies.Strategies:
     return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
 
 
-def _components(s: Reproduction) -> components.Components:
-    o, rebound = s.options, s.parts["level_set"].scan.rebound
-    return components.compute(s.case, rebound, o.seed, o.coarser, o.workers)
-
-
 def _published_lines(s: Reproduction) -> published_lines.PublishedLines:
     o, scanned = s.options, s.parts.get("level_set")
     table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
@@ -242,14 +236,6 @@ STEPS = (
         _strategies,
         strategies.rows,
         needs=("candidates",),
-    ),
-    Step(
-        "components",
-        "Section 2.3: r_x and r_y",
-        "telemetry",
-        _components,
-        components.rows,
-        needs=("candidates", "level_set"),
     ),
     Step(
         "sensitivity",

@@ -17,19 +17,21 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binom
+from tqdm import tqdm
 
 from sunspin.base import atomic_write
 from sunspin.base.errors import InputError
 from sunspin.compute.identity import fingerprint, plain
-from sunspin.compute.rows import ensemble
+from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
+from sunspin.estimate.scan.window import target_weights
 from sunspin.philae import rebound as rb
 from sunspin.philae.twin import drawn_panels
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
-from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, stated_sigma
 
 CONFIDENCE = 0.9
@@ -55,13 +57,15 @@ UNUSUAL_SIGMAS = 3.5
 about one right file in 4,000 is accused."""
 
 
+LISTS = ("ratio", "emd_min", "directions")
+"""Fields of a calibration with a number for each synthetic rebound."""
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Synthetic rebounds like the data: `ratio` (n), EMD of the truth over the smallest; `emd_min` (n); how they were made.
 
-    `confidence`: of the set that is asked for.
-
-    `source`: "shipped" or "made for these data". `directions` (n): how many each gave.
+    `source`: "shipped" or "made for these data". `directions` (n): how many each gave. `confidence`: of the set that is asked for.
     """
 
     key: str
@@ -76,9 +80,9 @@ class Calibration:
     def n(self) -> int:
         return len(self.ratio)
 
-    def factor(self, confidence: float | None = None) -> tuple[float, float, float]:
+    def factor(self) -> tuple[float, float, float]:
         """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval."""
-        return holding(self.ratio, self.confidence if confidence is None else confidence)
+        return holding(self.ratio, self.confidence)
 
     def unusual(self, emd_min: float) -> bool:
         """Whether so large a smallest EMD speaks against the model, or against the readings."""
@@ -95,6 +99,17 @@ class Calibration:
         )
 
 
+def check_confidence(n: int, confidence: float) -> int:
+    """Which of n ordered twins, from 0, sets the threshold of this confidence; refuses what n twins cannot tell."""
+    if not 0 < confidence < 1:
+        raise InputError("a confidence must lie between 0 and 1", got=confidence)
+    at = ceil(confidence * (n + 1)) - 1
+    if at >= n:
+        got = f"{n} twins, {confidence:g}"
+        raise InputError("too few twins for this confidence", got=got, do="ask for more twins")
+    return at
+
+
 def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]:
     """Threshold below which a further one of the `values` (n) lies with this probability, and its 95 % interval.
 
@@ -103,24 +118,8 @@ def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]
     """
     n, ordered = len(values), np.sort(values)
     at = check_confidence(n, confidence)
-    from scipy.stats import binom
-
     low, high = binom.ppf([0.025, 0.975], n, confidence).astype(int)
     return float(ordered[at]), float(ordered[max(low - 1, 0)]), float(ordered[min(high, n - 1)])
-
-
-def check_confidence(n: int, confidence: float) -> int:
-    """Which of n ordered twins, from 0, sets the threshold of this confidence; refuses what n twins cannot tell."""
-    if not 0 < confidence < 1:
-        raise InputError("a confidence must lie between 0 and 1", got=confidence)
-    at = ceil(confidence * (n + 1)) - 1
-    if at >= n:
-        raise InputError(
-            "too few twins for this confidence",
-            got=f"{n} twins, {confidence:g}",
-            do="ask for more twins",
-        )
-    return at
 
 
 def key_of(rebound: rb.Rebound, table: Table) -> str:
@@ -128,6 +127,8 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
     read, how many gave directions, noise, brightness, first direction, scan.
     """
     sun, start, vehicle = rebound.samples.attrs, table.rows.start, rebound.case.vehicle
+    weights = rebound.case.assumptions.study.target_weights
+    axes = start.omega_x, start.omega_y, start.omega_z
     return fingerprint(
         {
             "study": "threshold of a level set, truths even in the scanned box",
@@ -141,12 +142,8 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
             "sun_B": np.round(rebound.sun_B, 4).tolist(),
             "window_s": round(rebound.window_s, 3),
             "lead_s": round(rebound.lead_s, 3),
-            "target_weights": None
-            if rebound.weights is None
-            else rebound.case.assumptions.study.target_weights,
-            "axes": [
-                np.round(axis, 6).tolist() for axis in (start.omega_x, start.omega_y, start.omega_z)
-            ],
+            "target_weights": None if rebound.weights is None else weights,
+            "axes": [np.round(axis, 6).tolist() for axis in axes],
             "mask": plain(rb.counted(rebound.case)),
             "bins": BINS,
             "emd_error": k.EMD_ERROR,
@@ -162,16 +159,78 @@ def _readable(rebound: rb.Rebound) -> np.ndarray:
 
 def _scale(rebound: rb.Rebound) -> float:
     """Brightness of the file's Sun: what the readings are over the model, in the median, to three digits."""
-    power = _readings(rebound)
-    usable = (rebound.samples["status"].values == SunStatus.OK) & np.all(np.isfinite(power), axis=1)
-    usable = usable if usable.any() else rebound.told
+    data, samples = rebound.case.telemetry, rebound.samples
+    power = signals(data)[np.searchsorted(data["time"].values, samples["utc_s"].values)]
+    usable = (samples["status"].values == SunStatus.OK) & np.all(np.isfinite(power), axis=1)
+    usable = usable if usable.any() else rebound.reconstructed
     return float(f"{np.median(brightness(rebound.case.vehicle, power[usable])):.3g}")
 
 
-def _readings(rebound: rb.Rebound) -> np.ndarray:
-    """Readings (n, n_panel) of the rebound's samples."""
-    data = rebound.case.telemetry
-    return signals(data)[np.searchsorted(data["time"].values, rebound.samples["utc_s"].values)]
+class Alike(NamedTuple):
+    """A synthetic rebound: its true rate (3) in rad/s, measured directions (n, 3), their weights (n) or None."""
+
+    omega_B: np.ndarray
+    seen_B: np.ndarray
+    weights: np.ndarray | None
+
+
+def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
+    """Synthetic rebounds like the data; others if too few are like them."""
+    wanted, apart = rebound.z.size, max(2.0, ALIKE * rebound.z.size)
+    drawn: list[Alike] = []
+    for block in range(MAX_BLOCKS):
+        drawn += drawn_rebounds(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed)
+        alike = [each for each in drawn if abs(len(each.seen_B) - wanted) <= apart]
+        if len(alike) >= twins:
+            return alike[:twins]
+    return sorted(drawn, key=lambda each: max(abs(len(each.seen_B) - wanted), apart))[:twins]
+
+
+def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
+    """The synthetic rebounds `index` that can be followed: each draws from its own generators."""
+    case, vehicle = rebound.case, rebound.case.vehicle
+    motion, panels = (
+        [
+            np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), *stream)))
+            for i in index
+        ]
+        for stream in ((), (1,))
+    )
+    box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
+    truth = np.array([rng.uniform(box[:, 0], box[:, 1]) for rng in motion])
+    shown = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in motion])
+    shown /= np.linalg.norm(shown, axis=1, keepdims=True)
+    # turns of the panels (None where the vehicle's file has no sigma of them) and the true direction behind the one that they show
+    turned = [drawn_panels(vehicle, sun, rng) for sun, rng in zip(shown, panels, strict=True)]
+    turns = [turn for turn, _ in turned if turn is not None]
+    states = replace(rebound.states(truth), sun_B=np.array([sun for _, sun in turned]))
+    readable = _readable(rebound)
+    later = readable[readable > rebound.first]
+    run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=DIRECTION_ERROR)
+    tilt = np.array(turns)[:, None] if turns else None
+    exact = _scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
+    sigma, threshold = (rebound.samples[name].values for name in ("noise", "lit_threshold"))
+    noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in motion])
+    power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0).reshape(-1, exact.shape[-1])
+    sun = sun_directions(vehicle, power, noise=sigma, lit_threshold=threshold)
+    seen = is_reconstructed(sun["status"]).reshape(exact.shape[:2])
+    directions = sun["sun_B"].values.reshape(*exact.shape[:2], 3)
+    first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
+    for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
+        times = rebound.t_s[np.concatenate([[rebound.first], later[seen[i]]])]
+        weights = target_weights(case.assumptions.study.target_weights, times)
+        yield Alike(truth[i], np.concatenate([first, directions[i, seen[i]]]), weights)
+
+
+def reached(case: Case, states: k.Rows, window_s: float, targets: list[tuple]) -> np.ndarray:
+    """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen.
+
+    A target is z components (n) and their weights (n), None where each counts the same.
+    """
+    mask = rb.counted(case)
+    run = k.run_rows(case.vehicle, states, window_s, emd_error=k.EMD_ERROR, mask=mask, bins=BINS)
+    pairs = zip(run.hist, targets, strict=True)
+    return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
 
 
 def calibrate(
@@ -183,172 +242,32 @@ def calibrate(
     progress: bool = False,
 ) -> Calibration:
     """Repeat the method on synthetic rebounds like the data; `table` of the scan from the same first direction."""
-    found = alike_rebounds(rebound, twins, seed)
-    targets = [one.target for one in found]
-    rows = TargetRows(table, targets)
-    smallest = ensemble(
-        rows, workers=workers, chunk=2, progress=progress, label="calibration of the threshold"
-    )["emd_min"]
-    truth = np.array([one.omega_B for one in found])
-    vehicle, mask = rebound.case.vehicle, rb.counted(rebound.case)
-    ratio = reached(vehicle, rebound.states(truth), rebound.window_s, mask, targets) / smallest
+    rebounds = alike_rebounds(rebound, twins, seed)
+    targets = [(each.seen_B[:, 2], each.weights) for each in rebounds]
+    fine, threads = table.outcome == k.Outcome.FINE, worker_count(workers)
+    shown = tqdm(
+        targets,
+        desc="calibration of the threshold",
+        leave=False,
+        disable=None if progress else True,  # None: shown on a terminal only
+    )
+    smallest = np.array([table.distances(*target, threads)[fine].min() for target in shown])
+    states = rebound.states(np.array([each.omega_B for each in rebounds]))
     return Calibration(
         key_of(rebound, table),
         seed,
-        ratio,
+        reached(rebound.case, states, rebound.window_s, targets) / smallest,
         smallest,
-        np.array([len(one.seen_B) for one in found]),
+        np.array([len(each.seen_B) for each in rebounds]),
         "made for these data",
     )
 
 
-Target = tuple[np.ndarray, np.ndarray | None]
-"""Measured z components (n) and their weights (n), None where each counts the same."""
-
-
-class Alike(NamedTuple):
-    """A synthetic rebound: its true rate (3) in rad/s, measured directions (n, 3), their weights (n) or None."""
-
-    omega_B: np.ndarray
-    seen_B: np.ndarray
-    weights: np.ndarray | None
-
-    @property
-    def target(self) -> Target:
-        return self.seen_B[:, 2], self.weights
-
-
-def reached(
-    vehicle: Vehicle, states: k.Rows, window_s: float, mask: k.Mask | None, targets: list[Target]
-) -> np.ndarray:
-    """EMD (n) of each motion's r_z, from the measured first direction, to its own target; 1 where it is never seen."""
-    hist = k.run_rows(vehicle, states, window_s, emd_error=k.EMD_ERROR, mask=mask, bins=BINS).hist
-    pairs = zip(hist, targets, strict=True)
-    return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
-
-
-@dataclass(frozen=True)
-class TargetRows:
-    """Row -> smallest EMD of a table to one target: the components that one synthetic rebound measured."""
-
-    table: Table
-    targets: list[Target]
-
-    outputs = {"emd_min": ("float64", ())}
-
-    @property
-    def n_rows(self) -> int:
-        return len(self.targets)
-
-    def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        fine = self.table.outcome == k.Outcome.FINE
-        return {
-            "emd_min": np.array([self.table.distances(*self.targets[i])[fine].min() for i in index])
-        }
-
-
-def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
-    """Synthetic rebounds like the data; others if too few are like them."""
-    wanted, apart = rebound.z.size, max(2.0, ALIKE * rebound.z.size)
-    alike: list[Alike] = []
-    others: list[Alike] = []
-    for block in range(MAX_BLOCKS):
-        for one in _block(rebound, np.arange(block * BLOCK, (block + 1) * BLOCK), seed):
-            (alike if abs(len(one.seen_B) - wanted) <= apart else others).append(one)
-        if len(alike) >= twins:
-            return alike[:twins]
-    others.sort(key=lambda one: abs(len(one.seen_B) - wanted))
-    return (alike + others)[:twins]
-
-
-def _block(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
-    """The synthetic rebounds `index`: each draws from its own generator."""
-    case, vehicle = rebound.case, rebound.case.vehicle
-    generators = [
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))) for i in index
-    ]
-    box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
-    truth = np.array([rng.uniform(box[:, 0], box[:, 1]) for rng in generators])
-    sun = np.array(
-        [rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in generators]
-    )
-    tilt, sun = _panels(vehicle, sun / np.linalg.norm(sun, axis=1, keepdims=True), index, seed)
-    states = rebound.states(truth)
-    states = k.Rows(states.omega_B, sun, states.wheel_speed_rad_s)
-    readable = _readable(rebound)
-    later = readable[readable > rebound.first]
-    run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=DIRECTION_ERROR)
-    sigma, threshold = (rebound.samples[name].values for name in ("noise", "lit_threshold"))
-    exact = _scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
-    noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in generators])
-    power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0)
-    seen = sun_directions(
-        vehicle, power.reshape(-1, power.shape[-1]), noise=sigma, lit_threshold=threshold
-    )
-    told = is_reconstructed(seen["status"]).reshape(power.shape[:2])
-    directions = seen["sun_B"].values.reshape(*power.shape[:2], 3)
-    first = rebound.sun_B[None] / np.linalg.norm(rebound.sun_B)
-    for i in np.flatnonzero(run.outcome == k.Outcome.FINE):
-        times = rebound.t_s[np.concatenate([[rebound.first], later[told[i]]])]
-        yield Alike(
-            truth[i],
-            np.concatenate([first, directions[i, told[i]]]),
-            rb.target_weights(case, times),
-        )
-
-
-def _panels(
-    vehicle: Vehicle, shown_B: np.ndarray, index: np.ndarray, seed: int
-) -> tuple[np.ndarray | None, np.ndarray]:
-    """Of rebounds `index` whose first direction is shown as `shown_B` (n, 3): turns (n, 1, n_panel, 3) of the panels, None where
-    the vehicle's file has no sigma of them, and the true first directions (n, 3)."""
-    generators = [
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i), 1))) for i in index
-    ]
-    drawn = [
-        drawn_panels(vehicle, shown, rng) for shown, rng in zip(shown_B, generators, strict=True)
-    ]
-    tilt = np.array([one for one, _ in drawn if one is not None])
-    return tilt[:, None] if len(tilt) else None, np.array([sun for _, sun in drawn])
-
-
-def to_json(found: Calibration) -> str:
-    """Plain data, six digits."""
-    data = {
-        "what": "the scan repeated on synthetic rebounds of known truth like the case's telemetry (sunspin.philae.threshold)",
-        "synthetic": True,
-        "key": found.key,
-        "seed": found.seed,
-        "ratio": [float(f"{x:.6g}") for x in found.ratio],
-        "emd_min": [float(f"{x:.6g}") for x in found.emd_min],
-        "directions": found.directions.tolist(),
-    }
-    return json.dumps(data) + "\n"
-
-
-def from_json(text: str, where: str, source: str) -> Calibration:
-    """What `to_json` wrote."""
-    try:
-        data = json.loads(text)
-        ratio, emd_min, directions = (
-            np.array(data[name], dtype=np.float64) for name in ("ratio", "emd_min", "directions")
-        )
-        if not len(ratio) == len(emd_min) == len(directions) or not np.all(
-            np.isfinite([ratio, emd_min, directions])
-        ):
-            raise ValueError("lists of numbers of equal length are needed")
-        return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"this is no calibration of a threshold ({error})", where=where) from None
-
-
 def calibration(
-    case: Case,
     rebound: rb.Rebound,
     table: Table,
     twins: int | None = None,
     seed: int = 0,
-    *,
     workers: int | None = None,
     progress: bool = False,
 ) -> Calibration | None:
@@ -359,24 +278,47 @@ def calibration(
     twins : int, optional
         Synthetic rebounds to make; asked for, they are made even where a shipped calibration fits. Zero: none are made.
     """
-    path, confidence = case.folder / SHIPPED, case.assumptions.study.confidence
+    path = rebound.case.folder / SHIPPED
+    confidence = rebound.case.assumptions.study.confidence
     if not twins and path.is_file():
-        found = from_json(path.read_text("utf-8"), str(path), "shipped with the case")
-        if found.key == key_of(rebound, table):
-            return replace(found, confidence=confidence)
+        shipped = from_json(path.read_text("utf-8"), str(path), "shipped with the case")
+        if shipped.key == key_of(rebound, table):
+            return replace(shipped, confidence=confidence)
     if twins == 0:
         return None
-    return replace(
-        calibrate(rebound, table, twins or TWINS, seed, workers, progress), confidence=confidence
-    )
+    fresh = calibrate(rebound, table, twins or TWINS, seed, workers, progress)
+    return replace(fresh, confidence=confidence)
+
+
+def to_json(calibration: Calibration) -> str:
+    """Plain data, six digits."""
+    data = {
+        "what": "the scan repeated on synthetic rebounds of known truth like the case's telemetry (sunspin.philae.threshold)",
+        "synthetic": True,
+        "key": calibration.key,
+        "seed": calibration.seed,
+    }
+    lists = {name: [float(f"{x:.6g}") for x in getattr(calibration, name)] for name in LISTS}
+    return json.dumps(data | lists) + "\n"
+
+
+def from_json(text: str, where: str, source: str) -> Calibration:
+    """What `to_json` wrote."""
+    try:
+        data = json.loads(text)
+        ratio, emd_min, directions = np.array([data[name] for name in LISTS], dtype=np.float64)
+        if not np.all(np.isfinite([ratio, emd_min, directions])):
+            raise ValueError("lists of finite numbers are needed")
+        return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"this is no calibration of a threshold ({error})", where=where) from None
 
 
 def ship(
     rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None
 ) -> Calibration:
     """Make the calibration that ships with a case, and write it beside its telemetry."""
-    found = calibrate(rebound, table, SHIPPED_TWINS, 0, workers, progress=True)
-    atomic_write.write_whole(
-        folder / SHIPPED, lambda part: part.write_text(to_json(found), "utf-8")
-    )
-    return found
+    fresh = calibrate(rebound, table, SHIPPED_TWINS, 0, workers, progress=True)
+    text = to_json(fresh)
+    atomic_write.write_whole(folder / SHIPPED, lambda path: path.write_text(text, "utf-8"))
+    return fresh

@@ -10,7 +10,7 @@ import numpy as np
 from sunspin.output.figures import ABOVE, COLOURS, axes_grid, named, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import number_text, with_sigma
-from sunspin.telemetry.health import NOISE, named_panels
+from sunspin.telemetry.health import named_panels
 
 SETS = 8
 """Sets of panels named on the console, the most frequent ones; `--json` has all."""
