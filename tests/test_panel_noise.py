@@ -96,7 +96,7 @@ def test_synthetic_data_have_the_noise_of_each_panel():
     pull = np.where(exact > 0, (samples["power_W"].values - exact) / NOISE, np.nan)
     assert np.all(np.abs(np.sqrt(np.nanmean(pull**2, axis=0)) - 1) < 0.1)
     assert np.array_equal(samples.attrs["truth_noise"], NOISE)
-    line = "  noise of panel readings, as stated for each: 0 0.1, 1 0.1, 2 0.01"
+    line = "  noise of panel readings, from the vehicle file: 0 0.1, 1 0.1, 2 0.01"
     assert noise_lines(ss.sun_directions(craft(), samples))[0].startswith(line)
     case = ss.load_case("philae")
     shape = np.linspace(1.0, 2.0, len(case.vehicle.panels))

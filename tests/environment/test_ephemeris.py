@@ -153,7 +153,7 @@ WRONG = {
         "NAME = EARTH", "NAME = MARS"
     ),
     "the OEM lacks a key .found REF_FRAME.": lambda: oem().replace("REF_FRAME", "FRAME"),
-    "the velocities are not those of the positions: .* m/s off in the middle; check units and frame": lambda: (
+    "the velocities are not those of the positions: .* m/s off in the median; check units and frame": lambda: (
         oem("ITRF").replace("REF_FRAME = ITRF", "REF_FRAME = GCRF").replace("EME2000", "GCRF")
     ),
     "the positions are 900 s apart, between which an orbit is known to .* m only": lambda: oem(

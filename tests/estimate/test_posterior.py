@@ -169,7 +169,7 @@ def test_a_wheel_whose_speed_nothing_tells_leaves_nothing_decided(cube, telemetr
     )
     measured = ss.posterior(craft, read, SMALL, seed=0, draws=300, workers=1)
     assert (
-        "nothing tells the speed of wheel fly" in standing.attrs["verdict"]
+        "the speed is unknown of wheel fly" in standing.attrs["verdict"]
         and not standing["passes"]["decided"].values[0]
     )
     assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]

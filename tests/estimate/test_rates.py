@@ -180,7 +180,7 @@ def test_a_wheel_of_untold_speed_leaves_nothing_decided():
         True,
     ]
     assert "NOTHING TELLS THE SPEED OF WHEEL reaction-y" in untold.attrs["verdict"]
-    assert "nothing tells the speed of wheel reaction-y: give speed_rad_s" in str(
+    assert "the speed is unknown of wheel reaction-y: give speed_rad_s" in str(
         untold["why_not_decided"].values[0]
     )
     assert all("THE SPEED OF" not in one.attrs["verdict"] for one in (stands, measured))

@@ -124,7 +124,7 @@ def test_rows_filters_and_sentences_have_the_counts_of_the_summary(study):
     said = (
         f"Tests on this telemetry: {counts['agree']} agree, {counts['differ']} differ, {counts['uninformative']} are uninformative",
         f"Tests without telemetry (the equations and the printed lines): {lines['agree']} agree, {lines['differ']} differ",
-        f"Put in: {total['put_in']} figures",
+        f"Inputs: {total['put_in']} figures",
         f"Not comparable: {total['not_comparable']} rows",
     )
     for sentence in said:

@@ -15,7 +15,7 @@ from sunspin.cli.values import Parsed, rate, vector, vertical
     "--strategy",
     "strategies",
     multiple=True,
-    help="What the wheels are told: off (at the touchdown), held, brake, "
+    help="Command to the wheels: off (at the touchdown), held, brake, "
     "after_rest (held until the lander rests) or delay:SECONDS (off that much later); may be given several times. "
     "Default: off and held.",
 )

@@ -20,9 +20,8 @@ from sunspin.cli.common import PATH, shared
     "--candidates",
     default="scan",
     metavar="scan|posterior|published|FILE",
-    help="Motions that the conclusions follow from: the 90 % set of the scan, the posterior of the readings "
-    "(minutes), the paper's printed lines whatever the telemetry says, or a table with columns omega_x, "
-    "omega_y, omega_z (rad/s).",
+    help="Motions that the conclusions use: scan (90 % confidence set), posterior (slower), published (the paper's "
+    "lines), or a table with columns omega_x, omega_y, omega_z (rad/s).",
 )
 @click.option(
     "--calibrate",

@@ -29,7 +29,7 @@ def grid_option(axis: str, default: str, form: str = ".") -> Callable:
     type=click.Choice(["emd", "E"]),
     default="emd",
     help="emd compares the distributions "
-    "of the Sun's height, whatever the timing; E compares direction by direction and wants a short window.",
+    "of the Sun's height, without the timing; E compares direction by direction and needs a short window.",
 )
 @click.option(
     "--threshold",

@@ -189,10 +189,10 @@ def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     total = sum(int(c) if c in DIGITS else c == "-" for c in line[:68]) % 10
     if line[68] != str(total):
         what = f"the checksum of the line is {total}, but its last character says {line[68]!r}"
-        raise InputError(what, do="the line was damaged or edited: copy it anew", where=at)
+        raise InputError(what, do="the line was damaged or edited: copy it again", where=at)
     if not form.fullmatch(line):
         what = "the columns are not those of a line of elements"
-        raise InputError(what, got=line, do="copy it anew", where=at)
+        raise InputError(what, got=line, do="copy it again", where=at)
     return line
 
 
@@ -201,7 +201,7 @@ def _elements(given: tuple, name: str, at: str) -> Elements:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         what = f"the elements cannot be read ({error})"
-        raise InputError(what, do="copy them anew", where=at) from None
+        raise InputError(what, do="copy them again", where=at) from None
     if satellite.error or not satellite.no_kozai > 0:
         what, do = "the elements are those of no orbit", "check mean motion and eccentricity"
         raise InputError(what, do=do, where=at)

@@ -263,7 +263,7 @@ def _stretches(table: _Table, where: str) -> list[Stretch]:
         stretch = Stretch(jd, t_s[part], place[part])
         off = np.linalg.norm(stretch.spline(stretch.t_s, 1) - speed[part], axis=1)
         if np.nanmax(np.append(off, 0.0)) > VELOCITY_M_S and np.nanmedian(off) > VELOCITY_M_S / 10:
-            what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the middle"
+            what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the median"
             do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
             raise InputError(what, do=do, where=where)
         stretches.append(stretch)

@@ -35,7 +35,7 @@ DISTINCT = 1.0
 """Fits whose mean rates differ by less than this times the inverse of the window (rad/s) are one."""
 
 TIED = 25.0
-"""Two fits whose chi-square differs by less than this (five sigma) cannot be told apart."""
+"""Two fits whose chi-square differs by less than this (five sigma) fit equally well."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """What may be believed of an estimate: three questions, asked alike of every pass of `rates` and of every posterior.
 
 Is one motion left? Do the data inform it, or is the prior given back? Does it fit, each sensor by itself? A motion is decided
-where all three are answered with yes and the search left nothing out. Everything here is a pure function of what was found.
+if all three are answered with yes and the search left nothing out. Everything here is a pure function of what was found.
 """
 
 from __future__ import annotations
@@ -74,17 +74,17 @@ class Answers(NamedTuple):
         known = [axis for axis, told in zip("xyz", self.constrained, strict=True) if told]
         reasons = []
         if not self.fits:
-            reasons.append("FITS BADLY" + (f" ({', '.join(self.wrong)})" if self.wrong else ""))
+            reasons.append("POOR FIT" + (f" ({', '.join(self.wrong)})" if self.wrong else ""))
         if not self.unique:
-            reasons.append("several motions")
+            reasons.append("several solutions")
         if len(known) < 3:
             reasons.append(
                 f"constrained: {' '.join(known)} only"
                 if known
-                else "NOT CONSTRAINED, the prior is given back"
+                else "NOT CONSTRAINED (result equals the prior)"
             )
         if not self.search_complete:
-            reasons.append("search not complete" + (f" ({self.cure})" if self.cure else ""))
+            reasons.append("search incomplete" + (f" ({self.cure})" if self.cure else ""))
         return "; ".join(reasons)
 
 
@@ -137,8 +137,8 @@ def alike_motions(vehicle: Vehicle) -> str:
         return ""
     shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]
     which = f"{'inputs' if len(shared) > 1 else 'input'} {', '.join(shared)}"
-    copies = "a mirror image" if count == 2 else f"{count - 1} mirror images and turned copies"
+    copies = "a mirror solution" if count == 2 else f"{count - 1} symmetric solutions"
     return (
-        f"which panel of {which} is lit is not told: each motion has {copies}, with other signs of its components, as good as "
-        "itself unless inertia or wheels tell them apart; a gyro, a magnetometer or a Sun sensor does"
+        f"{which} do not show which panel is lit, so each solution has {copies} with some signs reversed. A gyro, magnetometer or "
+        "Sun sensor resolves this; inertia or wheels sometimes do"
     )

@@ -178,7 +178,7 @@ def _readings(sensor: Attitude) -> Read:
     """Of quaternions, scalar last, B_from_N, as the vehicle file states them."""
     other_scalar = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
     away = np.diag([-1.0, -1.0, -1.0, 1.0])
-    yield "read as stated", np.eye(4), sensor.read_as(False, False)
+    yield "read as the file states", np.eye(4), sensor.read_as(False, False)
     yield "read the other way round (B_to_N for N_to_B)", away, sensor.read_as(False, True)
     yield "with its scalar at the other end", other_scalar, sensor.read_as(True, False)
     yield (

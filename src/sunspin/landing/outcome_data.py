@@ -112,27 +112,27 @@ def _not_told(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterator[str]
     """One sentence for each thing that this vehicle's file, or the geometry of runs, does not allow to tell."""
     vehicle, shape = rows.vehicle, rows.shape
     if rows.scenario.collision_speed_m_s is None:
-        yield "There is no collision in this scenario, so nothing is told of one."
+        yield "There is no collision in this scenario, so none is reported."
     elif not rows.collides:
         missing = "legs" if not vehicle.legs else "mass"
         yield (
-            f"Without {missing} in the vehicle file the collision cannot be computed, so the motion goes on undisturbed."
+            f"Without {missing} in the vehicle file the collision cannot be computed, so the motion continues undisturbed."
         )
     if shape is None:
-        yield "Without a hull and legs in the vehicle file it cannot be told what touches the ground first."
+        yield "Without a hull and legs in the vehicle file it is unknown what touches the ground first."
     elif not rows.lands:
         yield (
             f"At {rows.scenario.landing_speed_m_s:g} m/s the last metres may take {rows.approach_s:.0f} s, longer than the "
-            "flight: what touches the ground first cannot be told."
+            "flight: it is unknown what touches the ground first."
         )
     elif not shape.complete:
-        yield "Without a hull in the vehicle file only the legs can touch first: nothing is told of body, panels and rest."
+        yield "Without a hull in the vehicle file only the legs can touch first: body, panels and rest are not reported."
     elif shape.outward_B is None:
-        yield "The hull has no volume around the centre of mass, so it cannot be told on what the vehicle comes to rest."
+        yield "The hull has no volume around the centre of mass, so it is unknown on what the vehicle comes to rest."
     if not vehicle.legs:
-        yield "Without legs in the vehicle file no speed of an end of a leg can be told."
+        yield "Without legs in the vehicle file no speed of a leg's end is reported."
     if vehicle.antenna is None:
-        yield "Without an antenna in the vehicle file it cannot be told whether it serves the orbiter."
+        yield "Without an antenna in the vehicle file it is unknown whether it serves the orbiter."
     lost = (
         values["contact_point"] < 0
         if rows.lands
@@ -141,5 +141,5 @@ def _not_told(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterator[str]
     if count := int(np.count_nonzero(lost & (values["outcome"] == 0))):
         yield (
             f"In {count} of {len(lost)} runs momentum and Sun were parallel at a time: how far the vehicle is turned about them is "
-            "not known then, so nothing is told of first contact, antenna and rest."
+            "not known then, so first contact, antenna and rest are not reported."
         )

@@ -220,7 +220,7 @@ def compute(
             )
         if calibrated.unusual(scan.smallest):
             raise TelemetryError(
-                "no motion of the model fits the heights of the Sun",
+                "no motion of the model fits the distribution of r_z",
                 got=f"a smallest EMD of {scan.smallest:.4f}, where {calibrated.n} synthetic rebounds like these data have "
                 f"{calibrated.emd_min.min():.4f} to {calibrated.emd_min.max():.4f}",
                 do="check the vehicle, the wheel's command and the panels' gains",
@@ -252,7 +252,7 @@ def compute(
         )
         chosen = below(level * scan.smallest, source, about)
     elif source == "published":
-        about = "the lines that the paper prints, whatever this telemetry says"
+        about = "the lines that the paper publishes, for any telemetry"
         states = rebound.states(rb.published_candidates(case))
         chosen = described(rebound, states, seed, chain=source, about=about)
     else:

@@ -84,26 +84,23 @@ class Carries:
         mean = f"mean Delta {self.delta:.4f} over" if self.directions else "no Delta, from"
         readings = (
             f"{mean} {self.directions} directions (paper {self.case.published['delta_mean'].value}), "
-            f"{self.impossible} of {self.early} samples before the second touchdown with a lit pattern that no Sun makes "
+            f"{self.impossible} of {self.early} samples before the second touchdown with an impossible illumination pattern "
             "(paper: none)"
         )
         if self.one_sun:
-            text = f"The readings are those of one Sun on these panels: {readings}."
+            text = f"Panel data consistent with sunlight: {readings}."
         else:
-            text = f"THE READINGS ARE NOT THOSE OF ONE SUN ON THESE PANELS: {readings}; nothing is concluded from them."
+            text = f"PANEL DATA NOT CONSISTENT WITH SUNLIGHT: {readings}; no conclusions are drawn."
         if self.descent_E is None:
-            text += " The descent: no spin could be fitted."
+            text += " Descent: no spin could be fitted."
         else:
             best, orders = self.shuffled_E.min(), f"of {len(self.shuffled_E)} random orders"
             text += (
-                f" The descent's order of samples holds a spin: E {self.descent_E:.5f}, the best {orders} {best:.3f}."
+                f" Descent: a steady spin fits the time order, E {self.descent_E:.5f}, the best {orders} {best:.3f}."
                 if self.descent_order
-                else f" THE DESCENT'S ORDER OF SAMPLES HOLDS NO SPIN: E {self.descent_E:.4f}, the best {orders} {best:.4f}."
+                else f" DESCENT: NO SPIN DETECTED, E {self.descent_E:.4f}, the best {orders} {best:.4f}."
             )
-        return (
-            f"{text} The rebound: its EMD uses the heights of the Sun and not their order, so what follows from the scan holds for "
-            "any order of these samples; only --candidates posterior uses the order."
-        )
+        return f"{text} Rebound: the EMD compares distributions of r_z and ignores the time order; only --candidates posterior uses it."
 
 
 def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0) -> Carries:

@@ -138,7 +138,7 @@ def rows(r: Descent) -> list[Row]:
     seen = is_reconstructed(r.sun["status"])
     twin = "synthetic telemetry, made with the published cubic; " if r.synthetic else ""
     put_in = (
-        "synthetic telemetry: its panels stand off by angles chosen so that the mean E of twenty seeds is as published; "
+        "synthetic telemetry: its panel misalignment is chosen so that the mean E of twenty seeds is as published; "
         f"that of one comes back if within a factor of {FACTOR_OF_E:g}; "
     )
     flown_E = float(case.published["descent_E"].value)

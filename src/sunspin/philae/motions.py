@@ -72,7 +72,7 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
         runs["Truth"] = landing(rebound, start, about, rb.twin_file(case).get("seed", seed))
     start = scan.scan.table.rows.start.take(np.array([np.argmin(scan.scan.emd)]))
     about = (
-        "the grid point whose heights of the Sun fit this telemetry best "
+        "the grid point whose distribution of r_z fits this telemetry best "
         f"(EMD {scan.scan.smallest:.4f})"
     )
     runs["Best fit"] = landing(rebound, start, about, seed)

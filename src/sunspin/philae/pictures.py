@@ -78,7 +78,7 @@ def _note(result: Reproduction) -> str:
 def _motions(result: Reproduction, part: Motions) -> Iterator[Drawing]:
     chain = str(part.speed.attrs["chain"])
     meaning = {
-        "scan": "; every motion in the band fits and none is preferred, and the heights of the Sun bound it from below only",
+        "scan": "; every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only",
         "published": "; this telemetry does not enter",
     }.get(chain, "")
     yield Drawing(
@@ -286,7 +286,7 @@ def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
         lambda: figures_candidates.draw(part, result.synthetic),
         "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
         "What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the "
-        f"heights of the Sun see, over {part.chosen.about}; grey: all that was possible."
+        f"distribution of r_z determines, over {part.chosen.about}; grey: all that was possible."
         + _note(result),
     )
 

@@ -77,7 +77,7 @@ class Written:
         origin = "synthetic (made from published facts)"
         lines = [f"Changed for this run: {change}" for change in summary["changes"]]
         lines += [
-            f"What this file can carry: {summary['carries']}",
+            f"Data check: {summary['carries']}",
             f"Telemetry: {origin if summary['synthetic_telemetry'] else 'measured'}",
         ]
         for row in summary["figures"]:
@@ -137,7 +137,7 @@ def reproduce(
     source = _source(case, telemetry)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         raise InputError(
-            "the telemetry lies in the results folder, which is written anew",
+            "the telemetry lies in the results folder, which is replaced",
             do="copy it to another place first",
             where=str(telemetry),
         )

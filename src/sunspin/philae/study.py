@@ -192,7 +192,7 @@ STEPS = (
     ),
     Step(
         "carries",
-        "What this file can carry",
+        "Data check",
         "telemetry",
         lambda s: carries.compute(s.case, s.sun, s.parts.get("descent"), s.seed),
         carries.rows,

@@ -103,25 +103,19 @@ def sentences(chain: Chain) -> list[str]:
         limits = [f"above {small[0]:.0f} degrees"] if above else []
         limits += [f"below {small[1]:.0f} degrees"] if below else []
         angles = (
-            "The smaller of the angles from the momentum to the body's z axis and to the Sun is "
-            f"{' and '.join(limits)}, {level}"
+            "Angles of the angular momentum to the body z axis and to the Sun (not distinguishable): the smaller one is "
+            f"{' and '.join(limits)} ({level})"
         )
         if small[1] < STILL_DEG:
             angles += f"; the momentum lies within {small[1]:.0f} degrees of z or of the Sun"
     else:
-        angles = (
-            "The heights of the Sun leave the angles from the momentum to the z axis and to the Sun "
-            "nearly open"
-        )
-    angles += f"; the larger is between {large[0]:.0f} and {large[1]:.0f} degrees."
+        angles = "Angles of the angular momentum to the body z axis and to the Sun: the smaller one is hardly constrained"
+    angles += f", the larger one {large[0]:.0f} to {large[1]:.0f} degrees."
     slow, fast = chosen.speed_range()
     if slow > box.speed_range()[0] + LEAST_STEP_RAD_S:
-        speed = f"Just after the touchdown it turned at {slow:.2g} rad/s or faster, {level}"
+        speed = f"Angular speed just after the touchdown: at least {slow:.2g} rad/s ({level})"
     else:
-        speed = (
-            "Just after the touchdown it may have stood still: no lower bound on its angular speed "
-            "follows"
-        )
+        speed = "Angular speed just after the touchdown: it may have stood still, no lower bound"
     if chosen.probable:
-        return [angles, f"{speed}, at {fast:.3g} rad/s or slower."]
-    return [angles, f"{speed}; from above the heights of the Sun bound nothing."]
+        return [angles, f"{speed}, at most {fast:.3g} rad/s."]
+    return [angles, f"{speed}; no upper bound."]

@@ -33,7 +33,7 @@ def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Datas
     kept = {*known, "time", "panel", "axis", "phase"}
     data = data.drop_vars([name for name in data.variables if name not in kept])
     if wrong := _wrong(data, vehicle, known):
-        do = "give the vehicle.toml that lies beside it, or the file from which it was read"
+        do = "give the vehicle.toml of its folder, or the file from which it was read"
         raise TelemetryError(
             "the stored telemetry is not that of this vehicle", got=wrong, do=do, where=str(path)
         )

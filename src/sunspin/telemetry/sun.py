@@ -212,7 +212,7 @@ def sun_directions(
     sigma_rad = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
     variables = {
         "sun_B": (sun_B, "direction to the Sun, body axes", "1", "axis"),
-        "best_B": (direction, "a minimiser of Delta, whatever the status", "1", "axis"),
+        "best_B": (direction, "a minimiser of Delta, for any status", "1", "axis"),
         "delta": (delta, "misfit Delta, paper eq. 2", "1"),
         "sigma_rad": (sigma_rad, "rms angle of the error from panel noise", "rad"),
         "sun_cov_B": (covariance, "tangent covariance", "1", "axis", "axis2"),

@@ -241,7 +241,7 @@ def _gyro(
         least = min(TURNS_RIGHT, BETTER * stated, BETTER * still)
         if stated > TURNS_WRONG and angles[best] < least:
             name, factor = list(GYRO_FACTORS.items())[best]
-            what = f"with its rates times {factor:.4g} the gyro turns the Sun as it is seen, and as they stand it does not: {name}"
+            what = f"with its rates times {factor:.4g} the gyro agrees with the Sun directions, and without it does not: {name}"
             return [WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)]
     size = np.linalg.norm(rate[np.isfinite(rate).all(axis=1)], axis=1)
     if limit is None or len(size) < PAIRS or np.median(size) < TOO_FAST * limit:

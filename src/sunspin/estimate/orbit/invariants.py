@@ -514,10 +514,11 @@ def axes_words(way: tuple[str, list[int], tuple[float, ...]], assessment: Assess
     change = Change("the magnetometer", axes={"field_B": axes_matrix(order, sign)})
     same = alike(Observed.of(vehicle, telemetry), change, column_changes(vehicle, telemetry))
     others = " or ".join(one.what for one, _ in same)
-    instead = (
-        f", or, which looks the same, {others}: find out which before you set it" if others else ""
+    instead = f", or, which looks the same, {others}: find out which before you set it"
+    return (
+        f"the magnetometer {what} has the angle to the Sun that the orbit predicts, and with the columns of the file it does not"
+        f"{do}{instead if others else ''}"
     )
-    return f"the magnetometer {what} has the angle to the Sun that the orbit predicts, and as stated it has not{do}{instead}"
 
 
 def eclipse_cost(light: np.ndarray, part: np.ndarray) -> np.ndarray:

@@ -232,7 +232,7 @@ def posterior(
         notes.append("the rates run into the limit of those searched; raise max_rate_rad_s")
     if unsure:
         cure = "give speed_rad_s or a speed_column, or leave out a wheel that stands"
-        notes.append(f"nothing tells the speed of wheel {unsure}, taken for standing: {cure}")
+        notes.append(f"the speed is unknown of wheel {unsure}, assumed to be at rest: {cure}")
     modes = replace(modes, notes=tuple(notes))
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)

@@ -88,7 +88,9 @@ def verdict(found: Found) -> tuple[str, str]:
     doubts = list(found.doubts)
     if found.rough:
         worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
-        doubts.append(f"the sample is worth only {worth}: widths and probabilities are rough")
+        doubts.append(
+            f"effective sample size only {worth}: errors and probabilities are approximate"
+        )
     text, word = _regions(found, told), word_of(found)
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
@@ -126,7 +128,7 @@ def _regions(found: Found, told: np.ndarray) -> str:
         return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the probability, {others} others the rest"
     gaps = np.linalg.norm(found.rate[told][:, None] - found.rate[told][None], axis=-1)
     gap = float(np.median(np.min(gaps + np.diag(np.full(len(told), np.inf)), axis=1)))
-    text = f"{len(told)} aliases, {np.degrees(gap):.3g} deg/s apart, cannot be told apart"
+    text = f"{len(told)} aliases, {np.degrees(gap):.3g} deg/s apart, fit equally well"
     text += f"; the first, turning at {best}, holds {found.weight[0]:.0%}"
     return f"{text} (one turn more between samples would be {360 / found.interval_s:.3g} deg/s)"
 

@@ -417,7 +417,7 @@ def _off_zero(start: Trial) -> Iterator[Trial]:
         k = int(np.argmax(evidence))
         if np.argmax(gains[:, k]):
             x, y, z = np.degrees(ZEROS[-1] * trial.fit.error[k, place]).round(2) + 0.0
-            what = f"a zero of the {term.called} of ({x:.2f}, {y:.2f}, {z:.2f}) deg/s in body axes beside that of the file: "
+            what = f"a zero of the {term.called} of ({x:.2f}, {y:.2f}, {z:.2f}) deg/s in body axes besides that of the file: "
             what += "state its zero with a sigma"
             yield trial._replace(
                 hypothesis=replace(trial.hypothesis, what=what), log_evidence=evidence

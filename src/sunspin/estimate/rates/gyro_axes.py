@@ -55,7 +55,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
             ties = np.flatnonzero(angles < AS_GOOD * least)
             chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
             what, order, sign = ways[chosen]
-            found = f"the gyro {what} turns the Sun as it is seen, and as stated it does not"
+            found = f"the gyro {what} agrees with the Sun directions, and with the columns of the file it does not"
             if len(ties) > 1:
                 others = f"{len(ties) - 1} other{'s' if len(ties) > 2 else ''}"
                 found += f" (as {others} do: a component that stays small may have any sign)"

@@ -22,7 +22,7 @@ from sunspin.estimate.rates.smooth import cost_limit
 from sunspin.estimate.rates.state import Motion, Observations
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
-from sunspin.estimate.verdict import NARROWER, answers, misfit
+from sunspin.estimate.verdict import answers, misfit
 from sunspin.estimate.wheel_speeds import untold
 from sunspin.solve.rotations import continuous
 from sunspin.telemetry.gains import FAINT
@@ -206,10 +206,10 @@ def cures(
     which the search is fine, wheels whose speed nothing tells."""
     wheels = attrs["wheels_untold"]
     every = {
-        f"cut short: {more_effort(attrs['effort_given'])}": cut,
+        f"budget reached: {more_effort(attrs['effort_given'])}": cut,
         f"coarse: {slower(attrs['fine_up_to_rad_s'])}": coarse,
-        "torques as strong as no satellite has, or the body is no sphere: give its inertia": unmet,
-        f"nothing tells the speed of wheel {wheels}: give speed_rad_s or a speed_column": np.full(
+        "torques too strong for a satellite, or the body is no sphere: give its inertia": unmet,
+        f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column": np.full(
             len(cut), wheels != ""
         ),
     }
@@ -280,74 +280,96 @@ def _spread(mean: np.ndarray, sigma: np.ndarray, weight: np.ndarray) -> np.ndarr
     return np.sqrt((share * (sigma**2 + (mean - mean[0]) ** 2)).sum(axis=0))
 
 
-def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> str:
+def _left_open(result: xr.Dataset, one: np.ndarray, several: np.ndarray) -> list[str]:
     """What is said of passes with `one` motion that may see the Sun on either side, and of those with `several`."""
-    text = ""
+    notes = []
     if sides := int((one & (result["probability"].values[:, 0] < DECIDED)).sum()):
-        text += f"; in {sides} the Sun may stand on either side of the body: the rates are the same, the attitude is not known"
+        notes.append(
+            f"{passes(sides)}: the sign of the Sun direction is ambiguous; rates are unaffected, attitude is unknown"
+        )
     unlisted = int(result.attrs.get("symmetric_unlisted", 0))
     if unlisted:
-        text += f"; in {unlisted} a rotation or mirror of the body gives the same readings, and its motion is not listed"
+        notes.append(
+            f"{passes(unlisted)}: a rotation or mirror of the body gives the same readings; that solution is not listed"
+        )
     count = int(several.sum()) - unlisted
     if count and "alike" in result.attrs:
-        return f"{text}; in {count} several motions fit, because {result.attrs['alike']}; whole turns more or less may fit, too"
-    if count:
-        text += f"; in {count} several motions fit, mostly whole turns more or less between samples, and all are listed"
-    return text
+        notes.append(f"{passes(count)} with several solutions: {result.attrs['alike']}")
+    elif count:
+        notes.append(
+            f"{passes(count)} with several solutions, which mostly differ by whole revolutions between samples: see passes.csv"
+        )
+    return notes
+
+
+def passes(count: int) -> str:
+    """1 pass, 2 passes."""
+    return f"{count} pass" + "es" * (count > 1)
 
 
 def verdict(result: xr.Dataset) -> str:
-    """What the data can tell, in words."""
+    """What the data can tell: how many passes are decided, then a line for each note."""
     decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
     constrained = np.all([result[f"constrained_{axis}"].values for axis in "xyz"], axis=0)
-    text = f"{int(decided.sum())} of {len(decided)} passes are decided: one motion holds at least {DECIDED:.0%} of the "
-    text += f"probability, fits, and each component is known to less than {NARROWER:g} of what was possible before"
-    if not fits.all():
-        text += f"; in {int((~fits).sum())} NO motion fits the samples: torques, a wheel that changes speed, or faults not modelled"
-    for doubt in ("columns_doubt", "odd_sensor"):
-        text += f"; {result.attrs[doubt]}" if doubt in result.attrs else ""
+    attrs, effort = result.attrs, more_effort(result.attrs["effort_given"])
+    notes = [
+        f"{int(decided.sum())} of {len(decided)} passes decided (unique, all components constrained, fits, search complete)"
+    ]
+    if count := int((~fits).sum()):
+        notes.append(
+            f"{passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, faulty data"
+        )
+    notes += [attrs[doubt] for doubt in ("columns_doubt", "odd_sensor") if doubt in attrs]
     if count := int((fits & unique & ~constrained).sum()):
-        text += (
-            f"; in {count} one motion is left, but the data do not constrain all of its components"
+        notes.append(
+            f"{passes(count)}: single solution, but not all rate components are constrained"
         )
-    if other := sum(one != AS_READ for one in result["model"].values):
-        text += f"; in {other} the motion is not that of the model as stated: what it may be stands with each pass"
-    text += _left_open(result, fits & unique, fits & ~unique)
-    if cut := result.attrs["cut_passes"]:
-        text += f"; in {cut} the SEARCH WAS CUT SHORT and the best so far is told: {more_effort(result.attrs['effort_given'])}"
-    if result.attrs.get("column_tests_cut"):
-        text += f"; not every other order of columns was tried: {more_effort(result.attrs['effort_given'])}"
-    if missed := result.attrs["coarse_passes"]:
-        text += f"; in {missed} the search is coarse and a motion may have been missed: {slower(result.attrs['fine_up_to_rad_s'])}"
-    if unsure := result.attrs["wheels_untold"]:
-        text += (
-            f"; NOTHING TELLS THE SPEED OF WHEEL {unsure}: taken for standing, and another motion about a wheel that spins may fit"
-            ": give speed_rad_s or a speed_column, or leave out a wheel that stands"
+    if count := sum(model != AS_READ for model in result["model"].values):
+        notes.append(f"{passes(count)}: an alternative model fits better (named with the pass)")
+    notes += _left_open(result, fits & unique, fits & ~unique)
+    if count := attrs["cut_passes"]:
+        notes.append(
+            f"{passes(count)}: SEARCH STOPPED at the computing budget, best solution so far is shown: {effort}"
         )
-    late = f"{result.attrs['sensors_late_s']:.2f} +- {result.attrs['sensors_late_sigma_s']:.2f} s"
-    if result.attrs["sensors_late_from"] == SUSPECTED:
-        text += f"; gyro, magnetometer or attitude SEEM LATE by {late}, which is not counted: if they are, state "
-        text += f"sensors_late_s = {{ value = {result.attrs['sensors_late_s']:.2f}, sigma = "
-        text += f"{max(1.0, result.attrs['sensors_late_sigma_s']):.2f} }} under [clock] of the vehicle file"
-    elif (
-        np.isfinite(result.attrs["sensors_late_s"])
-        and result.attrs["sensors_late_from"] != SUSPECTED
-    ):
-        text += f"; gyro, magnetometer and attitude are {late} late ({result.attrs['sensors_late_from']})"
-    return text + _seen_alone(result)
+    if attrs.get("column_tests_cut"):
+        notes.append(f"not every other order of columns was tried: {effort}")
+    if count := attrs["coarse_passes"]:
+        notes.append(
+            f"{passes(count)}: coarse search, a solution may be missing: {slower(attrs['fine_up_to_rad_s'])}"
+        )
+    if unsure := attrs["wheels_untold"]:
+        notes.append(
+            f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
+            "remove the wheel if it is at rest"
+        )
+    late, error = attrs["sensors_late_s"], attrs["sensors_late_sigma_s"]
+    if attrs["sensors_late_from"] == SUSPECTED:
+        notes.append(
+            f"gyro, magnetometer or attitude SEEM LATE by {late:.2f} +- {error:.2f} s (not corrected). If they are, state "
+            f"sensors_late_s = {{ value = {late:.2f}, sigma = {max(1.0, error):.2f} }} under [clock] of the vehicle file"
+        )
+    elif np.isfinite(late):
+        source = attrs["sensors_late_from"]
+        notes.append(
+            f"gyro, magnetometer and attitude are {late:.2f} +- {error:.2f} s late ({source})"
+        )
+    return "\n".join([*notes, *_seen_alone(result)])
 
 
-def _seen_alone(result: xr.Dataset) -> str:
+def _seen_alone(result: xr.Dataset) -> list[str]:
     """What is not known where a single kind of direction was used."""
     if result.attrs["frame_N"] == FIELD_Z_LOCAL:
-        return (
-            "; the magnetometer was used WITHOUT AN ORBIT: the Sun and the attitude in space are not known, a turn about the field "
-            "is seen only through the motion, and the field itself turns by some 0.1 deg/s, which the sigmas contain"
-        )
+        return [
+            "magnetometer only, NO ORBIT: rates are relative to the field direction (itself rotating by about 0.1 deg/s, included "
+            "in the errors); inertial attitude and Sun direction are not available"
+        ]
     if any(result.attrs[f"{sensor.name}_used"] for sensor in SENSORS):
-        return ""
-    text = "; the Sun alone was used: the turn about the Sun line is seen only through the motion"
+        return []
+    notes = [
+        "only Sun directions were used: rotation about the Sun direction is constrained only by the dynamics"
+    ]
     if count := result.attrs["no_sphere"]:
-        text += f"; in {count} the body is far from the sphere that the search takes it for, and another motion may fit: "
-        text += "GIVE ITS INERTIA"
-    return text
+        notes.append(
+            f"{passes(count)}: the search assumed a sphere, which does not fit this motion: GIVE ITS INERTIA (inertia_kg_m2)"
+        )
+    return notes

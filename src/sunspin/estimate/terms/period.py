@@ -24,7 +24,7 @@ HALF_SPAN, INSTANTS = 2.0, 9
 """Periods before and after the instant over which rates are averaged, and at how many instants."""
 
 PARALLEL = 1e-6
-"""Squared sine between momentum and axis below which precession and spin cannot be told apart; their sum can."""
+"""Squared sine between momentum and axis below which precession and spin fit equally well; their sum can."""
 
 FAR_SIGMAS = 4.0
 """Where no motion has a period as near as this, the period contradicts all of them."""
@@ -128,7 +128,7 @@ def unheard(nearest_sigmas: float, effective: float, whose: str) -> str | None:
     if nearest_sigmas > FAR_SIGMAS:
         return f"periods: no motion of {whose} has them; the nearest is {nearest_sigmas:.1f} sigma away"
     if effective < LEAST_DRAWS:
-        return f"periods: not told by these draws, of which only {effective:.0f} carry them"
+        return f"periods not used: of these draws only {effective:.0f} have them"
     return None
 
 

@@ -57,7 +57,7 @@ def noise_lines(sun: xr.Dataset) -> list[str]:
     unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
     if source == "given":
         each = ", ".join(f"{panel} {sigma:.3g}" for panel, sigma in own.items())
-        return [f"  noise of panel readings, as stated for each: {each} {unit}"]
+        return [f"  noise of panel readings, from the vehicle file: {each} {unit}"]
     if source != ASSUMED_FROM:
         return [f"  noise of panel readings: {noise:.3g} {unit}, {source}"]
     return [

@@ -59,7 +59,7 @@ def calibration_summary(result: Any) -> Summary:
             lines[-1] += f"; of its angle to the Sun {was:.1f} deg before, {now:.1f} deg after"
         shift = with_sigma(numbers["shift_s"], numbers["shift_sigma_s"], "s")
         drift = with_sigma(numbers["drift_s_day"], numbers["drift_sigma_s_day"], "s")
-        middle = "in the middle of the file"
+        middle = "at mid-file"
         lines.append(f"Shift along the track {shift} {middle}, drifting by {drift} a day")
     notes = [note for note in str(result.attrs["notes"]).split("\n") if note]
     numbers |= {"source": result.attrs["source"], "notes": notes}

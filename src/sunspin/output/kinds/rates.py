@@ -20,6 +20,13 @@ MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 
+HEADING = f"pass  {'start (UTC)':11}  {'n':>5}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':46}  prob  verdict"
+"""Of the table of passes: a line each, at most 110 columns with a decided verdict."""
+
+COARSE = 0.1
+"""A decided rate whose sigma exceeds this part of the speed is called coarse."""
+
+
 class RateAt(NamedTuple):
     """The rate of the likeliest solution of a pass, deg/s: least, mean and largest speed; rate (3) and its sigma (3), all solutions
     counted, at the sample nearest to the middle, `at_s` s from the epoch.
@@ -50,11 +57,16 @@ def rate_at(result: Any, k: int) -> RateAt:
 
 def rates_summary(result: Any) -> Summary:
     """The verdict, and the solutions of each pass, deg/s."""
-    passes, lines = [], [result.attrs["verdict"]]
+    decided, *notes = result.attrs["verdict"].split("\n")
+    passes, lines = [], [decided, HEADING]
     for k in range(result.sizes["pass_id"]):
         numbers, line = _pass(result, k)
         passes.append(numbers)
         lines.append(line)
+        if numbers.get("model", AS_STATED) != AS_STATED:
+            chance = f"{numbers['model_probability']:.2f}"
+            notes.append(f"pass {numbers['pass_id']}: {numbers['model']} (probability {chance})")
+    lines += [f"  {note}" for note in notes]
     texts, counts = np.unique(result["why"].values.astype(str), return_counts=True)
     left_out = str(result.attrs.get("panels_left_out", ""))
     numbers: dict[str, Any] = {
@@ -89,7 +101,7 @@ def _period(result: Any, one: dict[str, Any]) -> str:
         return f"{why_not}; its probabilities stay as they are"
     if not one["told"]:
         return (
-            f"periods: the samples of pass {one['pass']} speak against {one['period_s']:g} s at {one['t_s']:g} s: motions that "
+            f"periods: the samples of pass {one['pass']} contradict {one['period_s']:g} s at {one['t_s']:g} s: solutions that "
             f"have it hold {one['carried']:.1%} of the probability, which stays as it is"
         )
     said = reading_words(one["t_s"], one["period_s"], one["sigma_s"], one["shares"])
@@ -137,13 +149,15 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
         "omega_at_deg_s": rate.omega.tolist(),
     }
     speed = with_range(rate.mean, rate.low, rate.high, float(rate.sigma.min()))
-    others = f", {n - 1} other{'s' if n > 2 else ''}" if n > 1 else ""
-    line = (
-        f"  {t[0]:z10.0f} s  {len(at):3d} samples  speed {speed} deg/s; omega {with_sigma(rate.omega, rate.sigma, 'deg/s')} at "
-        f"{clock_text(result, rate.at_s)}  probability {probability[0]:.2f}{others}  {numbers['why_not_decided'] or 'decided'}"
-    )
-    if numbers.get("model", AS_STATED) != AS_STATED:
-        line += f"  likeliest: {numbers['model']} (probability {numbers['model_probability']:.2f})"
+    omega = with_sigma(rate.omega, rate.sigma)
+    start = clock_text(result, float(t[0]))
+    start = start[5:16].replace("T", " ") if "T" in start else start
+    verdict = numbers["why_not_decided"].split(" (")[0] or "decided"
+    if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
+        verdict = "decided, coarse"
+    if n > 1 and not numbers["unique"]:
+        verdict += f" ({n})"
+    line = f"{numbers['pass_id']:4d}  {start:11}  {len(at):5d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
     return numbers, line
 
 
@@ -177,7 +191,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
             "Residuals of each sensor in sigmas against time in each pass, with the limit of three sigma.",
             "Size of the difference between readings and what the likeliest solution predicts, all numbers of a reading together, "
             "in sigmas of what was assumed: noise, and of panels also other light. Farther out than six: at the edge. A wave, or "
-            "many readings beyond three sigma, speak against the solution.",
+            "many readings beyond three sigma, mean that the solution is wrong.",
         )
     if context.telemetry is None or context.vehicle is None:
         return

@@ -12,9 +12,9 @@ VERDICTS = {
     "agrees": "✓ agrees",
     "differs": "✗ differs",
     "uninformative": "○ uninformative",
-    "comes-back": "✓ put in, comes back",
-    "not-back": "✗ put in, does not come back",
-    "put-in": "– put in",
+    "comes-back": "✓ input, reproduced",
+    "not-back": "✗ input, not reproduced",
+    "put-in": "– input",
     "holds": "✓ paper's arithmetic, holds",
     "holds-not": "✗ paper's arithmetic, does not hold",
     "arithmetic": "– paper's arithmetic, no verdict",
@@ -91,7 +91,7 @@ def lead(rows: list[dict[str, str]]) -> list[str]:
     back, missing = count["comes-back"], count["not-back"]
     if put := back + missing + count["put-in"]:
         words.append(
-            f"Put in: {put} figures; {back} come back, {missing} do not. This tests the code and not the paper."
+            f"Inputs: {put} figures; {back} reproduced, {missing} not. This tests the code and not the paper."
         )
     holds, fails = count["holds"], count["holds-not"]
     if own := holds + fails + count["arithmetic"]:

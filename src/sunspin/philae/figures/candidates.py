@@ -28,7 +28,7 @@ def draw(chain: Chain, synthetic: bool) -> Figure:
     names = {
         "scan": "the set of the scan",
         "posterior": "draws of the posterior",
-        "published": "the printed lines, whatever the data say",
+        "published": "the published lines, for any data",
     }
     left = names.get(chain.name, f"motions of {chain.name}")
     if chain.calibration is not None:
