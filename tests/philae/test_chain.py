@@ -87,8 +87,8 @@ def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
     bounds = [touchdown.lower_bound(one.chain) for one in (still, tumbled)]
     assert bounds[0] == 0 and bounds[1] > 0.07
     words = " ".join(touchdown.sentences(still.chain))
-    assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees, 90%" in words
-    assert "or faster" in " ".join(touchdown.sentences(tumbled.chain))
+    assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees (90%)" in words
+    assert "at least" in " ".join(touchdown.sentences(tumbled.chain))
     assert still.rows["lines_found"].ours == 0 and still.rows["lines_found"].agrees is False
     for one in (still, tumbled):
         assert one.rows["rate_at_touchdown_max"].informative is False
@@ -102,7 +102,7 @@ def test_readings_of_no_sun_conclude_nothing(found):
         one = found(name)
         assert not one.carries.one_sun and one.chain is None, name
         assert (
-            "NOT THOSE OF ONE SUN" in one.carries.first_line
+            "NOT CONSISTENT WITH SUNLIGHT" in one.carries.first_line
             and "nothing can be concluded" in one.why
             or one.scan is None
         )
