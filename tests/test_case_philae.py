@@ -166,7 +166,7 @@ def test_utc_with_and_without_zone():
 def test_a_published_figure_without_place_is_refused():
     with pytest.raises(ss.InputError, match="here.toml, x"):
         parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'", "here.toml")
-    with pytest.raises(ss.InputError, match="must not be empty"):
+    with pytest.raises(ss.InputError, match="none of them empty"):
         parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'\nplace = ' '", "here.toml")
 
 

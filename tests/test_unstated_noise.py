@@ -155,7 +155,7 @@ def test_a_spinner_without_noise_is_judged_and_its_rate_is_determined(tmp_path, 
     out = tmp_path / "rates"
     text = said("rates", vehicle, telemetry, "--tle", elements, *QUICK, "--out", str(out))
     assert (
-        "passes are decided" in text
+        "passes decided" in text
         and "error of panel readings" in text
         and "NOISE NOT STATED" in text
     )

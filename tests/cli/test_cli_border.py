@@ -143,7 +143,7 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     assert (
         "3  duplicate rows merged" in said
         and "flagged: time_not_increasing" not in said
-        and "14 s apart at least" in said
+        and "sampling interval: 14 s min" in said
     )
     again = [rows[9].rsplit(",", 1)[0] + ",0.77"]
     telemetry.write_text("\n".join([*rows[:20], *again, *rows[20:]]) + "\n")

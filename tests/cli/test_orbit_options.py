@@ -59,7 +59,7 @@ def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_f
     words = ["check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"]
     done = CliRunner().invoke(cli, words, catch_exceptions=False)
     assert (
-        "Orbit of satellite 25544: the telemetry cannot tell these elements from others"
+        "Orbit of satellite 25544: inconclusive: this telemetry cannot distinguish the elements"
         in done.output
     )
     text = (satellite / "vehicle.toml").read_text("utf-8")

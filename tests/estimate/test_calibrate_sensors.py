@@ -114,9 +114,7 @@ def test_a_field_of_the_wrong_sign_is_not_calibrated(monkeypatch):
         data.attrs["epoch_utc"],
         data["time"].values,
     )
-    with pytest.raises(
-        ss.InputError, match="reads the field with the opposite sign.* turn its `matrix`"
-    ):
+    with pytest.raises(ss.InputError, match="has the opposite sign.* change the sign of `matrix`"):
         ss.calibrate_sensors(twin.vehicle, data, orbit)
 
 

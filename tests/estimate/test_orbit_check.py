@@ -83,7 +83,7 @@ def test_elements_of_another_plane_are_refused(twin, few_copies, one_clock):
     used, found, words = judged_orbit(orbit(twin, by_deg=70.0), vehicle, data)
     assert found.verdict is Verdict.REFUSED and found.turn_times > 1.3
     assert used is None and words.startswith(
-        "the orbit is NOT USED: the elements do not fit the telemetry"
+        "the orbit is NOT USED: elements not consistent with the telemetry"
     )
 
 

@@ -343,7 +343,7 @@ def _found(**changes):
             "not sure",
             "none fits",
         ),
-        ({"tail": 0.9}, "not sure", "rough"),
+        ({"tail": 0.9}, "not sure", "approximate"),
         ({"doubts": ["only rates up to 11.5 deg/s could be searched"]}, "not sure", "only rates"),
         ({"length": np.array([0.3])}, "line", "a line"),
         (

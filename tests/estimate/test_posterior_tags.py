@@ -49,9 +49,9 @@ def test_the_integral_over_a_tags_error_is_that_of_a_fine_sum(cube, off_s):
         turned(sun, rate, np.tile(shifts[:, None], (1, len(data)))),
         np.repeat(state.u, len(shifts), 0),
     )
-    each = likelihood.readings(power, np.repeat(likelihood.noise(state.u), len(shifts))).sum(
-        axis=-1
-    )
+    each = likelihood.readings(
+        power, np.repeat(likelihood.noise(state.u), len(shifts), axis=0)
+    ).sum(axis=-1)
     prior = -0.5 * (shifts[:, None] / off_s) ** 2 - np.log(off_s) - 0.5 * np.log(2 * np.pi)
     exact = logsumexp(each + prior, axis=0) + np.log(shifts[1] - shifts[0])
     assert np.abs(found[0] - exact).max() < 0.1 and abs(found.sum() - exact.sum()) < 0.3

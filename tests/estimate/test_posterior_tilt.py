@@ -142,7 +142,7 @@ def test_known_tilts_widen_the_rates_by_as_much_as_they_move_them(cube, reached)
 def test_turns_drawn_given_the_motion_have_the_density_that_is_told(cube, tilted, reached):
     data, _, _ = readings(cube, tilted)
     unknown, _ = model(cube, PRIORS | {"tilt": 0.004, "tilt_common": 0.004, "noise": 0.0}, 0.5)
-    likelihood = Likelihood(unknown, replace(data, sigma=0.03), 1e-8)
+    likelihood = Likelihood(unknown, replace(data, sigma=np.full(6, 0.03)), 1e-8)
     n, rng = 3_000, np.random.default_rng(1)
     state = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
     one = likelihood.predict(state)

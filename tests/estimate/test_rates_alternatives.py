@@ -183,7 +183,7 @@ def test_the_zero_of_a_gyro_that_is_stated_with_a_sigma_needs_no_other_model():
     named = max(
         tried(None, 1e-6, [0.3, 0.0, -0.2])[0], key=lambda trial: trial.best
     ).hypothesis.what
-    assert named.endswith("beside that of the file: state its zero with a sigma")
+    assert named.endswith("besides that of the file: state its zero with a sigma")
     found, omega = tried(None, 1e-6, [0.3, 0.0, -0.2], np.radians(0.5))
     best = max(found, key=lambda trial: trial.best)
     assert best.hypothesis.what == AS_STATED

@@ -20,17 +20,17 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"unique": False}, "several motions"),
+        ({"unique": False}, "several solutions"),
         ({"sigma": np.array([0.1, 0.6, 0.1])}, "constrained: x z only"),
-        ({"sigma": np.full(3, 0.9)}, "NOT CONSTRAINED, the prior is given back"),
+        ({"sigma": np.full(3, 0.9)}, "NOT CONSTRAINED (result equals the prior)"),
         ({"sigma": np.array([0.1, np.nan, 0.1])}, "constrained: x z only"),
         ({"misfits": {"Sun": Misfit(300, 0.34, 1.0)}}, "POOR FIT (Sun)"),
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "POOR FIT (gyro)"),
         ({"explained": False}, "POOR FIT"),
-        ({"search_complete": False}, "search not complete"),
+        ({"search_complete": False}, "search incomplete"),
         (
             {"search_complete": False, "cure": "give more effort"},
-            "search not complete (give more effort)",
+            "search incomplete (give more effort)",
         ),
     ],
 )

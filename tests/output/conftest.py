@@ -21,7 +21,6 @@ from sunspin.philae import (
     motions,
     pictures,
     published_lines,
-    rebound,
     reproduction,
     threshold,
 )
@@ -37,7 +36,7 @@ def small() -> Iterator[None]:
             (motions, "SPREAD_MOTIONS", 4),
             (motions, "COLLISIONS", 40),
             (published_lines, "LINE_POINTS", 3),
-            (rebound, "POOL_POINTS", 4),
+            (published_lines, "POOL_POINTS", 4),
             (threshold, "BLOCK", 64),
             (carries, "SHUFFLES", 1),
             (rp, "LEAST_RUNS", 40),

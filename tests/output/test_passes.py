@@ -75,7 +75,7 @@ def test_the_summary_has_the_same_names(found):
     told = pass_numbers(found, 0) | motion_numbers(found, 0, 1)
     assert set(COLUMNS) <= set(told) and told["omega_x"] == 0.2
     assert told["omega_x_deg_s"] == pytest.approx(11.459, abs=1e-3) and told["decided"] is False
-    assert told["why_not_decided"] == "several motions; constrained: x z only"
+    assert told["why_not_decided"] == "several solutions; constrained: x z only"
 
 
 def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():

@@ -146,9 +146,10 @@ def test_a_panel_that_was_left_out_of_the_rates_is_said():
     result = rates()
     assert result.attrs["panels_left_out"] == "" and "left out" not in str(result.sunspin.summary())
     said = result.assign_attrs(panels_left_out="+X, -Y").sunspin.summary()
-    assert said["panels_left_out"] == ["+X", "-Y"] and "panel +X, -Y never reads anything" in str(
-        said
-    )
+    assert said["panels_left_out"] == [
+        "+X",
+        "-Y",
+    ] and "panel +X, -Y no signal in any sample" in str(said)
 
 
 def test_rates_are_printed_in_degrees_a_second(user_runs):
@@ -209,7 +210,7 @@ def test_the_health_of_panels_keeps_its_names_beside_its_variables():
     assert (
         none["impossible"] == {}
         and none["explanations"] == []
-        and "no set of lit panels" in str(none.sunspin.summary())
+        and "all illumination patterns" in str(none.sunspin.summary())
     )
     assert isinstance(none.sunspin.plot(), Figure)
 

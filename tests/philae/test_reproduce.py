@@ -1,8 +1,6 @@
 """The study's parts together: order, ids, figures; telemetry that does not hold everything."""
 
-import re
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
 from sunspin.philae.reproduction import figure_rows
-from sunspin.philae.row import tables
 from sunspin.telemetry.case import load_case
 from validation import controls
 
@@ -232,19 +229,3 @@ def test_a_step_that_is_needed_ends_the_study(monkeypatch):
 def test_telemetry_without_the_first_rebound_is_refused_at_once(quick):
     with pytest.raises(TelemetryError, match="no sample between first touchdown and collision"):
         quick(rb.with_telemetry(CASE, without("first_rebound")))
-
-
-@pytest.mark.evidence("reproduce", "verified", "the list of published figures: none is passed over")
-def test_every_published_figure_has_a_row_somewhere(reached):
-    """Rows are made by the parts; what they take over is marked as an input, and no key is in neither."""
-    folder = Path(rp.__file__).parent
-    text = "".join(
-        path.read_text("utf-8") for path in folder.glob("*.py") if path.name != "inputs.py"
-    )
-    made = {key for key in CASE.published if re.search(rf'\brow\(\s*(?:r\.)?case,\s*"{key}"', text)}
-    made |= {f"line_L{k}" for k in range(1, 5)}
-    taken = {row.id for row in inputs.rows(CASE)}
-    assert set(CASE.published) <= made | taken
-    unmade = {name for name, about in tables(CASE).items() if {"used", "compared"} & set(about)}
-    assert not made & unmade
-    reached("published figures", len(CASE.published))

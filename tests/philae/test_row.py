@@ -48,7 +48,8 @@ def case(monkeypatch):
     return CASE
 
 
-def test_each_table_is_used_and_says_what_a_row_needs():
+@pytest.mark.evidence("reproduce", "verified", "the list of published figures: none is passed over")
+def test_each_table_is_used_and_says_what_a_row_needs(reached):
     said = set().union(*map(strings, CODE))
     for name, table in TABLES.items():
         assert name in said or name.startswith("line_L") or {"used", "compared"} & set(table), name
@@ -57,6 +58,7 @@ def test_each_table_is_used_and_says_what_a_row_needs():
         notes = {key for key in table if key.startswith("note")}
         assert set(table) <= KEYS | notes | {"value", "used", "compared"}, name
         assert notes - {"note"} <= said, name
+    reached("published figures", len(CASE.published))
 
 
 def test_texts_are_filled_and_numbers_judged(case):

@@ -50,7 +50,7 @@ def test_sigmas_go_with_the_gains_they_are_of():
 def test_what_cannot_be_told_is_said_and_left_alone():
     rng = np.random.default_rng(2)
     sides = Vehicle("sides", gain_unit="W", panels=CUBE.panels[:2] + CUBE.panels[3:5])
-    for craft, n, word in ((sides, 60, "do not look all around"), (CUBE, 8, "fewer than")):
+    for craft, n, word in ((sides, 60, "do not cover all directions"), (CUBE, 8, "fewer than")):
         none = np.zeros(len(craft.panels), dtype=bool)
         found = estimate_gains(craft, readings(craft, n, rng), 1.0, none, none, 0.0)
         assert word in found.told and found.spread is None

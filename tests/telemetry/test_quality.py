@@ -91,7 +91,7 @@ def test_in_few_samples_only_light_that_is_missed_on_a_path_is_ground_to_call_a_
 @pytest.mark.evidence("panel_quality", "modelled", "currents scaled down")
 @pytest.mark.parametrize(
     ("share", "use", "word"),
-    [(0.6, DOWNWEIGHTED, "battery and not the Sun"), (0.2, DROPPED, "far below")],
+    [(0.6, DOWNWEIGHTED, "battery-limited current"), (0.2, DROPPED, "far below")],
 )
 def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_sun(share, use, word):
     value, _ = clean(40)
@@ -116,7 +116,7 @@ def test_spikes_stale_late_and_empty_frames_are_said():
     why = quality["why"].values
     assert "wrapped count or spike" in why[3] and np.isinf(quality["sigma"].values[3, 1])
     assert np.isfinite(quality["sigma"].values[3, 0])  # the others of that sample still count
-    assert "stale" in why[6] and "no panel has a number" in why[8] and "late or repeated" in why[9]
+    assert "stale" in why[6] and "no panel has a number" in why[8] and "out-of-order" in why[9]
     assert quality["use"].values[[3, 6, 8, 9]].tolist() == [DOWNWEIGHTED, DROPPED, DROPPED, DROPPED]
 
 

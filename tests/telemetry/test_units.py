@@ -166,7 +166,7 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
         found = wrong_gyro_axes(assess(vehicle, samples.assign(gyro_B=(("time", "axis"), read))))
         columns = vehicle.sensors.gyro.read_as(order, sign)["columns"]
         assert found is None or (
-            f"the gyro {what} turns" in found and f"set columns = {json.dumps(columns)}" in found
+            f"the gyro {what} agrees" in found and f"set columns = {json.dumps(columns)}" in found
         )
         named += found is not None
     assert named >= len(ways) / 2  # the others carry the Sun nearly as well

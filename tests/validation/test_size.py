@@ -12,7 +12,7 @@ def test_what_is_above_its_ceiling_is_named(monkeypatch):
     limits["lines"]["src"]["ceiling"] = 10
     del limits["package"]["classes"]
     monkeypatch.setattr(size, "ceilings", lambda: limits)
-    above, missing = size.exceeded()
+    above, missing = size.exceeded()[:2]
     assert above.startswith("lines: src is ") and "above its ceiling of 10" in above
     assert "classes has no ceiling" in missing
 

@@ -96,7 +96,8 @@ def outcomes(
     """
     from sunspin.landing.scenario import scenario_of, strategy_of
     from sunspin.landing.strategies import compare, compared
-    from sunspin.philae.candidates import against_kernel, starts
+    from sunspin.philae.candidates import starts
+    from sunspin.philae.collision import against_kernel
 
     made = opened(vehicle, changes)
     craft, assumed = made.craft, made.assumptions

@@ -24,7 +24,6 @@ from sunspin.landing.outcomes import BINS
 from sunspin.landing.tally import Estimate, estimate
 from sunspin.philae import rebound as rb
 from sunspin.philae.carries import Carries
-from sunspin.philae.collision import KERNEL, condition, kernel_facts
 from sunspin.philae.level_set import Scanned
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
 from sunspin.telemetry.case import Case, case_names, load_case
@@ -353,25 +352,3 @@ def starts(
             do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )
     return rb.published_candidates(case), "the lines that the paper prints"
-
-
-def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
-    """The simulated collisions `runs` against the kernel in the folder `data`, or against the facts that come with the case.
-
-    Raises
-    ------
-    InputError
-        No such kernel is known for the case, or the runs have no collision.
-    """
-    case = load_case(case_name) if case_name in case_names() else None
-    if (
-        case is None
-        or "kernel_speed_before" not in case.published
-        or not np.isfinite(runs["speed_after"]).any()
-    ):
-        raise InputError(
-            "--condition needs collisions of a case with a trajectory kernel",
-            do="use it with philae",
-        )
-    there = data if data is not None and data.joinpath(*KERNEL).is_file() else None
-    return condition(case, runs, None if there is None else kernel_facts(case, there))

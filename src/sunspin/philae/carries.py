@@ -100,7 +100,7 @@ class Carries:
                 if self.descent_order
                 else f" DESCENT: NO SPIN DETECTED, E {self.descent_E:.4f}, the best {orders} {best:.4f}."
             )
-        return f"{text} Rebound: the EMD compares distributions of r_z and ignores the order, which only --candidates posterior uses."
+        return f"{text} Rebound: the EMD compares distributions of r_z and ignores the order; only --candidates posterior uses it."
 
 
 def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0) -> Carries:

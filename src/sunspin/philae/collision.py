@@ -33,7 +33,7 @@ from sunspin.landing.tally import (
 )
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
-from sunspin.telemetry.case import Case
+from sunspin.telemetry.case import Case, case_names, load_case
 from sunspin.vehicle.timeline import utc_seconds
 
 RARELY, OFTEN = 0.05, 0.25
@@ -355,3 +355,25 @@ def tdb_of(case: Case, event: str) -> float:
     """TDB seconds past J2000 of an event."""
     moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, J2000_UTC) + TDB_MINUS_UTC_S
+
+
+def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
+    """The simulated collisions `runs` against the kernel in the folder `data`, or against the facts that come with the case.
+
+    Raises
+    ------
+    InputError
+        No such kernel is known for the case, or the runs have no collision.
+    """
+    case = load_case(case_name) if case_name in case_names() else None
+    if (
+        case is None
+        or "kernel_speed_before" not in case.published
+        or not np.isfinite(runs["speed_after"]).any()
+    ):
+        raise InputError(
+            "--condition needs collisions of a case with a trajectory kernel",
+            do="use it with philae",
+        )
+    there = data if data is not None and data.joinpath(*KERNEL).is_file() else None
+    return condition(case, runs, None if there is None else kernel_facts(case, there))

@@ -98,7 +98,7 @@ def judged_orbit(
     )
     sign += f"; {found.turned_axes}" if found.turned_axes else ""
     if found.verdict is Verdict.REFUSED:
-        why = found.verdict.value.split(":")[0]
+        why = found.verdict.value.split(";")[0]
         clock = f"; {off}" if (off := clock_off(found)) else ""
         return (
             None,

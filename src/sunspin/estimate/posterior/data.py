@@ -74,7 +74,7 @@ class Readings:
     @property
     def weight(self) -> np.ndarray:
         """How much readings (..., K, P) count for the factor of their sample: by their noise, the quietest 1."""
-        return self.used * (self.sigma.min() / self.sigma) ** 2
+        return self.used * (np.min(self.sigma) / self.sigma) ** 2
 
     def factor(self, power: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The factor (..., K, 1) on expected readings (..., K, P) that fits a throttled sample best; else 1."""
