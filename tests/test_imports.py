@@ -69,15 +69,9 @@ def test_a_first_scan_waits_for_no_module_that_it_does_not_use():
         ).stdout.split()
     )
     assert "sunspin.dynamics.ensemble.run" in loaded
-    assert not loaded & {
-        "sympy",
-        "heyoka",
-        "scipy.stats",
-        "scipy.optimize",
-        "scipy.spatial",
-        "matplotlib",
-        "plotly",
-    }
+    assert not loaded & set(
+        "sympy heyoka scipy.stats scipy.optimize scipy.spatial matplotlib plotly".split()
+    )
 
 
 def test_rates_wait_for_no_module_that_they_do_not_use():

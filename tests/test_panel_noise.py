@@ -1,7 +1,5 @@
 """Panels with noises of their own: what uses them, and that a noise stated of each panel is the same as one of all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import resources
 
@@ -35,12 +33,8 @@ def craft(**form) -> Vehicle:
 
 
 def track(n: int = 20, **more):
-    truth = {
-        "omega_B": [0.011, -0.017, 0.009],
-        "sun_B": [0.6, 0.0, 0.8],
-        "t_s": 20.0 * np.arange(n),
-    }
-    return ss.twin(craft(), truth | more, seed=5)
+    truth = {"omega_B": [0.011, -0.017, 0.009], "sun_B": [0.6, 0.0, 0.8]}
+    return ss.twin(craft(), truth | {"t_s": 20.0 * np.arange(n)} | more, seed=5)
 
 
 def template(noise_of_each: bool) -> Vehicle:

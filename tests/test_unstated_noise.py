@@ -46,17 +46,11 @@ VARIABLES = [
 ]
 """The same of results."""
 
-SMALL = (
-    "--prior",
-    "steady_torque=0",
-    "--prior",
-    "inertia=0",
-    "--prior",
-    "max_rate_rad_s=0.06",
-    "--draws",
-    "200",
-    "--workers",
-    "1",
+SMALL = tuple(
+    (
+        "--prior steady_torque=0 --prior inertia=0 --prior max_rate_rad_s=0.06 --draws "
+        "200 --workers 1"
+    ).split()
 )
 QUICK = ("--effort", "0.02", "--no-column-tests", "--workers", "1")
 

@@ -153,16 +153,10 @@ def test_a_misspelt_key_is_named_with_the_nearest_known():
         "unknown key 'noise_deg_s'",
         "did you mean noise_rad_s?",
     )
-    for key in (
-        "scale_rad_s",
-        "columns",
-        "noise_rad_s",
-        "gain_W",
-        "speed_rad_s",
-        "axis_B",
-        "normal_B",
-        "mass_kg",
-        "coulomb_N_m",
+    for key in tuple(
+        (
+            "scale_rad_s columns noise_rad_s gain_W speed_rad_s axis_B normal_B mass_kg coulomb_N_m"
+        ).split()
     ):
         for _ in range(5):
             at = rng.randrange(len(key))

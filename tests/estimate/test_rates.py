@@ -181,7 +181,7 @@ def test_a_wheel_of_untold_speed_leaves_nothing_decided():
         True,
     ]
     assert "WHEEL SPEED UNKNOWN (reaction-y)" in untold.attrs["verdict"]
-    assert "the speed is unknown of wheel reaction-y: give speed_rad_s" in str(
+    assert "the speed of wheel reaction-y is unknown: give speed_rad_s" in str(
         untold["why_not_decided"].values[0]
     )
     assert all("THE SPEED OF" not in one.attrs["verdict"] for one in (stands, measured))

@@ -17,13 +17,8 @@ from sunspin.output.report import write_report
 from sunspin.output.report.rows import VERDICTS, between, verdict_of
 from sunspin.telemetry.case import load_case
 
-FILES_OF_CANDIDATES = (
-    "candidates",
-    "outcomes-off",
-    "outcomes-held",
-    "strategies",
-    "speed",
-    "motion-best-fit",
+FILES_OF_CANDIDATES = tuple(
+    "candidates outcomes-off outcomes-held strategies speed motion-best-fit".split()
 )
 
 
@@ -169,19 +164,7 @@ def test_a_row_shows_its_interval_what_was_possible_and_what_made_it(tmp_path):
 
 
 def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):
-    texts = (
-        "what",
-        "unit",
-        "note",
-        "source",
-        "chain",
-        "part",
-        "section",
-        "published",
-        "ours",
-        "low",
-        "high",
-    )
+    texts = tuple("what unit note source chain part section published ours low high".split())
     rows = [row(id=f"{HOSTILE}{k}", **dict.fromkeys(texts, HOSTILE)) for k in range(2)]
     rows.append(row(id="rate_at_touchdown_bound", ours=1.0, unit=HOSTILE, chain=HOSTILE))
     page = page_of(

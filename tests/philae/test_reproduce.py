@@ -20,16 +20,10 @@ from sunspin.telemetry.case import load_case
 from validation import controls
 
 CASE = load_case("philae")
-QUICK = (
-    "phases",
-    "descent",
-    "carries",
-    "level_set",
-    "candidates",
-    "touchdown",
-    "mechanics",
-    "published_lines",
-    "inputs",
+QUICK = tuple(
+    (
+        "phases descent carries level_set candidates touchdown mechanics published_lines inputs"
+    ).split()
 )
 """Steps that take seconds on a coarse grid; the others have tests of their own."""
 
