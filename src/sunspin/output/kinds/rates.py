@@ -152,7 +152,7 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     omega = with_sigma(rate.omega, rate.sigma)
     start = clock_text(result, float(t[0]))
     start = start[5:16].replace("T", " ") if "T" in start else start
-    verdict = numbers["why_not_decided"].split(" (")[0] or "decided"
+    verdict = str(numbers["why_not_decided"]).split(" (")[0] or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = "decided, coarse"
     if n > 1 and not numbers["unique"]:
