@@ -20,7 +20,7 @@ MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 
-HEADING = f"pass  {'start (UTC)':11}  {'n':>5}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':46}  prob  verdict"
+HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':46}  prob  verdict"
 """Of the table of passes: a line each, at most 110 columns with a decided verdict."""
 
 COARSE = 0.1
@@ -155,9 +155,8 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     verdict = str(numbers["why_not_decided"]).split(" (")[0] or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = "decided, coarse"
-    if n > 1 and not numbers["unique"]:
-        verdict += f" ({n})"
-    line = f"{numbers['pass_id']:4d}  {start:11}  {len(at):5d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
+    verdict = verdict.replace("several solutions", f"{n} solutions")
+    line = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
     return numbers, line
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -143,7 +144,7 @@ def sun_directions_figure(
     for status in SunStatus:
         at = sun["status"].values == status
         if status not in (SunStatus.OK, SunStatus.UNCHECKED) and at.any():
-            text = f"{STATUS_TEXT[status].split(':')[0].split(';')[0]} ({at.sum()})"
+            text = f"{re.split('[:(]', STATUS_TEXT[status])[0].strip()} ({at.sum()})"
             height = np.full(at.sum(), -1.1 - 0.05 * (int(status) - 2))
             marker = markers.get(status, "d")
             middle.plot(x[at], height, marker, ms=4, color=COLOURS[7], label=text)
