@@ -207,8 +207,8 @@ def _in_orbit(
             do=do,
         )
     if check.sign_turned:
-        what = "the magnetometer reads the field with the opposite sign, as its angle to the Sun shows, and is not calibrated so"
-        do = "turn its `matrix` in the vehicle file round: -1 in place of 1 on the diagonal if it has none"
+        what = "the magnetometer has the opposite sign, as its angle to the Sun shows, and is not calibrated so"
+        do = "change the sign of `matrix` in the vehicle file: -1 in place of 1 on the diagonal if it has none"
         raise InputError(what, do=do)
     if check.turned_axes:
         what, _, do = check.turned_axes.partition("; ")
