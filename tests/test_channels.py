@@ -294,7 +294,7 @@ def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun(
     data, truth = flight(vehicle, 1)
     result = ss.rates(vehicle, data)
     assert result["decided"].values[0] and away(result, truth)[0] < 4
-    assert "the attitude is not known" in result.attrs["verdict"]
+    assert "attitude is unknown" in result.attrs["verdict"]
 
 
 def test_throttled_samples_count_by_their_ratios():

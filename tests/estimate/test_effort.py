@@ -99,5 +99,5 @@ def test_a_cut_search_is_never_decided():
         and not cut["search_complete"].any()
         and not cut["decided"].any()
     )
-    assert "CUT SHORT" in cut.attrs["verdict"] and cut.attrs["effort"] < usual.attrs["effort"]
+    assert "SEARCH STOPPED" in cut.attrs["verdict"] and cut.attrs["effort"] < usual.attrs["effort"]
     assert np.isfinite(cut["omega_mean_B"].values[:, 0]).all()
