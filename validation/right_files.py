@@ -27,11 +27,11 @@ PARTS = ("vector", "gyro", "field", "turn", "mean", "stations", "backward", "clo
 clock on board that begins at nothing."""
 
 ACCUSED = (
-    "CHECK THE WIRING",
+    "CHECK THE COLUMNS",
     "look at its zero",
     "does not see what they see",
     "SEEM LATE",
-    "NO motion fits",
+    "NO SOLUTION FITS",
 )
 """What the verdict of `rates` says only where something is wrong."""
 
