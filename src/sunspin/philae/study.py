@@ -367,7 +367,7 @@ def _settled(row: Row, step: Step, study: Reproduction) -> Row:
     row = (
         row
         if row.chain
-        else replace(row, chain="telemetry" * (step.section == "telemetry") or "none")
+        else replace(row, chain="telemetry" if step.section == "telemetry" else "none")
     )
     put_in = tables(study.case).get(row.id, {}).get("put_in")
     return settled(row, put_in == "always" or (put_in == "synthetic" and study.synthetic))

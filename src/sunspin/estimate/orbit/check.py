@@ -117,7 +117,7 @@ class OrbitCheck:
 def check_orbit(
     orbit: Orbit, vehicle: Vehicle, telemetry: xr.Dataset | Assessment, *, seed: int = 0
 ) -> OrbitCheck:
-    """Rank an orbit against randomised comparison orbits with random node and phase, by what telemetry shows whatever the attitude.
+    """Rank an orbit against comparison orbits of random node and phase, by what the telemetry shows at any attitude.
 
     Every orbit's shift is sought within three sigmas of its prior (those of shift and clock together), and counts that prior.
     """

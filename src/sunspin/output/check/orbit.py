@@ -22,7 +22,7 @@ from sunspin.vehicle.timeline import utc_after
 def about_orbit(
     assessment: Assessment, elements: Path | None, shift_sigma: float | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on whether elements consistent with the telemetry; nothing where there are none."""
+    """Summary and lines on whether the elements are consistent with the telemetry; empty without elements."""
     craft, samples = assessment.vehicle, assessment.telemetry
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
