@@ -32,7 +32,7 @@ INTERRUPTED = "interrupted; nothing half-written was left behind, run the same c
 @click.version_option(package_name="sunspin")
 @click.pass_context
 def cli(ctx: click.Context) -> None:
-    """sunspin tells how a spacecraft tumbles from nothing but the power of its solar panels."""
+    """Estimate spacecraft rotation from solar-panel power and other sparse attitude data."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
 
