@@ -25,16 +25,20 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
     "--scan", type=PATH, help="scan.nc of `sunspin scan`: its near-minimum set are the candidates."
 )
 @click.option(
-    "--omega-deg-s", "omega_B", type=BODY_RATE, multiple=True, help="Candidate, deg/s. Repeatable."
+    "--omega-deg-s",
+    "omega_B",
+    type=BODY_RATE,
+    multiple=True,
+    help="Candidate body rate. Repeatable.",
 )
 @click.option(
     "--sun", "sun_B", type=VECTOR, help="Unit vector to the Sun in body axes, for the candidates."
 )
-@click.option("--lead", type=float, help="Time from touchdown to when the candidates hold, s.")
+@click.option("--lead", type=float, help="Time from the touchdown to the candidates, s.")
 @click.option("--before", "before_s", type=float, help="Time from there to the collision, s.")
 @click.option("--after", "after_s", type=float, help="Time from the collision to the landing, s.")
 @click.option(
-    "--collision-speed", "collision_speed_m_s", type=float, help="At the collision, m/s; 0: none."
+    "--collision-speed", "collision_speed_m_s", type=float, help="Speed in m/s; 0: no collision."
 )
 @click.option("--landing-speed", "landing_speed_m_s", type=float, help="Speed at the landing, m/s.")
 @click.option(
