@@ -20,10 +20,7 @@ if TYPE_CHECKING:
     from sunspin.vehicle.changes import Change
 
 SHORT = {
-    "friction": (
-        "wheel.friction",
-        "Friction law by its name in the vehicle file, such as printed.",
-    ),
+    "friction": ("wheel.friction", "Friction law, by its name in the file, such as printed."),
     "wheel_speed": ("wheel.speed_rad_s", "Wheel speed at the first sample after touchdown, rad/s."),
     "lead": ("study.lead_s", "Time from the first touchdown to the next sample, s."),
     "target_weights": ("study.target_weights", "Weights of the directions: equal or interval."),

@@ -25,11 +25,7 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
     "--scan", type=PATH, help="scan.nc of `sunspin scan`: its near-minimum set are the candidates."
 )
 @click.option(
-    "--omega-deg-s",
-    "omega_B",
-    type=BODY_RATE,
-    multiple=True,
-    help="Candidate body rate. Repeatable.",
+    "--omega-deg-s", "omega_B", type=BODY_RATE, multiple=True, help="Candidate rate. Repeatable."
 )
 @click.option(
     "--sun", "sun_B", type=VECTOR, help="Unit vector to the Sun in body axes, for the candidates."
