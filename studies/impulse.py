@@ -28,7 +28,7 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
-from sunspin.philae import candidates, carries, level_set
+from sunspin.philae import candidates, carries, metrics
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
 from sunspin.telemetry.case import Case, load_case
 from validation.campaign import command, rows_folder
@@ -140,7 +140,7 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
 def motions(source: str, seed: int) -> candidates.Chain:
     """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
     case, sun = case_of()
-    scan = level_set.compute(case, sun, seed).scan
+    scan = metrics.scan_telemetry(case, sun, seed)
     return candidates.compute(scan, carries.compute(case, sun, None, seed), source, None, seed)
 
 

@@ -26,12 +26,11 @@ from sunspin.philae import (
     collision,
     descent,
     inputs,
-    level_set,
     mechanics,
+    metrics,
     motions,
     precession,
     published_lines,
-    sensitivity,
     strategies,
     touchdown,
 )
@@ -148,14 +147,14 @@ class Step:
 
 
 def _candidates(s: Reproduction) -> candidates.Chain:
-    o, scan = s.options, s.parts["level_set"].scan
+    o, scan = s.options, s.parts["level_set"]
     how: dict[str, Any] = {"workers": o.workers, "progress": o.progress}
     return candidates.compute(scan, s.parts["carries"], o.source, o.twins, o.seed, **how)
 
 
-def _level_set(s: Reproduction) -> level_set.LevelSet:
+def _level_set(s: Reproduction) -> metrics.TelemetryScan:
     o = s.options
-    return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
+    return metrics.scan_telemetry(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
 
 
 def _collision(s: Reproduction) -> collision.AfterCollision:
@@ -169,9 +168,8 @@ def _strategies(s: Reproduction) -> strategies.Strategies:
 
 
 def _published_lines(s: Reproduction) -> published_lines.PublishedLines:
-    o, scanned = s.options, s.parts.get("level_set")
-    table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
-    return published_lines.compute(s.case, table, o.seed, o.coarser, s.runs, o.workers)
+    o, scan = s.options, s.parts.get("level_set")
+    return published_lines.compute(s.case, scan, o.seed, o.coarser, s.runs, o.workers)
 
 
 STEPS = (
@@ -204,7 +202,7 @@ STEPS = (
         "Section 2.3: the scan of this telemetry",
         "telemetry",
         _level_set,
-        level_set.rows,
+        metrics.scan_rows,
     ),
     Step(
         "candidates",
@@ -241,8 +239,8 @@ STEPS = (
         "sensitivity",
         "Section 2.3: why a direct fit fails",
         "no_telemetry",
-        lambda s: sensitivity.compute(s.case, s.sun, s.options.workers, s.options.coarser),
-        sensitivity.rows,
+        lambda s: metrics.sensitivity(s.case, s.sun, s.options.workers, s.options.coarser),
+        metrics.sensitivity_rows,
     ),
     Step(
         "motions",
