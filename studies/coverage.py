@@ -53,7 +53,7 @@ class Grid(NamedTuple):
 
 def make_grid(case: Case, coarser: int) -> Grid:
     """Run every motion of the grid once."""
-    table = run_grid(case, rb.first_sun(case), rb.window_s(case), coarser)
+    table = run_grid(case, rb.first_sun(case), rb.window_s(case), rb.Options(coarser=coarser))
     every = table.rows.start.take(np.arange(len(table.hist)))
     back = rb.run_back(case, every, rb.after_touchdown_s(case))
     return Grid(case, table, np.linalg.norm(back, axis=1))

@@ -22,4 +22,4 @@ def chain_on_the_lines(case: Case) -> candidates.Chain:
         )
         for name, (chain, points) in sets.items()
     )
-    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"), 0.02)
+    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"))

@@ -562,7 +562,7 @@ def _control(name: str) -> Row:
     if not concluded:
         return {"outcome": outcome, "says": looked.why}
     measured = {
-        "smallest EMD": looked.chain.emd_min,
+        "smallest EMD": looked.scan.smallest,
         "share of the box": looked.chain.share,
         "speed at least": looked.chain.chosen.speed_range()[0],
     }

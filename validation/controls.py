@@ -130,12 +130,11 @@ def case_of(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
 
 def chain_of(
     telemetry: xr.Dataset | None = None,
-    source: str = "scan",
-    coarser: int = COARSER,
     **options: Any,
 ) -> Found:
     """The chain on a telemetry file, the built-in one unless given."""
     case, sun = case_of(telemetry)
+    how = rb.Options(**{"coarser": COARSER, "twins": TWINS} | options)
     try:
         fit = descent.compute(case, sun)
     except SunspinError:
@@ -144,8 +143,8 @@ def chain_of(
     scan = chain = None
     why = ""
     try:
-        scan = metrics.scan_telemetry(case, sun, coarser=coarser)
-        chain = candidates.compute(scan, looked, source, **({"twins": TWINS} | options))
+        scan = metrics.scan_telemetry(case, sun, how)
+        chain = candidates.compute(scan, looked, how)
     except SunspinError as error:
         why = str(error)
     return Found(case, looked, scan, chain, why)

@@ -141,7 +141,7 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
 def test_candidates_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
-    one = chain_of(None, str(path), coarser=20)
+    one = chain_of(source=str(path), coarser=20)
     assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
     for text, said in (

@@ -10,6 +10,7 @@ from sunspin.compute.identity import plain
 from sunspin.estimate.scan import error_growth as gr
 from sunspin.estimate.scan import parameters as pm
 from sunspin.philae import metrics
+from sunspin.philae.rebound import Options
 from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
 
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
@@ -31,7 +32,7 @@ def own_track(craft, omega, speed, times):
 
 @pytest.fixture(scope="module")
 def result():
-    return metrics.sensitivity(CASE, SUN, coarser=12)
+    return metrics.sensitivity(CASE, SUN, Options(coarser=12))
 
 
 @pytest.mark.parametrize(("craft", "speed"), CRAFT, ids=["no wheel", "wheel on x"])

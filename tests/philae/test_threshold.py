@@ -65,8 +65,8 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
 @pytest.mark.evidence("reproduce", "verified", "fresh synthetic rebounds of known truth")
 def test_fresh_truths_lie_in_the_calibrated_set(table, reached):
     """Another seed's rebounds: about nine in ten of their truths lie below the factor."""
-    factor = th.calibrate(REBOUND, table, 100, seed=0).factor()[0]
-    fresh = th.calibrate(REBOUND, table, 100, seed=1)
+    factor = th.calibrate(REBOUND, table, rb.Options(twins=100)).factor()[0]
+    fresh = th.calibrate(REBOUND, table, rb.Options(twins=100, seed=1))
     held = float(np.mean(fresh.ratio < factor))
     assert 0.78 < held < 0.99
     assert np.mean(fresh.ratio < 1.1) < 0.6  # negative control: the paper's factor holds far fewer
@@ -126,10 +126,12 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     assert th.key_of(REBOUND, whole) == shipped.key, (
         "the built-in telemetry needs another calibration: threshold.write"
     )
-    assert th.calibration(REBOUND, table, 0) is None  # another grid: another key
+    assert th.calibration(REBOUND, table, rb.Options(twins=0)) is None  # another grid: another key
     monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
-    assert th.calibration(REBOUND, table, 0).source == "shipped with the case"
-    assert len(th.calibration(REBOUND, table, 20).ratio) == 20  # asked for, it is made
+    assert th.calibration(REBOUND, table, rb.Options(twins=0)).source == "shipped with the case"
+    assert (
+        len(th.calibration(REBOUND, table, rb.Options(twins=20)).ratio) == 20
+    )  # asked for, it is made
 
 
 def test_a_file_of_a_calibration_can_be_read_again(tmp_path):

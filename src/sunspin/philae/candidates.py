@@ -105,21 +105,14 @@ class Candidates:
 
 
 def described(
-    rebound: rb.Rebound,
-    states: Rows,
-    seed: int,
-    grid: tuple[np.ndarray, float] | None = None,
-    **labels: Any,
+    rebound: rb.Rebound, states: Rows, seed: int, cell_rad_s: float = 0.0, **labels: Any
 ) -> Candidates:
     """Candidates with what is asked of them; runs to the collision are made for even draws only.
 
-    `grid`: of points of a scan their speeds at the touchdown (n) and half the diagonal of a cell, rad/s; `labels`: `chain`,
-    `about` and `probable` of :class:`Candidates`.
+    `labels`: `chain`, `about` and `probable` of :class:`Candidates`.
     """
     vehicle, draws = rebound.case.vehicle, states
-    if grid is None:
-        back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
-        grid = np.linalg.norm(back, axis=1), 0.0
+    at_touchdown = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
     if len(states) > DRAWS:
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
@@ -129,15 +122,15 @@ def described(
     low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
     theta, alpha, momentum = rb.momentum_angles(vehicle, states)
     largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
-    turn = largest * grid[1] / max(float(np.median(momentum)), 1e-12)
+    turn = largest * cell_rad_s / max(float(np.median(momentum)), 1e-12)
     return Candidates(
         states=states,
-        speed_touchdown=grid[0],
+        speed_touchdown=np.linalg.norm(at_touchdown, axis=1),
         theta=theta,
         alpha=alpha,
         speed_collision=np.linalg.norm(at_collision, axis=1),
         height=np.arcsin(np.stack([low, high], axis=1)),
-        cell_rad_s=grid[1],
+        cell_rad_s=cell_rad_s,
         angle_cell=float(np.arctan(turn)),
         **labels,
     )
@@ -157,7 +150,6 @@ class Chain:
     recipe: Candidates
     calibration: Calibration | None
     share: float
-    emd_min: float
     verdict: str = ""
 
     @property
@@ -165,69 +157,47 @@ class Chain:
         return self.chosen.chain
 
 
-def compute(
-    scan: TelemetryScan,
-    carries: Carries,
-    source: str = "scan",
-    twins: int | None = None,
-    seed: int = 0,
-    *,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Chain:
+def compute(scan: TelemetryScan, carries: Carries, options: rb.Options) -> Chain:
     """The candidates of this telemetry, from the source asked for.
-
-    Parameters
-    ----------
-    source : "scan", "posterior", "published", or the path of a table with columns omega_x, omega_y, omega_z (rad/s)
-    twins : int, optional
-        Synthetic rebounds of a calibration made now; zero: none, see `threshold.calibration`.
 
     Raises
     ------
     TelemetryError
         Readings from which nothing can be concluded; data for which no threshold was calibrated; a model that does not fit.
     """
-    rebound, case, least = scan.rebound, scan.rebound.case, scan.smallest
+    rebound, case, least, source = scan.rebound, scan.rebound.case, scan.smallest, options.source
     if source != "published" and carries.reasons:
         raise TelemetryError(
             "nothing can be concluded from these readings",
             got="; ".join(carries.reasons),
             do="check the panels' columns, gains and units",
         )
-    calibrated, share, verdict = None, float("nan"), ""
-    if source == "scan":
-        calibrated = calibration(rebound, scan.table, twins, seed, workers, progress)
-        if calibrated is None:
-            raise TelemetryError(
-                "the threshold of the set is not calibrated for these data",
-                do="run without --calibrate 0: it takes a minute",
-            )
-        if calibrated.unusual(least):
-            usual = calibrated.emd_min
-            raise TelemetryError(
-                "no motion of the model fits the distribution of r_z",
-                got=f"a smallest EMD of {least:.4f}, where {len(usual)} synthetic rebounds like these data have "
-                f"{usual.min():.4f} to {usual.max():.4f}",
-                do="check the vehicle, the wheel's command and the panels' gains",
-            )
+    calibrated = calibration(rebound, scan.table, options) if source == "scan" else None
+    if source == "scan" and calibrated is None:
+        what, do = "the threshold of the set is not calibrated", "run without --calibrate 0"
+        raise TelemetryError(f"{what} for these data", do=f"{do}: it takes a minute")
+    if calibrated is not None and calibrated.unusual(least):
+        usual = calibrated.emd_min
+        raise TelemetryError(
+            "no motion of the model fits the distribution of r_z",
+            got=f"a smallest EMD of {least:.4f}, where {len(usual)} synthetic rebounds like these data have "
+            f"{usual.min():.4f} to {usual.max():.4f}",
+            do="check the vehicle, the wheel's command and the panels' gains",
+        )
     start = scan.table.rows.start
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
-    every, cell = start.take(np.arange(len(start))), float(np.linalg.norm(steps)) / 2
-    back = rb.run_back(case, every, rebound.lead_s, DIRECTION_ERROR)
-    speeds = np.linalg.norm(back, axis=1)
+    cell = float(np.linalg.norm(steps)) / 2
 
     def below(level: float, chain: str, about: str) -> Candidates:
-        index = np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd))
-        grid = speeds[index], cell
-        return described(rebound, every.take(index), seed, grid, chain=chain, about=about)
+        states = start.take(np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd)))
+        return described(rebound, states, options.seed, cell, chain=chain, about=about)
 
-    factor = case.assumptions.study.near_minimum_factor
+    factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
     recipe = below(factor * least, "scan", about)
     if source == "posterior":
-        chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)
-        return Chain(case, rebound, chosen, box, recipe, None, share, least, verdict)
+        chosen, box, verdict = _from_posterior(rebound, options)
+        return Chain(case, rebound, chosen, box, recipe, None, share, verdict)
     box = below(np.inf, source, "the whole scanned box: what was possible before the data")
     if calibrated is not None:
         level = calibrated.factor()[0]
@@ -243,17 +213,16 @@ def compute(
         if source != "published":
             omega, chain = rates_of(Path(source)), Path(source).name
             about = f"the motions of {chain}"
-        chosen = described(rebound, rebound.states(omega), seed, chain=chain, about=about)
-    return Chain(case, rebound, chosen, box, recipe, calibrated, share, least)
+        states = rebound.states(omega)
+        chosen = described(rebound, states, options.seed, chain=chain, about=about)
+    return Chain(case, rebound, chosen, box, recipe, calibrated, share)
 
 
-def _from_posterior(
-    rebound: rb.Rebound, seed: int, workers: int | None, progress: bool
-) -> tuple[Candidates, Candidates, str]:
+def _from_posterior(rebound: rb.Rebound, options: rb.Options) -> tuple[Candidates, Candidates, str]:
     """Draws of the posterior of the rebound's readings; motions drawn evenly from the ball of its prior; its verdict."""
     from sunspin.estimate.posterior.estimate import posterior
 
-    times = rebound.samples["utc_s"].values
+    times, seed = rebound.samples["utc_s"].values, options.seed
     tree = posterior(
         rebound.case.vehicle,
         rebound.case.telemetry,
@@ -261,8 +230,8 @@ def _from_posterior(
         begin_s=float(times[rebound.first]),
         end_s=float(times[-1]),
         draws=POSTERIOR_DRAWS,
-        workers=workers,
-        progress=progress,
+        workers=options.workers,
+        progress=options.progress,
     )
     word, verdict = tree.attrs["verdict_word"], str(tree.attrs["verdict"])
     if word == "not explained":
@@ -296,13 +265,10 @@ def rates_of(path: Path) -> np.ndarray:
             do="give a table with columns omega_x, omega_y, omega_z in rad/s",
         )
     table, names = read_table(path), ("omega_x", "omega_y", "omega_z")
-    if missing := [name for name in names if name not in table.header]:
-        what = "candidates need columns omega_x, omega_y, omega_z, rad/s"
-        raise InputError(what, got=f"no {', '.join(missing)}", where=str(path))
-    omega = table.numbers(names)
+    omega = table.numbers(names) if table.has(names) else np.zeros((0, 3))
     if not len(omega) or not np.all(np.isfinite(omega)):
-        what, got = "candidates must be finite rates, one row each", f"{len(omega)} rows"
-        raise InputError(what, got=got, where=str(path))
+        what = "candidates need columns omega_x, omega_y, omega_z with finite rates in rad/s"
+        raise InputError(what, got=f"columns {', '.join(table.header)}", where=str(path))
     return omega
 
 

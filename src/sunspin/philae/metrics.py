@@ -61,15 +61,10 @@ class Sensitivity:
     valley: xr.DataArray
 
 
-def sensitivity(
-    case: Case, sun: xr.Dataset, workers: int | None = None, coarser: int = 1
-) -> Sensitivity:
-    """Maps of E against the rebound's samples in `sun` (of `sun_directions`, whole landing); growth of errors.
-
-    `coarser`: use every so many-th point of the maps.
-    """
+def sensitivity(case: Case, sun: xr.Dataset, options: rb.Options) -> Sensitivity:
+    """Maps of E against the rebound's samples in `sun` (of `sun_directions`, whole landing); growth of errors."""
     paper = {key: figure.value for key, figure in case.published.items()}
-    vehicle, samples = case.vehicle, rb.rebound_samples(case, sun)
+    vehicle, samples, workers = case.vehicle, rb.rebound_samples(case, sun), options.workers
     speed, window = rb.nominal_speed(vehicle), rb.window_s(case)
     quoted, box = np.array(paper["first_sun_E_study"]), paper["E_study_box"]
     length = float(np.linalg.norm(quoted))
@@ -78,7 +73,7 @@ def sensitivity(
     # is a vehicle of its own and takes 4 ms, 30 times a point of the first
     spans = (*box[:2], paper["E_study_coulomb"], paper["E_study_inertia"])
     omega_x, omega_y, mu_0, theta_xx = (
-        np.linspace(*span, max(n // coarser, 2))
+        np.linspace(*span, max(n // options.coarser, 2))
         for span, n in zip(spans, (151, 91, 71, 71), strict=True)
     )
     rates = scan(
@@ -98,7 +93,7 @@ def sensitivity(
         .expand_dims(motion=[name])
         for name, motion in motions.items()
     ]
-    change = np.linspace(-0.05, 0.05, 1001 // coarser // 2 * 2 + 1)
+    change = np.linspace(-0.05, 0.05, 1001 // options.coarser // 2 * 2 + 1)
     windows = 60.0 * np.array([5.0, 15.0, 45.0])
     return Sensitivity(
         case,
@@ -138,10 +133,7 @@ def sensitivity_rows(r: Sensitivity) -> list[Row]:
 
     first, quoted = rb.first_sun(case), np.array(paper["first_sun_E_study"])
     cosine = first @ quoted / np.linalg.norm(first) / np.linalg.norm(quoted)
-    bound: dict[str, Any] = {
-        "length": r.start_length,
-        "apart": float(np.degrees(np.arccos(cosine))),
-    }
+    apart = float(np.degrees(np.arccos(cosine)))
 
     of_E, of_emd = (motions[name].max("input").values for name in ("E", "emd"))
     each = zip(motions["motion"].values, of_E, of_emd, strict=True)
@@ -151,25 +143,19 @@ def sensitivity_rows(r: Sensitivity) -> list[Row]:
     # a frequency that is off shifts the phase in proportion to time, friction with its square
     rates, tolerance = list(gr.RATES), 0.3
     linear, square = (motions["power"].sel(input=inputs).values for inputs in (rates, "mu_0"))
-    growth, off = (
-        [linear.mean(), square.mean()],
-        [np.abs(linear - 1).max(), np.abs(square - 2).max()],
-    )
+    off = max(np.abs(linear - 1).max(), np.abs(square - 2).max())
+    growth, agrees = [float(linear.mean()), float(square.mean())], bool(off < tolerance)
     last = motions["error_rad"].isel(time=-1)
-    at_end = last.max("input").values * gr.ONE_PERCENT
-    per_rate = (last.sel(input=rates) / motions["angular_speed"]).values
-    sizes: dict[str, Any] = {
-        "at_end": np.sort(at_end)[[0, -1]],
-        "per_rate": np.sort(per_rate, axis=None)[[0, -1]],
-    }
+    at_end, per_rate = last.max("input") * gr.ONE_PERCENT, last / motions["angular_speed"]
+    ends = {"at_end": at_end, "per_rate": per_rate.sel(input=rates)}
+    sizes: dict[str, Any] = {name: (float(x.min()), float(x.max())) for name, x in ends.items()}
 
     windows = ", ".join(f"{seconds / 60:g}" for seconds in r.valley["window"].values)
     width = gr.valley_width(r.valley).tolist()
-    agrees = bool(max(off) < tolerance)
     return [
         of_map("E_map_rates", r.rates, box, directions=r.n_directions, motions=r.rates.size),
         of_map("E_map_parameters", r.parameters, omega, outside=nominal(case.vehicle, "mu_0")),
-        row(case, "E_study_bound", (1 - r.start_length) / 2, **bound),
+        row(case, "E_study_bound", (1 - r.start_length) / 2, length=r.start_length, apart=apart),
         row(case, "one_percent_E", in_E, agrees=in_E > 0.1, of_each=of_each),
         row(case, "one_percent_emd", in_emd, tolerance=least, agrees=in_emd < least),
         row(case, "phase_growth", growth, tolerance=tolerance, agrees=agrees, **sizes),
@@ -273,15 +259,11 @@ def growth_figure(result: Sensitivity) -> Figure:
 # ---- EMD: the scan and its near-minimum set ----------------------------------------------------------------------------------
 
 
-def run_grid(
-    case: Case, sun_B: np.ndarray, duration_s: float, coarser: int = 1, **how: Any
-) -> Table:
-    """Every `coarser`-th motion of the grid from this direction (3) of the Sun, run once for any target.
-
-    `how`: `workers` and `progress` of `make_table`.
-    """
+def run_grid(case: Case, sun_B: np.ndarray, duration_s: float, options: rb.Options) -> Table:
+    """Every motion of the grid from this direction (3) of the Sun, run once for any target."""
+    axes, speed = rb.grid(case, options.coarser), rb.nominal_speed(case.vehicle)
     mask = None if rb.counted(case) is None else "reconstructible"
-    axes, speed = rb.grid(case, coarser), rb.nominal_speed(case.vehicle)
+    how: dict[str, Any] = {"workers": options.workers, "progress": options.progress}
     return make_table(case.vehicle, sun_B, axes, speed, duration_s, mask=mask, **how)
 
 
@@ -300,8 +282,7 @@ class NearMinimum(NamedTuple):
     Attributes
     ----------
     emd : over the grid
-    factor : multiple of the smallest EMD below which motions belong to the set
-    points : (n, 3) rad/s, the set
+    points : (n, 3) rad/s, with EMD below `factor` times the smallest
     lines : of `fit_lines`; None where there are too few points
     deviation : for each published line the fitted one nearest to it, "line", and their `line_deviation`
     """
@@ -359,36 +340,28 @@ class TelemetryScan:
         return sum(bool(apart["mean"] <= NEAR_RAD_S) for apart in self.near.deviation)
 
 
-def scan_telemetry(
-    case: Case,
-    sun: xr.Dataset,
-    seed: int = 0,
-    coarser: int = 1,
-    workers: int | None = None,
-    progress: bool = False,
-) -> TelemetryScan:
-    """Scan every `coarser`-th grid point against the directions `sun` (of `sun_directions`, whole landing).
+def scan_telemetry(case: Case, sun: xr.Dataset, options: rb.Options) -> TelemetryScan:
+    """Scan the grid against the directions `sun` (of `sun_directions`, whole landing); `options.seed` is that of the line fit.
 
-    `seed` of the line fit. For a twin `truth` holds its true rate and Sun at the first sample after the touchdown, and the EMD
-    that a scan finds at this rate, from the direction that the panels show.
+    For a twin `truth` holds its true rate and Sun at the first sample after the touchdown, and the EMD that a scan finds at this
+    rate, from the direction that the panels show.
     """
     rebound = rb.rebound_of(case, sun)
-    table = run_grid(
-        case, rebound.sun_B, rebound.window_s, coarser, workers=workers, progress=progress
-    )
-    volume = table.volume(rebound.z, rebound.weights, worker_count(workers))
+    table = run_grid(case, rebound.sun_B, rebound.window_s, options)
+    volume = table.volume(rebound.z, rebound.weights, worker_count(options.workers))
     truth: dict[str, Any] = {}
     if twin := rb.twin_file(case):
         z = simulated_z(case, np.array(twin["omega_B"]))
         truth = {name: np.array(twin[name]) for name in ("omega_B", "sun_B")}
         truth |= {"emd": emd(z, rebound.z, weights_b=rebound.weights), "z": z}
     distance = np.where(table.outcome == Outcome.FINE, volume.values.ravel(), np.inf)
-    near = near_minimum_set(case, volume, case.assumptions.study.near_minimum_factor, seed)
+    factor = case.assumptions.study.near_minimum_factor
+    near = near_minimum_set(case, volume, factor, options.seed)
     return TelemetryScan(rebound, table, distance, near, truth)
 
 
 def scan_rows(result: TelemetryScan) -> list[Row]:
-    """Figures of section 2.3 that need telemetry, beside ours."""
+    """Figures of section 2.3 that need telemetry, compared with ours."""
     rebound, near = result.rebound, result.near
     case, synthetic = rebound.case, rebound.samples.attrs.get("synthetic")
     points = f"{len(near.points)} grid points below {near.factor} times the smallest"
@@ -400,13 +373,13 @@ def scan_rows(result: TelemetryScan) -> list[Row]:
         "whose": "synthetic telemetry" if synthetic else "this telemetry",
         "near": points,
         "each": each if apart else "too few points in the set for four lines",
-        "found": NEAR_RAD_S,
+        "within": NEAR_RAD_S,
         "omega_z": list(rb.LINE_RANGE),
         "directions": rebound.z.size,
     }
     lines = rb.published_lines(case)
     size = int(np.prod([len(axis) for axis in rb.grid(case).values()]))
-    whole = True if near.emd.size == size else None
+    whole = near.emd.size == size or None
     return [
         row(case, "emd_min", result.smallest, **texts),
         row(case, "scan_runs", int(near.emd.size), published=size, agrees=whole),
@@ -439,15 +412,13 @@ def near_minimum_figure(
             axes.plot(*rb.within_grid(case, line).T, "--", lw=1, color="#555555", label=label)
         for i, line in enumerate([] if lines is None else fitted(lines)):
             label = f"fitted line {i + 1} ({int((member == i).sum())} motions)"
-            ends = rb.within_grid(case, line)
-            axes.plot(*ends.T, "-", lw=1.6, color=COLOURS[i % 8], label=label)
+            axes.plot(*rb.within_grid(case, line).T, "-", lw=1.6, color=COLOURS[i % 8], label=label)
         if truth is not None:
             label = "truth of the synthetic telemetry"
             axes.scatter(*truth, marker="*", s=130, color="#000000", label=label)
         if k:
             axes.set(zlabel="", zticks=[])
-        x, y, z = rb.grid_ends(case)
-        axes.set(xlim=x, ylim=y, zlim=z)
+        axes.set(**dict(zip(("xlim", "ylim", "zlim"), rb.grid_ends(case), strict=True)))
         axes.set_title(name, fontsize=9)
     figure.suptitle(title, fontsize=11)
     labels = figure.axes[0].get_legend_handles_labels()

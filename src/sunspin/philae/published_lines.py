@@ -78,29 +78,29 @@ class PublishedLines:
 
 
 def compute(
-    case: Case,
-    scan: TelemetryScan | None = None,
-    seed: int = 0,
-    coarser: int = 1,
-    runs: int = 5000,
-    workers: int | None = None,
+    case: Case, scan: TelemetryScan | None, runs: int, options: rb.Options
 ) -> PublishedLines:
     """Run the lines; the motions of `scan` are used where they begin as the paper's do, from one direction over one window."""
     first, window, lines = rb.first_sun(case), rb.window_s(case), rb.published_lines(case)
     if scan is not None and scan.rebound.begins_as(first, window):
         table = scan.table
     else:
-        table = run_grid(case, first, window, coarser, workers=workers)
+        table = run_grid(case, first, window, options)
 
     starts = rb.on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
     pooled = [np.concatenate([simulated_z(case, omega) for omega in line]) for line in starts]
     everything = np.concatenate(pooled)
-    volume = table.volume(everything, workers=worker_count(workers))
-    sets = [
-        near_minimum_set(case, volume, factor, seed)
-        for factor in (1.1, 1.5, 2.0, 3.0, FACTOR, 6.0, 8.0)
+    volume = table.volume(everything, workers=worker_count(options.workers))
+    factors = (1.1, 1.5, 2.0, 3.0, FACTOR, 6.0, 8.0)
+    sets = {each: near_minimum_set(case, volume, each, options.seed) for each in factors}
+    thresholds = [
+        {
+            "factor": factor,
+            "points": len(near.points),
+            "mean_distance": [apart["mean"] for apart in near.deviation],
+        }
+        for factor, near in sets.items()
     ]
-    clean = next(near for near in sets if near.factor == FACTOR)
 
     nominal = rb.nominal_speed(case.vehicle)[0]
     on_lines = rb.on_lines(lines, np.linspace(*rb.LINE_RANGE, LINE_POINTS))
@@ -114,23 +114,16 @@ def compute(
     slow = replace(scenario, collision_speed_m_s=case.published["landing_speed"].value)
 
     def collisions(strategy: str, scenario: Any) -> xr.Dataset:
-        how: dict[str, Any] = {"scenario": scenario, "workers": workers}
-        return outcomes(case.vehicle, motions, strategy, runs, seed, **how)
+        how: dict[str, Any] = {"scenario": scenario, "workers": options.workers}
+        return outcomes(case.vehicle, motions, strategy, runs, options.seed, **how)
 
     return PublishedLines(
         case,
         pooled,
         max(emd(z, everything) for z in pooled),
-        clean,
-        [
-            {
-                "factor": near.factor,
-                "points": len(near.points),
-                "mean_distance": [apart["mean"] for apart in near.deviation],
-            }
-            for near in sets
-        ],
-        rb.at_touchdown(case, clean.points, nominal),
+        sets[FACTOR],
+        thresholds,
+        rb.at_touchdown(case, sets[FACTOR].points, nominal),
         rb.at_touchdown(case, on_lines, nominal),
         slowest,
         {strategy: collisions(strategy, scenario) for strategy in ("off", "held")},
@@ -139,7 +132,7 @@ def compute(
 
 
 def rows(r: PublishedLines) -> list[Row]:
-    """Each published figure that the lines alone decide, beside ours."""
+    """Each published figure that the lines alone decide, compared with ours."""
     case, clean, off = r.case, r.clean, r.runs["off"]
     paper = {key: figure.value for key, figure in case.published.items()}
     texts: dict[str, Any] = {"chain": "published", "factor": clean.factor, "leads": LEADS_S}
@@ -149,14 +142,13 @@ def rows(r: PublishedLines) -> list[Row]:
     given: dict[str, Any] = {"tolerance": fifth, "omega_z": pool, "agrees": bool(r.spread <= fifth)}
     every = [row(case, "lines_common", r.spread, **texts, **given)]
     for k, apart in enumerate(clean.deviation, 1):
-        ours = [part.round(4).tolist() for part in apart["line"]]
+        ours = [vector.round(4).tolist() for vector in apart["line"]]
         angle, over = np.degrees(apart["angle_rad"]), list(rb.LINE_RANGE)
         given = {"angle": angle, "most": apart["max"], "line": f"L{k}", "omega_z": over}
-        for name, value, id in (
-            ("line", ours, f"line_L{k}"),
-            ("line_distance", apart["mean"], f"line_L{k}_distance"),
-        ):
-            every.append(row(case, name, value, id=id, **texts, **given))
+        every += [
+            row(case, "line", ours, id=f"line_L{k}", **texts, **given),
+            row(case, "line_distance", apart["mean"], id=f"line_L{k}_distance", **texts, **given),
+        ]
     given = {"published": paper["near_minimum_factor"], "smallest": float(clean.emd.min())}
     every.append(row(case, "lines_by_threshold", r.thresholds, **texts, **given))
 

@@ -31,6 +31,28 @@ LINE_RANGE = (-0.2, 0.3)
 """omega_z (rad/s) over which fitted and published lines are compared."""
 
 
+@dataclass(frozen=True)
+class Options:
+    """How the study is run.
+
+    Attributes
+    ----------
+    source : where candidates come from: "scan", "posterior", "published", or the path of a table with columns omega_x, omega_y,
+        omega_z (rad/s)
+    twins : synthetic rebounds of a calibration made now; None: as many as it needs, where the shipped one does not fit; zero: none
+    seed : of all random choices
+    coarser : use every so many-th grid point of the scan and of the maps; 1 is the paper's grid
+    workers, progress : threads, progress bars
+    """
+
+    source: str = "scan"
+    twins: int | None = None
+    seed: int = 0
+    coarser: int = 1
+    workers: int | None = None
+    progress: bool = False
+
+
 def first_sun(case: Case) -> np.ndarray:
     """The first direction (3) of the Sun after the touchdown, as published."""
     return np.array(case.published["first_sun"].value)
@@ -68,10 +90,8 @@ def grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
     """The paper's grid of initial rates, or every `coarser`-th point of it."""
     step = case.published["scan_step"].value
     return {
-        name: np.linspace(low, high, round((high - low) / step) + 1)[::coarser]
-        for name, (low, high) in zip(
-            ("omega_x", "omega_y", "omega_z"), grid_ends(case), strict=True
-        )
+        f"omega_{axis}": np.linspace(low, high, round((high - low) / step) + 1)[::coarser]
+        for axis, (low, high) in zip("xyz", grid_ends(case), strict=True)
     }
 
 

@@ -218,25 +218,18 @@ def reached(case: Case, states: k.Rows, window_s: float, targets: list[tuple]) -
     return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
 
 
-def calibrate(
-    rebound: rb.Rebound,
-    table: Table,
-    twins: int = TWINS,
-    seed: int = 0,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Calibration:
-    """Repeat the method on synthetic rebounds like the data; `table` of the scan from the same first direction."""
-    rebounds = alike_rebounds(rebound, twins, seed)
+def calibrate(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
+    """Repeat the method on `options.twins` synthetic rebounds like the data; `table` of the scan from the same first direction."""
+    rebounds = alike_rebounds(rebound, options.twins or TWINS, options.seed)
     targets = [(each.seen_B[:, 2], each.weights) for each in rebounds]
-    fine, threads = table.outcome == k.Outcome.FINE, worker_count(workers)
-    hidden = None if progress else True  # None: shown on a terminal only
+    fine, threads = table.outcome == k.Outcome.FINE, worker_count(options.workers)
+    hidden = None if options.progress else True  # None: shown on a terminal only
     shown = tqdm(targets, "calibration of the threshold", leave=False, disable=hidden)
     smallest = np.array([table.distances(*target, threads)[fine].min() for target in shown])
     states = rebound.states(np.array([each.omega_B for each in rebounds]))
     return Calibration(
         key_of(rebound, table),
-        seed,
+        options.seed,
         reached(rebound.case, states, rebound.window_s, targets) / smallest,
         smallest,
         np.array([len(each.seen_B) for each in rebounds]),
@@ -244,31 +237,20 @@ def calibrate(
     )
 
 
-def calibration(
-    rebound: rb.Rebound,
-    table: Table,
-    twins: int | None = None,
-    seed: int = 0,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Calibration | None:
+def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration | None:
     """The calibration that fits these data: the shipped one if its key is theirs, else one made now; None for zero twins.
 
-    Parameters
-    ----------
-    twins : int, optional
-        Synthetic rebounds to make; asked for, they are made even where a shipped calibration fits. Zero: none are made.
+    Twins that are asked for are made even where the shipped calibration fits.
     """
     path = rebound.case.folder / SHIPPED
     confidence = rebound.case.assumptions.study.confidence
-    if not twins and path.is_file():
+    if not options.twins and path.is_file():
         shipped = read(path)
         if shipped.key == key_of(rebound, table):
             return replace(shipped, confidence=confidence)
-    if twins == 0:
+    if options.twins == 0:
         return None
-    fresh = calibrate(rebound, table, twins or TWINS, seed, workers, progress)
-    return replace(fresh, confidence=confidence)
+    return replace(calibrate(rebound, table, options), confidence=confidence)
 
 
 def read(path: Path) -> Calibration:

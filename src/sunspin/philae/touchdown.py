@@ -29,30 +29,21 @@ def bounded(chain: Chain) -> bool:
 
 
 def rows(chain: Chain) -> list[Row]:
-    """Figures of section 3.2 on the touchdown beside ours, and what is known of the two angles."""
+    """Figures of section 3.2 on the touchdown compared with ours, and what is known of the two angles."""
     case, chosen, box, recipe = chain.case, chain.chosen, chain.box, chain.recipe
-    published = {
-        key: case.published[key].value for key in ("rate_at_touchdown_min", "sun_height_range")
-    }
-    ours, possible = chosen.speed_range(), box.speed_range()
+    minimum = case.published["rate_at_touchdown_min"].value
+    ours, possible, lowest = chosen.speed_range(), box.speed_range(), bounded(chain)
     level = "95 % probable" if chosen.probable else f"{case.assumptions.study.confidence:.0%}"
     texts: dict[str, Any] = {"about": chosen.about, "level": level, "motions": len(recipe)}
+    texts["prior_low"] = possible[0]
 
     def over(shown: Row, ours: Any, possible: Any) -> Row:
         return over_candidates(shown, chain.name, ours, possible)
 
     smallest = row(case, "rate_at_touchdown_min", float(recipe.speed_touchdown.min()), **texts)
-    texts |= {"prior_low": possible[0]}
-    lowest = bounded(chain)
     says = ("note",) if lowest else ("note", "note_unbounded")
-    below = row(
-        case,
-        "rate_at_touchdown_bound",
-        ours[0],
-        says=says,
-        published=published["rate_at_touchdown_min"],
-        **texts,
-    )
+    given = texts | {"published": minimum, "says": says}
+    below = row(case, "rate_at_touchdown_bound", ours[0], **given)
     says = ("note_probable" if chosen.probable else "note",)
     above = over(row(case, "rate_at_touchdown_max", ours[1], says=says, **texts), ours, possible)
     every = [
@@ -61,33 +52,29 @@ def rows(chain: Chain) -> list[Row]:
         replace(above, informative=above.informative and chosen.probable),
     ]
     for which, name in enumerate(("smaller", "larger")):
-        ends = np.degrees([recipe.angles[which].min(), recipe.angles[which].max()]).tolist()
+        angles = np.degrees(recipe.angles[which])
+        ends = [float(angles.min()), float(angles.max())]
         angle = row(case, "angle", ends, id=f"angle_{name}", which=name, **texts)
-        every.append(
-            over(angle, *(np.degrees(c.angle_range(which)).tolist() for c in (chosen, box)))
-        )
+        ours, possible = (np.degrees(c.angle_range(which)).tolist() for c in (chosen, box))
+        every.append(over(angle, ours, possible))
 
-    # means over the motions of the smallest and of the largest height; roughly: to a tenth of the published range
-    within, published = 7.0, case.published["sun_height_range"].value
+    # means of the smallest and of the largest height of the Sun; roughly: to a tenth of the published range
     of_chosen, of_box, of_recipe = (
         [estimate(height) for height in np.degrees(c.height).T] for c in (chosen, box, recipe)
     )
-    agrees = all(
-        abs(height.value - limit) <= within
-        for height, limit in zip(of_chosen, published, strict=True)
+    ours, within = [height.value for height in of_recipe], 7.0
+    off = np.subtract(
+        [height.value for height in of_chosen], case.published["sun_height_range"].value
     )
-    shown = row(
-        case, "sun_height_range", [height.value for height in of_recipe], within=within, **texts
-    )
-    ends = [
-        share_of_candidates(shown, chain.name, *pair, agrees)
-        for pair in zip(of_chosen, of_box, strict=True)
-    ]
+    agrees = bool(np.all(np.abs(off) <= within))
+    shown = row(case, "sun_height_range", ours, within=within, **texts)
+    pairs = zip(of_chosen, of_box, strict=True)
+    ends = [share_of_candidates(shown, chain.name, *pair, agrees) for pair in pairs]
     informative = any(end.informative for end in ends)
     keys = ("low", "high", "prior_low", "prior_high")
-    intervals: dict[str, Any] = {key: [getattr(end, key) for end in ends] for key in keys}
+    given = {key: [getattr(end, key) for end in ends] for key in keys}
     agrees = agrees if informative else None
-    return [*every, replace(ends[0], informative=informative, agrees=agrees, **intervals)]
+    return [*every, replace(ends[0], informative=informative, agrees=agrees, **given)]
 
 
 def sentences(chain: Chain) -> list[str]:
