@@ -126,7 +126,8 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     assert th.key_of(REBOUND, whole) == shipped.key, (
         "the built-in telemetry needs another calibration: threshold.write"
     )
-    assert th.calibration(REBOUND, table, rb.Options(twins=0)) is None  # another grid: another key
+    with pytest.raises(ss.TelemetryError, match="not calibrated"):  # another grid: another key
+        th.calibration(REBOUND, table, rb.Options(twins=0))
     monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
     assert th.calibration(REBOUND, table, rb.Options(twins=0)).source == "shipped with the case"
     assert (

@@ -104,7 +104,7 @@ class Candidates:
         )
 
 
-def described(
+def describe(
     rebound: rb.Rebound, states: Rows, seed: int, cell_rad_s: float = 0.0, **labels: Any
 ) -> Candidates:
     """Candidates with what is asked of them; runs to the collision are made for even draws only.
@@ -173,9 +173,6 @@ def compute(scan: TelemetryScan, carries: Carries, options: rb.Options) -> Chain
             do="check the panels' columns, gains and units",
         )
     calibrated = calibration(rebound, scan.table, options) if source == "scan" else None
-    if source == "scan" and calibrated is None:
-        what, do = "the threshold of the set is not calibrated", "run without --calibrate 0"
-        raise TelemetryError(f"{what} for these data", do=f"{do}: it takes a minute")
     if calibrated is not None and calibrated.unusual(least):
         usual = calibrated.emd_min
         raise TelemetryError(
@@ -190,7 +187,7 @@ def compute(scan: TelemetryScan, carries: Carries, options: rb.Options) -> Chain
 
     def below(level: float, chain: str, about: str) -> Candidates:
         states = start.take(np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd)))
-        return described(rebound, states, options.seed, cell, chain=chain, about=about)
+        return describe(rebound, states, options.seed, cell, chain=chain, about=about)
 
     factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
@@ -214,7 +211,7 @@ def compute(scan: TelemetryScan, carries: Carries, options: rb.Options) -> Chain
             omega, chain = rates_of(Path(source)), Path(source).name
             about = f"the motions of {chain}"
         states = rebound.states(omega)
-        chosen = described(rebound, states, options.seed, chain=chain, about=about)
+        chosen = describe(rebound, states, options.seed, chain=chain, about=about)
     return Chain(case, rebound, chosen, box, recipe, calibrated, share)
 
 
@@ -247,7 +244,7 @@ def _from_posterior(rebound: rb.Rebound, options: rb.Options) -> tuple[Candidate
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
     chosen, before = (
-        described(rebound, motions, seed, chain="posterior", about=about, probable=True)
+        describe(rebound, motions, seed, chain="posterior", about=about, probable=True)
         for motions, about in (
             (states, f"{len(states)} draws of the posterior of the readings ({word})"),
             (ball, f"even in the ball of {radius:g} rad/s of the posterior's prior"),

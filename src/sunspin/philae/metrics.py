@@ -294,7 +294,7 @@ class NearMinimum(NamedTuple):
     deviation: list[dict[str, Any]]
 
 
-def fitted(lines: xr.Dataset) -> list[Line]:
+def fitted_lines(lines: xr.Dataset) -> list[Line]:
     """Lines of `fit_lines` as (point, unit direction)."""
     return list(zip(lines["point"].values, lines["direction"].values, strict=True))
 
@@ -307,7 +307,7 @@ def near_minimum_set(case: Case, emd: xr.DataArray, factor: float, seed: int) ->
     except InputError:  # a ragged level set may have fewer points than four lines need
         return NearMinimum(emd, factor, points, None, [])
     over: dict[str, Any] = {"low": rb.LINE_RANGE[0], "high": rb.LINE_RANGE[1]}
-    ours = [fitted(lines)[k] for k in match_lines(lines, published, **over)]
+    ours = [fitted_lines(lines)[k] for k in match_lines(lines, published, **over)]
     pairs = zip(ours, published, strict=True)
     deviation = [{"line": mine} | line_deviation(mine, theirs, **over) for mine, theirs in pairs]
     return NearMinimum(emd, factor, points, lines, deviation)
@@ -410,7 +410,7 @@ def near_minimum_figure(
         for i, line in enumerate(rb.published_lines(case)):
             label = "the paper's lines" if i == 0 else None
             axes.plot(*rb.within_grid(case, line).T, "--", lw=1, color="#555555", label=label)
-        for i, line in enumerate([] if lines is None else fitted(lines)):
+        for i, line in enumerate([] if lines is None else fitted_lines(lines)):
             label = f"fitted line {i + 1} ({int((member == i).sum())} motions)"
             axes.plot(*rb.within_grid(case, line).T, "-", lw=1.6, color=COLOURS[i % 8], label=label)
         if truth is not None:

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import binom
 from tqdm import tqdm
 
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, TelemetryError
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
@@ -237,10 +237,10 @@ def calibrate(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibra
     )
 
 
-def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration | None:
-    """The calibration that fits these data: the shipped one if its key is theirs, else one made now; None for zero twins.
+def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
+    """The calibration that fits these data: the shipped one if its key is theirs, else one made now.
 
-    Twins that are asked for are made even where the shipped calibration fits.
+    Twins that are asked for are made even where the shipped calibration fits; `TelemetryError` where none fits and none are.
     """
     path = rebound.case.folder / SHIPPED
     confidence = rebound.case.assumptions.study.confidence
@@ -249,7 +249,10 @@ def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calib
         if shipped.key == key_of(rebound, table):
             return replace(shipped, confidence=confidence)
     if options.twins == 0:
-        return None
+        raise TelemetryError(
+            "the threshold of the set is not calibrated for these data",
+            do="run without --calibrate 0: it takes a minute",
+        )
     return replace(calibrate(rebound, table, options), confidence=confidence)
 
 

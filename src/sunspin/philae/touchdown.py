@@ -19,13 +19,11 @@ from sunspin.output.text import counted
 from sunspin.philae.candidates import Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
 
-LEAST_STEP_RAD_S = 0.026
-"""A lower bound says something if it exceeds the least speed of the scanned box by a diagonal step of the grid."""
-
 
 def bounded(chain: Chain) -> bool:
-    """Whether a lower bound on the angular speed at the touchdown follows."""
-    return chain.chosen.speed_range()[0] > chain.box.speed_range()[0] + LEAST_STEP_RAD_S
+    """Whether a lower bound on the angular speed follows: one that exceeds the scan range's own by a diagonal step of the grid."""
+    step = np.sqrt(3) * chain.case.published["scan_step"].value
+    return bool(chain.chosen.speed_range()[0] > chain.box.speed_range()[0] + step)
 
 
 def rows(chain: Chain) -> list[Row]:
