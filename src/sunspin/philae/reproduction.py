@@ -164,7 +164,7 @@ def reproduce(
         datasets(result), pictures, tables, vehicle_text, case.telemetry, result.synthetic
     )
     write_contents(folder, summary, contents)
-    return Written(folder, write_report(folder, own=True), summary)
+    return Written(folder, write_report(folder), summary)
 
 
 def _summary(result: Reproduction, pictures: list[Drawing], seconds: float) -> dict[str, Any]:
