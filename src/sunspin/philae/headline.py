@@ -51,7 +51,7 @@ def _rebound(chain: Chain) -> str:
         return "After the first touchdown: the motions are those of the published lines, for any telemetry."
     if chain.chosen.probable:
         return f"Just after the first touchdown: angular speed {slow:.3g} to {fast:.3g} rad/s ({CONFIDENCE:.0%})."
-    if slow <= chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
+    if not touchdown.bounded(chain):
         return "After the first touchdown: the data are also consistent with no rotation."
     level = f"{chain.case.assumptions.study.confidence:.0%}"
     return (
@@ -67,7 +67,7 @@ def _extent(chain: Chain) -> str:
         return f"The motions are {chain.chosen.about}.{verdict}"
     return (
         f"The {calibration.confidence:.0%} confidence set contains {chain.share:.0%} of the scanned initial rates (EMD below "
-        f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {calibration.n} simulated flights)."
+        f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} simulated flights)."
     )
 
 
@@ -109,8 +109,8 @@ def conclusions(study: Reproduction) -> list[str]:
 def _of_scan(study: Reproduction) -> str:
     scanned, chain = study.parts["level_set"], study.chain
     text = (
-        f"Against the {scanned.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
-        f"smallest EMD is {scanned.scan.smallest:.4f}; {len(scanned.near.points)} grid points lie within "
+        f"Against the {scanned.rebound.z.size} reconstructed directions of this telemetry between touchdown and collision the "
+        f"smallest EMD is {scanned.smallest:.4f}; {len(scanned.near.points)} grid points lie within "
         f"{scanned.near.factor} times it, and {scanned.lines_found} of the four printed lines come out of them"
     )
     if scanned.truth:
@@ -119,7 +119,7 @@ def _of_scan(study: Reproduction) -> str:
         )
     if chain is not None and chain.calibration is not None:
         text += (
-            f". For {100 * chain.calibration.confidence:g} %: {chain.calibration.told}; that set holds {chain.share:.0%} of the "
+            f". For {100 * chain.calibration.confidence:g} %: {chain.calibration}; that set holds {chain.share:.0%} of the "
             "scanned box"
         )
     return text + "."

@@ -51,7 +51,7 @@ def _changed(ours: Any, published: Any) -> dict[str, Any]:
 def _stated_rows(case: Case) -> list[Row]:
     """Sentences that need no computation of their own: lengths of flights, distances, ranges of metrics, the rule on lit panels."""
     paper = {key: figure.value for key, figure in case.published.items()}
-    between, lines = case.require_timeline().seconds, rb.published_lines(case)
+    between = case.require_timeline().seconds
     mask, everywhere = rb.reconstructible_mask(case.vehicle), spiral()
     share = float(np.mean(allows(mask, everywhere)))
     below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
@@ -60,7 +60,7 @@ def _stated_rows(case: Case) -> list[Row]:
     ours: dict[str, Any] = {
         "path_duration": paper["path_length"] / paper["collision_speed"] / 60,
         "rate_at_touchdown_min_rounded": rb.smallest_on_lines(
-            case, lines, rb.nominal_speed(case.vehicle)[0]
+            case, rb.nominal_speed(case.vehicle)[0]
         ),
         "descent_duration": between("separation", "first_touchdown") / 3600,
         "duration_after_collision": between("collision", "second_touchdown") / 60,

@@ -15,17 +15,14 @@ from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, outcomes, strategies, telemetry
 from sunspin.philae import descent as figures_descent
-from sunspin.philae import level_set as figures_level_set
+from sunspin.philae import metrics, published_lines, touchdown
 from sunspin.philae import precession as figures_precession
-from sunspin.philae import published_lines as figures_lines
 from sunspin.philae import rebound as rb
-from sunspin.philae import sensitivity as figures_sensitivity
 from sunspin.philae import sun_directions as figures_health
 from sunspin.philae.candidates import Chain
 from sunspin.philae.collision import AfterCollision
-from sunspin.philae.figures import candidates as figures_candidates
 from sunspin.philae.figures import directions as figures_directions
-from sunspin.philae.level_set import LevelSet
+from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.motions import Motions, speed_figure
 from sunspin.philae.published_lines import PublishedLines
 from sunspin.philae.strategies import Strategies
@@ -169,62 +166,57 @@ def _mechanics(_: Reproduction, part: Any) -> Iterator[Drawing]:
 def _sensitivity(result: Reproduction, part: Any) -> Iterator[Drawing]:
     yield Drawing(
         "fig08_maps",
-        lambda: figures_sensitivity.draw_maps(part),
+        lambda: metrics.maps_figure(part),
         "Two maps of E with many slanted valleys",
         "E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it."
         + _note(result),
     )
     yield Drawing(
         "growth",
-        lambda: figures_sensitivity.draw_growth(part),
+        lambda: metrics.growth_figure(part),
         "Growth of direction errors, valleys of E in three windows, E and EMD under changes of one percent, width of the valley",
         "Why a direct fit fails: errors grow with the window, the valley of E narrows below the scan's step, EMD hardly moves. "
         "Simulated motions only.",
     )
 
 
-def _level_set(result: Reproduction, part: LevelSet) -> Iterator[Drawing]:
-    lines, note, near = rb.published_lines(part.case), _note(result), part.near
-    synthetic = " (synthetic)" if part.synthetic else ""
+def _level_set(result: Reproduction, part: TelemetryScan) -> Iterator[Drawing]:
+    note, near = _note(result), part.near
+    synthetic = " (synthetic)" if result.synthetic else ""
     yield Drawing(
         "fig09_telemetry",
-        lambda: figures_level_set.level_set_figure(
-            near.points,
-            near.lines,
-            lines,
+        lambda: metrics.near_minimum_figure(
+            result.case,
+            near,
             f"EMD < {near.factor:g} EMD_min, target: this telemetry{synthetic}",
             part.truth.get("omega_B"),
         ),
         "Near-minimum points in rate space for the telemetry",
-        f"The paper's recipe on this telemetry (paper, Fig. 9): {len(near.points)} points, smallest EMD {part.scan.smallest:.4f}; "
+        f"The paper's recipe on this telemetry (paper, Fig. 9): {len(near.points)} points, smallest EMD {part.smallest:.4f}; "
         f"{part.lines_found} of the four printed lines (dashed) come out of them." + note,
     )
-    about = "telemetry (synthetic)" if part.synthetic else "telemetry"
-    pooled = result.parts["published_lines"].pooled
-    shown = {f"L{k + 1} as published": z for k, z in enumerate(pooled)}
+    lines: PublishedLines = result.parts["published_lines"]
+    shown = {f"L{k + 1} as published": z for k, z in enumerate(lines.pooled)}
     if part.truth:
         shown["truth of the synthetic telemetry"] = part.truth["z"]
     yield Drawing(
         "distributions",
-        lambda: figures_level_set.distributions_figure(
-            part.measured_z, about, shown, "What the EMD compares"
-        ),
+        lambda: metrics.distributions_figure(part.rebound.z, f"telemetry{synthetic}", shown),
         "Cumulative distributions of the z component",
         "z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one "
         "distribution (EMD to "
-        f"their mean at most {max(figures_lines.pooled_spread(pooled)):.4f}), which is why a line cannot be narrowed to a point."
+        f"their mean at most {lines.spread:.4f}), which is why a line cannot be narrowed to a point."
         + note,
     )
 
 
 def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]:
-    lines, clean = rb.published_lines(part.case), part.clean
+    clean = part.clean
     yield Drawing(
         "fig09_lines",
-        lambda: figures_level_set.level_set_figure(
-            clean.points,
-            clean.lines,
-            lines,
+        lambda: metrics.near_minimum_figure(
+            part.case,
+            clean,
             f"EMD < {clean.factor:g} EMD_min, target: common distribution of the printed lines",
         ),
         "Near-minimum points in rate space along four lines",
@@ -234,20 +226,14 @@ def _published_lines(_: Reproduction, part: PublishedLines) -> Iterator[Drawing]
     )
     yield Drawing(
         "thresholds",
-        lambda: figures_lines.thresholds_figure(part.thresholds, clean.factor),
+        lambda: published_lines.thresholds_figure(part),
         "Size of the near-minimum set and distance of its lines against the factor",
         "What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor "
         "used above. Fewer points than four lines need have no line.",
     )
-    smallest = float(np.linalg.norm(part.on_lines_touchdown, axis=1).min())
     yield Drawing(
         "fig12_lines",
-        lambda: figures_lines.backward_figure(
-            part.near_touchdown,
-            part.on_lines_touchdown,
-            smallest,
-            f"EMD < {clean.factor:g} EMD_min against the printed lines' distribution, run back",
-        ),
+        lambda: published_lines.touchdown_figure(part),
         "Body rates at the first touchdown of motions on the printed lines",
         "No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).",
     )
@@ -283,7 +269,7 @@ def _precession(_: Reproduction, part: Any) -> Iterator[Drawing]:
 def _touchdown(result: Reproduction, part: Chain) -> Iterator[Drawing]:
     yield Drawing(
         "fig12_touchdown",
-        lambda: figures_candidates.draw(part, result.synthetic),
+        lambda: touchdown.figure(part, result.synthetic),
         "Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box",
         "What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the "
         f"distribution of r_z determines, over {part.chosen.about}; grey: all that was possible."

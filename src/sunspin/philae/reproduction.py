@@ -188,7 +188,7 @@ def _summary(result: Reproduction, pictures: list[Drawing], seconds: float) -> d
         "chain": result.options.source,
         "carries": result.parts["carries"].first_line,
         "noise": result.noise.told,
-        "calibration": chain.calibration.told if chain and chain.calibration else None,
+        "calibration": str(chain.calibration) if chain and chain.calibration else None,
         "missing": result.missing,
         "stop": _no_conclusion(result),
         "headline": headline(result),

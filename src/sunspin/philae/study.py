@@ -26,17 +26,17 @@ from sunspin.philae import (
     collision,
     descent,
     inputs,
-    level_set,
     mechanics,
+    metrics,
     motions,
     precession,
     published_lines,
-    sensitivity,
     strategies,
     touchdown,
 )
 from sunspin.philae import rebound as rb
 from sunspin.philae import sun_directions as phases
+from sunspin.philae.rebound import Options
 from sunspin.philae.row import Row, counts, settled, tables
 from sunspin.philae.sun_directions import ReadingNoise, with_own_noise
 from sunspin.telemetry.case import Case
@@ -58,18 +58,6 @@ SECTIONS = {
     "paper": "The paper's own figures",
 }
 """What is counted apart. Nothing in the second and third changes with the telemetry."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """How the study is run: see :func:`compute`."""
-
-    source: str = "scan"
-    twins: int | None = None
-    seed: int = 0
-    coarser: int = 1
-    workers: int | None = None
-    progress: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,17 +135,6 @@ class Step:
     needed: bool = False
 
 
-def _candidates(s: Reproduction) -> candidates.Chain:
-    o, scan = s.options, s.parts["level_set"].scan
-    how: dict[str, Any] = {"workers": o.workers, "progress": o.progress}
-    return candidates.compute(scan, s.parts["carries"], o.source, o.twins, o.seed, **how)
-
-
-def _level_set(s: Reproduction) -> level_set.LevelSet:
-    o = s.options
-    return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
-
-
 def _collision(s: Reproduction) -> collision.AfterCollision:
     o, chain = s.options, s.parts["candidates"]
     return collision.compute(s.case, chain, s.runs, o.seed, workers=o.workers)
@@ -166,12 +143,6 @@ def _collision(s: Reproduction) -> collision.AfterCollision:
 def _strategies(s: Reproduction) -> strategies.Strategies:
     o, chain = s.options, s.parts["candidates"]
     return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
-
-
-def _published_lines(s: Reproduction) -> published_lines.PublishedLines:
-    o, scanned = s.options, s.parts.get("level_set")
-    table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
-    return published_lines.compute(s.case, table, o.seed, o.coarser, s.runs, o.workers)
 
 
 STEPS = (
@@ -203,14 +174,14 @@ STEPS = (
         "level_set",
         "Section 2.3: the scan of this telemetry",
         "telemetry",
-        _level_set,
-        level_set.rows,
+        lambda s: metrics.scan_telemetry(s.case, s.sun, s.options),
+        metrics.scan_rows,
     ),
     Step(
         "candidates",
         "Section 2.3: the motions that follow",
         "telemetry",
-        _candidates,
+        lambda s: candidates.compute(s.parts["level_set"], s.parts["carries"], s.options),
         needs=("level_set", "carries"),
     ),
     Step(
@@ -241,8 +212,8 @@ STEPS = (
         "sensitivity",
         "Section 2.3: why a direct fit fails",
         "no_telemetry",
-        lambda s: sensitivity.compute(s.case, s.sun, s.options.workers, s.options.coarser),
-        sensitivity.rows,
+        lambda s: metrics.sensitivity(s.case, s.sun, s.options),
+        metrics.sensitivity_rows,
     ),
     Step(
         "motions",
@@ -264,7 +235,7 @@ STEPS = (
         "published_lines",
         "The published lines through our equations",
         "no_telemetry",
-        _published_lines,
+        lambda s: published_lines.compute(s.case, s.parts.get("level_set"), s.runs, s.options),
         published_lines.rows,
         uses=("level_set",),
         needed=True,
@@ -302,10 +273,7 @@ def compute(
         With the telemetry to use (`rebound.with_telemetry` to put another file in its place) and the vehicle
         (`with_vehicle`). It must hold samples between the first touchdown and the collision; what else it does not hold is left
         out and named in `missing`.
-    options : Options, or its fields as keywords
-        source : "scan", "posterior", "published" or a file: where candidates come from (:mod:`sunspin.philae.candidates`);
-        twins : synthetic rebounds of a calibration (zero: none is made); seed : of all random choices;
-        coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid.
+    options : :class:`sunspin.philae.rebound.Options`, or its fields as keywords
     seen : callable, optional
         Given what there is so far each time that a step is computed.
     """
