@@ -23,6 +23,9 @@ MOST_UNSEEN = 6
 HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':46}  prob  verdict"
 """Of the table of passes: a line each, at most 110 columns with a decided verdict."""
 
+PASSES_IN_WORDS = 3
+"""Of the first passes a page has a sentence each; its table has all."""
+
 COARSE = 0.1
 """A decided rate whose sigma exceeds this part of the speed is called coarse."""
 
@@ -58,11 +61,12 @@ def rate_at(result: Any, k: int) -> RateAt:
 def rates_summary(result: Any) -> Summary:
     """The verdict, and the solutions of each pass, deg/s."""
     decided, *notes = result.attrs["verdict"].split("\n")
-    passes, lines = [], [decided, HEADING]
+    passes, lines, table, in_words = [], [decided], [HEADING], []
     for k in range(result.sizes["pass_id"]):
-        numbers, line = _pass(result, k)
+        numbers, row, sentence = _pass(result, k)
         passes.append(numbers)
-        lines.append(line)
+        table.append(row)
+        in_words += [sentence] if k < PASSES_IN_WORDS else []
         if numbers.get("model", AS_STATED) != AS_STATED:
             chance = f"{numbers['model_probability']:.2f}"
             notes.append(f"pass {numbers['pass_id']}: {numbers['model']} (probability {chance})")
@@ -91,7 +95,7 @@ def rates_summary(result: Any) -> Summary:
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _columns_unseen(result, passes)
     lines += [f"  {count:6d} samples  {text}" for text, count in numbers["samples"].items()]
-    return Summary(numbers, lines)
+    return Summary(numbers, lines, table=table, in_words=in_words)
 
 
 def _period(result: Any, one: dict[str, Any]) -> str:
@@ -131,7 +135,8 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
+def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
+    """Numbers of a pass, its row of the console table, and a sentence."""
     at = np.flatnonzero(result["pass_of"].values == k)
     t, rate = result["time"].values[at], rate_at(result, k)
     probability = result["probability"].values[k]
@@ -156,8 +161,10 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = "decided, coarse"
     verdict = verdict.replace("several solutions", f"{n} solutions")
-    line = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
-    return numbers, line
+    row = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
+    called = f"pass {numbers['pass_id']} ({len(at)} samples)"
+    sentence = f"{called}: {speed} deg/s, body rate {omega} deg/s at mid-pass; {verdict}"
+    return numbers, row, sentence
 
 
 def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
