@@ -44,12 +44,12 @@ class Result:
 
     def summary(self) -> Summary:
         """The main numbers as a dict of plain data; printed, the sentences that the command line prints."""
-        found, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
+        summary, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
         if changed:
-            found["changes"] = changed.splitlines()
-            for lines in (found.lines, found.sentences):
-                lines[:0] = [f"Changed for this run: {line}" for line in found["changes"]]
-        return found
+            summary["changes"] = changed.splitlines()
+            for lines in (summary.lines, summary.sentences):
+                lines[:0] = [f"Changed for this run: {line}" for line in summary["changes"]]
+        return summary
 
     def plot(self, name: str | None = None, *, telemetry: xr.Dataset | None = None) -> Any:
         """A figure of the result.

@@ -98,20 +98,20 @@ def rates_summary(result: Any) -> Summary:
     return Summary(numbers, lines, table=table, in_words=in_words)
 
 
-def _period(result: Any, one: dict[str, Any]) -> str:
+def _period(result: Any, period: dict[str, Any]) -> str:
     """What a period decides in its pass, in words."""
-    k = int(np.flatnonzero(result["pass_id"].values == one["pass"])[0])
-    if why_not := unheard(one["nearest_sigmas"], one["effective"], f"pass {one['pass']}"):
+    k = int(np.flatnonzero(result["pass_id"].values == period["pass"])[0])
+    if why_not := unheard(period["nearest_sigmas"], period["effective"], f"pass {period['pass']}"):
         return f"{why_not}; its probabilities stay as they are"
-    if not one["told"]:
+    if not period["told"]:
         return (
-            f"periods: the samples of pass {one['pass']} contradict {one['period_s']:g} s at {one['t_s']:g} s: solutions that "
-            f"have it hold {one['carried']:.1%} of the probability, which stays as it is"
+            f"periods: the samples of pass {period['pass']} contradict {period['period_s']:g} s at {period['t_s']:g} s: solutions "
+            f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
-    said = reading_words(one["t_s"], one["period_s"], one["sigma_s"], one["shares"])
-    own, heaviest = one["without"]
+    said = reading_words(period["t_s"], period["period_s"], period["sigma_s"], period["shares"])
+    own, heaviest = period["without"]
     was = f"{own:.0%}" if own == heaviest else f"{own:.0%}, when another held {heaviest:.0%}"
-    return f"{said}; in pass {one['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
+    return f"{said}; in pass {period['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
 
 
 def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
