@@ -28,7 +28,7 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
-from sunspin.philae import candidates, carries, level_set
+from sunspin.philae import candidates, data_check, level_set
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
 from sunspin.telemetry.case import Case, load_case
 from validation.campaign import command, rows_folder
@@ -141,7 +141,7 @@ def motions(source: str, seed: int) -> candidates.Chain:
     """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
     case, sun = case_of()
     scan = level_set.compute(case, sun, seed).scan
-    return candidates.compute(scan, carries.compute(case, sun, None, seed), source, None, seed)
+    return candidates.compute(scan, data_check.compute(case, sun, None, seed), source, None, seed)
 
 
 def collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:

@@ -17,7 +17,7 @@ from drawing import blank
 from shared_folder import shared_folder
 from sunspin.output import figures
 from sunspin.philae import (
-    carries,
+    data_check,
     motions,
     pictures,
     published_lines,
@@ -38,7 +38,7 @@ def small() -> Iterator[None]:
             (published_lines, "LINE_POINTS", 3),
             (published_lines, "POOL_POINTS", 4),
             (threshold, "BLOCK", 64),
-            (carries, "SHUFFLES", 1),
+            (data_check, "SHUFFLES", 1),
             (rp, "LEAST_RUNS", 40),
             (rp, "LANDING_RUNS", 1),
             (
@@ -46,7 +46,7 @@ def small() -> Iterator[None]:
                 "STEPS",
                 tuple(step for step in rp.STEPS if step.name not in ("precession", "sensitivity")),
             ),
-            (pictures, "SHEETS", ()),
+            (pictures, "PICTURES", {}),
             (figures, "drawn", blank),
         ):
             patch.setattr(module, name, value)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.philae import precession as pr
+from sunspin.philae import mechanics as pr
 from sunspin.vehicle import Friction, Vehicle, Wheel
 
 CASE = ss.load_case("philae")
@@ -19,7 +19,7 @@ FIRST = np.array([0.1959, 0.5690, 0.7986])
 
 @pytest.fixture(scope="module")
 def result():
-    return pr.compute(CASE)
+    return pr.precession(CASE)
 
 
 def test_a_symmetric_body_keeps_its_nutation_angle_and_range_while_the_wheel_slows():
@@ -57,7 +57,7 @@ def test_philae_against_figures_computed_elsewhere(result):
 
 
 def test_rows(result):
-    rows = {row.id: row for row in pr.rows(result)}
+    rows = {row.id: row for row in pr.precession_rows(result)}
     for key in ("sun_height_lines", "range_of_z_examples", "nutation_constant", "rz_peaks"):
         assert rows[key].agrees, key
     assert rows["axis_swing"].agrees is False

@@ -23,7 +23,7 @@ from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.landing.outcomes import BINS
 from sunspin.landing.tally import Estimate, estimate
 from sunspin.philae import rebound as rb
-from sunspin.philae.carries import Carries
+from sunspin.philae.data_check import DataCheck
 from sunspin.philae.level_set import Scanned
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
 from sunspin.telemetry.case import Case, case_names, load_case
@@ -181,7 +181,7 @@ class Chain:
 
 def compute(
     scan: Scanned,
-    carries: Carries,
+    carries: DataCheck,
     source: str = "scan",
     twins: int | None = None,
     seed: int = 0,
