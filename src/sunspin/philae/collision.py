@@ -42,18 +42,13 @@ SIGMA_M_S = 0.02
 """How far (m/s, one sigma) a right collision may be from the kernel's speed and jump: the kernel gives no error; ballistic arcs
 through a few imaged points are good to a per cent or so, the rest is allowance for a blow that was no ideal sticking one."""
 
-SIGMAS_M_S = (0.01, 0.02, 0.04)
-"""Values of `SIGMA_M_S` whose effect is reported."""
-
 SIGMA_PERIOD_S = 2.0
 """One sigma of a magnetometer period quoted in whole seconds, for a motion that is no simple rotation."""
 
 KERNEL = ("philae_spk", "LORB_C_G_FIXED_RBD_7_V2_0.BSP")
-KERNEL_CPU_S = 30
 LARGEST = 1e9
 """km or km/s: what a damaged kernel may well exceed."""
 
-J2000_UTC = "2000-01-01T12:00:00"
 TDB_MINUS_UTC_S = 67.184
 """In November 2014: 35 leap seconds and 32.184 s."""
 
@@ -72,8 +67,9 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     """Simulate collisions: `n` of the chosen candidates, half as many of box and recipe; `options` of `outcomes`."""
 
     def simulated(of: Candidates, strategy: str, count: int, scenario: Scenario) -> xr.Dataset:
-        starts, count = of.dataset(), max(count, 1)
-        return outcomes(case.vehicle, starts, strategy, count, seed, scenario=scenario, **options)
+        starts, about = of.dataset(), dict[str, Any](seed=seed, scenario=scenario, **options)
+        runs = outcomes(case.vehicle, starts, strategy, max(count, 1), **about)
+        return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
     paper, real = paper_scenario(case, chain.rebound), case_scenario(case, chain.rebound)
     sets = {
@@ -161,13 +157,8 @@ def rows(collision: AfterCollision) -> list[Row]:
 def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = None) -> xr.Dataset:
     """Weight simulated collisions by the kernel, and by the magnetometer's period before the collision.
 
-    Parameters
-    ----------
-    runs : Dataset
-        Of :func:`sunspin.landing.outcomes.outcomes` at the kernel's speed before the collision: from another speed those after
-        it mean nothing.
-    facts : dict, optional
-        Of :func:`kernel_facts`; default: those that ship with the case.
+    `runs` of :func:`sunspin.landing.outcomes.outcomes` at the kernel's speed before the collision: from another speed those after
+    it mean nothing. `facts` of :func:`kernel_facts`; default: those that ship with the case.
 
     Returns
     -------
@@ -190,7 +181,7 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
         """Of what is `off` by so many sigma, 1 where by none; 0 where that is not known."""
         return np.nan_to_num(np.exp(-0.5 * off**2), nan=0.0)
 
-    by_sigma = {sigma: likelihood(off / sigma) for sigma in SIGMAS_M_S}
+    by_sigma = {sigma: likelihood(off / sigma) for sigma in (0.01, SIGMA_M_S, 0.04)}
     # one reading of three: the magnetometer's period is that of the body rate
     spin = likelihood((period - case.published["romap_period_before"].value) / SIGMA_PERIOD_S)
     weights = {
@@ -247,31 +238,15 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
 
 def published_facts(case: Case) -> dict[str, float]:
     """The kernel's facts as they ship with the case: name without `kernel_` -> value in m/s (m)."""
-    return {
-        key.removeprefix("kernel_"): fact.value
-        for key, fact in case.published.items()
-        if key.startswith("kernel_")
-    }
+    facts = case.published.items()
+    return {key[7:]: fact.value for key, fact in facts if key.startswith("kernel_")}
 
 
 def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
-    """The same facts read from the trajectory kernel.
+    """The same facts read from the trajectory kernel in the data folder (`SUNSPIN_DATA`): sizes in m/s, comet-fixed, taken at the
+    second of the event and one second later; `path_length` in m.
 
-    Parameters
-    ----------
-    folder : path
-        The data folder (`SUNSPIN_DATA`), which holds philae_spk/LORB_C_G_FIXED_RBD_7_V2_0.BSP.
-
-    Returns
-    -------
-    dict
-        `speed_before`, `speed_after`, `velocity_change`, `speed_before_landing`, `speed_after_landing` in m/s, comet-fixed,
-        taken at the second of the event and one second later; `path_length` in m.
-
-    Raises
-    ------
-    InputError
-        A kernel that is missing, cannot be read, or holds no speeds of this landing.
+    An `InputError` where the kernel is missing, cannot be read, or holds no speeds of this landing.
     """
     path = Path(folder).joinpath(*KERNEL)
     events = "first_touchdown", "collision", "second_touchdown"
@@ -279,14 +254,9 @@ def kernel_facts(case: Case, folder: str | Path) -> dict[str, float]:
     seconds = np.arange(np.ceil(begin), blow, 1.0)
     states = states_of(path, [blow, blow + 1.0, landing, landing + 1.0, *seconds])
     before, after, down, up = states[:4, 3:]
-    facts = {
-        "speed_before": before,
-        "speed_after": after,
-        "velocity_change": after - before,
-        "speed_before_landing": down,
-        "speed_after_landing": up,
-    }
-    sizes = {name: float(np.linalg.norm(velocity)) for name, velocity in facts.items()}
+    velocities = {"speed_before": before, "speed_after": after, "velocity_change": after - before}
+    velocities |= {"speed_before_landing": down, "speed_after_landing": up}
+    sizes = {name: float(np.linalg.norm(velocity)) for name, velocity in velocities.items()}
     steps = np.diff(states[4:, :3], axis=0)
     sizes["path_length"] = float(np.linalg.norm(steps, axis=1).sum())
     if not all(0 <= value < 1e3 * LARGEST for value in sizes.values()):
@@ -300,17 +270,16 @@ def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
 
     They are read in another process, as a damaged kernel may end it; NaN beyond `LARGEST`, an `InputError` where there are none.
     """
-    where = str(path)
+    where, missing = str(path), "the trajectory kernel is not there"
     if find_spec("spiceypy") is None:
         what, do = "reading a trajectory kernel needs spiceypy", 'pip install "sunspin[spice]"'
         raise InputError(what, do=do)
     if not path.is_file():
-        do = "docs/data.md says where it comes from"
-        raise InputError("the trajectory kernel is not there", do=do, where=where)
+        raise InputError(missing, do="docs/data.md says where it comes from", where=where)
     script = Path(__file__).with_name("kernel_states.py")
     times = np.asarray(tdb_s, dtype=np.float64).tobytes()
     try:
-        printed = elsewhere(script, str(path.resolve()), content=times, seconds=KERNEL_CPU_S)
+        printed = elsewhere(script, str(path.resolve()), content=times, seconds=30)
     except Elsewhere as error:
         what = f"the trajectory kernel cannot be read ({error})"
         raise InputError(what, do="download it again", where=where) from None
@@ -321,16 +290,13 @@ def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
 def tdb_of(case: Case, event: str) -> float:
     """TDB seconds past J2000 of an event."""
     moment = case.require_timeline().event(event)
-    return utc_seconds(moment.refined_utc or moment.utc, J2000_UTC) + TDB_MINUS_UTC_S
+    return utc_seconds(moment.refined_utc or moment.utc, "2000-01-01T12:00:00") + TDB_MINUS_UTC_S
 
 
 def against_kernel(case_name: str, runs: xr.Dataset, data: Path | None) -> xr.Dataset:
     """The simulated collisions `runs` against the kernel in the folder `data`, or against the facts that come with the case.
 
-    Raises
-    ------
-    InputError
-        No such kernel is known for the case, or the runs have no collision.
+    An `InputError` where no such kernel is known for the case, or the runs have no collision.
     """
     case = load_case(case_name) if case_name in case_names() else None
     hit = np.isfinite(runs["speed_after"]).any()

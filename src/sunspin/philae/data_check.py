@@ -29,9 +29,6 @@ LEAST_DIRECTIONS = 8
 MOST_IMPOSSIBLE = 0.02
 """Share of samples before the second touchdown whose lit pattern no Sun makes: the paper has none of them."""
 
-TURNS = 100
-"""Draws of panels that stand off as the vehicle file's sigmas say: a pattern that none of them shows, no Sun makes on such."""
-
 SHUFFLES = 20
 """Random orders of the descent's directions that are fitted."""
 
@@ -77,23 +74,20 @@ class DataCheck(NamedTuple):
     def first_line(self) -> str:
         """The first line of a study: what the file can carry."""
         mean = f"mean Delta {self.delta:.4f} over" if self.directions else "no Delta, from"
-        text = (
-            f"{mean} {self.directions} directions (paper {self.case.published['delta_mean'].value}), "
-            f"{self.impossible} of {self.early} samples before the second touchdown with an impossible illumination pattern "
-            "(paper: none)"
+        readings = (
+            f"{mean} {self.directions} directions (paper {self.case.published['delta_mean'].value}), {self.impossible} of "
+            f"{self.early} samples before the second touchdown with an impossible illumination pattern (paper: none)"
         )
-        if self.one_sun:
-            text = f"Panel data consistent with sunlight: {text}."
-        else:
-            text = f"PANEL DATA NOT CONSISTENT WITH SUNLIGHT: {text}; no conclusions are drawn."
-        if self.descent_E is None:
-            text += " Descent: no spin could be fitted."
-        else:
+        text = f"Panel data consistent with sunlight: {readings}."
+        if not self.one_sun:
+            text = f"PANEL DATA NOT CONSISTENT WITH SUNLIGHT: {readings}; no conclusions are drawn."
+        text += " Descent: no spin could be fitted." * (self.descent_E is None)
+        if (E := self.descent_E) is not None:
             best, orders = self.shuffled_E.min(), f"of {len(self.shuffled_E)} random orders"
             text += (
-                f" Descent: a steady spin fits the time order, E {self.descent_E:.5f}, the best {orders} {best:.3f}."
+                f" Descent: a steady spin fits the time order, E {E:.5f}, the best {orders} {best:.3f}."
                 if self.descent_order
-                else f" DESCENT: NO SPIN DETECTED, E {self.descent_E:.4f}, the best {orders} {best:.4f}."
+                else f" DESCENT: NO SPIN DETECTED, E {E:.4f}, the best {orders} {best:.4f}."
             )
         return f"{text} Rebound: the EMD compares distributions of r_z and ignores the order; only --candidates posterior uses it."
 
@@ -111,7 +105,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     tilt_rad, _ = stated_sigma(vehicle)
     if unexplained.size and tilt_rad.any():
         draws, names = generator(0, 10), np.array(vehicle.input_names)
-        tilts = np.array([drawn_tilts(vehicle, tilt_rad, draws) for _ in range(TURNS)])
+        tilts = np.array([drawn_tilts(vehicle, tilt_rad, draws) for _ in range(100)])
         shown = patterns_of_turned(vehicle, tilts)
         patterns = [frozenset(names[lit].tolist()) for lit in forbidden["lit"].values]
         unexplained = np.array([pattern not in shown for pattern in patterns])

@@ -38,9 +38,6 @@ FACTOR_OF_E = 2.0
 CUBIC_CHI2 = 16.25
 """Chi-square with four degrees that is exceeded with probability 0.0027, as three sigma are with one."""
 
-NEAR_RATE = 2e-3
-"""Fig. 11 shows E this far (rad/s) to each side of the fitted rate."""
-
 
 class Descent(NamedTuple):
     """The descent's samples (`sun`, of `sun_directions`, time in s from the first of them) and the fit.
@@ -179,7 +176,7 @@ def figure_11(r: Descent) -> tuple[np.ndarray, np.ndarray]:
     """Constant terms of the rate (n) in rad/s near the fitted one, and E (n) with the other three coefficients as fitted."""
     scan, centre = r.fit.scan_rate, r.fit.coefficients[0]
     omega_0 = np.unique(np.append(np.linspace(scan[0], scan[-1], 8001), centre))
-    omega_0 = omega_0[np.abs(omega_0 - centre) < NEAR_RATE]
+    omega_0 = omega_0[np.abs(omega_0 - centre) < 2e-3]
     rates = np.column_stack([omega_0, np.tile(r.fit.coefficients[1:], (omega_0.size, 1))])
     seen, n = is_reconstructed(r.sun["status"]), r.sun["sun_B"].values
     return omega_0, errors_of_rates(rates, r.sun["time"].values[seen], n[seen])

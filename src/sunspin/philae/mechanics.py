@@ -32,28 +32,6 @@ from sunspin.philae.sun_directions import sphere
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
 
-STILL_Z = 0.01
-"""r_z that changes by less than this counts as constant."""
-
-COMPARED_S = 600.0
-"""First and last part of the window that are compared: ten minutes, some forty turns."""
-
-LINE_POINTS = 11
-"""Points of each published line, over `rebound.LINE_RANGE`."""
-
-PEAK_BINS = 24
-"""Bins between the smallest and the largest r_z in which peaks of its distribution are counted."""
-
-PEAK_PROMINENCE = 0.2
-"""A peak stands out by at least this part of the highest bin from the bins between it and a higher one."""
-
-SAME_Z = 0.1
-"""Either end of the range of r_z stays roughly the same where it changes by no more than this."""
-
-SWING_DEG = 10.0
-"""How far the swing of the axis may be from the range of the Sun's height."""
-
-
 # ---- Wheel and example motions -----------------------------------------------------------------------------------------------
 
 
@@ -96,14 +74,14 @@ def rows(result: Mechanics) -> list[Row]:
     row_of, fit = partial(row, result.case), result.spin_down["fit"]
     still = result.examples[0]
     z, stops = still["sun_B"].values[:, 2], still["event_time_s"].values / 60
-    ends, constant = [float(z.min()), float(z.max())], bool(np.ptp(z) < STILL_Z)
+    ends, still_z = [float(z.min()), float(z.max())], 0.01  # below it r_z counts as constant
     stop, printed = float(stops[0]) if len(stops) else None, result.spin_down["stop_printed_s"] / 60
     return [
         row_of("spin_down_coefficients", [fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]),
         row_of("friction_coulomb", fit.friction.coulomb_N_m),
         row_of("friction_viscous", fit.friction.viscous_N_m_s),
         row_of("wheel_stop", stop, printed=printed),
-        row_of("example_still_z", ends, tolerance=STILL_Z, agrees=constant),
+        row_of("example_still_z", ends, tolerance=still_z, agrees=bool(np.ptp(z) < still_z)),
     ]
 
 
@@ -147,19 +125,20 @@ def swing(
     sun_B: npt.ArrayLike,
     wheel_speed_rad_s: Any,
     duration_s: float,
-    compared_s: float = COMPARED_S,
+    compared_s: float = 600.0,
 ) -> dict[str, np.ndarray]:
     """Swing of the z axis and of the Sun's height, for motions from the rates omega_B (..., 3) in rad/s.
 
-    `sun_B` (3) is the direction to the Sun at the start; the first and the last `compared_s` of `duration_s` are compared.
+    `sun_B` (3) is the direction to the Sun at the start; the first and the last `compared_s` of `duration_s` are compared
+    (ten minutes: some forty turns).
 
     Returns
     -------
     dict
         Smallest and largest (..., 2) of: r_z, "z", and in the first and the last part "z_first", "z_last"; "height" of the Sun;
         "nutation", the angle between the z axis and H. For each motion (...): its mean in the two parts, "nutation_first",
-        "nutation_last"; "sun_angle" between H and the Sun; "axis_swing", the largest angle between the axis at two times in
-        inertial space; "peaks" of the distribution of r_z. Angles in degrees.
+        "nutation_last"; "axis_swing", the largest angle between the axis at two times in inertial space; "peaks" of the
+        distribution of r_z. Angles in degrees.
     """
     starts = np.asarray(omega_B, dtype=np.float64)
     t = np.arange(0.0, duration_s + 0.5, 1.0)
@@ -171,11 +150,10 @@ def swing(
     motions = []
     for omega in starts.reshape(-1, 3):
         run = propagate(vehicle, omega, sun_B, wheel_speed_rad_s, t, rtol=1e-10)
-        z, sun, H = run["sun_B"].values[:, 2], run["sun_B"].values[0], run["momentum_B"].values
+        z, H = run["sun_B"].values[:, 2], run["momentum_B"].values
         nutation = np.degrees(np.arctan2(np.hypot(H[:, 0], H[:, 1]), H[:, 2]))
         nutation[~H.any(axis=1)] = np.nan  # what does not turn has no axis
         axis_N = Rotation.from_quat(run["B_from_N"].values).inv().apply([0.0, 0.0, 1.0])
-        sun_angle = np.arctan2(np.linalg.norm(np.cross(H[0], sun)), H[0] @ sun)
         motion = {
             "z": ends(z),
             "z_first": ends(z[first]),
@@ -184,7 +162,6 @@ def swing(
             "nutation": ends(nutation),
             "nutation_first": nutation[first].mean(),
             "nutation_last": nutation[last].mean(),
-            "sun_angle": np.degrees(sun_angle),
             "axis_swing": np.degrees(np.arccos(np.clip((axis_N @ axis_N.T).min(), -1, 1))),
             "peaks": count_peaks(z),
         }
@@ -195,12 +172,12 @@ def swing(
 
 
 def count_peaks(z: np.ndarray) -> int:
-    """Number of distinct peaks of the distribution of values (n); 1 where they hardly vary."""
+    """Peaks of the distribution of values (n) that stand out by a fifth of the highest; 1 where the values hardly vary."""
     if np.ptp(z) < 1e-3:
         return 1
-    density = np.histogram(z, bins=PEAK_BINS)[0].astype(np.float64)
+    density = np.histogram(z, bins=24)[0].astype(np.float64)
     smooth = np.convolve(np.pad(density, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    peaks, _ = find_peaks(np.pad(smooth, 1), prominence=PEAK_PROMINENCE * smooth.max())
+    peaks, _ = find_peaks(np.pad(smooth, 1), prominence=0.2 * smooth.max())
     return len(peaks)
 
 
@@ -221,7 +198,7 @@ def precession(case: Case) -> Precession:
     start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
     duration = 60.0 * case.published["example_duration"].value
     examples = swing(case.vehicle, case.published["example_rates"].value, *start, duration)
-    omega_z = np.linspace(*rb.LINE_RANGE, LINE_POINTS)
+    omega_z = np.linspace(*rb.LINE_RANGE, 11)
     points = rb.on_lines(rb.published_lines(case), omega_z)
     lines = swing(case.vehicle, points, *start, rb.window_s(case))
     return Precession(case, examples, lines, omega_z)
@@ -242,6 +219,8 @@ def precession_rows(result: Precession) -> list[Row]:
     least, most = (end(lines["nutation"], axis=(1, 2)) for end in (np.min, np.max))
     wander = enumerate(zip(least, most, strict=True), 1)
     peaks = np.concatenate([examples["peaks"][1:], lines["peaks"].ravel()])
+    # the ends of the range of r_z stay roughly the same within this; the swing is as wide as the height ranges within 10 deg
+    same_z, swing_deg = 0.1, 10.0
     texts = {
         "points": height[..., 0].size,
         "height": [height.min(), height.max()],
@@ -249,20 +228,20 @@ def precession_rows(result: Precession) -> list[Row]:
         "omega": list(case.published["example_rates"].value[1]),
         "first": "{:.3f}..{:.3f}".format(*examples["z_first"][1]),
         "last": "{:.3f}..{:.3f}".format(*examples["z_last"][1]),
-        "share": float(np.mean(of_lines <= SAME_Z)),
+        "share": float(np.mean(of_lines <= same_z)),
         "each": "; ".join(f"{a:.0f} to {b:.0f} (L{k})" for k, (a, b) in wander),
         "two": np.mean(peaks == 2),
         "distributions": peaks.size,
     }
-    row_of, same_z = partial(row, case, **texts), {"tolerance": SAME_Z}
-    as_wide = bool(np.all(np.abs(widest - (high - low)) <= SWING_DEG))
-    kept_examples, kept_lines = (bool(each.max() <= SAME_Z) for each in (of_examples, of_lines))
+    row_of, alike = partial(row, case, **texts), {"tolerance": same_z}
+    as_wide = bool(np.all(np.abs(widest - (high - low)) <= swing_deg))
+    kept_examples, kept_lines = (bool(each.max() <= same_z) for each in (of_examples, of_lines))
     median_and_most, tenth = [float(np.median(of_lines)), float(of_lines.max())], (high - low) / 10
     return [
         row_of("sun_height_lines", typical, published=[low, high], tolerance=tenth),
-        row_of("axis_swing", widest.tolist(), tolerance=SWING_DEG, agrees=as_wide),
-        row_of("range_of_z_examples", float(of_examples.max()), agrees=kept_examples, **same_z),
-        row_of("range_of_z_lines", median_and_most, agrees=kept_lines, **same_z),
+        row_of("axis_swing", widest.tolist(), tolerance=swing_deg, agrees=as_wide),
+        row_of("range_of_z_examples", float(of_examples.max()), agrees=kept_examples, **alike),
+        row_of("range_of_z_lines", median_and_most, agrees=kept_lines, **alike),
         row_of("nutation_constant", changed),
         row_of("rz_peaks", float(np.median(peaks))),
     ]

@@ -31,21 +31,10 @@ from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 
-STEP_S = 1.0
-"""Between instants of a candidate: at the fastest, half a radian."""
-
-DESCENT_STEP_S = 20.0
-DIRECTION_ERROR = 1e-4
 SPREAD_MOTIONS = 150
 """Motions drawn from the confidence region, beside those of least and most speed and momentum, which are its edges."""
 
-SPREAD_STEP_S = 30.0
 COLLISIONS = 2000
-AFTER_LEVELS = (0.025, 0.5, 0.975)
-"""Quantiles over simulated collisions; before the collision a set is shown from its slowest to its fastest motion."""
-
-FLOOR_RAD_S = 1e-4
-"""Smaller speeds, such as none at all, are drawn as this."""
 
 
 class Motions(NamedTuple):
@@ -93,14 +82,14 @@ def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Datas
     def run(
         state: State, duration_s: float, sign: int = 1, wheel_mode: Any = "coast"
     ) -> xr.Dataset:
-        t = sign * np.arange(0.0, duration_s + 1e-6, STEP_S)
+        t = sign * np.arange(0.0, duration_s + 1e-6, 1.0)  # at the fastest, half a radian
         return propagate(case.vehicle, *state[1:], t, wheel_mode=wheel_mode, rtol=1e-9)
 
     back = run(state, rebound.lead_s, -1, mode_before(start.wheel_speed_rad_s))
     forth, beyond = run(state, blow_s - first), run(after, end - blow_s)
-    turns = (Rotation.from_quat(each["B_from_N"].values) for each in (beyond, forth))
-    turned = next(turns) * next(turns)[-1]
-    beyond["B_from_N"] = beyond["B_from_N"].copy(data=turned.as_quat())
+    to_blow = Rotation.from_quat(forth["B_from_N"].values[-1])
+    turned = (Rotation.from_quat(beyond["B_from_N"].values) * to_blow).as_quat()
+    beyond["B_from_N"] = beyond["B_from_N"].copy(data=turned)
     pieces = (
         (back.isel(time=slice(None, 0, -1)), first),
         (forth.isel(time=slice(None, -1)), first),
@@ -121,7 +110,7 @@ def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Datas
 def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     """The plain spin about z that fits the descent, time in s from the case's epoch; the turn about z at its start is free."""
     start, end = _descent_span(case, descent)
-    t = np.arange(0.0, end - start, DESCENT_STEP_S)
+    t = np.arange(0.0, end - start, 20.0)
     rate = np.polynomial.Polynomial(descent.fit.coefficients)
     axis = np.array([0.0, 0.0, 1.0])
     omega = rate(t)[:, None] * axis
@@ -170,11 +159,11 @@ def speeds(
     """Angular speed against time for sets of motions: slowest, median and fastest of each set; and after the collision.
 
     Sets: "candidates", those from which everything follows; "recipe", the paper's own set of this telemetry. Each motion of a set
-    counts as much as another. After the collision: `AFTER_LEVELS` over simulated collisions of the set.
+    counts as much as another. After the collision: quantiles 0.025, 0.5, 0.975 over simulated collisions of the set.
     """
     case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
     vehicle, scenario = case.vehicle, case_scenario(case, rebound)
-    t = np.append(np.arange(0.0, rebound.window_s, SPREAD_STEP_S), rebound.window_s)
+    t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
     before, after, count = [], [], []
     for candidates in (chain.chosen, chain.recipe):
         # some of the states (n), and those of least and most angular speed and momentum
@@ -185,14 +174,14 @@ def speeds(
         some = min(SPREAD_MOTIONS, len(states))
         pick = generator(seed, 4).choice(len(states), some, replace=False)
         states = states.take(np.unique([*edges, *pick]))
-        run = run_rows(vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B
+        run = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
         speed = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
         before.append(np.quantile(speed, [0.0, 0.5, 1.0], axis=0))
         count.append(len(states))
         starts = candidates.dataset()
         hit = outcomes(vehicle, starts, "off", COLLISIONS, seed, scenario=scenario, workers=workers)
         speed = np.linalg.norm(hit["omega_after_B"].values, axis=1)
-        after.append(np.nanquantile(speed, AFTER_LEVELS))
+        after.append(np.nanquantile(speed, [0.025, 0.5, 0.975]))
     rate, first = {"units": "rad s-1"}, timeline.event("collision").t_s - rebound.window_s
     data = xr.Dataset(
         {
@@ -242,10 +231,10 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     if "descent_speed" in speed:
         t, spin = clock(speed["descent_time"].values), speed["descent_speed"].values
         left.plot(t, spin, color=COLOURS[2], lw=2.5, label="fit of the descent")
-    after = speed["speed_after_collision"].expand_dims(time=2, axis=-1)
+    after, floor = speed["speed_after_collision"].expand_dims(time=2, axis=-1), 1e-4
     bands = [
-        (clock(speed["time"].values), speed["speed"].clip(min=FLOOR_RAD_S)),
-        (clock([at["collision"], at["second_touchdown"]]), after.clip(min=FLOOR_RAD_S)),
+        (clock(speed["time"].values), speed["speed"].clip(min=floor)),
+        (clock([at["collision"], at["second_touchdown"]]), after.clip(min=floor)),
     ]
     label = "all candidates: slowest to fastest"
     for t, band in bands:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from sunspin.output import figures
 from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.kind import Drawing, synthetic_words
-from sunspin.output.kinds import collision, motion, outcomes, strategies, telemetry
+from sunspin.output.kinds import collision, motion, strategies, telemetry
+from sunspin.output.kinds.outcomes import sun_height_figure
 from sunspin.philae import (
     descent,
     level_set,
@@ -27,20 +28,16 @@ from sunspin.philae.figures import candidates
 from sunspin.philae.motions import speed_figure
 from sunspin.philae.study import Study
 
-EVENTS = "separation unfolding_ends first_touchdown collision second_touchdown rest"
-"""Events that Fig. 3 shows, those that lie within the telemetry."""
-
-SHOWN_MOTIONS = ("Truth", "Best fit", "Descent")
-"""Motions whose panel powers are drawn."""
-
 
 def _signals(s: Study, r: Any) -> Figure:
-    runs = [(title, run) for title, run in r.candidates.items() if title in SHOWN_MOTIONS]
+    shown = ("Truth", "Best fit", "Descent")
+    runs = [(title, run) for title, run in r.candidates.items() if title in shown]
     return panel_signals_figure(s.case.telemetry, runs, s.case.vehicle)
 
 
 def _figure_3(s: Study, _: Any) -> Figure:
-    at = {name: rb.case_seconds(s.case, s.sun, name) for name in EVENTS.split()}
+    events = "separation unfolding_ends first_touchdown collision second_touchdown rest"
+    at = {name: rb.case_seconds(s.case, s.sun, name) for name in events.split()}
     first, last = s.sun["time"].values[[0, -1]]
     at = {name.replace("_", " "): t for name, t in at.items() if first - 600 <= t <= last}
     return telemetry.sun_directions_figure(s.sun, s.case.telemetry, at)
@@ -73,31 +70,15 @@ def _distributions(s: Study, r: Any) -> Figure:
 
 
 def _lines_scan(s: Study, r: Any) -> Figure:
-    near = r.clean
-    title = f"EMD < {near.factor:g} EMD_min, target: common distribution of the printed lines"
-    return level_set.level_set_figure(near.points, near.lines, rb.published_lines(s.case), title)
+    title = f"EMD < {r.clean.factor:g} EMD_min, target: common distribution of the printed lines"
+    near = r.clean.points, r.clean.lines
+    return level_set.level_set_figure(*near, rb.published_lines(s.case), title)
 
 
 def _lines_touchdown(_: Study, r: Any) -> Figure:
     smallest = float(np.linalg.norm(r.on_lines_touchdown, axis=1).min())
     title = f"EMD < {r.clean.factor:g} EMD_min against the printed lines' distribution, run back"
     return published_lines.backward_figure(r.near_touchdown, r.on_lines_touchdown, smallest, title)
-
-
-def _after_collision(s: Study, r: Any) -> Figure:
-    runs = {
-        name: each.assign_attrs(synthetic=int(s.synthetic))
-        for name, each in r.runs["chosen"].items()
-    }
-    return outcomes.sun_height_figure(runs)
-
-
-def _blow(s: Study, r: Any) -> Figure:
-    return collision.collision_figure(r.known.assign_attrs(synthetic=int(s.synthetic)))
-
-
-def _strategies(s: Study, r: Any) -> Figure:
-    return strategies.strategies_figure(r.table.assign_attrs(synthetic=int(s.synthetic)))
 
 
 PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
@@ -115,16 +96,16 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
     "fig10_11_descent": ("descent", lambda _, r: descent.draw(r)),
     "precession": ("precession", lambda _, r: mechanics.draw_precession(r)),
     "fig12_touchdown": ("touchdown", lambda s, r: candidates.draw(r, s.synthetic)),
-    "fig13_after_collision": ("collision", _after_collision),
-    "collision": ("collision", _blow),
-    "strategies": ("strategies", _strategies),
+    "fig13_after_collision": ("collision", lambda _, r: sun_height_figure(r.runs["chosen"])),
+    "collision": ("collision", lambda _, r: collision.collision_figure(r.known)),
+    "strategies": ("strategies", lambda _, r: strategies.strategies_figure(r.table)),
     "fig09_lines": ("published_lines", _lines_scan),
     "thresholds": (
         "published_lines",
         lambda _, r: published_lines.thresholds_figure(r.thresholds, r.clean.factor),
     ),
     "fig12_lines": ("published_lines", _lines_touchdown),
-    "fig13_lines": ("published_lines", lambda _, r: outcomes.sun_height_figure(r.runs)),
+    "fig13_lines": ("published_lines", lambda _, r: sun_height_figure(r.runs)),
     "health": ("phases", lambda _, r: sun_directions.draw(r)),
 }
 """Name of the file -> steps of `study.STEPS`, the first the one whose result is drawn, and the figure of study and result."""
@@ -214,17 +195,13 @@ Which panels are lit, which patterns the Sun alone cannot make, and how improbab
 """Of each picture its name and what a reader who cannot see it is told; then its caption, with fields of the study `s`, of the
 result `r` that is drawn, and of `_fields`."""
 
-CHAINS = {
-    "scan": "; every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only",
-    "published": "; this telemetry does not enter",
-}
-"""What the band of angular speeds means, by the origin of the candidates."""
-
 
 def _fields(s: Study, name: str, r: Any) -> dict[str, Any]:
     fields = {"r": r, "synthetic": synthetic_words(s.synthetic)}
     if s.chain:
-        fields |= {"about": s.chain.chosen.about, "meaning": CHAINS.get(s.chain.name, "")}
+        bound = "every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only"
+        meaning = {"scan": f"; {bound}", "published": "; this telemetry does not enter"}
+        fields |= {"about": s.chain.chosen.about, "meaning": meaning.get(s.chain.name, "")}
     if name == "distributions":
         spread = published_lines.pooled_spread(s.parts["published_lines"].pooled)
         fields["spread"] = max(spread)
@@ -253,25 +230,24 @@ class Gallery:
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="figures")
-        self._drawn: dict[str, Future] = {}
+        self._files: dict[str, Future] = {}
 
-    def __enter__(self) -> Gallery:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Draw nothing more."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def begin(self, study: Study) -> None:
+    def begin(self, study: Study) -> list[Drawing]:
         """Draw what can be drawn by now."""
-        for name in PICTURES:
-            if name not in self._drawn and (sheet := drawing(study, name)):
+        sheets = [sheet for name in PICTURES if (sheet := drawing(study, name))]
+        for sheet in sheets:
+            if sheet.name not in self._files:
                 files = self._pool.submit(lambda make: figures.drawn(make()), sheet.make)
-                self._drawn[name] = files
+                self._files[sheet.name] = files
+        return sheets
 
     def write(self, study: Study, folder: Path) -> list[Drawing]:
         """Write all figures of the steps that were computed, as PNG and SVG."""
-        self.begin(study)
-        sheets = [sheet for name in PICTURES if (sheet := drawing(study, name))]
+        sheets = self.begin(study)
         for sheet in sheets:
-            figures.write(self._drawn[sheet.name].result(), folder, sheet.name)
+            figures.write(self._files[sheet.name].result(), folder, sheet.name)
         return sheets

@@ -7,9 +7,10 @@ import json
 import re
 import shlex
 import time
-from dataclasses import asdict, dataclass, replace
+from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -32,33 +33,16 @@ from sunspin.vehicle.assumptions import split
 from sunspin.vehicle.changes import Change, Changes, changes_of
 from sunspin.vehicle.file import changed_file
 
-MOST_CANDIDATES = 20_000
-"""Candidates that are written: an even draw where there are more."""
-
 SHOWN_BY_THE_PAPER = (
-    "structure of Philae",
-    "panels, legs, wheel",
-    "panel powers and Sun directions over time",
-    "Sun directions in four phases",
-    "spin-down of the wheel",
-    "three example motions",
-    "histograms of r_z in these",
-    "E over rates and over parameters",
-    "near-minimum points and four lines",
-    "simulated and measured directions of the descent",
-    "E against omega_0",
-    "angular velocities at the first touchdown",
-    "densities of r_z after the collision, wheel off and held",
-)
+    "structure of Philae; panels, legs, wheel; panel powers and Sun directions over time; Sun directions in four phases; "
+    "spin-down of the wheel; three example motions; histograms of r_z in these; E over rates and over parameters; "
+    "near-minimum points and four lines; simulated and measured directions of the descent; E against omega_0; "
+    "angular velocities at the first touchdown; densities of r_z after the collision, wheel off and held"
+).split("; ")
 """What Figs. 1, 2 ... of the paper show."""
 
 
-PRINTED = ("delta_mean", "wheel_stop", "emd_min")
-"""Rows that are printed with their numbers."""
-
-
-@dataclass(frozen=True)
-class Written:
+class Written(NamedTuple):
     """Where a study was written: the folder, the page in it, and the summary's content."""
 
     folder: Path
@@ -69,14 +53,12 @@ class Written:
     def lines(self) -> list[str]:
         """What is printed of it."""
         summary = self.summary
-        origin = "synthetic (made from published facts)"
+        synthetic = summary["synthetic_telemetry"]
+        origin = "synthetic (made from published facts)" if synthetic else "measured"
         lines = [f"Changed for this run: {change}" for change in summary["changes"]]
-        lines += [
-            f"Data check: {summary['carries']}",
-            f"Telemetry: {origin if summary['synthetic_telemetry'] else 'measured'}",
-        ]
+        lines += [f"Data check: {summary['carries']}", f"Telemetry: {origin}"]
         for row in summary["figures"]:
-            if row["id"] in PRINTED:
+            if row["id"] in ("delta_mean", "wheel_stop", "emd_min"):
                 unit = "" if row["unit"] == "1" else f" {row['unit']}"
                 ours = "none" if row["ours"] is None else f"{row['ours']:.4g}{unit}"
                 lines.append(f"  {row['what']}: {ours} (published {row['published']:.4g})")
@@ -133,7 +115,7 @@ def reproduce(
         raise InputError(what, do="copy it to another place first", where=str(telemetry))
     folder = results_folder(out, "reproduce")
     options = {"source": candidates, "twins": calibrate, "seed": seed, "coarser": coarser}
-    with Gallery() as gallery:
+    with closing(Gallery()) as gallery:
         study = compute(case, gallery.begin, workers=workers, progress=progress, **options)
         pictures = gallery.write(study, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
@@ -194,26 +176,25 @@ def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[st
     stop = ""
     if "candidates" in missing:
         texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
-        reasons = [text.split(": not reproduced, as ", 1) for text in texts]
-        why = next((reason for _, *reason in reasons if reason), texts)[0].rstrip(".")
+        cut = ": not reproduced, as "
+        reasons = [text.split(cut, 1)[1] for text in texts if cut in text]
+        why = (reasons or texts)[0].rstrip(".")
         stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
-    sections = [
-        (
-            study.rows_by_part.get(step.name, []),
-            {"part": step.title, "section": SECTIONS[step.section]},
-        )
-        for step in STEPS
+    sections = [(step.title, step.section, study.rows_by_part.get(step.name, [])) for step in STEPS]
+    sections.append(("The figures of the paper", "paper", figure_rows(pictures)))
+    rows = [
+        asdict(row) | {"part": title, "section": SECTIONS[section]}
+        for title, section, of_section in sections
+        for row in of_section
     ]
-    figures = {"part": "The figures of the paper", "section": SECTIONS["paper"]}
-    sections.append((figure_rows(pictures), figures))
     apart = {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]}
     return {
         "version": version(),
         "title": "How Philae tumbled",
-        "seed": study.options.seed,
+        "seed": study.seed,
         "synthetic_telemetry": study.synthetic,
         "seconds": round(seconds, 1),
-        "chain": study.options.source,
+        "chain": study.source,
         "carries": study.parts["carries"].first_line,
         "noise": study.noise.about,
         "calibration": chain.calibration.told if chain and chain.calibration else None,
@@ -224,7 +205,7 @@ def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[st
         "score": score(study),
         "counts": counts["telemetry"] | apart,
         "cite": CITE,
-        "figures": [asdict(row) | about for rows, about in sections for row in rows],
+        "figures": rows,
     }
 
 
@@ -239,9 +220,6 @@ def figure_rows(pictures: list[Drawing]) -> list[Row]:
             what=f"Fig. {number}",
             published=shows,
             ours=", ".join(f"{p.name}.png" for p in mine) or absent,
-            unit="1",
-            tolerance=None,
-            agrees=None,
             note=" ".join(p.caption for p in mine),
             source=f"paper, Fig. {number}",
             kind="not_comparable",
@@ -277,13 +255,12 @@ def _contradictions(case: Case) -> Table:
 def datasets(study: Study) -> dict[str, xr.Dataset]:
     """File name -> data of every step that was computed: what the report is made from, and what a reader may compute with."""
     parts, lines, rate = study.parts, study.parts["published_lines"], {"units": "rad s-1"}
-    scans = {"scan_published_lines": (lines.clean, "the common distribution of the printed lines")}
-    scan = parts.get("level_set")
-    if scan is not None:
-        scans["scan_telemetry"] = scan.near, "the directions of this telemetry"
+    scans = [("scan_published_lines", lines.clean, "the common distribution of the printed lines")]
+    if (scan := parts.get("level_set")) is not None:
+        scans.insert(0, ("scan_telemetry", scan.near, "the directions of this telemetry"))
     files = {"sun": study.sun}
     printed = [np.array(each) for each in zip(*rb.published_lines(study.case), strict=True)]
-    for name, (family, target) in scans.items():
+    for name, family, target in scans:
         data = family.emd.to_dataset()
         if family.lines is not None:
             data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
@@ -301,7 +278,7 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
     files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
     if study.chain is not None:
         chosen = study.chain.chosen
-        table, every = chosen.dataset(), -(-len(chosen) // MOST_CANDIDATES)
+        table, every = chosen.dataset(), -(-len(chosen) // 20_000)  # an even draw of more
         for name, unit, about in (
             ("speed_touchdown", "rad s-1", "just after the first touchdown"),
             ("theta", "rad", "angle from the momentum to the z axis"),
@@ -323,6 +300,6 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
         for name, run in parts["motions"].candidates.items():
             files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
         files["speed"] = parts["motions"].speed
-    attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
+    attrs = {"synthetic": int(study.synthetic), "seed": study.seed}
     attrs["sunspin_version"] = version()
     return {name: data.assign_attrs(attrs) for name, data in files.items()}

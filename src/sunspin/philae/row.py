@@ -29,13 +29,6 @@ from sunspin.landing.tally import Estimate
 from sunspin.telemetry.case import Case
 
 KINDS = ("test", "put_in", "arithmetic", "not_comparable")
-DEPENDS = ("data", "candidates")
-
-NARROWER = 0.5
-"""An interval informs where it is narrower than this part of what was possible before the data."""
-
-SIGMAS = 3.0
-"""A share or mean over candidates informs where it differs from the one over all that was possible by this many errors."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +40,8 @@ class Row:
     published, ours : the paper's figure; ours by the paper's own recipe
     tolerance : how far ours may be off; None where an interval, or nothing, judges
     agrees : only for informative rows of kind "test", else None
-    low, high : interval of ours: over the chosen candidates ("candidates") or from the noise ("data")
+    depends : on what an interval of ours does, "data" (the noise) or "candidates"
+    low, high : interval of ours, over the chosen candidates or from the noise
     prior_low, prior_high : the same over all that was possible before the data, where the row depends on candidates
     informative : False where the data leave nearly all that was possible
     chain : what made ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none"; where a row
@@ -59,11 +53,11 @@ class Row:
     what: str
     published: Any
     ours: Any
-    unit: str
-    tolerance: float | list[float] | None
-    agrees: bool | None
-    note: str
     source: str
+    note: str = ""
+    unit: str = "1"
+    tolerance: float | list[float] | None = None
+    agrees: bool | None = None
     kind: str = "test"
     depends: str = "data"
     low: Any = None
@@ -73,9 +67,6 @@ class Row:
     informative: bool = True
     chain: str = ""
     holds: bool | None = None
-
-    def __post_init__(self) -> None:
-        assert self.kind in KINDS and self.depends in DEPENDS, (self.id, self.kind, self.depends)
 
 
 def settled(row: Row, put_in: bool = False) -> Row:
@@ -131,7 +122,6 @@ def row(case: Case, name: str, ours: Any, **given: Any) -> Row:
         "ours": ours,
         "published": about.get("published", about.get("value")),
         "tolerance": about.get("tolerance", about.get("at_most")),
-        "agrees": None,
         "unit": about["unit"],
         "kind": about.get("kind", "test"),
         "chain": about.get("chain", "none" if about.get("kind") == "arithmetic" else ""),
@@ -171,7 +161,7 @@ def over_candidates(
     against it.
     """
     (low, high), (prior_low, prior_high) = chosen, possible
-    informative = bool(high - low < NARROWER * (prior_high - prior_low))
+    informative = bool(high - low < 0.5 * (prior_high - prior_low))
     agrees, half_digit = None, cast(float | None, row.tolerance)
     if half_digit is not None and informative:
         agrees = bool(low - half_digit <= row.published <= high + half_digit)
@@ -188,7 +178,7 @@ def share_of_candidates(
     It informs where the two differ by more than three sampling errors; `agrees` is the caller's criterion, stated in the note.
     """
     apart = abs(chosen.value - possible.value)
-    informative = bool(apart > SIGMAS * np.hypot(chosen.error, possible.error))
+    informative = bool(apart > 3.0 * np.hypot(chosen.error, possible.error))
     unjudged = replace(row, tolerance=None)
     shown = over_candidates(unjudged, chain, interval(*chosen), interval(*possible))
     agrees = agrees if informative else None

@@ -18,12 +18,6 @@ from sunspin.philae.row import Row, row, share_of_candidates
 from sunspin.telemetry.case import Case
 from sunspin.vehicle import HullPart, Vehicle
 
-SHIFT_M = 0.1
-"""Shift of the hull along z whose effect on the first contact is reported: the uncertainty of Philae's hull."""
-
-CONE_DEG = 30.0
-"""Half-angle of a narrower distribution of the local vertical, about upright at the touchdown."""
-
 
 class Strategies(NamedTuple):
     """Landings at the kernel's times and speeds.
@@ -46,6 +40,7 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     vehicle, real = case.vehicle, case_scenario(case, chain.rebound)
     motions, half = chain.chosen.dataset(), max(n // 2, 1)
     table, runs = st.compare(vehicle, motions, st.STRATEGIES, n, seed, real, **options)
+    table.attrs["synthetic"] = case.telemetry.attrs.get("synthetic", 0)
 
     def off(
         craft: Vehicle, starts: xr.Dataset, count: int, scenario: Scenario
@@ -57,12 +52,12 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     by_set["chosen"] = tally(runs["off"])
     delay = st.best_delay(vehicle, motions, n=half, seed=seed, scenario=real, **options)
     assumed = {}
-    for word, dz_m in (("lower", -SHIFT_M), ("higher", SHIFT_M)):
+    for word, dz_m in (("lower", -0.1), ("higher", 0.1)):  # the uncertainty of Philae's hull
         hull = tuple(HullPart(p.name, p.points_B_m + [0, 0, dz_m], p.panel) for p in vehicle.hull)
-        assumed[f"body {SHIFT_M:g} m {word}"] = replace(vehicle, hull=hull), real
+        assumed[f"body 0.1 m {word}"] = replace(vehicle, hull=hull), real
     assumed["any vertical"] = vehicle, replace(real, vertical="any")
-    cone = replace(real, vertical=float(np.radians(CONE_DEG)))
-    assumed[f"vertical within {CONE_DEG:g} degrees of upright"] = vehicle, cone
+    cone = replace(real, vertical=float(np.radians(30.0)))
+    assumed["vertical within 30 degrees of upright"] = vehicle, cone
     alternatives = {
         about: off(craft, motions, half, scenario) for about, (craft, scenario) in assumed.items()
     }

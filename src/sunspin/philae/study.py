@@ -47,9 +47,6 @@ LANDING_RUNS = 5_000
 LEAST_RUNS = 400
 """As many as the paper had."""
 
-STEPS_AT_ONCE = 2
-"""More would keep more memory and gain nothing: the rows of each step take all cores."""
-
 SECTIONS = {
     "telemetry": "From this telemetry",
     "no_telemetry": "The equations and the printed lines: no telemetry",
@@ -58,36 +55,24 @@ SECTIONS = {
 """What is counted apart. Nothing in the second and third changes with the telemetry."""
 
 
-class Options(NamedTuple):
-    """How the study is run.
+@dataclass(frozen=True)
+class Study:
+    """How the study is run, and all its results, each by the name of its step.
 
-    Attributes
-    ----------
-    source : "scan", "posterior", "published" or a file: where candidates come from (:mod:`sunspin.philae.candidates`)
-    twins : synthetic rebounds of a calibration; zero: none is made
-    seed : of all random choices
-    coarser : every so many-th grid point of the scan and of the maps, 1 is the paper's grid
+    `noise`: what the readings were taken for; `source`: where candidates come from (:mod:`sunspin.philae.candidates`), "scan",
+    "posterior", "published" or a file; `twins`: synthetic rebounds of a calibration, zero: none is made; `coarser`: every so
+    many-th grid point of the scan and of the maps; `missing`: why a step could not be computed.
     """
 
+    case: Case
+    noise: sun_directions.ReadingNoise
+    sun: xr.Dataset
     source: str = "scan"
     twins: int | None = None
     seed: int = 0
     coarser: int = 1
     workers: int | None = None
     progress: bool = False
-
-
-@dataclass(frozen=True)
-class Study:
-    """All results of the Philae study, each by the name of its step.
-
-    `noise`: what the file's readings were taken for; `missing`: why a step could not be computed.
-    """
-
-    case: Case
-    options: Options
-    noise: sun_directions.ReadingNoise
-    sun: xr.Dataset
     parts: dict[str, Any] = field(default_factory=dict)
     rows_by_part: dict[str, list[Row]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
@@ -105,7 +90,7 @@ class Study:
     @property
     def runs(self) -> int:
         """Simulated collisions."""
-        return max(LANDING_RUNS // self.options.coarser, LEAST_RUNS)
+        return max(LANDING_RUNS // self.coarser, LEAST_RUNS)
 
     @property
     def rows(self) -> list[Row]:
@@ -114,21 +99,17 @@ class Study:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """For each section of `SECTIONS` how many rows agree, differ, are uninformative, and how many are of another kind."""
-        of_section: dict[str, list[Row]] = {name: [] for name in SECTIONS}
-        for step in STEPS:
-            of_section[step.section] += self.rows_by_part.get(step.name, [])
-        return {name: counts(rows) for name, rows in of_section.items()}
-
-
-def no_rows(_: Any) -> list[Row]:
-    """Of a step that is compared with nothing."""
-    return []
+        by_part = [(step.section, self.rows_by_part.get(step.name, [])) for step in STEPS]
+        return {
+            name: counts([row for section, rows in by_part if section == name for row in rows])
+            for name in SECTIONS
+        }
 
 
 class Step(NamedTuple):
     """One step of the study.
 
-    `compute`, `rows`: its result from what there is so far, and the rows of its result; `section`: of `SECTIONS`; `needs`: steps
+    `compute`, `rows`: its result from what there is so far, and the rows of that, if any; `section`: of `SECTIONS`; `needs`: steps
     without which it cannot be computed; `uses`: steps that it waits for and can do without; `needed`: whether the study makes no
     sense without it.
     """
@@ -136,7 +117,7 @@ class Step(NamedTuple):
     name: str
     title: str
     compute: Callable[[Study], Any]
-    rows: Callable[[Any], list[Row]] = no_rows
+    rows: Callable[[Any], list[Row]] | None = None
     section: str = "telemetry"
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
@@ -147,7 +128,7 @@ STEPS: list[Step] = []
 """In the order of beginning: a step stands after those that it waits for."""
 
 
-def step(title: str, rows: Callable[[Any], list[Row]] = no_rows, **about: Any) -> Any:
+def step(title: str, rows: Callable[[Any], list[Row]] | None = None, **about: Any) -> Any:
     """Make a function of the study so far the next step; the function's name is the step's."""
 
     def add(compute: Any) -> Any:
@@ -169,20 +150,19 @@ def _descent(s: Study) -> Any:
 
 @step("Data check", data_check.rows, uses=("descent",), needed=True)
 def _carries(s: Study) -> Any:
-    return data_check.compute(s.case, s.sun, s.parts.get("descent"), s.options.seed)
+    return data_check.compute(s.case, s.sun, s.parts.get("descent"), s.seed)
 
 
 @step("Section 2.3: the scan of this telemetry", level_set.rows)
 def _level_set(s: Study) -> Any:
-    o = s.options
-    return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
+    return level_set.compute(s.case, s.sun, s.seed, s.coarser, s.workers, s.progress)
 
 
 @step("Section 2.3: the motions that follow", needs=("level_set", "carries"))
 def _candidates(s: Study) -> Any:
-    o, scan, check = s.options, s.parts["level_set"].scan, s.parts["carries"]
-    how: dict[str, Any] = {"workers": o.workers, "progress": o.progress}
-    return candidates.compute(scan, check, o.source, o.twins, o.seed, **how)
+    scan = s.parts["level_set"].scan
+    how: dict[str, Any] = {"workers": s.workers, "progress": s.progress}
+    return candidates.compute(scan, s.parts["carries"], s.source, s.twins, s.seed, **how)
 
 
 @step("Section 3.2: after the first touchdown", touchdown.rows, needs=("candidates",))
@@ -192,24 +172,23 @@ def _touchdown(s: Study) -> Any:
 
 @step("Section 3.3: after the collision", collision.rows, needs=("candidates",))
 def _collision(s: Study) -> Any:
-    chain, o = s.parts["candidates"], s.options
-    return collision.compute(s.case, chain, s.runs, o.seed, workers=o.workers)
+    return collision.compute(s.case, s.parts["candidates"], s.runs, s.seed, workers=s.workers)
 
 
 @step("Section 4: wheel strategies", strategies.rows, needs=("candidates",))
 def _strategies(s: Study) -> Any:
-    chain, o = s.parts["candidates"], s.options
-    return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
+    chain, runs = s.parts["candidates"], max(s.runs // 5, 1)
+    return strategies.compute(s.case, chain, runs, s.seed, workers=s.workers)
 
 
 @step("Section 2.3: why a direct fit fails", sensitivity.rows, section="no_telemetry")
 def _sensitivity(s: Study) -> Any:
-    return sensitivity.compute(s.case, s.sun, s.options.workers, s.options.coarser)
+    return sensitivity.compute(s.case, s.sun, s.workers, s.coarser)
 
 
 @step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
 def _motions(s: Study) -> Any:
-    return motions.compute(s.case, s.parts, s.options.seed, s.options.workers)
+    return motions.compute(s.case, s.parts, s.seed, s.workers)
 
 
 @step("Section 2.2: wheel and example motions", mechanics.rows, section="no_telemetry", needed=True)
@@ -225,9 +204,9 @@ def _mechanics(s: Study) -> Any:
     needed=True,
 )
 def _published_lines(s: Study) -> Any:
-    o, scanned = s.options, s.parts.get("level_set")
+    scanned = s.parts.get("level_set")
     table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
-    return published_lines.compute(s.case, table, o.seed, o.coarser, s.runs, o.workers)
+    return published_lines.compute(s.case, table, s.seed, s.coarser, s.runs, s.workers)
 
 
 @step(
@@ -255,15 +234,16 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
     seen : callable, optional
         Given what there is so far each time that a step is computed.
     options
-        Of :class:`Options`.
+        `source`, `twins`, `seed`, `coarser`, `workers`, `progress` of :class:`Study`.
     """
     require_wheel(case.vehicle)
     case, noise = sun_directions.with_own_noise(case)
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
-    study = Study(case, Options(**options), noise, sun)
+    study = Study(case, noise, sun, **options)
     k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
-    at_once = threading.Semaphore(min(worker_count(study.options.workers), STEPS_AT_ONCE))
+    # more than two would keep more memory and gain nothing: the rows of each step take all cores
+    at_once = threading.Semaphore(min(worker_count(study.workers), 2))
     stopped, futures = threading.Event(), dict[str, Future]()
 
     def run(step: Step) -> None:
@@ -312,7 +292,7 @@ def _run(step: Step, study: Study) -> None:
         return
     try:
         result = step.compute(study)
-        rows = step.rows(result)
+        rows = step.rows(result) if step.rows else []
     except (TelemetryError, InputError, MotionError) as error:
         if step.needed or (isinstance(error, InputError) and step.name == "candidates"):
             raise
@@ -337,8 +317,8 @@ def require_wheel(vehicle: Vehicle) -> None:
     vehicle.require_inertia()
     vehicle.require_mass()
     if len(vehicle.wheels) != 1 or not vehicle.legs:
-        raise InputError(
+        what, do = (
             "the study is of a lander with one wheel and legs",
-            got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs",
-            do="copy the vehicle file of philae and change it",
+            "copy the vehicle file of philae and change it",
         )
+        raise InputError(what, got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs", do=do)

@@ -30,18 +30,8 @@ from sunspin.vehicle.timeline import utc_seconds
 SHADOWED_PHASES = ("deployment", "settling", "rest")
 """Phases in which parts of the lander or the ground shadow the panels: the paper leaves them out of its statistics of Delta."""
 
-BRIGHT = 0.2
-"""A panel that reads more than this part of the file's largest reading is in the Sun for certain."""
-
 LEAST = 8
 """Readings needed for a sigma; it is then good to a third."""
-
-DARK_SIGMAS = 4.0
-"""A panel counts as lit above this many sigma of a dark one's reading: of a thousand dark readings none is taken for lit."""
-
-MOST_OF_LARGEST = 0.1
-"""The lit threshold is at most this part of the largest reading: what reads more on panels that should be dark is no noise, and
-has to show as a lit pattern that no Sun makes."""
 
 ROUGH_SIGMAS = 6.0
 """What lies beyond this many rough sigma is not noise: a reflection, a shadow, a wrong column."""
@@ -76,8 +66,10 @@ def with_own_noise(case: Case) -> tuple[Case, ReadingNoise]:
         return float(f"{value:.3g}")
 
     dark, n_dark = dark_sigma(vehicle, power)
-    most = MOST_OF_LARGEST * float(np.nan_to_num(power).max(initial=0.0))
-    threshold = max(form.lit_threshold or 0.0, rounded(min(DARK_SIGMAS * dark, most)))
+    # four sigma: of a thousand dark readings none is taken for lit. What reads more than a tenth of the largest on panels that
+    # should be dark is no noise, and has to show as a lit pattern that no Sun makes
+    most = 0.1 * float(np.nan_to_num(power).max(initial=0.0))
+    threshold = max(form.lit_threshold or 0.0, rounded(min(4.0 * dark, most)))
     # of L lit panels L - 3 are redundant, scale and direction being fitted: what the misfit leaves is their noise
     sun = sun_directions(vehicle, case.telemetry, lit_threshold=threshold)
     checked = whole_panels(case, case.telemetry) & (sun["status"].values == SunStatus.OK)
@@ -120,7 +112,7 @@ def dark_sigma(vehicle: Vehicle, power: np.ndarray) -> tuple[float, int]:
         lit = np.array([name in pattern for name in vehicle.panel_names])
         together |= np.outer(lit, lit)
     known = np.where(np.isfinite(power), power, 0.0)
-    bright = known > BRIGHT * known.max(initial=0.0)
+    bright = known > 0.2 * known.max(initial=0.0)  # in the Sun for certain
     dark = (bright.astype(int) @ (~together).astype(int) > 0) & ~bright & np.isfinite(power)
     # half of the noise, also where negative readings were cut to zero
     above = known[dark & (known > 0)]
@@ -256,23 +248,17 @@ def rows(r: Phases) -> list[Row]:
     origin = "synthetic telemetry, made with panel 1 in shadow at rest" * synthetic
     # whether turning panel 1 to the Sun was a risk: samples that only its loss explains
     panel_1 = sum(n for p, n in impossible.items() if explanations(vehicle, [p]) == [("1",)])
-    made = {"made": f"; {origin}" if origin else ""}
+    and_origin = f"; {origin}" if origin else ""
+    patterns: dict[str, Any] = {"published": at_rest, "agrees": not missed}
+    lost: dict[str, Any] = {"published": [["1"]], "agrees": explained == [["1"]]}
     result += [
         row_of("lit_patterns_allowed", len(allowed), patterns="; ".join(allowed)),
         row_of("lit_patterns_before", np.count_nonzero(r.impossible & early), **before),
         row_of("shadowed_panel_alternatives", ", ".join(others) or "none"),
         row_of("lit_patterns_noise", noise, each=by_pattern),
-        row_of(
-            "lit_patterns_at_rest",
-            sorted(map(sorted, impossible)),
-            published=at_rest,
-            agrees=not missed,
-            made=origin,
-        ),
-        row_of(
-            "shadowed_panel", explained, published=[["1"]], agrees=explained == [["1"]], made=origin
-        ),
-        row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0, **made),
+        row_of("lit_patterns_at_rest", sorted(map(sorted, impossible)), origin=origin, **patterns),
+        row_of("shadowed_panel", explained, origin=origin, **lost),
+        row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0, origin=and_origin),
     ]
 
     # how often the file samples

@@ -63,34 +63,27 @@ CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
 
 FOLDED_LEG_TRANSMISSION = (0.42, 0.72, 0.42, 0.72, 0.42, 1.0)
-"""PhaseSamples of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta in 0.1 .. 0.2."""
+"""Part of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta in 0.1 .. 0.2."""
 
 REST_TRANSMISSION = (0.0, 0.4, 0.4, 0.4, 0.4, 1.0)
-"""The same past the rocks at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
+"""Past the rocks at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
 
 BEFORE_THE_SHADOW = (0.15, 0.6, 0.3, 0.4, 0.4, 1.0)
-"""The same before the shadow is all over panel 1: the pattern (1, 2, 3, 6) has a direction, with Delta in 0.1 .. 0.2."""
+"""Before the shadow is all over panel 1: the pattern (1, 2, 3, 6) has a direction, with Delta in 0.1 .. 0.2."""
 
 REST_ANGLES_DEG = (-60.0, -50.0, -40.0, 3.0)
 """Angle of the Sun along its circle from where it sinks below the xy plane: when the lander comes to rest; until where the shadow
 leaves panel 1 free (some five samples); between which the rocks hide the Sun."""
 
-COMET_TURN_S = 12.4 * 3600.0
-"""Rotation period of 67P on the day."""
-
-SPIN_PERIOD_S = 13.0
-"""Turn before the collision: ROMAP team, 2014; read here as 2 pi / |omega|."""
-
+COMET_TURN_S = 12.4 * 3600.0  # 67P on the day
+SPIN_PERIOD_S = 13.0  # before the collision: ROMAP team, 2014; read here as 2 pi / |omega|
 SAMPLES_BEFORE_DESCENT, SAMPLES_OF_REBOUND = 9, 23
 DEPLOYMENT_INTERVAL_S = 102.0  # nine samples between separation and 08:50:30 leave no more
 REBOUND_INTERVAL_S = 120.0  # paper, section 1: about 2 min
 SETTLING_INTERVAL_S = 150.0
 REST_DURATION_S = 4.0 * 3600.0
-JITTER_S = 6.0
-"""Sample times are irregular by up to this, as housekeeping is."""
-
-MAX_DRAWS = 200
-"""Draws of what has to be possible, before it is refused."""
+JITTER_S = 6.0  # sample times are irregular by up to this, as housekeeping is
+MAX_DRAWS = 200  # of what has to be possible, before it is refused
 
 
 def twin(
@@ -166,24 +159,12 @@ def philae_twin(
     turned_rad: float | None = None,
     rest_seen: bool = True,
 ) -> xr.Dataset:
-    """Synthetic telemetry of the whole landing.
+    """Synthetic telemetry of the whole landing; the same seed gives the same data.
 
-    Parameters
-    ----------
-    seed : int
-        The same seed gives the same data.
-    noise : float, optional
-        One sigma in W; default: the vehicle file's. Zero gives the powers that the true directions make.
-    tilt_rad, turned_rad : float, optional
-        One sigma of the angles by which each panel's normal is off to each side, and all panels together about each axis; default:
-        the vehicle file's. Zero for panels as drawn.
-    rest_seen : bool
-        Whether the first samples at rest give a direction.
-
-    Raises
-    ------
-    InputError
-        Turns so large that no Sun makes the panels show the published first direction: another seed may.
+    `noise`: one sigma in W (zero: the powers that the true directions make); `tilt_rad`, `turned_rad`: one sigma of the angles by
+    which each panel's normal is off to each side, and all panels together about each axis (zero: panels as drawn); default: the
+    vehicle file's. `rest_seen`: whether the first samples at rest give a direction. An `InputError` where the turns are so large
+    that no Sun makes the panels show the published first direction: another seed may.
 
     Returns
     -------
