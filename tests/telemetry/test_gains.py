@@ -53,7 +53,7 @@ def test_what_cannot_be_told_is_said_and_left_alone():
     for craft, n, word in ((sides, 60, "do not cover all directions"), (CUBE, 8, "fewer than")):
         none = np.zeros(len(craft.panels), dtype=bool)
         found = estimate_gains(craft, readings(craft, n, rng), 1.0, none, none, 0.0)
-        assert word in found.told and found.spread is None
+        assert word in found.source and found.spread is None
         np.testing.assert_array_equal(found.factor, 1.0)
 
 

@@ -77,14 +77,14 @@ def _remembered(function: Callable[[Instants], np.ndarray]) -> Callable[[Instant
     """The same, without computing anew what was asked for just before: a fit asks for many orbits at the same times."""
 
     @lru_cache(maxsize=4)
-    def found(jd: bytes, fraction: bytes, tt_ahead: float) -> np.ndarray:
+    def rotation(jd: bytes, fraction: bytes, tt_ahead: float) -> np.ndarray:
         value = function(Instants(np.frombuffer(jd), np.frombuffer(fraction), tt_ahead))
         value.flags.writeable = False
         return value
 
     @wraps(function)
     def remembered(when: Instants) -> np.ndarray:
-        return found(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
+        return rotation(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
 
     return remembered
 
@@ -97,9 +97,9 @@ def J2000_from_TEME(when: Instants) -> np.ndarray:
     """
     import erfa
 
-    def matrix(one: np.ndarray, two: np.ndarray) -> np.ndarray:
-        true = erfa.pnm06a(one, two)
-        return np.swapaxes(erfa.rz(erfa.eqeq94(one, two), true), -1, -2)
+    def matrix(jd1: np.ndarray, jd2: np.ndarray) -> np.ndarray:
+        true = erfa.pnm06a(jd1, jd2)
+        return np.swapaxes(erfa.rz(erfa.eqeq94(jd1, jd2), true), -1, -2)
 
     return when.slowly(matrix)
 

@@ -57,20 +57,20 @@ class Shape:
 
 def shape_of(vehicle: Vehicle) -> Shape | None:
     """The vehicle's shape: parts of the hull and ends of the legs; None where the file gives neither."""
-    found: dict[tuple, dict] = {}
+    entries: dict[tuple, dict] = {}
     for part in vehicle.hull:
         for point in part.points_B_m:
-            entry = found.setdefault(tuple(np.round(point, 9)), {"leg": -1, "panels": set()})
+            entry = entries.setdefault(tuple(np.round(point, 9)), {"leg": -1, "panels": set()})
             if part.panel is not None:
                 entry["panels"].add(vehicle.panel_names.index(part.panel))
     for k, leg in enumerate(vehicle.legs):
-        found.setdefault(tuple(np.round(leg.tip_B_m, 9)), {"panels": set()})["leg"] = k
-    if not found:
+        entries.setdefault(tuple(np.round(leg.tip_B_m, 9)), {"panels": set()})["leg"] = k
+    if not entries:
         return None
-    points = np.array(list(found))
-    legs = np.array([entry["leg"] for entry in found.values()])
+    points = np.array(list(entries))
+    legs = np.array([entry["leg"] for entry in entries.values()])
     panels = np.zeros((len(points), len(vehicle.panels)), dtype=bool)
-    for row, entry in zip(panels, found.values(), strict=True):
+    for row, entry in zip(panels, entries.values(), strict=True):
         row[list(entry["panels"])] = True
     kind = np.where(legs >= 0, 0, np.where(panels.any(axis=1), 1, 2))
     return Shape(points, kind, legs, panels, *_facets(points, kind), bool(vehicle.hull))

@@ -61,13 +61,13 @@ def compare(
             raise InputError(f"no run of the strategy {name!r} could be computed", got=why)
     each, tallies = [per_run(x) for x in runs.values()], [tally(x) for x in runs.values()]
     quantities, unknown = list(tallies[0]), Estimate(np.nan, np.nan)
-    means = np.array([[found.get(q, unknown) for q in quantities] for found in tallies])
-    gains = np.array([[estimate(found[q] - each[0][q]) for q in quantities] for found in each])
+    means = np.array([[run.get(q, unknown) for q in quantities] for run in tallies])
+    gains = np.array([[estimate(run[q] - each[0][q]) for q in quantities] for run in each])
     levels = np.full((len(runs), len(quantities), len(LEVELS)), np.nan)
-    for i, found in enumerate(each):
+    for i, run in enumerate(each):
         for j, q in enumerate(quantities):
-            if np.isfinite(found[q]).any():
-                levels[i, j] = np.quantile(found[q][np.isfinite(found[q])], LEVELS)
+            if np.isfinite(run[q]).any():
+                levels[i, j] = np.quantile(run[q][np.isfinite(run[q])], LEVELS)
     dims = ("strategy", "quantity")
     table = xr.Dataset(
         {
@@ -93,7 +93,7 @@ def compared(
 
     With `collision`, runs weighted by what is known of the blow.
     """
-    nodes = {"strategies": table} | {f"runs/{name}": found for name, found in runs.items()}
+    nodes = {"strategies": table} | {f"runs/{name}": run for name, run in runs.items()}
     nodes |= {} if collision is None else {"collision": collision}
     return xr.DataTree.from_dict(
         {"/": xr.Dataset(attrs=table.attrs | {"kind": "landing"}), **nodes}

@@ -114,11 +114,11 @@ def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -
     certain: its error is that of a share of (k + 1) / (n + 2), k of n runs, which is about 1 / n (rule of succession).
     """
     x = np.asarray(happened, dtype=np.float64)
-    found = estimate(x, weights)
-    if found.value not in (0.0, 1.0):
-        return found
+    share = estimate(x, weights)
+    if share.value not in (0.0, 1.0):
+        return share
     n = effective_runs(np.isfinite(x) * (1.0 if weights is None else np.asarray(weights)))
-    return Estimate(found.value, float(np.sqrt((n + 1) / n) / (n + 2)))
+    return Estimate(share.value, float(np.sqrt((n + 1) / n) / (n + 2)))
 
 
 def effective_runs(weights: npt.ArrayLike) -> float:
@@ -159,11 +159,11 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
 
 def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, Estimate]:
     """Probabilities and means of all that the runs tell (names as in `per_run`); what they do not tell is absent."""
-    found = {
+    estimates = {
         name: (probability if name.startswith(TRUTHS) else estimate)(values, weights)
         for name, values in per_run(runs).items()
     }
-    return {name: value for name, value in found.items() if np.isfinite(value.value)}
+    return {name: value for name, value in estimates.items() if np.isfinite(value.value)}
 
 
 def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
@@ -212,25 +212,25 @@ def lowest_rz(runs: xr.Dataset) -> np.ndarray:
     return np.where(np.isnan(share[:, 0]), np.nan, edge)
 
 
-def facts_of(found: Any) -> dict[str, float]:
+def facts_of(tally: Any) -> dict[str, float]:
     """What the trajectory shows, by name."""
-    values = found["fact_value"].values.tolist()
-    return dict(zip(found["fact"].values.tolist(), values, strict=True))
+    values = tally["fact_value"].values.tolist()
+    return dict(zip(tally["fact"].values.tolist(), values, strict=True))
 
 
-def weightings(found: Any) -> list[dict[str, Any]]:
+def weightings(tally: Any) -> list[dict[str, Any]]:
     """A line for each weighting: its `name`, and each quantity as an `Estimate`, or as a number where it is no mean."""
-    numbers, quantities = ("effective_runs", "median_period_after"), found["quantity"].values
+    numbers, quantities = ("effective_runs", "median_period_after"), tally["quantity"].values
     lines = []
-    for i, name in enumerate(found["weighting"].values):
+    for i, name in enumerate(tally["weighting"].values):
         line: dict[str, Any] = {"name": str(name)}
         for j, key in enumerate(quantities.tolist()):
-            value, error = float(found["value"][i, j]), float(found["error"][i, j])
+            value, error = float(tally["value"][i, j]), float(tally["error"][i, j])
             line[key] = value if key in numbers else Estimate(value, error)
         lines.append(line)
     return lines
 
 
-def explained(found: Any) -> Estimate:
+def explained(tally: Any) -> Estimate:
     """The share of collisions, as drawn, that come near the trajectory's speeds."""
-    return Estimate(float(found["explained"]), float(found["explained_error"]))
+    return Estimate(float(tally["explained"]), float(tally["explained_error"]))

@@ -147,8 +147,8 @@ def _with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
     both = _substituted(factors, right)
     change, answer = both[..., 0], both[..., 1:]
     k, n, b, m = system.border.shape
-    told = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ both.reshape(k, n * b, 1 + m)
-    schur, downhill = system.corner + told[..., 1:], system.border_slope[..., None] + told[..., :1]
+    dot = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ both.reshape(k, n * b, 1 + m)
+    schur, downhill = system.corner + dot[..., 1:], system.border_slope[..., None] + dot[..., :1]
     step = _each(np.linalg.solve, schur, -downhill)[..., 0]
     return change + (answer @ step[:, None, :, None])[..., 0], step, answer, schur
 
@@ -167,7 +167,7 @@ def _each(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
     except np.linalg.LinAlgError:
         if stacks[0].ndim == 2:
             return np.full_like(stacks[-1], np.nan)
-        return np.stack([_each(function, *one) for one in zip(*stacks, strict=True)])
+        return np.stack([_each(function, *each) for each in zip(*stacks, strict=True)])
 
 
 def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -19,10 +19,10 @@ else:
 
 def cross_matrix(v: np.ndarray) -> np.ndarray:
     """[v]x (..., 3, 3): [v]x b = v x b."""
-    made = np.zeros((*v.shape, 3))
+    matrix = np.zeros((*v.shape, 3))
     for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        made[..., i, j], made[..., j, i] = -v[..., k], v[..., k]
-    return made
+        matrix[..., i, j], matrix[..., j, i] = -v[..., k], v[..., k]
+    return matrix
 
 
 def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
@@ -61,10 +61,10 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     """Matrices (..., 3, 3) of quaternions (..., 4), the scalar last, of any length."""
     v, w = quaternion[..., :3], quaternion[..., 3, None, None]
     square = np.einsum("...i,...i->...", v, v)[..., None, None]
-    made = (w * w - square) * np.eye(3) + 2 * (
+    matrix = (w * w - square) * np.eye(3) + 2 * (
         v[..., :, None] * v[..., None, :] + w * cross_matrix(v)
     )
-    return made / (w * w + square)
+    return matrix / (w * w + square)
 
 
 def continuous(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:

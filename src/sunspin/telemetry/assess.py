@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.telemetry.health import PanelHealth, panel_health
+from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.quality import DEAD_SAMPLES, SURELY_LIT, judge_readings
 from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, signals, sun_directions
 from sunspin.telemetry.units import WrongUnit, panel_unit, wrong_units
@@ -46,6 +47,17 @@ class Assessment:
         return panel_unit(self.vehicle, signals(self.telemetry)) if self.has_panels else None
 
     @cached_property
+    def noise(self) -> tuple[np.ndarray, str]:
+        """One sigma of a reading of each panel (n_panel), in its unit, and where it comes from: the vehicle file, else readings
+        below zero, else assumed. :attr:`sun` asks the redundancy of its directions before the latter two."""
+        stated, value = self.vehicle.input_noise, signals(self.telemetry)
+        if stated is not None:
+            return stated, "given"
+        dark = dark_noise(value)
+        sigma = assumed_noise(value) if dark is None else dark
+        return np.full(value.shape[1], sigma), ASSUMED_FROM if dark is None else DARK_FROM
+
+    @cached_property
     def lit_threshold(self) -> float | None:
         """What a reading must exceed to count as lit by the Sun and not by the Earth, in its unit: twice the light on unlit panels.
 
@@ -80,9 +92,7 @@ class Assessment:
     def health(self) -> PanelHealth:
         """Impossible lit patterns and the panels whose loss would explain them, of every `health_stride`-th sample."""
         some = self.telemetry.isel(time=slice(None, None, self.health_stride))
-        return panel_health(
-            self.vehicle, some, lit_threshold=self.lit_threshold, could_be_turned=True
-        )
+        return panel_health(self.vehicle, some, lit_threshold=self.lit_threshold)
 
     @cached_property
     def still_directions(self) -> list[np.ndarray]:

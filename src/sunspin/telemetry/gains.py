@@ -62,7 +62,7 @@ class Gains(NamedTuple):
     factor: np.ndarray
     covariance: np.ndarray
     spread: float | None
-    told: str
+    source: str
     weak: np.ndarray
 
     @property
@@ -160,8 +160,8 @@ def estimate_gains(
     with_level = np.column_stack([np.eye(len(log)), np.ones(len(log))])
     covariance = with_level @ covariance @ with_level.T + (COMMON_SHARE * spread) ** 2
     factor = np.exp(log + level) / full
-    told = f"estimated from {len(value)} samples in full Sun"
-    return Gains(factor, covariance * np.outer(factor, factor), spread, told, weak)
+    source = f"estimated from {len(value)} samples in full Sun"
+    return Gains(factor, covariance * np.outer(factor, factor), spread, source, weak)
 
 
 def _weak(vehicle: Vehicle, log: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -4,13 +4,13 @@ noise, or panels that do not stand quite as drawn, might have made them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.special import gammaln
 
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
@@ -18,7 +18,6 @@ from sunspin.solve.linear import Dense, dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
@@ -37,13 +36,15 @@ probability than this; nor do panels turned by their stated sigmas where any of 
 CHUNK = 2000
 """Samples searched at once: each from every cell of the sphere."""
 
+NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
+"""What may make forbidden patterns although no panel is lost."""
+
 
 class NoiseVerdict(NamedTuple):
-    """All samples of one forbidden pattern: the largest `probability` and `pattern_probability` of `NoiseMade` among them,
-    and log10 of the product of `probability` over them, as their noise is independent."""
+    """All samples of one forbidden pattern: the largest `probability` of `NoiseMade` among them, and log10 of the product of
+    these probabilities, as the samples' noise is independent."""
 
     largest: float
-    largest_of_pattern: float
     log10_together: float
 
 
@@ -54,25 +55,17 @@ class PanelHealth(xr.Dataset):
     __slots__ = ()
 
     def __getitem__(self, key: Any) -> Any:
-        if key == "allowed":
-            return named_panels(self, "allowed_lit")
+        sets = {"allowed": "allowed_lit", "explanations": "lost"}
+        if key in sets:
+            return named_panels(self, sets[key])
+        if key not in ("impossible", "noise"):
+            return super().__getitem__(key)
+        patterns = named_panels(self, "impossible_lit")
         if key == "impossible":
-            return dict(
-                zip(
-                    named_panels(self, "impossible_lit"),
-                    self["samples"].values.tolist(),
-                    strict=True,
-                )
-            )
-        if key == "explanations":
-            return named_panels(self, "lost")
-        if key == "noise":
-            figures = zip(
-                *(self[name].values.tolist() for name in NoiseVerdict._fields), strict=True
-            )
-            verdicts = zip(named_panels(self, "impossible_lit"), figures, strict=True)
-            return {p: NoiseVerdict(*of_p) for p, of_p in verdicts if not np.isnan(of_p[0])}
-        return super().__getitem__(key)
+            return dict(zip(patterns, self["samples"].values.tolist(), strict=True))
+        figures = np.column_stack([self[name].values for name in NoiseVerdict._fields]).tolist()
+        verdicts = zip(patterns, figures, strict=True)
+        return {pattern: NoiseVerdict(*f) for pattern, f in verdicts if not np.isnan(f[0])}
 
 
 def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
@@ -81,27 +74,17 @@ def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
     return [tuple(panels[row].tolist()) for row in health[name].values.astype(bool)]
 
 
-def panel_health(
-    vehicle: Vehicle,
-    telemetry: Any,
-    *,
-    could_be_noise: float | None = None,
-    could_be_turned: bool = False,
-    **options: Any,
-) -> PanelHealth:
+def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealth:
     """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
 
     A pattern is explained by a set of panels if adding some of them to the lit ones gives a possible pattern: those were in
-    the Sun and gave nothing, being shadowed or dead (paper, section 4).
+    the Sun and gave nothing, being shadowed or dead (paper, section 4). A pattern that panels turned by the sigmas which the
+    vehicle's file states of their normals may show needs no explanation.
 
     Parameters
     ----------
     telemetry : Dataset of `read_telemetry`, (n, n_panel) powers, or Dataset of `sun_directions` (which holds no powers, so
         that nothing can be said of noise)
-    could_be_noise : float, optional
-        Samples that noise alone makes with at least this probability need no explanation. Default: all need one.
-    could_be_turned : bool
-        Nor do patterns that panels turned by the sigmas which the vehicle's file states of their normals may show.
     **options
         `noise` and `lit_threshold`, as for `sun_directions`.
 
@@ -110,10 +93,9 @@ def panel_health(
     xarray.Dataset
         `allowed_lit (allowed_pattern, panel)`: the lit patterns that geometry allows, for directions in no panel's plane;
         `impossible_lit (pattern, panel)` with `samples (pattern)`, their number; `lost (explanation, panel)`: the smallest sets
-        of panels, none where nothing needs explaining or nothing explains it; `largest`, `largest_of_pattern` and
-        `log10_together (pattern)` as in `NoiseVerdict`, NaN without powers or without a noise figure; `turned (pattern)`, a bound
-        on the probability that noise and the stated turns of panels make its least likely sample, NaN where no turns are
-        stated either. As returned it also has
+        of panels, none where nothing needs explaining or nothing explains it; `largest` and `log10_together (pattern)` as in
+        `NoiseVerdict`, NaN without powers or without a noise figure; `turned (pattern)`, a bound on the probability that noise
+        and the stated turns of panels make its least likely sample, NaN where no turns are stated either. As returned it also has
         ``["allowed"]`` (tuples of names), ``["impossible"]`` ({pattern: number of samples}), ``["explanations"]`` (tuples) and
         ``["noise"]`` ({pattern: `NoiseVerdict`}).
     """
@@ -122,45 +104,25 @@ def panel_health(
     forbidden = np.flatnonzero(np.asarray(sun["status"]) == SunStatus.IMPOSSIBLE)
     names = np.array(vehicle.input_names)
     of_sample = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
-    patterns, n = list(dict.fromkeys(of_sample)), sun.sizes["time"]
+    patterns = list(dict.fromkeys(of_sample))
     members = [np.array([own == pattern for own in of_sample]) for pattern in patterns]
     threshold = sun["lit_threshold"].values
     # assumed noise explains nothing
     sigma = sun["noise"].values * (np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else 1.0)
-    chance, turned = np.zeros(len(of_sample)), np.full(len(patterns), np.nan)
-    noise = np.full((len(patterns), 3), np.nan)
+    largest, together, turned = np.full((3, len(patterns)), np.nan)
     if not is_sun and patterns and (sigma > 0).all():
         power, _ = powers(vehicle, telemetry)
-        by_noise = noise_alone(vehicle, power[forbidden], sigma, threshold)
-        chance = by_noise.probability
-        for k, own in enumerate(members):
-            together = by_noise.log_probability[own].sum() / np.log(10)
-            noise[k] = chance[own].max(), by_noise.pattern_probability[own].max(), together
+        log_chance = noise_alone(vehicle, power[forbidden], sigma, threshold).log_probability
+        largest = np.array([np.exp(log_chance[own].max()) for own in members])
+        together = np.array([log_chance[own].sum() / np.log(10) for own in members])
         if (tilt := turned_sigma(vehicle)).any():
             # the factor between gains and full Sun; that of the brighter samples where the Sun is oblique to all panels
             bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
             by_turns = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
             turned = np.array([by_turns.probability[own].min() for own in members])
-    limit = np.inf if could_be_noise is None else could_be_noise
-    needed = [
-        pattern
-        for pattern, own, least in zip(patterns, members, turned, strict=True)
-        if (chance[own] < limit).any() and not (could_be_turned and least * n > NOISE_ALONE)
-    ]
-
-    def rows(sets: Sequence[Any]) -> np.ndarray:
-        members = np.array([[name in panels for name in names] for panels in sets], dtype=bool)
-        return members.reshape(-1, len(names))
-
-    about = {
-        "largest": "bound on the probability that noise alone made the likeliest sample",
-        "largest_of_pattern": "probability that noise shows this pattern, at most",
-        "log10_together": "log10 of that bound for all samples together",
-        "turned": "bound on the probability that noise and panels turned by their stated sigmas make the least likely sample",
-    }
-    figures = np.column_stack([noise, turned]).T
-    counts = np.array([own.sum() for own in members], dtype=np.int64)
+    by_turns = turned * sun.sizes["time"] > NOISE_ALONE
+    needed = [pattern for pattern, excused in zip(patterns, by_turns, strict=True) if not excused]
     sets = {
         "allowed_lit": ("allowed_pattern", lit_patterns(vehicle), "lit panels, as possible"),
         "impossible_lit": ("pattern", patterns, "lit panels, as seen and impossible"),
@@ -170,47 +132,39 @@ def panel_health(
             "panels whose loss explains all impossible patterns",
         ),
     }
-    attrs = provenance("panel_health", sun, **vehicle.said)
-    return PanelHealth(
-        {
-            name: ((dimension, "panel"), rows(panels), {"long_name": long_name})
-            for name, (dimension, panels, long_name) in sets.items()
-        }
-        | {
-            "samples": (
-                "pattern",
-                counts,
-                {"units": "1", "long_name": "samples that show the pattern"},
-            )
-        }
-        | {
-            name: ("pattern", value, {"units": "1", "long_name": long_name})
-            for (name, long_name), value in zip(about.items(), figures, strict=True)
-        },
+    figures = {
+        "samples": ([own.sum() for own in members], "samples that show the pattern"),
+        "largest": (largest, "bound on the probability that noise alone made the likeliest sample"),
+        "log10_together": (together, "log10 of that bound for all samples together"),
+        "turned": (
+            turned,
+            "bound on the probability that noise and panels turned by their stated sigmas make the least likely sample",
+        ),
+    }
+    health = PanelHealth(
         coords={"panel": names.tolist()},
-        attrs=attrs
+        attrs=provenance("panel_health", sun, **vehicle.said)
         | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
-
-
-NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
-"""What may make forbidden patterns although no panel is lost."""
+    for key, (dimension, panels, long_name) in sets.items():
+        rows = np.array([np.isin(names, list(each)) for each in panels]).reshape(-1, len(names))
+        health[key] = (dimension, "panel"), rows.astype(bool), {"long_name": long_name}
+    for key, (values, long_name) in figures.items():
+        health[key] = "pattern", np.asarray(values), {"units": "1", "long_name": long_name}
+    return health
 
 
 def made_by(health: PanelHealth, n: int) -> str:
-    """`NOISE` or `TURNS` if that may have made all forbidden patterns that `panel_health` found among `n` samples, else nothing.
+    """`NOISE` or `TURNS` if that may have made all forbidden patterns of `panel_health` among `n` samples, else nothing.
     Of noise counts the bound of how probable it is that any so many of them read so."""
-    from scipy.special import gammaln
-
     count = int(health["samples"].sum())
     if count and not health["largest"].isnull().any():
         any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
         log10 = float(health["log10_together"].sum()) + any_of_them / np.log(10)
         if log10 > np.log10(NOISE_ALONE):
             return NOISE
-    least = health[
-        "turned"
-    ].values  # turns are the same in all samples: only the least probable counts
+    # turns are the same in all samples: only the least probable counts
+    least = health["turned"].values
     return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
 
 
@@ -239,17 +193,17 @@ def explanations(
 class NoiseMade(NamedTuple):
     """Whether noise alone may have made each sample's readings; arrays over samples.
 
-    `chi_square` (n): squared distance, in sigma, from the nearest readings that any Sun makes; `probability` (n): upper
-    bound on the probability that noise takes readings so far from those of a Sun; `pattern_probability` (n): probability
-    that noise shows this lit pattern under the least contradictory Sun; `sun_B` (n, 3): that Sun, times the scale of the
-    powers; `log_probability` (n): natural logarithm of `probability`, where that is too small for a float.
+    `chi_square` (n): squared distance, in sigma, from the nearest readings that any Sun makes; `log_probability` (n): natural
+    logarithm of an upper bound on the probability that noise takes readings so far from those of a Sun.
     """
 
     chi_square: np.ndarray
-    probability: np.ndarray
-    pattern_probability: np.ndarray
-    sun_B: np.ndarray
     log_probability: np.ndarray
+
+    @property
+    def probability(self) -> np.ndarray:
+        """That bound (n) itself; 0 where it is too small for a float."""
+        return np.exp(self.log_probability)
 
 
 def noise_alone(
@@ -265,6 +219,9 @@ def noise_alone(
     noise of each panel in sigma, the distance from the true Sun's readings is at most |z|, and that from the nearest Sun's
     is no more: so chi-square with one degree per panel bounds the probability from above.
 
+    The search for the nearest Sun, direction times brightness, runs from each region of the sphere (inside one the squared
+    distance of flat panels is a convex piece), and the best end is taken.
+
     Parameters
     ----------
     power : (n, n_panel)
@@ -276,55 +233,19 @@ def noise_alone(
     besides : (n, n_panel) or what broadcasts to it
         One sigma of what else is off in each reading, in that unit: with it, it is not noise alone.
     """
-    from scipy.stats import chi2, norm
+    from scipy.stats import chi2
 
     readings, _ = powers(vehicle, power)
-    n_panel = readings.shape[1]
     sigma = of_panels(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
     be = "lit_threshold must be zero or positive"
     threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
-    response = vehicle.response_in()
+    unit, response = sigma.min(), vehicle.response_in()
+    readings, threshold = readings / unit, threshold / unit
+    total = np.hypot(sigma / unit, np.asarray(besides) / unit)
+    weight = 1 / np.broadcast_to(total, readings.shape)
     scale = response.largest  # so that the unknown is of the size of the readings
-    unit = sigma.min()
-    each = np.broadcast_to(np.hypot(sigma / unit, np.asarray(besides) / unit), readings.shape)
-    found = [
-        _nearest_sun(
-            response,
-            scale,
-            readings[at : at + CHUNK] / unit,
-            threshold / unit,
-            1 / each[at : at + CHUNK],
-        )
-        for at in range(0, len(readings), CHUNK)
-    ]
-    sun = np.concatenate([part[0] for part in found]) if found else np.zeros((0, 3))
-    square = np.concatenate([part[1] for part in found]) if found else np.zeros(0)
-    mean, _ = response.under(sun, scale)
-    lit = readings > threshold
-    shown = norm.sf(threshold / unit, mean, each), norm.cdf(threshold / unit, mean, each)
-    pattern = np.prod(np.where(lit, *shown), axis=1)
-    return NoiseMade(
-        square, chi2.sf(square, n_panel), pattern, sun * unit / scale, chi2.logsf(square, n_panel)
-    )
-
-
-def _nearest_sun(
-    response: PanelResponse,
-    scale: float,
-    readings: np.ndarray,
-    threshold: np.ndarray,
-    weight: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The Sun (n, 3), direction times brightness, nearest to readings (n, n_panel) in units of the least sigma, and the squared
-    distance; a residual counts `weight` (n, n_panel).
-
-    A search runs from each region (inside one the squared distance of flat panels is a convex piece), and the best end is taken.
-    """
     cells, _ = response.regions()
     light, _ = response.under(cells, scale)
-    bright = np.maximum(readings @ light.T, 0.0) / np.maximum((light**2).sum(axis=1), 1e-300)
-    starts = (bright[:, :, None] * cells[None]).reshape(-1, 3)
-    each, weights = (np.repeat(values, len(cells), axis=0) for values in (readings, weight))
 
     def linearise(state: tuple[np.ndarray, ...]) -> Dense:
         sun, seen, counts = state
@@ -337,9 +258,15 @@ def _nearest_sun(
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]
 
-    found = least_squares(
-        linearise, retract, dense, (starts, each, weights), steps=STEPS, tolerance=ROUNDING
-    )
-    cost = found.system.cost.reshape(len(readings), -1)
-    best = np.argmin(cost, axis=1) + len(cells) * np.arange(len(readings))
-    return found.state[0][best], 2 * found.system.cost[best]
+    square = np.zeros(len(readings))
+    for start in range(0, len(readings), CHUNK):
+        some = slice(start, start + CHUNK)
+        bright = np.maximum(readings[some] @ light.T, 0.0)
+        bright /= np.maximum((light**2).sum(axis=1), 1e-300)
+        starts = (bright[:, :, None] * cells).reshape(-1, 3)
+        seen, counts = (np.repeat(each[some], len(cells), axis=0) for each in (readings, weight))
+        ends = least_squares(
+            linearise, retract, dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
+        )
+        square[some] = 2 * ends.system.cost.reshape(-1, len(cells)).min(axis=1)
+    return NoiseMade(square, chi2.logsf(square, readings.shape[1]))

@@ -165,18 +165,18 @@ def judge_readings(
     clean = good & ~limited & ~idle & ~dark
     albedo, seen = _albedo(vehicle, (relative / level)[clean])
     earth = _earth_light(albedo, seen, float(np.median(noise) / (full * np.median(gains))))
-    told = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
-    gains = gains * told.factor
-    of_lit, own = told.spread, told.covariance
+    fitted = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
+    gains = gains * fitted.factor
+    of_lit, own = fitted.spread, fitted.covariance
     if of_lit is None:
         # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
-        of_lit = np.hypot(albedo, told.sigma * use_value / (level * gains))
+        of_lit = np.hypot(albedo, fitted.sigma * use_value / (level * gains))
         own = np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
     # what the Earth adds to a lit panel on average is taken for its gain
     gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
     share = np.where(use_value > SURELY_LIT * albedo * level * gains, of_lit, albedo)
     # what no beam explains; noise that the file does not state is in that light too: as much as full Sun scatters, else all of it
-    unknown = albedo if told.spread is None else min(told.spread, albedo)
+    unknown = albedo if fitted.spread is None else min(fitted.spread, albedo)
     left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
     beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
     floor = np.hypot(share * level * gains, noise)
@@ -186,43 +186,42 @@ def judge_readings(
     nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
     beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * level * gains, noise)))
     sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
-    use = np.where(limited, DOWNWEIGHTED, USED).astype(np.int8)
-    use[dropped | dark | idle] = DROPPED
-    some = spike.any(axis=1) & (use == USED)
-    use[some] = DOWNWEIGHTED
     wrong = wrong_unit() if dark[good].any() else None
     nothing_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
-    why = np.where(why != "", why, np.where(dark, nothing_lit, np.where(idle, IDLE, "used")))
-    why = np.where(limited & (use != DROPPED), BELOW_FULL, why)
-    why = np.where(aside & (use == USED), ASIDE, why)
-    why = np.where(some & ~limited, BEYOND_FULL, why)
+    spiked = spike.any(axis=1)
+    use = np.select([dropped | dark | idle, limited | spiked], [DROPPED, DOWNWEIGHTED], USED)
+    why = np.select(
+        [dropped, dark, idle, limited, spiked, aside],
+        [why, nothing_lit, IDLE, BELOW_FULL, BEYOND_FULL, ASIDE],
+        "used",
+    )
     scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
-    scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, told.spread or CLEAN_SCALE)
+    scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     stated_gains = vehicle.input_gains
-    long_names = {
-        "sigma": "one sigma of a reading, unit of the gains",
-        "sigma_beside_earth": "the same where the Earth's light is modelled",
-        "gain": "gain of each panel, unit of the vehicle's gains",
+    uses = {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}
+    of_earth = "the same where the Earth's light is modelled"
+    variables: dict[str, Any] = {
+        "sigma": (sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
+        "sigma_beside_earth": (beside, {"long_name": of_earth}),
+        "scale": (scale, {"units": "1"}),
+        "scale_sigma": (scale_sigma, {"units": "1"}),
+        "use": (use.astype(np.int8), uses),
+        "why": (why.astype(np.str_), {}),
     }
-    data = xr.Dataset(
-        {
-            "sigma": (("time", "panel"), sigma),
-            "sigma_beside_earth": (("time", "panel"), beside),
-            "scale": ("time", scale, {"units": "1"}),
-            "scale_sigma": ("time", scale_sigma, {"units": "1"}),
-            "gain": ("panel", gains),
-            "gain_sigma": ("panel", np.sqrt(np.diag(gain_cov)) * stated_gains),
-            "gain_cov": (("panel", "panel2"), gain_cov * np.outer(stated_gains, stated_gains)),
-            "use": (
-                "time",
-                use,
-                {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"},
-            ),
-            "why": ("time", why.astype(np.str_)),
-            "noise": ("panel", noise),
-            "dead": ("panel", dead),
-            "weak": ("panel", told.weak),
-            "missed": ("panel", missed | (dead & vehicle.throttled)),
+    of_panels = {
+        "gain": (gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
+        "gain_sigma": (np.sqrt(np.diag(gain_cov)) * stated_gains, {}),
+        "gain_cov": (gain_cov * np.outer(stated_gains, stated_gains), {}),
+        "noise": (noise, {}),
+        "dead": (dead, {}),
+        "weak": (fitted.weak, {}),
+        "missed": (missed | (dead & vehicle.throttled), {}),
+    }
+    return xr.Dataset(
+        {name: (("time", "panel")[: v.ndim], v, about) for name, (v, about) in variables.items()}
+        | {
+            name: (("panel", "panel2")[: v.ndim], v, about)
+            for name, (v, about) in of_panels.items()
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
         attrs=provenance("panel_quality", telemetry, **vehicle.said)
@@ -231,15 +230,12 @@ def judge_readings(
             "albedo": float(albedo),
             "albedo_samples": seen,
             "full_sun_from": source,
-            "gains_from": told.told,
+            "gains_from": fitted.source,
             "earth_light": earth,
             "noise": float(np.median(noise)),
-            "spread": np.nan if told.spread is None else told.spread,
+            "spread": np.nan if fitted.spread is None else fitted.spread,
         },
     )
-    for name, long_name in long_names.items():
-        data[name].attrs["long_name"] = long_name
-    return data
 
 
 def came_late(telemetry: xr.Dataset) -> np.ndarray:
@@ -287,13 +283,13 @@ def _beyond_noise(
     """Which samples (n) have a reading of `light` (n, n_panel) that noise does not make: noise as stated, else what readings below
     zero of all `value` tell, else what panels that face away from the Sun read, `away` (of full Sun, which is `full` of the gain),
     but no more than the noise that is assumed: the rest is the Earth's light."""
-    told = noise if vehicle.input_noise is not None else dark_noise(value)
-    made = (
-        np.maximum(noise, told)
-        if told is not None
+    sigma = noise if vehicle.input_noise is not None else dark_noise(value)
+    by_noise = (
+        np.maximum(noise, sigma)
+        if sigma is not None
         else full * min(away, ASSUMED_SHARE) * vehicle.input_gains
     )
-    return np.asarray((light > DARK_SIGMAS * made).any(axis=1))
+    return np.asarray((light > DARK_SIGMAS * by_noise).any(axis=1))
 
 
 def _dead(relative: np.ndarray, full: float) -> np.ndarray:
@@ -343,8 +339,8 @@ def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
     readings = [share[share[:, j] > FACED, i] for i, j in away]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
-    told = len(dark) >= TOLD_READINGS
-    albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if told else ALBEDO_DEFAULT
+    enough = len(dark) >= TOLD_READINGS
+    albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if enough else ALBEDO_DEFAULT
     return albedo, len(dark)
 
 

@@ -59,7 +59,7 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndar
         One sigma of a reading in the unit of the gains over full Sun.
     """
     gains = vehicle.input_gains
-    found = np.zeros(len(gains), dtype=bool)
+    gone = np.zeros(len(gains), dtype=bool)
     of_sun = np.isfinite(relative).all(axis=1) & (np.nan_to_num(relative) > DARK).any(axis=1)
     t_s, read = t_s[of_sun], relative[of_sun]
     silent = (read < np.maximum(DARK, QUIET_SIGMAS * noise / gains)).all(axis=0)
@@ -68,17 +68,17 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndar
     if (
         vehicle.throttled or silent.all() or not len(read)
     ):  # the battery may limit any sample: there is no full light
-        return found
+        return gone
     light = panel_power(vehicle, sphere(DIRECTIONS)) / gains
     # of a reading, as a share of full Sun; panels may be turned by the sigmas that the file states
     sigma = np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / gains**2)
-    while (left := np.flatnonzero(silent & ~found)).size:
-        fits = {k: _without(k, read, light, sigma, found) for k in left}
-        k = max(left, key=lambda one: fits[one].clear)
-        if fits[k].clear < CLEARLY or _by_battery(k, fits[k], t_s, read, light, sigma, found):
+    while (left := np.flatnonzero(silent & ~gone)).size:
+        fits = {k: _without(k, read, light, sigma, gone) for k in left}
+        k = max(left, key=lambda panel: fits[panel].clear)
+        if fits[k].clear < CLEARLY or _by_battery(k, fits[k], t_s, read, light, sigma, gone):
             break
-        found[k] = True
-    return found
+        gone[k] = True
+    return gone
 
 
 class Fit(NamedTuple):
@@ -99,10 +99,10 @@ class Fit(NamedTuple):
 
 
 def _without(
-    k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, found: np.ndarray
+    k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, gone: np.ndarray
 ) -> Fit:
     """Readings (n, P) without panel `k`, those `found` being left out."""
-    others = ~found & (np.arange(len(found)) != k)
+    others = ~gone & (np.arange(len(gone)) != k)
     model, extra = (light / sigma)[:, others], (np.maximum(light[:, k] - DARK, 0.0) / sigma[k]) ** 2
     sun, best, gain = np.empty(len(read), dtype=np.intp), np.empty(len(read)), np.empty(len(read))
     for start in range(0, len(read), CHUNK):
@@ -122,10 +122,10 @@ def _by_battery(
     read: np.ndarray,
     light: np.ndarray,
     sigma: np.ndarray,
-    found: np.ndarray,
+    gone: np.ndarray,
 ) -> bool:
     """Whether a battery that dims the samples which miss panel `k` says it as well."""
-    sun, square, level = _dimmed((read / sigma)[:, ~found], (light / sigma)[:, ~found])
+    sun, square, level = _dimmed((read / sigma)[:, ~gone], (light / sigma)[:, ~gone])
     if (square - lost.square)[lost.missing].sum() > CLEARLY:
         return False
     bends = _bend(t_s, lost.sun, lost.missing) / max(_bend(t_s, sun, lost.missing), 1e-9)
@@ -136,7 +136,7 @@ def _by_battery(
     ):
         return bends > ROUGHER
     dimmed = np.median(level[lost.missing]) * read[~lost.missing & ~lost.odd]
-    alike = _without(k, dimmed, light, sigma, found).missing.mean() if len(dimmed) else 1.0
+    alike = _without(k, dimmed, light, sigma, gone).missing.mean() if len(dimmed) else 1.0
     return alike ** lost.missing.sum() > BY_CHANCE
 
 

@@ -294,9 +294,9 @@ def _several(vehicle: Vehicle, power: np.ndarray, noise: npt.ArrayLike) -> np.nd
     if not vehicle.channels or not len(power):
         return np.zeros(len(power), dtype=bool)
     size = np.linalg.norm(power, axis=1)
-    made = LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(size > 0, size, np.inf)
-    found = vehicle.response_in().alike(power, np.maximum(made, ALIKE))
-    away = np.linalg.norm(found - found[:, :1], axis=-1)
+    by_noise = LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(size > 0, size, np.inf)
+    alike = vehicle.response_in().alike(power, np.maximum(by_noise, ALIKE))
+    away = np.linalg.norm(alike - alike[:, :1], axis=-1)
     return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
 
 
@@ -307,7 +307,7 @@ def _free(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
     lit, inverse = np.unique(
         response.power(direction) > ON_EDGE * vehicle.input_gains, axis=0, return_inverse=True
     )
-    return np.array([response.rank(one) < 3 for one in lit], dtype=bool)[inverse.ravel()]
+    return np.array([response.rank(pattern) < 3 for pattern in lit], dtype=bool)[inverse.ravel()]
 
 
 def _pooled_noise(

@@ -166,12 +166,12 @@ def _with_coefficients(friction: dict[str, Any], wheel: dict[str, Any]) -> None:
     """Put coefficients in the place of a measured spin-down, so that one of them can be changed."""
     try:
         law = {name: float(bare(value)) for name, value in friction["spin_down"].items()}
-        made = Friction.from_spin_down(**law, inertia_kg_m2=float(bare(wheel["inertia_kg_m2"])))
+        fit = Friction.from_spin_down(**law, inertia_kg_m2=float(bare(wheel["inertia_kg_m2"])))
     except (AttributeError, KeyError, TypeError, ValueError):
         return  # the reader of the file says what is wrong with it
     friction.clear()
     for name in COEFFICIENTS:
-        friction[name] = {"value": getattr(made, name), "source": "from the measured spin-down"}
+        friction[name] = {"value": getattr(fit, name), "source": "from the measured spin-down"}
 
 
 def _combined(old: Any, operator: str, operand: Any, key: str) -> Any:

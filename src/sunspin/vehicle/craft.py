@@ -140,8 +140,8 @@ def _require_symmetric(what: str, tensor: np.ndarray) -> None:
     off = np.abs(tensor - tensor.T)
     if off.max() > SYMMETRY_TOLERANCE * np.abs(tensor).max():
         i, j = np.unravel_index(np.argmax(off), (3, 3))
-        found = f"element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}"
-        raise VehicleError(f"{what} must be symmetric, but {found}", do="make them equal")
+        elements = f"element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}"
+        raise VehicleError(f"{what} must be symmetric, but {elements}", do="make them equal")
 
 
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
@@ -257,10 +257,10 @@ class Vehicle(Part):
             self.panel_names,
             {name: channel for channel in self.channels for name in channel.panels},
         )
-        found: dict[str, Input] = {}
+        inputs: dict[str, Input] = {}
         for k, name in enumerate(names):
             channel = channel_of.get(name)
-            one = (
+            each = (
                 Input(name, (k,))
                 if channel is None
                 else Input(
@@ -269,12 +269,12 @@ class Vehicle(Part):
                     channel.reads == "largest",
                 )
             )
-            found.setdefault(one.name, one)
-        return tuple(found.values())
+            inputs.setdefault(each.name, each)
+        return tuple(inputs.values())
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        return tuple(one.name for one in self.inputs)
+        return tuple(each.name for each in self.inputs)
 
     @property
     def input_gains(self) -> FloatArray:
@@ -282,7 +282,7 @@ class Vehicle(Part):
         if not self.channels:
             return self.panel_gains
         return np.array(
-            [full_sun(one, self.panel_normals_B, self.panel_gains)[1] for one in self.inputs]
+            [full_sun(each, self.panel_normals_B, self.panel_gains)[1] for each in self.inputs]
         )
 
     @property

@@ -147,11 +147,11 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
-    made = ch.apply(table, changes)
-    if made:
-        where = f"{where} with {', '.join(one.key for one in made)} set"
+    settings = ch.apply(table, changes)
+    if settings:
+        where = f"{where} with {', '.join(each.key for each in settings)} set"
     try:
-        return _vehicle(table, made)
+        return _vehicle(table, settings)
     except RecursionError:
         raise VehicleError(
             "the file is nested too deeply to be a vehicle file", where=where
@@ -162,7 +162,7 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
         raise VehicleError(f"{where}: {error}") from None
 
 
-def _vehicle(table: dict[str, Any], made: tuple[ch.Setting, ...]) -> craft.Vehicle:
+def _vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.Vehicle:
     for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
         what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
         raise VehicleError(what, do=f"leave out [panel_response.{law}]")
@@ -195,7 +195,7 @@ def _vehicle(table: dict[str, Any], made: tuple[ch.Setting, ...]) -> craft.Vehic
         panel_response=file.panel_response,
         channels=file.channel,
         facts=dict(_facts(table)),
-        changes=made,
+        changes=settings,
     )
 
 

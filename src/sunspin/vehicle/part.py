@@ -94,30 +94,30 @@ def tuples(value: Any) -> Any:
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field, Field))
 def part(cls: type[T]) -> type[T]:
     """Make a class a frozen model whose errors are sentences (`VehicleError`), for a copy by `dataclasses.replace` too."""
-    made: Any = dataclass(frozen=True, eq=False, config=CONFIG)(cls)
-    check = made.__init__
+    part_class: Any = dataclass(frozen=True, eq=False, config=CONFIG)(cls)
+    check = part_class.__init__
 
     @wraps(check)
     def checked(self: Any, *given: Any, **named: Any) -> None:
         first = dict(
-            zip(made.__pydantic_fields__, given, strict=False)
+            zip(part_class.__pydantic_fields__, given, strict=False)
         )  # by name, so that messages name them
         try:
             check(self, *given[len(first) :], **first, **named)
         except ValidationError as error:
-            raise VehicleError(problem(error, made, made.__name__)) from None
+            raise VehicleError(problem(error, part_class, part_class.__name__)) from None
 
-    made.__init__ = checked
-    made.__signature__ = _short(signature(made))
-    return made
+    part_class.__init__ = checked
+    part_class.__signature__ = _short(signature(part_class))
+    return part_class
 
 
 def _short(long: Signature) -> Signature:
     """A signature for people: types without their rules."""
-    told = [
+    parameters = [
         p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in long.parameters.values()
     ]
-    return long.replace(parameters=told)
+    return long.replace(parameters=parameters)
 
 
 # ---------------------------------------------------------------------------------------------------------------------- values
@@ -283,37 +283,37 @@ def problem(
         error.errors(include_url=False),
         key=lambda each: each["type"] != "unexpected_keyword_argument",
     )
-    found = next(
+    first = next(
         (each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0]
     )
-    reason, places = _reason(found), found["loc"]
+    reason, places = _reason(first), first["loc"]
     if isinstance(reason, VehicleError):
         path = _path(places, table) if table is not None else ".".join(map(str, (where, *places)))
         return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
     key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places)
     where = f"{where}, {key.replace('.[', '[')}"
-    if found["type"] == "unexpected_keyword_argument":
+    if first["type"] == "unexpected_keyword_argument":
         known = keys_at(kind, places[:-1], table is not None)
         near = get_close_matches(str(places[-1]), known, n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
         do = f"known keys: {', '.join(known)}{meant}"
         return sentence(f"unknown key {str(places[-1])!r}", do=do, where=where)
-    if found["type"] == "missing":
+    if first["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
-    message = found["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     message = message.replace("valid tuple", "valid list").replace("Tuple should", "List should")
-    message = IN_WORDS.get(found["type"], message.replace(" after validation", ""))
-    if found["type"] == "dataclass_type":
+    message = IN_WORDS.get(first["type"], message.replace(" after validation", ""))
+    if first["type"] == "dataclass_type":
         message = (
             "should be a table" if table is not None else message.replace("a dictionary or ", "")
         )
-    got = None if isinstance(found["input"], dict) else found["input"]
+    got = None if isinstance(first["input"], dict) else first["input"]
     return sentence(message, got=got, where=where)
 
 
-def _reason(found: Any) -> object:
+def _reason(first: Any) -> object:
     """The error of ours behind one of pydantic's, if there is one."""
-    return found.get("ctx", {}).get("error")
+    return first.get("ctx", {}).get("error")
 
 
 def _path(places: tuple[int | str, ...], table: Any) -> str:
@@ -327,15 +327,15 @@ def _path(places: tuple[int | str, ...], table: Any) -> str:
 
 def keys_of(kind: Any, in_file: bool = True) -> dict[str, Any]:
     """The keys of a part and their types; in a file they may have other names, and what a certificate says has none."""
-    found = {}
+    keys = {}
     for name, about in kind.__pydantic_fields__.items():
         alias = about.validation_alias if in_file else None
         if not isinstance(alias, AliasPath):
-            found |= dict.fromkeys(
+            keys |= dict.fromkeys(
                 alias.choices if isinstance(alias, AliasChoices) else [alias or name],
                 about.annotation,
             )
-    return found
+    return keys
 
 
 def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str, Any]:

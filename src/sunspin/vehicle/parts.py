@@ -75,14 +75,14 @@ class Panel(Part):
     def _one_gain(cls, given: Any, check: Callable[[Any], Panel], info: ValidationInfo) -> Panel:
         if not (info.context and isinstance(given, dict)):
             return check(given)
-        found = [key for key in GAIN_UNITS if key in given]
+        units = [key for key in GAIN_UNITS if key in given]
         panel = check(
-            {key: given[key] for key in given if key not in found[1:]}
-            | ({} if found else {"cells": 1.0})
+            {key: given[key] for key in given if key not in units[1:]}
+            | ({} if units else {"cells": 1.0})
         )
-        if len(found) != 1:
+        if len(units) != 1:
             what = f"panel {panel.name!r} must give exactly one of {', '.join(GAIN_UNITS)}"
-            raise VehicleError(what, got=", ".join(found) or "none")
+            raise VehicleError(what, got=", ".join(units) or "none")
         return panel
 
 

@@ -108,8 +108,8 @@ class ThreeAxes(Part):
         ]
         if np.array_equal(zero, zero[np.argsort(now)]):
             return {"columns": named}
-        told = {"value": zero.tolist(), "sigma": sigma.tolist()} if sigma.any() else zero.tolist()
-        return {"columns": named, "zero": told}  # it goes with its column
+        value = {"value": zero.tolist(), "sigma": sigma.tolist()} if sigma.any() else zero.tolist()
+        return {"columns": named, "zero": value}  # it goes with its column
 
 
 @part
@@ -331,4 +331,4 @@ class Sensors(Part):
     @property
     def with_columns(self) -> dict[str, Any]:
         """The sensors whose columns go along the axes of the body, by their table in the vehicle file."""
-        return {name: one for name, one in vars(self).items() if hasattr(one, "columns")}
+        return {name: sensor for name, sensor in vars(self).items() if hasattr(sensor, "columns")}

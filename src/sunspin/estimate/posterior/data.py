@@ -12,7 +12,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
-from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
+from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -119,7 +119,7 @@ class Readings:
 
 def readings(
     vehicle: Vehicle,
-    telemetry: xr.Dataset,
+    telemetry: xr.Dataset | Assessment,
     begin_s: float | None = None,
     end_s: float | None = None,
     phase: str | None = None,
@@ -133,6 +133,8 @@ def readings(
         Fewer than three samples with a lit panel, an unknown phase or observation, powers of other panels than the vehicle's.
     """
     vehicle.require_panels()
+    assessment = assess(vehicle, telemetry)
+    telemetry = assessment.telemetry
     value = np.asarray(signals(telemetry), dtype=np.float64)
     if value.ndim != 2 or value.shape[1] != len(vehicle.inputs):
         raise InputError(
@@ -169,11 +171,7 @@ def readings(
             do="widen the window; `sunspin check` says what is wrong with samples",
         )
     largest = float(value[used].max())
-    sigma, noise_from = vehicle.input_noise, "given"
-    if sigma is None:
-        dark = dark_noise(value[used])
-        noise_from = ASSUMED_FROM if dark is None else DARK_FROM
-        sigma = np.full(value.shape[1], assumed_noise(value) if dark is None else dark)
+    sigma, noise_from = assessment.noise
     start = float(times[index[0]])
     others = tuple(_observation(o, start, float(times[index[-1]])) for o in observations)
     made = Readings(
