@@ -72,14 +72,10 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
     paper, real = paper_scenario(case, chain.rebound), case_scenario(case, chain.rebound)
-    sets = {
-        "chosen": (chain.chosen, n),
-        "box": (chain.box, n // 2),
-        "recipe": (chain.recipe, n // 2),
-    }
+    sets = ("chosen", chain.chosen, n), ("box", chain.box, n // 2), ("recipe", chain.recipe, n // 2)
     runs = {
         name: {strategy: simulated(of, strategy, count, paper) for strategy in ("off", "held")}
-        for name, (of, count) in sets.items()
+        for name, of, count in sets
     }
     return AfterCollision(chain, runs, condition(case, simulated(chain.chosen, "off", n, real)))
 
@@ -97,40 +93,31 @@ def rows(collision: AfterCollision) -> list[Row]:
     case, name, chosen = chain.case, chain.name, chain.chosen
     shares = {of: {s: tally(each) for s, each in sets.items()} for of, sets in runs.items()}
     off, held = shares["chosen"]["off"], shares["chosen"]["held"]
-    low_off, low_held = (
-        {of: rz_range(sets[s]) for of, sets in runs.items()} for s in ("off", "held")
-    )
+    low_off = {of: rz_range(sets["off"]) for of, sets in runs.items()}
+    low_held = {of: rz_range(sets["held"]) for of, sets in runs.items()}
     n = runs["chosen"]["off"].sizes["run"]
     low, high, reaches = low_off["recipe"]
-    areas = [density(each)["density"] for each in runs["chosen"].values()]
+    densities = [density(each)["density"] for each in runs["chosen"].values()]
+    areas = [float(each.sum() * 2 / each.size) for each in densities]
 
     weighted, facts = {line["name"]: line for line in weightings(known)}, facts_of(known)
     drawn, kernel = weighted["as drawn"], weighted[f"kernel, sigma {SIGMA_M_S:g} m/s"]
     slowest = facts["speed_after"] / max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
-    texts: dict[str, Any] = {
-        "about": chosen.about,
-        "off": off,
-        "held": held,
-        "rarely": RARELY,
-        "often": OFTEN,
-    }
+    texts: dict[str, Any] = {"about": chosen.about, "off": off, "held": held}
     texts |= {"kernel": kernel, "drawn": drawn, "mean": chosen.speed_collision.mean()}
     texts |= {"runs": n, "reaches": reaches, "explained": explained(known), "within": 2 * SIGMA_M_S}
-    texts |= {"slowest": slowest, "period": 2 * np.pi / slowest}
+    texts |= {"slowest": slowest, "period": 2 * np.pi / slowest, "rarely": RARELY, "often": OFTEN}
     row_of = partial(row, case, **texts)
 
     def share(id: str, strategy: str, quantity: str, agrees: bool) -> Row:
-        of_chosen, box, recipe = (
-            shares[of][strategy][quantity] for of in ("chosen", "box", "recipe")
-        )
-        return share_of_candidates(row_of(id, recipe.value), name, of_chosen, box, agrees)
+        of = {each: tallies[strategy][quantity] for each, tallies in shares.items()}
+        shown = row_of(id, of["recipe"].value)
+        return share_of_candidates(shown, name, of["chosen"], of["box"], agrees)
 
     rare = bool(held["rz_time_below_-0.2"].value <= RARELY)
     often = bool(off["rz_time_below_0"].value >= OFTEN)
-    whole, least = (
-        row_of("rz_range_wheel_off", [low, high]),
-        row_of("rz_min_wheel_held", low_held["recipe"][0]),
-    )
+    whole = row_of("rz_range_wheel_off", [low, high])
+    least = row_of("rz_min_wheel_held", low_held["recipe"][0])
     rate = row_of("rate_at_collision", float(chain.recipe.speed_collision.mean()))
     rates = (each.range(each.speed_collision) for each in (chosen, chain.box))
     change = float(np.nanmedian(known["velocity_change"]))
@@ -139,9 +126,7 @@ def rows(collision: AfterCollision) -> list[Row]:
         over_candidates(least, name, low_held["chosen"][::2], low_held["box"][::2]),
         share("rz_rare_wheel_held", "held", "rz_time_below_-0.2", rare),
         share("rz_often_negative", "off", "rz_time_below_0", often),
-        row_of(
-            "rz_density_area", [float(area.sum() * 2 / area.size) for area in areas], chain=name
-        ),
+        row_of("rz_density_area", areas, chain=name),
         row_of("collision_runs", n, chain=name),
         over_candidates(rate, name, *rates),
         row_of("collision_speed", facts["speed_before"]),
@@ -169,9 +154,8 @@ def condition(case: Case, runs: xr.Dataset, facts: dict[str, float] | None = Non
         of both facts; `fact_value (fact)`.
     """
     facts = facts or published_facts(case)
-    before, after = (
-        np.linalg.norm(runs[f"omega_{x}_B"].values, axis=1) for x in ("before", "after")
-    )
+    omega = (runs[f"omega_{when}_B"].values for when in ("before", "after"))
+    before, after = (np.linalg.norm(each, axis=1) for each in omega)
     off = np.hypot(*(runs[x].values - facts[x] for x in ("velocity_change", "speed_after")))
     near = estimate(np.where(np.isnan(off), np.nan, off < 2 * SIGMA_M_S))
     with np.errstate(divide="ignore"):

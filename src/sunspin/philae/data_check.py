@@ -8,7 +8,7 @@ the samples at all, so no order of them can raise or lower it; only the posterio
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -132,10 +132,8 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
 
     reasons, samples, missed = [], int(early.sum()), int(unexplained.sum())
     if delta > limit:
-        text = (
-            f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample"
-        )
-        reasons.append(text)
+        largest = f"{limit}, the paper's largest of a single sample"
+        reasons.append(f"the mean Delta of {delta:.3f} exceeds {largest}")
     if missed > MOST_IMPOSSIBLE * samples:
         text = f"{missed} of {samples} samples before the second touchdown have a lit pattern that no Sun makes"
         reasons.append(text)
@@ -157,11 +155,12 @@ def rows(c: DataCheck) -> list[Row]:
     mean, holds = paper["delta_mean"].value, bool(c.delta <= paper["delta_max"].value)
     result.append(row_of("carries_delta", c.delta, published=mean, holds=holds))
     if c.descent_E is not None:
-        E = {"orders": c.shuffled_E.size, "least": c.shuffled_E.min(), "most": c.shuffled_E.max()}
-        ratio, judged = (
-            c.descent_E / float(E["least"]),
-            {"tolerance": ORDERED, "holds": c.descent_order},
-        )
-        result.append(row_of("carries_descent_order", ratio, **judged, **E))
+        E: dict[str, Any] = {
+            "orders": c.shuffled_E.size,
+            "least": c.shuffled_E.min(),
+            "most": c.shuffled_E.max(),
+        }
+        E |= {"tolerance": ORDERED, "holds": c.descent_order}
+        result.append(row_of("carries_descent_order", c.descent_E / float(E["least"]), **E))
     angle = np.degrees(c.neighbours_rad)
     return [*result, row_of("carries_rebound_order", c.chance, neighbours=angle)]

@@ -80,11 +80,8 @@ def clean_from(sun: xr.Dataset) -> tuple[int, float]:
     if votes[end] < LEAST_RUN:
         return 0, limit
     if end + 1 == checked.size:
-        what, do = (
-            "no sample is clean: Delta is large to the end",
-            "check the panels' gains and names",
-        )
-        raise TelemetryError(what, do=do)
+        what = "no sample is clean: Delta is large to the end"
+        raise TelemetryError(what, do="check the panels' gains and names")
     return int(checked[end + 1]), limit
 
 
@@ -117,16 +114,14 @@ def rows(r: Descent) -> list[Row]:
     row_of = partial(row, case, twin=twin)
 
     rms, meant = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, paper["descent_E"]))
+    first_E = float(direction_error(replace(fit, sun_B=n[0]).directions(t), n))
     put_in = (
         "synthetic telemetry: its panel misalignment is chosen so that the mean E of twenty seeds is as published; "
         f"that of one comes back if within a factor of {FACTOR_OF_E:g}; "
     )
     comes_back = 1 / FACTOR_OF_E <= fit.E / paper["descent_E"] <= FACTOR_OF_E
-    holds, told = (comes_back, put_in) if synthetic else (None, "")
-    first_E = float(direction_error(replace(fit, sun_B=n[0]).directions(t), n))
-    of_E = row(
-        case, "descent_E", fit.E, holds=holds, twin=told, rms=rms, meant=meant, first_E=first_E
-    )
+    texts = {"rms": rms, "meant": meant, "first_E": first_E, "twin": put_in * synthetic}
+    of_E = row(case, "descent_E", fit.E, holds=comes_back if synthetic else None, **texts)
 
     cubic = np.array(paper["descent_rate_cubic"])
     off = fit.coefficients - cubic
@@ -162,8 +157,8 @@ def rows(r: Descent) -> list[Row]:
         share = 100 * change / abs(nominal)
         result.append(row_of("descent_wheel_speed", share, change=change, nominal=nominal))
     z, agreed = n[seen, 2], float(np.mean(r.in_view == seen))
-    behind, dark, lit = ~seen & ~r.in_view, int((~seen).sum()), int(seen.sum())
-    rightly = {"dark_right": int(behind.sum()), "lit_right": int((seen & ~r.in_view).sum())}
+    dark, lit = int((~seen).sum()), int(seen.sum())
+    rightly = {"dark_right": (~seen & ~r.in_view).sum(), "lit_right": (seen & ~r.in_view).sum()}
     return [
         *result,
         row_of("descent_samples", list(r.number), limit=r.delta_limit),

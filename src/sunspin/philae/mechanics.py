@@ -212,10 +212,8 @@ def precession_rows(result: Precession) -> list[Row]:
     typical = height.mean(axis=(0, 1)).tolist()
     doubled = (lines["nutation_first"] + lines["nutation_last"]).mean(axis=1)
     of_examples, of_lines = (np.abs(each["z_last"] - each["z_first"]) for each in (examples, lines))
-    nutation = [
-        np.abs(each["nutation_last"] - each["nutation_first"]) for each in (examples, lines)
-    ]
-    changed = float(max(map(np.nanmax, nutation)))
+    nutation = (each["nutation_last"] - each["nutation_first"] for each in (examples, lines))
+    changed = float(max(np.nanmax(np.abs(each)) for each in nutation))
     least, most = (end(lines["nutation"], axis=(1, 2)) for end in (np.min, np.max))
     wander = enumerate(zip(least, most, strict=True), 1)
     peaks = np.concatenate([examples["peaks"][1:], lines["peaks"].ravel()])

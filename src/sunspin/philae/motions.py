@@ -254,12 +254,9 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     left.plot(clock(middle_s), spin, label="magnetometer (not used)", **marks)
     for t, name in ((-240, "romap_period_before"), (600, "romap_period_after")):
         right.plot(clock(at["collision"] + t), 2 * np.pi / published[name].value, **marks)
-    texts = {
-        "first_touchdown": "bounce",
-        "collision": "hits crater rim",
-        "second_touchdown": "lands",
-    }
-    for name, text in texts.items():
+    texts = "bounce", "hits crater rim", "lands"
+    events = "first_touchdown", "collision", "second_touchdown"
+    for name, text in zip(events, texts, strict=True):
         right.axvline(clock(at[name]), color=COLOURS[7], ls=":", lw=1)
         above = right.get_xaxis_transform()
         right.text(clock(at[name]), 1.01, text, fontsize=8, transform=above, ha="center")

@@ -198,13 +198,12 @@ result `r` that is drawn, and of `_fields`."""
 
 def _fields(s: Study, name: str, r: Any) -> dict[str, Any]:
     fields = {"r": r, "synthetic": synthetic_words(s.synthetic)}
-    if s.chain:
+    if s.chain is not None:
         bound = "every motion in the band fits and none is preferred, and the distribution of r_z bounds it from below only"
         meaning = {"scan": f"; {bound}", "published": "; this telemetry does not enter"}
         fields |= {"about": s.chain.chosen.about, "meaning": meaning.get(s.chain.name, "")}
     if name == "distributions":
-        spread = published_lines.pooled_spread(s.parts["published_lines"].pooled)
-        fields["spread"] = max(spread)
+        fields["spread"] = max(published_lines.pooled_spread(s.parts["published_lines"].pooled))
     if name == "fig09_lines":
         fields["smallest"] = float(r.clean.emd.min())
     return fields

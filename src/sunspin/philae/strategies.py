@@ -75,9 +75,8 @@ def rows(strategies: Strategies) -> list[Row]:
     rest = next(way for way in ways if way["way"] == "off")
     shares = strategies.alternatives.items()
     texts = {"about": chain.chosen.about, "off": chosen, "held": held, "rest": rest}
-    texts["spread"] = ", ".join(
-        f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares
-    )
+    spread = (f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)
+    texts["spread"] = ", ".join(spread)
     texts["speed"] = case.vehicle.wheels[0].speed_rad_s
     row_of = partial(row, case, **texts)
 

@@ -299,17 +299,13 @@ def _run(step: Step, study: Study) -> None:
         study.missing[step.name] = f"{step.title}: not reproduced, as {error}"
         return
     study.parts[step.name] = result
-    if not rows:
-        return
     # a row that names no chain has that of its section; it is put in where the telemetry was made from its figure
     chain, about = "telemetry" if step.section == "telemetry" else "none", tables(study.case)
     whenever = ("always", "synthetic") if study.synthetic else ("always",)
-    study.rows_by_part[step.name] = [
-        settled(
-            replace(row, chain=row.chain or chain), about.get(row.id, {}).get("put_in") in whenever
-        )
-        for row in rows
-    ]
+    rows = [replace(row, chain=row.chain or chain) for row in rows]
+    rows = [settled(row, about.get(row.id, {}).get("put_in") in whenever) for row in rows]
+    if rows:
+        study.rows_by_part[step.name] = rows
 
 
 def require_wheel(vehicle: Vehicle) -> None:
@@ -317,8 +313,6 @@ def require_wheel(vehicle: Vehicle) -> None:
     vehicle.require_inertia()
     vehicle.require_mass()
     if len(vehicle.wheels) != 1 or not vehicle.legs:
-        what, do = (
-            "the study is of a lander with one wheel and legs",
-            "copy the vehicle file of philae and change it",
-        )
-        raise InputError(what, got=f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs", do=do)
+        got = f"{len(vehicle.wheels)} wheels, {len(vehicle.legs)} legs"
+        do = "copy the vehicle file of philae and change it"
+        raise InputError("the study is of a lander with one wheel and legs", got=got, do=do)

@@ -75,9 +75,8 @@ def with_own_noise(case: Case) -> tuple[Case, ReadingNoise]:
     checked = whole_panels(case, case.telemetry) & (sun["status"].values == SunStatus.OK)
     if (n_lit := int(checked.sum())) >= LEAST:
         freedom = sun["n_lit"].values[checked] - 3
-        misfit = sun["delta"].values[checked] * np.linalg.norm(
-            np.nan_to_num(power[checked]), axis=1
-        )
+        size = np.linalg.norm(np.nan_to_num(power[checked]), axis=1)
+        misfit = sun["delta"].values[checked] * size
         rough = float(np.median(misfit / np.sqrt(chi2.ppf(0.5, freedom))))
         sound = misfit < ROUGH_SIGMAS * rough * np.sqrt(freedom)
         lit = rounded(float(np.sqrt((misfit[sound] ** 2).sum() / freedom[sound].sum()) / ratio))
@@ -85,10 +84,8 @@ def with_own_noise(case: Case) -> tuple[Case, ReadingNoise]:
     else:
         lit = 0.0 if stated is None else usual
         origin = "the vehicle file's: too few samples to tell"
-    about = f"noise of a lit panel {lit:g} {unit}, {origin}; dark panels read " + (
-        f"0 +- {dark:.2g} {unit} ({n_dark} readings)" if dark > 0 else "zero"
-    )
-    about += f", lit above {threshold:g} {unit}"
+    zero = f"0 +- {dark:.2g} {unit} ({n_dark} readings)" if dark > 0 else "zero"
+    about = f"noise of a lit panel {lit:g} {unit}, {origin}; dark panels read {zero}, lit above {threshold:g} {unit}"
     changed = {change.key for change in vehicle.changes}
     if "telemetry.noise" in changed and form.noise is not None:
         lit = form.noise
@@ -159,10 +156,8 @@ def compute(case: Case) -> Phases:
     vehicle, data = case.vehicle, case.telemetry
     sun, health = sun_directions(vehicle, data), panel_health(vehicle, data)
     phases = {name: inside for name, inside in samples_by_phase(case, sun).items() if inside.any()}
-    impossible, log10 = (
-        sun["status"].values == SunStatus.IMPOSSIBLE,
-        np.full(sun.sizes["time"], np.nan),
-    )
+    impossible = sun["status"].values == SunStatus.IMPOSSIBLE
+    log10 = np.full(sun.sizes["time"], np.nan)
     if health["noise"]:
         noise = sun["noise"].values, sun["lit_threshold"].values
         by_noise = noise_alone(vehicle, signals(data)[impossible], *noise)
@@ -177,9 +172,7 @@ def rows(r: Phases) -> list[Row]:
     time, seen = r.sun["time"].values, is_reconstructed(status)
     paper = {key: figure.value for key, figure in case.published.items()}
     synthetic = bool(r.sun.attrs.get("synthetic"))
-    row_of = partial(
-        row, case, twin="synthetic telemetry; " if synthetic else "", attrs=r.sun.attrs
-    )
+    row_of = partial(row, case, twin="synthetic telemetry; " * synthetic, attrs=r.sun.attrs)
     result = []
 
     # Delta outside the shadowed phases
@@ -206,9 +199,8 @@ def rows(r: Phases) -> list[Row]:
 
     # in the shadowed phases; a direction and a scale fit any two panels: with three an impossible pattern leaves a misfit
     fits = (status == SunStatus.OK) | (r.impossible & (n_lit >= 3))
-    by_phase = {
-        name: delta[inside & fits] for name, inside in phases.items() if (inside & fits).any()
-    }
+    by_phase = {name: delta[inside & fits] for name, inside in phases.items()}
+    by_phase = {name: values for name, values in by_phase.items() if values.size}
     shadowed = ("deployment", "rest")  # of which the paper says that Delta is large
     large = np.concatenate([[], *(by_phase[name] for name in shadowed if name in by_phase)])
     least, most = paper["delta_shadowed"]

@@ -181,24 +181,19 @@ def philae_twin(
 
     start = first_state(case, tilt)
     before, after, blow = collide(case, start, generator(seed, 3))
-    sampled = (
-        ("first_rebound", start, rebound_times(case, generator(seed, 2))),
-        ("second_rebound", after, _sparse_times(case, "collision", generator(seed, 4))),
-    )
+    first_t = rebound_times(case, generator(seed, 2))
+    second_t = _sparse_times(case, "collision", generator(seed, 4))
     landed = _flown(vehicle, after, np.array([timeline.event("second_touchdown").t_s]))
     phases = [
         *_descent(case, generator(seed, 1)),
-        *(
-            PhaseSamples(phase, t, _flown(vehicle, state, t)["sun_B"].values)
-            for phase, state, t in sampled
-        ),
+        PhaseSamples("first_rebound", first_t, _flown(vehicle, start, first_t)["sun_B"].values),
+        PhaseSamples("second_rebound", second_t, _flown(vehicle, after, second_t)["sun_B"].values),
         *_on_the_ground(case, landed["sun_B"].values[-1], seed, rest_seen),
     ]
     t, sun = (np.concatenate([getattr(each, key) for each in phases]) for key in ("t_s", "sun_B"))
     phase = np.repeat([each.phase for each in phases], [each.t_s.size for each in phases])
-    seen = [
-        np.broadcast_to(each.transmission, (each.t_s.size, len(vehicle.panels))) for each in phases
-    ]
+    panels = len(vehicle.panels)
+    seen = [np.broadcast_to(each.transmission, (each.t_s.size, panels)) for each in phases]
 
     exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(seen)
     first = int(np.flatnonzero(phase == "first_rebound")[0])
@@ -439,9 +434,8 @@ def main(arguments: list[str] | None = None) -> int:
         f"synthetic: not measured; made by sunspin {version()} from published facts",
         f"synthetic: {command} {name}",
     ]
-    scale = (
-        "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
-    )
+    behind_them = "the truth behind them is in twin_truth.toml"
+    scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
     about = f"The truth behind {name}; see sunspin.philae.twin for how each part was chosen."
     try:
         case = load_case(given.case)
