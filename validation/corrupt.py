@@ -28,7 +28,6 @@ from validation.pool import Suite, Verdict
 FORMATS = (
     "telemetry.nc",
     "telemetry.parquet",
-    "trajectory.nc",
     "scan.nc",
     "store",
     "kernel.bc",
@@ -84,18 +83,6 @@ class Corrupt(Suite):
 
     def try_telemetry_parquet(self, place: Path, rng: np.random.Generator) -> Verdict:
         return self._told("sun", "stock/vehicle.toml", self._bad("telemetry.parquet", place, rng))
-
-    def try_trajectory_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
-        self._bad("trajectory.nc", place, rng)
-        form = str(rng.choice(["aem", "ck", "netcdf", "parquet"]))
-        return self._told(
-            "export",
-            place,
-            "--epoch=2026-01-01T00:00:00Z",
-            f"--format={form}",
-            "--out",
-            place / "out",
-        )
 
     def try_scan_nc(self, place: Path, rng: np.random.Generator) -> Verdict:
         bad = self._bad("scan.nc", place, rng)
@@ -244,7 +231,6 @@ def make_files(home: Path) -> dict[str, Any]:
         name: Path(name).read_bytes()
         for name in ("telemetry.nc", "telemetry.parquet", "scan.nc", "orbit.bsp", "earth.bsp")
     }
-    content["trajectory.nc"] = Path("stock/results/trajectory.nc").read_bytes()
     content["kernel.bc"] = Path("kernels/sunspin.bc").read_bytes()
     content["frames.zip"] = Path("stock/frames.zip").read_bytes()
     return content | {"rows": function, "result": result}

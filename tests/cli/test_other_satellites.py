@@ -5,6 +5,7 @@ All telemetry here is synthetic (tests/satellites.py) but skCUBE's, which is use
 
 import io
 import json
+import shutil
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 
@@ -159,8 +160,7 @@ def test_corrupted_results_are_refused_by_export(tmp_path):
     original = (tmp_path / "rates" / "rates.nc").read_bytes()
     refused = 0
     for i, kind in enumerate(BYTES):
-        bad = tmp_path / f"bad{i}"
-        bad.mkdir()
+        bad = shutil.copytree(tmp_path / "rates", tmp_path / f"bad{i}")
         (bad / "rates.nc").write_bytes(kind(original, np.random.default_rng(i)))
         refused += (
             fine_or_a_sentence(["export", bad, "--out", tmp_path / f"out{i}"], kind.__name__) == 2

@@ -105,8 +105,7 @@ def test_a_celestial_frame_is_refused_without_a_second_direction(result):
 def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(result, tmp_path):
     run = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, -np.arange(0, 100, 2.5))
     assert not np.signbit(run["time"].values[0])  # zero, which would else be printed as -0
-    run.to_netcdf(tmp_path / "trajectory.nc", engine="h5netcdf")
-    data, _ = read_results(tmp_path)
+    data, _ = read_results(run.sunspin.save(tmp_path / "results"))
     back = attitude_of(data, epoch_utc="2026-01-01T00:00:00Z")
     assert back.t_s[0] == -97.5 and np.array_equal(back.omega_B[-1], run["omega_B"].values[0])
     with xr.open_dataset(write_cf(tmp_path / "a.nc", data, back)) as written:
@@ -139,10 +138,10 @@ def test_comparison_with_kernels_finds_what_was_changed(result, tmp_path, reache
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
     pytest.importorskip("spiceypy")
     result = result.assign_attrs(celestial_frame="J2000")
-    result.to_netcdf(tmp_path / "trajectory.nc", engine="h5netcdf")
+    folder = result.sunspin.save(tmp_path / "results")
     known = attitude_of(result, "J2000")
     kernels = write_ck(tmp_path, known._replace(omega_B=1.02 * known.omega_B))
-    summary, line = against_kernels(tmp_path, kernels, "SUNSPIN_BODY", "J2000", None)
+    summary, line = against_kernels(folder, kernels, "SUNSPIN_BODY", "J2000", None)
     assert summary["covered"] == 40 and line.startswith("40 of 40 times covered")
     rms = np.degrees(np.sqrt((known.omega_B**2).mean(axis=0)))
     error = np.abs(summary["rms_deg_s"] / rms - 0.02)
@@ -152,7 +151,7 @@ def test_comparison_with_kernels_finds_what_was_changed(result, tmp_path, reache
     broken.write_bytes(b"DAF/CK  " + bytes(100))
     for path, message in (("absent.bc", "no such file"), (broken, "kernels cannot be used")):
         with pytest.raises(ss.InputError, match=message):
-            against_kernels(tmp_path, [path], "SUNSPIN_BODY", "J2000", None)
+            against_kernels(folder, [path], "SUNSPIN_BODY", "J2000", None)
 
 
 @pytest.mark.parametrize(
@@ -268,8 +267,12 @@ def test_netcdf_and_parquet_carry_frame_and_units(result, tmp_path):
 
 
 def test_results_without_a_usable_attitude_are_a_sentence(result, tmp_path):
-    with pytest.raises(ss.InputError, match="no attitude here"):
+    with pytest.raises(ss.InputError, match="not a results folder"):
         read_results(tmp_path)
+    vehicle, telemetry = ss.load_example()
+    folder = ss.sun_directions(vehicle, telemetry).sunspin.save(tmp_path / "sun")
+    with pytest.raises(ss.InputError, match="no attitude here"):
+        read_results(folder)
     time, quaternion = result["time"].values, result["B_from_N"]
     for data, words in (
         (result.drop_vars("B_from_N"), "no B_from_N"),

@@ -27,7 +27,10 @@ FORMER = xr.Dataset(
 def test_a_folder_of_the_former_version_is_refused(command, tmp_path):
     write_netcdf(tmp_path / "rates.nc", FORMER)
     passes = [{"pass_id": 0, "wiring": "as_stated", "modes": [{"mode": 0, "weight": 1.0}]}]
-    texts = {MANIFEST: {"data": ["rates.nc"]}, "summary.json": {"passes": passes}}
+    texts = {
+        MANIFEST: {"data": ["rates.nc"], "figures": [], "tables": []},
+        "summary.json": {"passes": passes},
+    }
     for name, content in texts.items():
         (tmp_path / name).write_text(json.dumps(content))
     (tmp_path / MARKER).write_text("rates\n")

@@ -2,7 +2,7 @@
 
 HDF5 computes for ever on some damaged files, its wrappers raise whatever comes, and a half-opened file complains on stderr once
 more when it is thrown away. So a file is read in another process first, with limits; each of these becomes the one sentence.
-Without that process 7 of 2,000 damaged files hang (`validation corrupt --unguarded --only telemetry.nc`, `trajectory.nc`).
+Without that process 7 of 2,000 damaged files hang (`validation corrupt --unguarded --only telemetry.nc` and results files).
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError
-from sunspin.base.provenance import changed_attribute
 from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
 
 MAX_BYTES = 2_000_000_000
@@ -35,17 +34,17 @@ def read_netcdf(path: Path, where: str, error_type: type[SunspinError]) -> xr.Da
     return read_groups(path, where, error_type, times=True)["/"]
 
 
-def trouble(*paths: Path) -> str:
-    """What goes wrong when another process reads these files, one start for all; empty where nothing does."""
+def trouble(path: Path) -> str:
+    """What goes wrong when another process reads this file; empty where nothing does."""
     try:
-        size = sum(path.stat().st_size for path in paths)
-        if not all(map(is_plain, paths)):
+        size = path.stat().st_size
+        if not is_plain(path):
             return "it is empty, or no regular file"
         if size > MAX_BYTES:
             return f"it has more than {MAX_BYTES / 1e9:g} GB"
-        if paths and sys.executable:
+        if sys.executable:
             script = Path(__file__).with_name("netcdf_probe.py")
-            elsewhere(script, *map(str, paths), seconds=PROBE_S + size // PROBE_BYTES_PER_S)
+            elsewhere(script, str(path), seconds=PROBE_S + size // PROBE_BYTES_PER_S)
     except (OSError, Elsewhere) as error:
         return getattr(error, "strerror", None) or str(error)
     return ""
@@ -73,9 +72,6 @@ def read_groups(
             if size > MAX_BYTES:
                 what = f"the file would take {size / 1e9:.3g} GB of memory"
                 raise error_type(what, do="cut it into parts", where=where)
-            # what is exported goes by the conventions of others
-            about = [data.attrs for data in groups.values() if "Conventions" not in data.attrs]
-            ours = any(isinstance(a.get("kind"), str) or "sunspin_version" in a for a in about)
             for data in groups.values():
                 about = [data.attrs, *(variable.attrs for variable in data.variables.values())]
                 texts = [text for attrs in about for pair in attrs.items() for text in pair]
@@ -83,9 +79,6 @@ def read_groups(
                 if re.search("[\ud800-\udfff]", every):
                     what = "a name or an attribute in it is not UTF-8 text"
                     raise error_type(what, do=MEND, where=where)
-                if ours and (changed := changed_attribute(data.attrs, data.variables)):
-                    what = f"this file was changed after sunspin wrote it: {changed}"
-                    raise error_type(what, do="make it again, or mend the attribute", where=where)
             # how a file from outside was packed is no rule for the files that are written from it
             return {name: data.load().drop_encoding() for name, data in groups.items()}
     except SunspinError:

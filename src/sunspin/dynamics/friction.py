@@ -116,7 +116,7 @@ def fit_spin_down(
 def _fit(
     t: FloatArray,
     speed: FloatArray,
-    found: tuple[float, float, float],
+    curve: tuple[float, float, float],
     covariance: FloatArray,
     rms: float,
     friction: Friction,
@@ -124,9 +124,9 @@ def _fit(
     of_rate = {"units": "rad s-1"}
     return SpinDownFit(
         {
-            "c1_rad_s": ((), found[0], of_rate),
-            "c2_per_s": ((), found[1], {"units": "s-1"}),
-            "c3_rad_s": ((), found[2], of_rate),
+            "c1_rad_s": ((), curve[0], of_rate),
+            "c2_per_s": ((), curve[1], {"units": "s-1"}),
+            "c3_rad_s": ((), curve[2], of_rate),
             "covariance": (
                 ("coefficient", "coefficient2"),
                 covariance,
@@ -142,7 +142,7 @@ def _fit(
             ),
             "fitted_rad_s": (
                 "time",
-                spin_down_curve(t, *found),
+                spin_down_curve(t, *curve),
                 of_rate | {"long_name": "the same as fitted"},
             ),
         },

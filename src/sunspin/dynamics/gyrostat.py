@@ -113,8 +113,8 @@ def momentum_rate(
     """dH/dt (N m, B): as seen from the turning body, and by the torques from outside."""
     moment = cross(H, omega)
     vectors = {name: direction.vector for name, direction in directions.items()}
-    for one in p.outside:
-        torque = one.torque(omega, vectors, t_s, one.parameters)
+    for acting in p.outside:
+        torque = acting.torque(omega, vectors, t_s, acting.parameters)
         moment = (moment[0] + torque[0], moment[1] + torque[1], moment[2] + torque[2])
     return moment
 

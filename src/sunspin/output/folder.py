@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Callable
@@ -13,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from sunspin.base import atomic_write
-from sunspin.base.errors import OutputError
+from sunspin.base.errors import InputError, OutputError
 from sunspin.base.provenance import described
 from sunspin.base.untrusted import is_own
-from sunspin.output.kind import Drawing, Table
+from sunspin.output.kind import Drawing, Table, refuse_former
 from sunspin.vehicle.file import vehicle_text
 
 MARKER = ".sunspin-results"
@@ -29,7 +30,9 @@ CITE = (
 """The source of the model."""
 
 MANIFEST = "manifest.json"
-"""The list of the folder's data, figures and tables: a page shows these and nothing else."""
+"""The list of the folder's data, figures and tables, of which a page shows these and nothing else; and the SHA-256 of each file."""
+
+MAX_MANIFEST_BYTES = 1_000_000
 
 
 def results_folder(path: Any, command: str) -> Path:
@@ -160,5 +163,67 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
             for table in contents.tables
         ],
     }
-    write_json(folder / MANIFEST, manifest)
     write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})
+    files = [path for path in sorted(folder.iterdir()) if is_own(path)]
+    digests = {path.name: _digest(path) for path in files if path.name != MANIFEST}
+    write_json(folder / MANIFEST, manifest | {"sha256": digests})
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a results folder.
+
+    Raises
+    ------
+    InputError
+        No such folder, not one of ours, or of a version with other names or whose manifest says less.
+    """
+    what, do = "", "run the command again"
+    manifest: dict[str, Any] = {}
+    command = maker(folder / MARKER) if is_own(folder / MARKER) else ""
+    if not command:
+        what = f"this is not a results folder of sunspin: it has no file {MARKER}"
+        what, do = what if folder.is_dir() else "there is no such folder", "give what --out named"
+    elif command in ("coverage", "worth"):
+        what = f"results of `sunspin {command}` are no longer shown, as the command is gone"
+        do = "python -m studies.coverage OUT repeats the study"
+    elif not is_own(folder / MANIFEST):
+        what = f"the folder has no {MANIFEST}: an earlier version wrote it, or the run did not end"
+    else:
+        names: list[str] = []
+        try:
+            manifest = json.loads((folder / MANIFEST).read_bytes()[:MAX_MANIFEST_BYTES])
+            complete = all(isinstance(manifest[key], list) for key in ("data", "figures", "tables"))
+            if "sha256" not in manifest:  # of an earlier version
+                summary = json.loads((folder / "summary.json").read_bytes())
+                names = [name for row in summary["passes"] for name in row]
+            complete &= isinstance(manifest["sha256"], dict)
+        except (ValueError, LookupError, TypeError, RecursionError, OSError):
+            complete = False
+        refuse_former(command, names, str(folder))
+        what = "" if complete else f"its {MANIFEST} is damaged, or of an earlier version"
+    if what:
+        raise InputError(what, do=do, where=str(folder))
+    return manifest
+
+
+def as_written(folder: Path, manifest: dict[str, Any], name: Any) -> Path:
+    """The file of this name in a results folder, if it is as it was written.
+
+    Raises
+    ------
+    InputError
+        It is missing, a link, or not what the manifest's SHA-256 says.
+    """
+    known = isinstance(name, str) and Path(name).name == name and name in manifest["sha256"]
+    if not known or not is_own(folder / name):
+        what, do = "this is not a regular file of the folder", "put the file itself there"
+        raise InputError(what, do=do, where=str(name)[:200])
+    if _digest(folder / name) != manifest["sha256"][name]:
+        what = "this file was changed or damaged after sunspin wrote it"
+        raise InputError(what, do="run the command again", where=name)
+    return folder / name

@@ -137,7 +137,7 @@ def reproduce(
     samples = case.telemetry, study.synthetic
     contents = Contents(datasets(study), pictures, tables, vehicle_text, *samples)
     write_contents(folder, summary, contents)
-    return Written(folder, write_report(folder, own=True), summary)
+    return Written(folder, write_report(folder), summary)
 
 
 def _case(

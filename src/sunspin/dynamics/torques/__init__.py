@@ -25,9 +25,9 @@ def acting(
     """
     if isinstance(torques, str):
         raise MotionError("torques must be a list", got=torques, do=f"write [{torques!r}]")
-    found = tuple(torque if isinstance(torque, Steady) else _named(torque) for torque in torques)
+    known = tuple(torque if isinstance(torque, Steady) else _named(torque) for torque in torques)
     here = None if environment is None else environment.at(t_s)
-    for torque in found:
+    for torque in known:
         if needed_around([torque]) and here is None:
             do = "give one, such as sunspin.environment.circular(...)"
             raise MotionError(f"the torque {torque.name!r} needs an environment", do=do)
@@ -36,7 +36,7 @@ def acting(
                 raise MotionError(
                     f"the torque {torque.name!r} needs the {name}, which the environment does not know"
                 )
-    return Acting(found, environment, float(t_s))
+    return Acting(known, environment, float(t_s))
 
 
 def _named(name: str) -> GravityGradient:

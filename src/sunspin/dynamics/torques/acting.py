@@ -104,20 +104,20 @@ def carried_names(torques: Sequence[Torque]) -> list[str]:
 
 def directions_of(torques: Sequence[Torque], state: g.Vector) -> dict[str, g.Direction]:
     """The Sun's direction, and those that torques need, from their part of the state (3 + n_carried, ...)."""
-    found = {"sun": g.Direction(state[:3])}
+    directions = {"sun": g.Direction(state[:3])}
     for i, name in enumerate(needed(torques)):
         at = 3 + PER_DIRECTION * i
-        found[name] = g.Direction(state[at : at + 3], state[at + 3 : at + 6])
-    return found
+        directions[name] = g.Direction(state[at : at + 3], state[at + 3 : at + 6])
+    return directions
 
 
 def outside(torques: Sequence[Torque], values: g.Vector) -> tuple[g.OutsideTorque, ...]:
     """The torques with their parameters, given one after the other."""
-    found, at = [], 0
+    acting, at = [], 0
     for torque in torques:
-        found.append(g.OutsideTorque(torque, values[at : at + len(torque.parameters)]))
+        acting.append(g.OutsideTorque(torque, values[at : at + len(torque.parameters)]))
         at += len(torque.parameters)
-    return tuple(found)
+    return tuple(acting)
 
 
 @dataclass(frozen=True)
@@ -179,8 +179,8 @@ class Acting:
 
     def own(self, bodies: Bodies) -> np.ndarray:
         """The vector `OWN` (..., 3) of bodies (...) at the start, in N m; zero where no torque needs it."""
-        found = [own(bodies) for torque in self.torques if (own := getattr(torque, "own", None))]
-        return np.sum(found, axis=0) if found else np.zeros((*bodies.shape, 3))
+        vectors = [own(bodies) for torque in self.torques if (own := getattr(torque, "own", None))]
+        return np.sum(vectors, axis=0) if vectors else np.zeros((*bodies.shape, 3))
 
     def carried(
         self, B_from_N: np.ndarray, t_s: Any = None, own: npt.ArrayLike = (0.0, 0.0, 0.0)

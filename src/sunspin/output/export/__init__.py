@@ -16,11 +16,10 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError, OutputError
-from sunspin.base.netcdf import read_netcdf
-from sunspin.base.untrusted import is_own
+from sunspin.base.netcdf import read_groups
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.environment.frames import BODY_AT_START, FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
-from sunspin.output.folder import write_netcdf, write_whole
+from sunspin.output.folder import as_written, read_manifest, write_netcdf, write_whole
 from sunspin.output.kind import refuse_former
 from sunspin.solve.rotations import continuous
 
@@ -79,12 +78,11 @@ class Attitude(NamedTuple):
 
 def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
     """The Dataset with the attitude of a results folder, in the order of time, and the file it comes from."""
-    for path in (Path(folder) / name for name in SOURCES):
-        if path.is_symlink():
-            what = "this is a link, and a results folder has files of its own"
-            raise InputError(what, do="copy the file here", where=str(path))
-        if is_own(path):
-            data = read_netcdf(path, str(path), InputError)
+    manifest = read_manifest(Path(folder))
+    for name in SOURCES:
+        if name in manifest["data"]:
+            path = as_written(Path(folder), manifest, name)
+            data = read_groups(path, str(path), InputError, probe=False, times=True)["/"]
             refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
             t = data["time"].values if "time" in data.variables else np.zeros(0)
             backward = t.ndim == 1 and len(t) > 1 and np.all(np.diff(t) < 0)

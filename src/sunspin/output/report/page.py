@@ -36,15 +36,15 @@ TURNS = re.compile("[\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u2069]")
 """Characters that turn the direction of the text after them, by which names from outside could show what they are not."""
 
 
-def write_report(folder: str | Path, own: bool = False) -> Path:
-    """Write `report.html` of a results folder from what its manifest lists, and return its path; `own` as in `read_results`.
+def write_report(folder: str | Path) -> Path:
+    """Write `report.html` of a results folder from what its manifest lists, and return its path.
 
     Raises
     ------
     InputError
         Not a results folder, or one of an earlier version.
     """
-    results = read_results(folder, own)
+    results = read_results(folder)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers
         text = _page(results)
     text = TURNS.sub(lambda turn: f"\\u{ord(turn[0]):04x}", text)

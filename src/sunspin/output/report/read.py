@@ -1,15 +1,10 @@
-"""A results folder, read without trust: its manifest says what is in it, and what cannot be read is named and left out.
-
-The folder may come from somebody else, so nothing outside it is read: no link is followed, and sizes are checked before files
-are opened.
-"""
+"""A results folder read back: its manifest says what is in it; what is not as it was written is named and left out."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
@@ -19,9 +14,8 @@ from typing import Any, NamedTuple
 import xarray as xr
 
 from sunspin.base.errors import InputError, SunspinError, printable
-from sunspin.base.netcdf import read_groups, trouble
-from sunspin.base.untrusted import is_own, read_bytes
-from sunspin.output.folder import MANIFEST, MARKER, maker
+from sunspin.base.netcdf import read_groups
+from sunspin.output.folder import MARKER, as_written, maker, read_manifest
 from sunspin.output.kind import refuse_former
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import read_vehicle
@@ -30,17 +24,8 @@ from sunspin.vehicle.timeline import Timeline, parse_timeline
 MAX_DATA_BYTES = 500_000_000
 """Of one NetCDF file; larger ones are named and not read."""
 
-MAX_TOTAL_BYTES = 2_000_000_000
-"""Of all data in memory."""
-
-MAX_DAMAGED = 10
-"""NetCDF files that cannot be read, after which no more are tried: each may take seconds."""
-
-MAX_TEXT_BYTES = 20_000_000
-"""Of a summary, a table, a picture."""
-
-MAX_FILES = 200
-"""Entries of each list of the manifest: the largest of our folders has some sixty."""
+LARGEST_SVG_BYTES = 1_000_000
+"""A larger drawing, of very many points, is shown as PNG."""
 
 MAX_ROWS = 200
 """Rows of a table that the page shows."""
@@ -113,8 +98,8 @@ class Results:
             return None
 
 
-def read_results(folder: str | Path, own: bool = False) -> Results:
-    """Read a folder that a `sunspin` command wrote; `own`: this process did just now, so that its data need no trial.
+def read_results(folder: str | Path) -> Results:
+    """Read a folder that a `sunspin` command wrote.
 
     Raises
     ------
@@ -122,123 +107,70 @@ def read_results(folder: str | Path, own: bool = False) -> Results:
         No such folder, not one of ours, or of a version that wrote no manifest or had other names.
     """
     path = Path(folder)
-    command = maker(path / MARKER) if path.is_dir() and is_own(path / MARKER) else ""
-    what, do = "", "give the --out of an earlier command"
-    if not path.is_dir():
-        what = "there is no such folder"
-    elif not is_own(path / MARKER):
-        what = f"this is not a results folder of sunspin: it has no file {MARKER}"
-    elif command in ("coverage", "worth"):
-        what = f"results of `sunspin {command}` are no longer shown, as the command is gone"
-        do = "python -m studies.coverage OUT repeats the study"
-    elif not is_own(path / MANIFEST):
-        what = f"the folder has no {MANIFEST}: an earlier version wrote it, or the run did not end"
-        do = "run the command again"
-    if what:
-        raise InputError(what, do=do, where=str(path))
-    results = Results(path, command)
-    manifest = results.attempt(MANIFEST, lambda: _object(path / MANIFEST)) or {}
-    results.summary = results.attempt("summary.json", lambda: _object(path / "summary.json")) or {}
-    damaged, entries = 0, _entries(results, manifest, "data")
-    files = [path / entry for entry in entries if isinstance(entry, str) and is_own(path / entry)]
-    tried = own or not trouble(*files)  # one trial for all; where it fails, one for each
-    for entry in entries:
-        read = results.attempt(
-            _name(entry), lambda entry=entry: _data(results, _own(path, entry), tried)
-        )
-        damaged += read is None
-        size = sum(data.nbytes for data in results.data.values())
-        if damaged == MAX_DAMAGED or size > MAX_TOTAL_BYTES:
-            results.problems.append(f"Data listed after {_name(entry)} were not read.")
-            break
+    manifest = read_manifest(path)
+    results = Results(path, maker(path / MARKER))
+
+    def attempt(entry: Any, read: Callable[[Path, Any], Any]) -> Any:
+        """What `read` makes of a file of the manifest and of its entry there."""
+        name = entry.get("file") if isinstance(entry, dict) else entry
+        called = name[:200] if isinstance(name, str) else "an entry of the manifest"
+        return results.attempt(called, lambda: read(as_written(path, manifest, name), entry))
+
+    results.summary = attempt("summary.json", lambda file, _: json.loads(file.read_text("utf-8")))
+    results.summary = results.summary or {}
+    for entry in manifest["data"]:
+        results.data |= attempt(entry, _data) or {}
     for data in results.data.values():
         refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
-    for entry in _entries(results, manifest, "figures"):
-        figure = results.attempt(_name(entry), lambda entry=entry: _figure(path, entry))
+    for entry in manifest["figures"]:
+        figure = attempt(entry, _figure)
         results.figures += [] if figure is None else [figure]
-    for entry in _entries(results, manifest, "tables"):
-        tables = results.attempt(_name(entry), lambda entry=entry: list(_table(path, entry)))
-        results.tables += tables or []
-    craft, line = "vehicle.toml", "timeline.toml"
-    if os.path.lexists(path / craft):
-        results.vehicle = results.attempt(craft, lambda: read_vehicle(_own(path, craft)))
-    if os.path.lexists(path / line):
-        timeline = results.attempt(line, lambda: parse_timeline(_text(_own(path, line)), line))
-        results.timeline = timeline
+    for entry in manifest["tables"]:
+        results.tables += attempt(entry, _tables) or []
+    if "vehicle.toml" in manifest["sha256"]:
+        results.vehicle = attempt("vehicle.toml", lambda file, _: read_vehicle(file))
+    if "timeline.toml" in manifest["sha256"]:
+        results.timeline = attempt(
+            "timeline.toml", lambda file, _: parse_timeline(file.read_text("utf-8"), file.name)
+        )
     return results
 
 
-def _entries(results: Results, manifest: dict[str, Any], key: str) -> list[Any]:
-    entries = manifest.get(key, [])
-    if not isinstance(entries, list):
-        results.problems.append(f"{MANIFEST}: {key} is no list.")
-        return []
-    if len(entries) > MAX_FILES:
-        what = f"{MANIFEST} lists more than {MAX_FILES} {key}"
-        results.problems.append(f"{what}; the rest is left out.")
-    return entries[:MAX_FILES]
-
-
-def _name(entry: Any) -> str:
-    name = entry.get("file") if isinstance(entry, dict) else entry
-    return name[:200] if isinstance(name, str) else f"an entry of {MANIFEST}"
-
-
-def _own(folder: Path, name: Any) -> Path:
-    """The file of this name in the folder itself: no path, no link, no device."""
-    if not isinstance(name, str) or Path(name).name != name or not is_own(folder / name):
-        what, do = "this is not a regular file of the folder", "put the file itself there"
-        raise InputError(what, do=do, where=str(name)[:200])
-    return folder / name
-
-
-def _text(path: Path) -> str:
-    content = read_bytes(path, MAX_TEXT_BYTES, "file", InputError, "run the command again")
-    return content.decode("utf-8")
-
-
-def _object(path: Path) -> dict[str, Any]:
-    value = json.loads(_text(_own(path.parent, path.name)))
-    if not isinstance(value, dict):
-        raise InputError("this is no JSON object", do="run the command again", where=path.name)
-    return value
-
-
-def _data(results: Results, path: Path, tried: bool) -> bool:
+def _data(path: Path, _: Any) -> dict[str, xr.Dataset]:
+    """The groups of a NetCDF file, each with the attributes of its root."""
     if path.stat().st_size > MAX_DATA_BYTES:
         size = f"{MAX_DATA_BYTES / 1e6:.0f} MB"
         raise InputError(f"the file is larger than {size}", do="look into it with xarray")
-    groups = read_groups(path, path.name, InputError, probe=not tried)
+    groups = read_groups(path, path.name, InputError, probe=False)
     root = dict(groups["/"].attrs) if "/" in groups else {}
-    for name, data in groups.items():
-        if data.variables or len(groups) == 1:
-            data.attrs = root | data.attrs
-            results.data[path.stem if name == "/" else f"{path.stem}{name}"] = data
-    return True
+    return {
+        path.stem if name == "/" else f"{path.stem}{name}": data.assign_attrs(root | data.attrs)
+        for name, data in groups.items()
+        if data.variables or len(groups) == 1
+    }
 
 
-def _figure(folder: Path, entry: Any) -> PageFigure:
-    path = _own(folder, entry["file"])
+def _figure(path: Path, entry: Any) -> PageFigure:
     smaller = path.with_suffix(".png")
-    if path.suffix == ".svg" and path.stat().st_size > 1_000_000 and is_own(smaller):
-        path = smaller  # very many points
-    content = read_bytes(path, MAX_TEXT_BYTES, "figure", InputError, "run the command again")
-    return PageFigure(path.name, content, str(entry.get("alt", "")), str(entry.get("caption", "")))
+    if path.suffix == ".svg" and path.stat().st_size > LARGEST_SVG_BYTES and smaller.is_file():
+        path = smaller
+    alt, caption = (str(entry.get(key, "")) for key in ("alt", "caption"))
+    return PageFigure(path.name, path.read_bytes(), alt, caption)
 
 
-def _table(folder: Path, entry: Any) -> Iterator[PageTable]:
+def _tables(path: Path, entry: Any) -> list[PageTable]:
+    """The table of a CSV file, if the page shows columns of it."""
     shown = entry.get("shown")
     if not isinstance(shown, dict) or not shown:
-        return
-    path = _own(folder, entry["file"])
-    lines = [line for line in _text(path).splitlines() if not line.startswith("#")]
+        return []
+    lines = [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
     rows = csv.reader(io.StringIO("\n".join(lines)))
     head = next(rows)
     places = [(head.index(name), str(heading)) for name, heading in shown.items() if name in head]
     cells = [[_cell(row[place]) for place, _ in places] for row in islice(rows, MAX_ROWS)]
     left = sum(1 for _ in rows)
-    head = [text for _, text in places]
-    yield PageTable(str(entry.get("title", "")), head, cells, path.name, left)
+    title = str(entry.get("title", ""))
+    return [PageTable(title, [text for _, text in places], cells, path.name, left)]
 
 
 def _cell(text: str) -> str:
