@@ -191,10 +191,10 @@ def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[st
     return {
         "version": version(),
         "title": "How Philae tumbled",
-        "seed": study.seed,
+        "seed": study.options.seed,
         "synthetic_telemetry": study.synthetic,
         "seconds": round(seconds, 1),
-        "chain": study.source,
+        "chain": study.options.source,
         "carries": study.parts["carries"].first_line,
         "noise": study.noise.about,
         "calibration": chain.calibration.told if chain and chain.calibration else None,
@@ -300,6 +300,6 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
         for name, run in parts["motions"].candidates.items():
             files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
         files["speed"] = parts["motions"].speed
-    attrs = {"synthetic": int(study.synthetic), "seed": study.seed}
+    attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
     attrs["sunspin_version"] = version()
     return {name: data.assign_attrs(attrs) for name, data in files.items()}

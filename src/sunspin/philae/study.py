@@ -55,24 +55,33 @@ SECTIONS = {
 """What is counted apart. Nothing in the second and third changes with the telemetry."""
 
 
-@dataclass(frozen=True)
-class Study:
-    """How the study is run, and all its results, each by the name of its step.
+class Options(NamedTuple):
+    """How the study is run.
 
-    `noise`: what the readings were taken for; `source`: where candidates come from (:mod:`sunspin.philae.candidates`), "scan",
-    "posterior", "published" or a file; `twins`: synthetic rebounds of a calibration, zero: none is made; `coarser`: every so
-    many-th grid point of the scan and of the maps; `missing`: why a step could not be computed.
+    `source`: where candidates come from (:mod:`sunspin.philae.candidates`), "scan", "posterior", "published" or a file; `twins`:
+    synthetic rebounds of a calibration, zero: none is made; `seed`: of all random choices; `coarser`: every so many-th grid point
+    of the scan and of the maps, 1 is the paper's grid.
     """
 
-    case: Case
-    noise: sun_directions.ReadingNoise
-    sun: xr.Dataset
     source: str = "scan"
     twins: int | None = None
     seed: int = 0
     coarser: int = 1
     workers: int | None = None
     progress: bool = False
+
+
+@dataclass(frozen=True)
+class Study:
+    """All results of the Philae study, each by the name of its step.
+
+    `noise`: what the file's readings were taken for; `missing`: why a step could not be computed.
+    """
+
+    case: Case
+    options: Options
+    noise: sun_directions.ReadingNoise
+    sun: xr.Dataset
     parts: dict[str, Any] = field(default_factory=dict)
     rows_by_part: dict[str, list[Row]] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
@@ -90,7 +99,7 @@ class Study:
     @property
     def runs(self) -> int:
         """Simulated collisions."""
-        return max(LANDING_RUNS // self.coarser, LEAST_RUNS)
+        return max(LANDING_RUNS // self.options.coarser, LEAST_RUNS)
 
     @property
     def rows(self) -> list[Row]:
@@ -150,19 +159,20 @@ def _descent(s: Study) -> Any:
 
 @step("Data check", data_check.rows, uses=("descent",), needed=True)
 def _carries(s: Study) -> Any:
-    return data_check.compute(s.case, s.sun, s.parts.get("descent"), s.seed)
+    return data_check.compute(s.case, s.sun, s.parts.get("descent"), s.options.seed)
 
 
 @step("Section 2.3: the scan of this telemetry", level_set.rows)
 def _level_set(s: Study) -> Any:
-    return level_set.compute(s.case, s.sun, s.seed, s.coarser, s.workers, s.progress)
+    o = s.options
+    return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
 
 
 @step("Section 2.3: the motions that follow", needs=("level_set", "carries"))
 def _candidates(s: Study) -> Any:
-    scan = s.parts["level_set"].scan
-    how: dict[str, Any] = {"workers": s.workers, "progress": s.progress}
-    return candidates.compute(scan, s.parts["carries"], s.source, s.twins, s.seed, **how)
+    o, scan = s.options, s.parts["level_set"].scan
+    how: dict[str, Any] = {"workers": o.workers, "progress": o.progress}
+    return candidates.compute(scan, s.parts["carries"], o.source, o.twins, o.seed, **how)
 
 
 @step("Section 3.2: after the first touchdown", touchdown.rows, needs=("candidates",))
@@ -172,23 +182,24 @@ def _touchdown(s: Study) -> Any:
 
 @step("Section 3.3: after the collision", collision.rows, needs=("candidates",))
 def _collision(s: Study) -> Any:
-    return collision.compute(s.case, s.parts["candidates"], s.runs, s.seed, workers=s.workers)
+    chain, o = s.parts["candidates"], s.options
+    return collision.compute(s.case, chain, s.runs, o.seed, workers=o.workers)
 
 
 @step("Section 4: wheel strategies", strategies.rows, needs=("candidates",))
 def _strategies(s: Study) -> Any:
-    chain, runs = s.parts["candidates"], max(s.runs // 5, 1)
-    return strategies.compute(s.case, chain, runs, s.seed, workers=s.workers)
+    chain, o = s.parts["candidates"], s.options
+    return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
 
 
 @step("Section 2.3: why a direct fit fails", sensitivity.rows, section="no_telemetry")
 def _sensitivity(s: Study) -> Any:
-    return sensitivity.compute(s.case, s.sun, s.workers, s.coarser)
+    return sensitivity.compute(s.case, s.sun, s.options.workers, s.options.coarser)
 
 
 @step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
 def _motions(s: Study) -> Any:
-    return motions.compute(s.case, s.parts, s.seed, s.workers)
+    return motions.compute(s.case, s.parts, s.options.seed, s.options.workers)
 
 
 @step("Section 2.2: wheel and example motions", mechanics.rows, section="no_telemetry", needed=True)
@@ -204,9 +215,9 @@ def _mechanics(s: Study) -> Any:
     needed=True,
 )
 def _published_lines(s: Study) -> Any:
-    scanned = s.parts.get("level_set")
+    o, scanned = s.options, s.parts.get("level_set")
     table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
-    return published_lines.compute(s.case, table, s.seed, s.coarser, s.runs, s.workers)
+    return published_lines.compute(s.case, table, o.seed, o.coarser, s.runs, o.workers)
 
 
 @step(
@@ -234,16 +245,16 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
     seen : callable, optional
         Given what there is so far each time that a step is computed.
     options
-        `source`, `twins`, `seed`, `coarser`, `workers`, `progress` of :class:`Study`.
+        Of :class:`Options`.
     """
     require_wheel(case.vehicle)
     case, noise = sun_directions.with_own_noise(case)
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
     rb.rebound_samples(case, sun)  # refused before the work
-    study = Study(case, noise, sun, **options)
+    study = Study(case, Options(**options), noise, sun)
     k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
     # more than two would keep more memory and gain nothing: the rows of each step take all cores
-    at_once = threading.Semaphore(min(worker_count(study.workers), 2))
+    at_once = threading.Semaphore(min(worker_count(study.options.workers), 2))
     stopped, futures = threading.Event(), dict[str, Future]()
 
     def run(step: Step) -> None:
