@@ -20,13 +20,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import binomtest
 
-from sunspin.dynamics.ensemble import Outcome, Rows
+from sunspin.dynamics.ensemble import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import LEAST_DIRECTIONS
-from sunspin.philae.level_set import families
+from sunspin.philae.metrics import near_minimum_set, run_grid
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.philae.twin import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.telemetry.case import Case, load_case
@@ -53,7 +53,7 @@ class Grid(NamedTuple):
 
 def make_grid(case: Case, coarser: int) -> Grid:
     """Run every motion of the grid once."""
-    table = rb.grid_table(case, rb.first_sun(case), rb.window_s(case), coarser)
+    table = run_grid(case, rb.first_sun(case), rb.window_s(case), rb.Options(coarser=coarser))
     every = table.rows.start.take(np.arange(len(table.hist)))
     back = rb.run_back(case, every, rb.after_touchdown_s(case))
     return Grid(case, table, np.linalg.norm(back, axis=1))
@@ -72,9 +72,9 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     order = np.argsort(emd, kind="stable")
     slowest = np.minimum.accumulate(grid.speed[order])
     count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
-    state = rows_of(case, truth[None])
+    state = rb.start_states(case, truth, rb.first_sun(case))
     back = rb.run_back(case, state, rb.after_touchdown_s(case))
-    near = families(case, volume, FACTOR, seed=0)
+    near = near_minimum_set(case, volume, FACTOR, seed=0)
     angles = [float("nan")] * 4  # too few points for four lines
     if near.lines is not None:
         angles = [apart["angle_rad"] for apart in near.deviation]
@@ -92,7 +92,7 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
 def true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarray:
     """A rate (3) in rad/s at the first sample."""
     if kind == "grid":
-        return rng.uniform(*box(case).T)
+        return rng.uniform(*rb.grid_ends(case).T)
     published = rb.published_lines(case)
     line = published[int(rng.integers(len(published)))]
     return rb.on_lines([line], [rng.uniform(*rb.LINE_RANGE)])[0, 0]
@@ -109,17 +109,6 @@ def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.nd
     power = noisy_readings(vehicle, true, exact, vehicle.require_noise(), rng)
     sun = sun_directions(vehicle, power)
     return sun["sun_B"].values[is_reconstructed(sun["status"]), 2]
-
-
-def box(case: Case) -> np.ndarray:
-    """Ends (3, 2) of the scanned range in rad/s."""
-    return np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
-
-
-def rows_of(case: Case, omega_B: np.ndarray) -> Rows:
-    """States with these rates (n, 3) at the first sample."""
-    n, speeds = len(omega_B), np.array(rb.nominal_speed(case.vehicle), dtype=np.float64)
-    return Rows(omega_B, np.tile(rb.first_sun(case), (n, 1)), np.tile(speeds, (n, 1)))
 
 
 def gathered(rebounds: list[dict[str, Any]]) -> dict[str, np.ndarray]:

@@ -28,8 +28,9 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
-from sunspin.philae import candidates, data_check, level_set
+from sunspin.philae import candidates, data_check, metrics
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
+from sunspin.philae.rebound import Options
 from sunspin.telemetry.case import Case, load_case
 from validation.campaign import command, rows_folder
 from validation.controls import case_of
@@ -140,8 +141,9 @@ def sun_J2000(folder: Path, tdb_s: float) -> np.ndarray:
 def motions(source: str, seed: int) -> candidates.Chain:
     """The motions that `sunspin reproduce --candidates` takes, of the built-in telemetry."""
     case, sun = case_of()
-    scan = level_set.compute(case, sun, seed).scan
-    return candidates.compute(scan, data_check.compute(case, sun, None, seed), source, None, seed)
+    options = Options(source, seed=seed)
+    scan = metrics.scan_telemetry(case, sun, options)
+    return candidates.compute(scan, data_check.compute(case, sun, None, seed), options)
 
 
 def collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:

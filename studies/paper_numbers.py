@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from studies.coverage import rows_of
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
@@ -45,13 +44,11 @@ class Lines(NamedTuple):
 
 def motions_on_lines(case: Case) -> Lines:
     """Run points of the lines to the collision, even in omega_z over the compared range, or even along them in the box."""
-    box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
-    omega_z, inside = np.linspace(*rb.LINE_RANGE, LINE_POINTS), []
-    even = rb.on_lines(rb.published_lines(case), omega_z)
-    for point, along in rb.published_lines(case):
-        ends = np.sort((box - point[:, None]) / along[:, None], axis=1)
-        steps = np.linspace(ends[:, 0].max(), ends[:, 1].min(), LINE_POINTS)
-        inside.append(point + steps[:, None] * along)
+    omega_z, printed = np.linspace(*rb.LINE_RANGE, LINE_POINTS), rb.published_lines(case)
+    even, inside = (
+        rb.on_lines(printed, omega_z),
+        [rb.within_grid(case, line, LINE_POINTS) for line in printed],
+    )
     starts = {
         f"evenly in omega_z over {list(rb.LINE_RANGE)}": even.reshape(-1, 3),
         "evenly along the lines within the scanned box": np.concatenate(inside),
@@ -60,7 +57,7 @@ def motions_on_lines(case: Case) -> Lines:
         rule: np.array([speed_at_collision(case, omega) for omega in omegas])
         for rule, omegas in starts.items()
     }
-    nutation = rb.momentum_angles(case.vehicle, rows_of(case, even.reshape(-1, 3)))[0]
+    nutation = rb.momentum_angles(case.vehicle, rb.start_states(case, even, rb.first_sun(case)))[0]
     return Lines(at_collision, np.degrees(nutation.reshape(len(even), -1)), omega_z)
 
 
@@ -139,7 +136,7 @@ def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]
     now, printed = rb.speed_at_first_sample(case), rb.published_lines(case)
     _, c2, c3 = paper["spin_down_coefficients"]
 
-    points = rows_of(case, np.array([point for point, _ in printed]))
+    points = rb.start_states(case, np.array([point for point, _ in printed]), rb.first_sun(case))
     nutation, to_sun = np.degrees(rb.momentum_angles(case.vehicle, points)[:2])
     wide, narrow = 2 * lines.nutation_deg[:2], 2 * lines.nutation_deg[2:]
     left = case.vehicle.require_mass() * paper["trajectory_speed_after_touchdown"] ** 2 / 2
@@ -157,7 +154,7 @@ def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]
         "speed_before": before,
         "losses": speed - np.array(later),
         "stop_min": spin_down_time(wheel.friction, wheel.inertia_kg_m2, before) / 60,
-        "least_rates": [rb.smallest_on_lines(case, printed, start) for start in (speed, now)],
+        "least_rates": [rb.smallest_on_lines(case, start) for start in (speed, now)],
         "wrong_sign": decay * (speed + ratio),
         "slowing": c2 * (speed - c3),
         "swing_deg": 2 * nutation,

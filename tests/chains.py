@@ -17,9 +17,9 @@ def chain_on_the_lines(case: Case) -> candidates.Chain:
     lines = rb.published_candidates(case)
     sets = {"set": ("published", lines), "box": ("scan", grid), "recipe": ("scan", lines[::7])}
     chosen, box, recipe = (
-        candidates.described(
+        candidates.describe(
             rebound, rebound.states(points), 0, chain=chain, about=f"{name} of the test"
         )
         for name, (chain, points) in sets.items()
     )
-    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"), 0.02)
+    return candidates.Chain(case, rebound, chosen, box, recipe, None, float("nan"))

@@ -553,7 +553,6 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _control(name: str) -> Row:
-    from sunspin.philae import touchdown
     from sunspin.telemetry.case import load_case
     from validation.controls import CONTROLS, NOT_CONCLUDED, chain_of
 
@@ -562,11 +561,10 @@ def _control(name: str) -> Row:
     outcome = "wrong" if concluded is (name in NOT_CONCLUDED) else "right"
     if not concluded:
         return {"outcome": outcome, "says": looked.why}
-    bound = touchdown.lower_bound(looked.chain)
     measured = {
-        "smallest EMD": looked.chain.emd_min,
+        "smallest EMD": looked.scan.smallest,
         "share of the box": looked.chain.share,
-        "speed at least": bound,
+        "speed at least": looked.chain.chosen.speed_range()[0],
     }
     return {"outcome": outcome, "measured": measured | {"lines": float(looked.scan.lines_found)}}
 

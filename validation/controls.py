@@ -15,7 +15,7 @@ import xarray as xr
 
 from sunspin.base.errors import SunspinError
 from sunspin.dynamics.propagate import propagate
-from sunspin.philae import candidates, data_check, descent, level_set, touchdown
+from sunspin.philae import candidates, data_check, descent, metrics, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, settled
 from sunspin.philae.sun_directions import with_own_noise
@@ -108,14 +108,14 @@ class Found:
 
     case: Case
     carries: data_check.DataCheck
-    scan: level_set.LevelSet | None
+    scan: metrics.TelemetryScan | None
     chain: candidates.Chain | None
     why: str
 
     @property
     def rows(self) -> dict[str, Row]:
         """Rows of the scan and of the touchdown as they count."""
-        found = level_set.rows(self.scan) if self.scan else []
+        found = metrics.scan_rows(self.scan) if self.scan else []
         found = found + (touchdown.rows(self.chain) if self.chain else [])
         return {row.id: settled(row) for row in found}
 
@@ -130,12 +130,11 @@ def case_of(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
 
 def chain_of(
     telemetry: xr.Dataset | None = None,
-    source: str = "scan",
-    coarser: int = COARSER,
     **options: Any,
 ) -> Found:
     """The chain on a telemetry file, the built-in one unless given."""
     case, sun = case_of(telemetry)
+    how = rb.Options(**{"coarser": COARSER, "twins": TWINS} | options)
     try:
         fit = descent.compute(case, sun)
     except SunspinError:
@@ -144,8 +143,8 @@ def chain_of(
     scan = chain = None
     why = ""
     try:
-        scan = level_set.compute(case, sun, coarser=coarser)
-        chain = candidates.compute(scan.scan, looked, source, **({"twins": TWINS} | options))
+        scan = metrics.scan_telemetry(case, sun, how)
+        chain = candidates.compute(scan, looked, how)
     except SunspinError as error:
         why = str(error)
     return Found(case, looked, scan, chain, why)

@@ -67,24 +67,21 @@ def test_what_is_concluded_holds_the_truth(found, name, omega):
     small, large, speed = truth_of(
         np.array(rb.twin_file(CASE)["omega_B"] if omega is None else omega), one
     )
-    for value, values in ((small, chosen.smaller_angle), (large, chosen.larger_angle)):
-        low, high = chosen.angle_range(values)
+    for which, value in enumerate((small, large)):
+        low, high = chosen.angle_range(which)
         assert low <= value <= high, (name, np.degrees([low, value, high]))
-    assert touchdown.lower_bound(one.chain) <= speed
+    assert one.chain.chosen.speed_range()[0] <= speed
 
 
 @pytest.mark.long
 def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
     still, tumbled = found("never tumbled"), found("as it is")
-    small = [
-        np.degrees(one.chain.chosen.angle_range(one.chain.chosen.smaller_angle))
-        for one in (still, tumbled)
-    ]
+    small = [np.degrees(one.chain.chosen.angle_range(0)) for one in (still, tumbled)]
     assert (
         small[0][0] == 0 and small[0][1] < 30 and small[1][1] > 60
     )  # 7 of the 30 degrees are the coarse grid's cells
-    bounds = [touchdown.lower_bound(one.chain) for one in (still, tumbled)]
+    bounds = [one.chain.chosen.speed_range()[0] for one in (still, tumbled)]
     assert bounds[0] == 0 and bounds[1] > 0.07
     words = " ".join(touchdown.sentences(still.chain))
     assert "may have stood still" in words and f"is below {small[0][1]:.0f} degrees (90%)" in words
@@ -146,7 +143,7 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
 def test_candidates_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
-    one = chain_of(None, str(path), coarser=20)
+    one = chain_of(source=str(path), coarser=20)
     assert one.chain.name == "mine.csv" and len(one.chain.chosen) == 2
     assert one.rows["rate_at_touchdown_bound"].chain == "mine.csv"
     for text, said in (
@@ -156,9 +153,9 @@ def test_candidates_from_a_table(tmp_path, quick):
     ):
         path.write_text(text, "utf-8")
         with pytest.raises(InputError, match=said):
-            candidates._from_file(path)
+            candidates.rates_of(path)
     with pytest.raises(InputError, match="there is no such file"):
-        candidates._from_file(tmp_path / "none.csv")
+        candidates.rates_of(tmp_path / "none.csv")
 
 
 def test_without_a_calibration_nothing_is_concluded(quick):

@@ -18,6 +18,7 @@ from sunspin.estimate.scan.metrics import emd
 from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
+from sunspin.philae.metrics import simulated_z
 from sunspin.telemetry.case import load_case
 
 CASE = load_case("philae")
@@ -41,7 +42,7 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
     z = np.random.default_rng(4).uniform(0.05, 0.95, 16)
     found = table.volume(z)
     for x, y, w in ((-0.2, 0.5, 0.2), (0.3, 0.1, -0.1)):
-        reference = emd(rb.seen_z(CASE, np.array([x, y, w])), z)
+        reference = emd(simulated_z(CASE, np.array([x, y, w])), z)
         assert found.sel(omega_x=x, omega_y=y, omega_z=w).item() == pytest.approx(
             reference, abs=2e-3
         )
@@ -69,8 +70,8 @@ def test_rates_at_the_end_follow_a_wheel_that_stops_but_not_back_into_one_that_i
 
 def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
-    states = study.rows_of(CASE, np.array([truth, other]))
-    target = rb.seen_z(CASE, truth), None
+    states = rb.start_states(CASE, np.array([truth, other]), rb.first_sun(CASE))
+    target = simulated_z(CASE, truth), None
     own, wrong = threshold.reached(CASE, states, rb.window_s(CASE), [target, target])
     assert own < 1e-3 and wrong > 0.02
 
@@ -155,6 +156,5 @@ def test_the_readme_states_what_the_study_and_the_calibration_give():
         r"published lines \| (\d+) \| ([\d.]+)% \(([\d.]+)% to ([\d.]+)%\)", table
     ).groups()
     assert f"in {share} % of {count} ({low} to {high} %)" in text
-    path = CASE.folder / threshold.SHIPPED
-    factor = threshold.from_json(path.read_text("utf-8"), str(path), "shipped").factor()[0]
+    factor = threshold.read(CASE.folder / threshold.SHIPPED).factor()[0]
     assert f"threshold of {factor:.2f} times the smallest EMD" in text

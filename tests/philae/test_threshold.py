@@ -65,8 +65,8 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
 @pytest.mark.evidence("reproduce", "verified", "fresh synthetic rebounds of known truth")
 def test_fresh_truths_lie_in_the_calibrated_set(table, reached):
     """Another seed's rebounds: about nine in ten of their truths lie below the factor."""
-    factor = th.calibrate(REBOUND, table, 100, seed=0).factor()[0]
-    fresh = th.calibrate(REBOUND, table, 100, seed=1)
+    factor = th.calibrate(REBOUND, table, rb.Options(twins=100)).factor()[0]
+    fresh = th.calibrate(REBOUND, table, rb.Options(twins=100, seed=1))
     held = float(np.mean(fresh.ratio < factor))
     assert 0.78 < held < 0.99
     assert np.mean(fresh.ratio < 1.1) < 0.6  # negative control: the paper's factor holds far fewer
@@ -112,8 +112,8 @@ def test_the_key_is_that_of_the_data(table):
 
 def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     path = CASE.folder / th.SHIPPED
-    shipped = th.from_json(path.read_text("utf-8"), str(path), "shipped with the case")
-    assert shipped.n == 400 and 4.0 < shipped.factor()[0] < 5.1
+    shipped = th.read(path)
+    assert len(shipped.ratio) == 400 and 4.0 < shipped.factor()[0] < 5.1
     assert (
         np.mean(shipped.ratio < 3.04) < 0.8
     )  # the factor of panels as drawn, with which nine of ten were held
@@ -124,27 +124,31 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
         ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist"), np.zeros((0, 1)), np.zeros(0)
     )
     assert th.key_of(REBOUND, whole) == shipped.key, (
-        "the built-in telemetry needs another calibration: threshold.ship"
+        "the built-in telemetry needs another calibration: threshold.write"
     )
-    assert th.calibration(REBOUND, table, 0) is None  # another grid: another key
+    with pytest.raises(ss.TelemetryError, match="not calibrated"):  # another grid: another key
+        th.calibration(REBOUND, table, rb.Options(twins=0))
     monkeypatch.setattr(th, "key_of", lambda *_: shipped.key)
-    assert th.calibration(REBOUND, table, 0).source == "shipped with the case"
-    assert th.calibration(REBOUND, table, 20).n == 20  # asked for, it is made
+    assert th.calibration(REBOUND, table, rb.Options(twins=0)).source == "shipped with the case"
+    assert (
+        len(th.calibration(REBOUND, table, rb.Options(twins=20)).ratio) == 20
+    )  # asked for, it is made
 
 
-def test_a_file_of_a_calibration_can_be_read_again():
-    found = made(40, 2)
-    again = th.from_json(th.to_json(found), "here", "here")
-    np.testing.assert_allclose(again.ratio, found.ratio, rtol=1e-5)
-    assert again.key == found.key and again.n == 40
+def test_a_file_of_a_calibration_can_be_read_again(tmp_path):
+    calibration, path = made(40, 2), tmp_path / th.SHIPPED
+    th.write(calibration, path)
+    np.testing.assert_allclose(th.read(path).ratio, calibration.ratio, rtol=1e-5)
+    assert th.read(path).key == calibration.key
     ragged = '{"key": "a", "seed": 0, "ratio": [1], "emd_min": [], "directions": [1]}'
     for text in ("{}", "no", ragged):
+        path.write_text(text, "utf-8")
         with pytest.raises(InputError, match="no calibration of a threshold"):
-            th.from_json(text, "here", "here")
+            th.read(path)
 
 
 def test_brightness_and_noise_are_those_that_the_telemetry_was_made_with():
-    assert th._scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
+    assert th.scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
     assert (
         NOISE.lit == pytest.approx(0.09, rel=0.15)
         and NOISE.dark == 0
@@ -186,7 +190,7 @@ def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
 def test_what_a_calibration_depends_on_is_in_its_key():
     """A change of body, wheel, panels, mask or weights asks for another calibration; one of the blow, or of mass, legs and names,
     on which a scan does not depend, does not."""
-    shipped = th.from_json((CASE.folder / th.SHIPPED).read_text("utf-8"), "here", "shipped").key
+    shipped = th.read(CASE.folder / th.SHIPPED).key
 
     def key(*changes):
         case = rb.with_telemetry(ss.load_case("philae", changes), CASE.telemetry)

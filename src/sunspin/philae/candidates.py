@@ -1,8 +1,8 @@
 """The motions that stand for the landing: from which the touchdown, the collision and what follows are computed.
 
 `--candidates` says where they come from: the 90 % set of the scan against the telemetry (the default), the posterior of its
-readings, the lines that the paper prints (whatever the telemetry says), or a file. With them stand the whole scanned box, which
-is what was possible before the data, and the paper's own set, below 1.1 times the smallest EMD.
+readings, the lines that the paper publishes (for any telemetry), or a file. With them stand the whole scanned range, which is
+what was possible before the data, and the paper's own set, below 1.1 times the smallest EMD.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.landing.outcomes import BINS
-from sunspin.landing.tally import Estimate, estimate
 from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import DataCheck
-from sunspin.philae.level_set import Scanned
+from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
 from sunspin.telemetry.case import Case, case_names, load_case
 from sunspin.telemetry.synthetic import generator
@@ -35,8 +34,6 @@ DRAWS, HEIGHT_DRAWS, POSTERIOR_DRAWS = 10_000, 2_000, 4_000
 
 DIRECTION_ERROR = 1e-5
 """Error (rad) of directions at the touchdown and at the collision: angular speeds then err by far less than the grid's step."""
-
-TAIL = (1 - CONFIDENCE) / 2
 
 
 @dataclass(frozen=True)
@@ -72,9 +69,15 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.states)
 
+    @property
+    def angles(self) -> np.ndarray:
+        """The smaller and the larger of theta and alpha (2, n), rad: EMD of r_z does not tell the two apart."""
+        return np.sort([self.theta, self.alpha], axis=0)
+
     def range(self, values: np.ndarray) -> tuple[float, float]:
         """Least and largest of values over the candidates; 5 and 95 % where they are draws of a probability."""
-        low, high = np.quantile(values, [TAIL, 1 - TAIL] if self.probable else [0.0, 1.0])
+        tail = (1 - CONFIDENCE) / 2 if self.probable else 0.0
+        low, high = np.quantile(values, [tail, 1 - tail])
         return float(low), float(high)
 
     def speed_range(self) -> tuple[float, float]:
@@ -82,26 +85,10 @@ class Candidates:
         low, high = self.range(self.speed_touchdown)
         return max(low - self.cell_rad_s, 0.0), high + self.cell_rad_s
 
-    def angle_range(self, values: np.ndarray) -> tuple[float, float]:
-        """Least and largest of angles (n), rad, over the cells of the grid; `values` is one of the properties below."""
-        low, high = self.range(values)
-        cell = 0.0 if self.probable else self.angle_cell
-        return max(low - cell, 0.0), min(high + cell, np.pi)
-
-    @property
-    def smaller_angle(self) -> np.ndarray:
-        """The smaller of theta and alpha (n), rad: EMD of r_z does not tell the two apart."""
-        return np.minimum(self.theta, self.alpha)
-
-    @property
-    def larger_angle(self) -> np.ndarray:
-        """The larger of theta and alpha (n), rad."""
-        return np.maximum(self.theta, self.alpha)
-
-    def mean_height(self) -> tuple[Estimate, Estimate]:
-        """Means of the smallest and the largest height of the Sun (deg)."""
-        low, high = np.degrees(self.height).T
-        return estimate(low), estimate(high)
+    def angle_range(self, which: int) -> tuple[float, float]:
+        """Least and largest of the smaller (0) or the larger (1) angle, rad, over the cells of the grid."""
+        low, high = self.range(self.angles[which])
+        return max(low - self.angle_cell, 0.0), min(high + self.angle_cell, np.pi)
 
     def dataset(self) -> xr.Dataset:
         """As `outcomes` takes candidates: all equally likely."""
@@ -117,41 +104,33 @@ class Candidates:
         )
 
 
-def described(
-    rebound: rb.Rebound,
-    states: Rows,
-    seed: int,
-    grid: tuple[np.ndarray, float] | None = None,
-    **labels: Any,
+def describe(
+    rebound: rb.Rebound, states: Rows, seed: int, cell_rad_s: float = 0.0, **labels: Any
 ) -> Candidates:
     """Candidates with what is asked of them; runs to the collision are made for even draws only.
 
-    `grid`: of points of a scan their speeds at the touchdown (n) and half the diagonal of a cell, rad/s; `labels`: `chain`,
-    `about` and `probable` of :class:`Candidates`.
+    `labels`: `chain`, `about` and `probable` of :class:`Candidates`.
     """
     vehicle, draws = rebound.case.vehicle, states
-    if grid is None:
-        back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
-        grid = np.linalg.norm(back, axis=1), 0.0
+    at_touchdown = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
     if len(states) > DRAWS:
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
     few = draws.take(np.arange(min(HEIGHT_DRAWS, len(draws))))
     run = k.run_rows(vehicle, few, rebound.window_s, emd_error=k.EMD_ERROR, bins=BINS)
-    seen = run.hist > 0
-    edges = np.linspace(-1, 1, BINS + 1)
+    seen, edges = run.hist > 0, np.linspace(-1, 1, BINS + 1)
     low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
     theta, alpha, momentum = rb.momentum_angles(vehicle, states)
     largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
-    turn = largest * grid[1] / max(float(np.median(momentum)), 1e-12)
+    turn = largest * cell_rad_s / max(float(np.median(momentum)), 1e-12)
     return Candidates(
         states=states,
-        speed_touchdown=grid[0],
+        speed_touchdown=np.linalg.norm(at_touchdown, axis=1),
         theta=theta,
         alpha=alpha,
         speed_collision=np.linalg.norm(at_collision, axis=1),
         height=np.arcsin(np.stack([low, high], axis=1)),
-        cell_rad_s=grid[1],
+        cell_rad_s=cell_rad_s,
         angle_cell=float(np.arctan(turn)),
         **labels,
     )
@@ -159,9 +138,9 @@ def described(
 
 @dataclass(frozen=True)
 class Chain:
-    """The chosen candidates, the box they come from, the paper's own set of this telemetry; how the threshold was calibrated.
+    """The chosen candidates, the scanned range as a set, the paper's own set of this telemetry; how the threshold was calibrated.
 
-    `share`: part of the scanned box that the chosen set holds (NaN for other chains). `verdict`: of the posterior, else "".
+    `share`: part of the scanned range that the chosen set holds (NaN for other chains). `verdict`: of the posterior, else "".
     """
 
     case: Case
@@ -171,7 +150,6 @@ class Chain:
     recipe: Candidates
     calibration: Calibration | None
     share: float
-    emd_min: float
     verdict: str = ""
 
     @property
@@ -179,103 +157,78 @@ class Chain:
         return self.chosen.chain
 
 
-def compute(
-    scan: Scanned,
-    carries: DataCheck,
-    source: str = "scan",
-    twins: int | None = None,
-    seed: int = 0,
-    *,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Chain:
+def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Chain:
     """The candidates of this telemetry, from the source asked for.
-
-    Parameters
-    ----------
-    source : "scan", "posterior", "published", or the path of a table with columns omega_x, omega_y, omega_z (rad/s)
-    twins : int, optional
-        Synthetic rebounds of a calibration made now; zero: none, see `threshold.calibration`.
 
     Raises
     ------
     TelemetryError
         Readings from which nothing can be concluded; data for which no threshold was calibrated; a model that does not fit.
     """
-    rebound, case = scan.rebound, scan.rebound.case
+    rebound, case, least, source = scan.rebound, scan.rebound.case, scan.smallest, options.source
     if source != "published" and carries.reasons:
         raise TelemetryError(
             "nothing can be concluded from these readings",
             got="; ".join(carries.reasons),
             do="check the panels' columns, gains and units",
         )
-    calibrated = None
-    if source == "scan":
-        calibrated = calibration(rebound, scan.table, twins, seed, workers, progress)
-        if calibrated is None:
-            raise TelemetryError(
-                "the threshold of the set is not calibrated for these data",
-                do="run without --calibrate 0: it takes a minute",
-            )
-        if calibrated.unusual(scan.smallest):
-            raise TelemetryError(
-                "no motion of the model fits the distribution of r_z",
-                got=f"a smallest EMD of {scan.smallest:.4f}, where {calibrated.n} synthetic rebounds like these data have "
-                f"{calibrated.emd_min.min():.4f} to {calibrated.emd_min.max():.4f}",
-                do="check the vehicle, the wheel's command and the panels' gains",
-            )
-    start, lead = scan.table.rows.start, rebound.lead_s
+    calibrated = calibration(rebound, scan.table, options) if source == "scan" else None
+    if calibrated is not None and calibrated.unusual(least):
+        usual = calibrated.emd_min
+        raise TelemetryError(
+            "no motion of the model fits the distribution of r_z",
+            got=f"a smallest EMD of {least:.4f}, where {len(usual)} synthetic rebounds like these data have "
+            f"{usual.min():.4f} to {usual.max():.4f}",
+            do="check the vehicle, the wheel's command and the panels' gains",
+        )
+    start = scan.table.rows.start
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
     cell = float(np.linalg.norm(steps)) / 2
-    every = start.take(np.arange(len(start)))
-    speeds = np.linalg.norm(rb.run_back(case, every, lead, DIRECTION_ERROR), axis=1)
 
     def below(level: float, chain: str, about: str) -> Candidates:
-        index = np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd))
-        grid = speeds[index], cell
-        return described(rebound, every.take(index), seed, grid, chain=chain, about=about)
+        states = start.take(np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd)))
+        return describe(rebound, states, options.seed, cell, chain=chain, about=about)
 
-    factor, share, verdict = case.assumptions.study.near_minimum_factor, float("nan"), ""
+    factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"
-    recipe = below(factor * scan.smallest, "scan", about)
+    recipe = below(factor * least, "scan", about)
     if source == "posterior":
-        chosen, box, verdict = _from_posterior(rebound, seed, workers, progress)
-        return Chain(case, rebound, chosen, box, recipe, None, share, scan.smallest, verdict)
+        chosen, box, verdict = _from_posterior(rebound, options)
+        return Chain(case, rebound, chosen, box, recipe, None, share, verdict)
     box = below(np.inf, source, "the whole scanned box: what was possible before the data")
     if calibrated is not None:
         level = calibrated.factor()[0]
-        share = float(np.mean(scan.emd < level * scan.smallest))
+        share = float(np.mean(scan.emd < level * least))
         about = (
             f"the {calibrated.confidence:.0%} set of the scan: EMD below {level:.3g} times the smallest, {share:.0%} of the "
             "scanned box"
         )
-        chosen = below(level * scan.smallest, source, about)
-    elif source == "published":
-        about = "the lines that the paper publishes, for any telemetry"
-        states = rebound.states(rb.published_candidates(case))
-        chosen = described(rebound, states, seed, chain=source, about=about)
+        chosen = below(level * least, source, about)
     else:
-        states, name = rebound.states(_from_file(Path(source))), Path(source).name
-        chosen = described(rebound, states, seed, chain=name, about=f"the motions of {name}")
-    return Chain(case, rebound, chosen, box, recipe, calibrated, share, scan.smallest)
+        omega, chain = rb.published_candidates(case), source
+        about = "the lines that the paper publishes, for any telemetry"
+        if source != "published":
+            omega, chain = rates_of(Path(source)), Path(source).name
+            about = f"the motions of {chain}"
+        states = rebound.states(omega)
+        chosen = describe(rebound, states, options.seed, chain=chain, about=about)
+    return Chain(case, rebound, chosen, box, recipe, calibrated, share)
 
 
-def _from_posterior(
-    rebound: rb.Rebound, seed: int, workers: int | None, progress: bool
-) -> tuple[Candidates, Candidates, str]:
+def _from_posterior(rebound: rb.Rebound, options: rb.Options) -> tuple[Candidates, Candidates, str]:
     """Draws of the posterior of the rebound's readings; motions drawn evenly from the ball of its prior; its verdict."""
     from sunspin.estimate.posterior.estimate import posterior
 
-    case, times = rebound.case, rebound.samples["utc_s"].values
+    times, seed = rebound.samples["utc_s"].values, options.seed
     tree = posterior(
-        case.vehicle,
-        case.telemetry,
+        rebound.case.vehicle,
+        rebound.case.telemetry,
         seed=seed,
         begin_s=float(times[rebound.first]),
         end_s=float(times[-1]),
         draws=POSTERIOR_DRAWS,
-        workers=workers,
-        progress=progress,
+        workers=options.workers,
+        progress=options.progress,
     )
     word, verdict = tree.attrs["verdict_word"], str(tree.attrs["verdict"])
     if word == "not explained":
@@ -291,7 +244,7 @@ def _from_posterior(
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = rebound.states(direction * radius * np.cbrt(rng.random(DRAWS))[:, None])
     chosen, before = (
-        described(rebound, motions, seed, chain="posterior", about=about, probable=True)
+        describe(rebound, motions, seed, chain="posterior", about=about, probable=True)
         for motions, about in (
             (states, f"{len(states)} draws of the posterior of the readings ({word})"),
             (ball, f"even in the ball of {radius:g} rad/s of the posterior's prior"),
@@ -300,7 +253,7 @@ def _from_posterior(
     return chosen, before, verdict
 
 
-def _from_file(path: Path) -> np.ndarray:
+def rates_of(path: Path) -> np.ndarray:
     """Rates (n, 3) in rad/s from a table with columns omega_x, omega_y, omega_z: CSV, Parquet or NetCDF-4."""
     if not path.is_file():
         raise InputError(
@@ -309,13 +262,10 @@ def _from_file(path: Path) -> np.ndarray:
             do="give a table with columns omega_x, omega_y, omega_z in rad/s",
         )
     table, names = read_table(path), ("omega_x", "omega_y", "omega_z")
-    if missing := [name for name in names if name not in table.header]:
-        what = "candidates need columns omega_x, omega_y, omega_z, rad/s"
-        raise InputError(what, got=f"no {', '.join(missing)}", where=str(path))
-    omega = table.numbers(names)
+    omega = table.numbers(names) if table.has(names) else np.zeros((0, 3))
     if not len(omega) or not np.all(np.isfinite(omega)):
-        what, got = "candidates must be finite rates, one row each", f"{len(omega)} rows"
-        raise InputError(what, got=got, where=str(path))
+        what = "candidates need columns omega_x, omega_y, omega_z with finite rates in rad/s"
+        raise InputError(what, got=f"columns {', '.join(table.header)}", where=str(path))
     return omega
 
 

@@ -42,7 +42,7 @@ def headline(study: Study) -> list[str]:
         motion = "After the first touchdown: the motions are those of the published lines, for any telemetry."
     elif chain.chosen.probable:
         motion = f"Just after the first touchdown: angular speed {slow:.3g} to {fast:.3g} rad/s ({CONFIDENCE:.0%})."
-    elif slow <= chain.box.speed_range()[0] + touchdown.LEAST_STEP_RAD_S:
+    elif not touchdown.bounded(chain):
         motion = "After the first touchdown: the data are also consistent with no rotation."
     else:
         motion = (
@@ -55,7 +55,7 @@ def headline(study: Study) -> list[str]:
     else:
         extent = (
             f"The {calibration.confidence:.0%} confidence set contains {chain.share:.0%} of the scanned initial rates (EMD below "
-            f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {calibration.n} simulated flights)."
+            f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} simulated flights)."
         )
     return [descent, motion, extent, touchdown.sentences(chain)[0], origin]
 
@@ -83,15 +83,15 @@ def conclusions(study: Study) -> list[str]:
     sentences = [parts["carries"].first_line, f"Readings: {study.noise.about}."]
     if (scanned := parts.get("level_set")) is not None:
         text = (
-            f"Against the {scanned.measured_z.size} reconstructed directions of this telemetry between touchdown and collision the "
-            f"smallest EMD is {scanned.scan.smallest:.4f}; {len(scanned.near.points)} grid points lie within "
+            f"Against the {scanned.rebound.z.size} reconstructed directions of this telemetry between touchdown and collision the "
+            f"smallest EMD is {scanned.smallest:.4f}; {len(scanned.near.points)} grid points lie within "
             f"{scanned.near.factor} times it, and {scanned.lines_found} of the four printed lines come out of them"
         )
         if scanned.truth:
             text += f". At the true rate behind the synthetic telemetry it is {scanned.truth['emd']:.4f}"
         if chain is not None and (calibration := chain.calibration) is not None:
             text += (
-                f". For {100 * calibration.confidence:g} %: {calibration.told}; that set holds {chain.share:.0%} of the "
+                f". For {100 * calibration.confidence:g} %: {calibration}; that set holds {chain.share:.0%} of the "
                 "scanned box"
             )
         sentences.append(f"{text}.")

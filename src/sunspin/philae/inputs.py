@@ -52,9 +52,9 @@ def rows(case: Case) -> list[Row]:
     mask, everywhere = rb.reconstructible_mask(vehicle), spiral()
     share = float(np.mean(allows(mask, everywhere)))
     below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
-    up, lines = np.array([[0.0, 0.0, 1.0]]), rb.published_lines(case)
+    up = np.array([[0.0, 0.0, 1.0]])
     errors = [float(direction_error(sun, up)) for sun in (up, -up)]
-    slowest = rb.smallest_on_lines(case, lines, rb.nominal_speed(vehicle)[0])
+    slowest = rb.smallest_on_lines(case, rb.nominal_speed(vehicle)[0])
     ours: dict[str, Any] = {
         "path_duration": paper["path_length"] / paper["collision_speed"] / 60,
         "rate_at_touchdown_min_rounded": slowest,

@@ -25,7 +25,7 @@ from sunspin.output.figures import COLOURS, titled
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
-from sunspin.philae.level_set import LevelSet
+from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.twin import State, collide
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
@@ -46,7 +46,7 @@ class Motions(NamedTuple):
 
 def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None = None) -> Motions:
     """From the results of the steps before: `level_set`, `candidates`, and where there is one `descent`."""
-    scan: LevelSet = done["level_set"]
+    scan: TelemetryScan = done["level_set"]
     chain: Chain = done["candidates"]
     descent: Descent | None = done.get("descent")
     rebound, chosen = chain.rebound, chain.chosen
@@ -55,8 +55,8 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
         start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
         about = "the motion from which the synthetic telemetry was made"
         runs["Truth"] = landing(rebound, start, about, rb.twin_file(case).get("seed", seed))
-    start = scan.scan.table.rows.start.take(np.array([np.argmin(scan.scan.emd)]))
-    about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.scan.smallest:.4f})"
+    start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
+    about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
     runs["Best fit"] = landing(rebound, start, about, seed)
     order = np.argsort(chosen.speed_touchdown)
     for name, at in (("Slowest", 0), ("Middle", len(order) // 2), ("Fastest", -1)):

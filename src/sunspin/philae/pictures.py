@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from sunspin.output import figures
@@ -15,16 +14,8 @@ from sunspin.output.figures.panel_signals import panel_signals_figure
 from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, strategies, telemetry
 from sunspin.output.kinds.outcomes import sun_height_figure
-from sunspin.philae import (
-    descent,
-    level_set,
-    mechanics,
-    published_lines,
-    sensitivity,
-    sun_directions,
-)
+from sunspin.philae import descent, mechanics, metrics, published_lines, sun_directions, touchdown
 from sunspin.philae import rebound as rb
-from sunspin.philae.figures import candidates
 from sunspin.philae.motions import speed_figure
 from sunspin.philae.study import Study
 
@@ -52,33 +43,22 @@ def _figure_5(_: Study, r: Any) -> Figure:
 
 
 def _scan(s: Study, r: Any) -> Figure:
-    near = r.near
-    target = f"target: this telemetry{' (synthetic)' * r.synthetic}"
-    title, truth = f"EMD < {near.factor:g} EMD_min, {target}", r.truth.get("omega_B")
-    return level_set.level_set_figure(
-        near.points, near.lines, rb.published_lines(s.case), title, truth
-    )
+    target = f"target: this telemetry{' (synthetic)' * s.synthetic}"
+    title = f"EMD < {r.near.factor:g} EMD_min, {target}"
+    return metrics.near_minimum_figure(s.case, r.near, title, r.truth.get("omega_B"))
 
 
 def _distributions(s: Study, r: Any) -> Figure:
-    pooled = s.parts["published_lines"].pooled
-    shown = {f"L{k} as published": z for k, z in enumerate(pooled, 1)}
+    shown = {f"L{k} as published": z for k, z in enumerate(s.parts["published_lines"].pooled, 1)}
     if r.truth:
         shown["truth of the synthetic telemetry"] = r.truth["z"]
-    about = "telemetry" + " (synthetic)" * r.synthetic
-    return level_set.distributions_figure(r.measured_z, about, shown, "What the EMD compares")
+    about = "telemetry" + " (synthetic)" * s.synthetic
+    return metrics.distributions_figure(r.rebound.z, about, shown)
 
 
 def _lines_scan(s: Study, r: Any) -> Figure:
     title = f"EMD < {r.clean.factor:g} EMD_min, target: common distribution of the printed lines"
-    near = r.clean.points, r.clean.lines
-    return level_set.level_set_figure(*near, rb.published_lines(s.case), title)
-
-
-def _lines_touchdown(_: Study, r: Any) -> Figure:
-    smallest = float(np.linalg.norm(r.on_lines_touchdown, axis=1).min())
-    title = f"EMD < {r.clean.factor:g} EMD_min against the printed lines' distribution, run back"
-    return published_lines.backward_figure(r.near_touchdown, r.on_lines_touchdown, smallest, title)
+    return metrics.near_minimum_figure(s.case, r.clean, title)
 
 
 PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
@@ -89,22 +69,19 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
     "fig05_spin_down": ("mechanics", _figure_5),
     "fig06_examples": ("mechanics", lambda _, r: mechanics.figure_6(r.examples)),
     "fig07_histograms": ("mechanics", lambda _, r: mechanics.figure_7(r.examples)),
-    "fig08_maps": ("sensitivity", lambda _, r: sensitivity.draw_maps(r)),
-    "growth": ("sensitivity", lambda _, r: sensitivity.draw_growth(r)),
+    "fig08_maps": ("sensitivity", lambda _, r: metrics.maps_figure(r)),
+    "growth": ("sensitivity", lambda _, r: metrics.growth_figure(r)),
     "fig09_telemetry": ("level_set published_lines", _scan),
     "distributions": ("level_set published_lines", _distributions),
     "fig10_11_descent": ("descent", lambda _, r: descent.draw(r)),
     "precession": ("precession", lambda _, r: mechanics.draw_precession(r)),
-    "fig12_touchdown": ("touchdown", lambda s, r: candidates.draw(r, s.synthetic)),
+    "fig12_touchdown": ("touchdown", lambda s, r: touchdown.figure(r, s.synthetic)),
     "fig13_after_collision": ("collision", lambda _, r: sun_height_figure(r.runs["chosen"])),
     "collision": ("collision", lambda _, r: collision.collision_figure(r.known)),
     "strategies": ("strategies", lambda _, r: strategies.strategies_figure(r.table)),
     "fig09_lines": ("published_lines", _lines_scan),
-    "thresholds": (
-        "published_lines",
-        lambda _, r: published_lines.thresholds_figure(r.thresholds, r.clean.factor),
-    ),
-    "fig12_lines": ("published_lines", _lines_touchdown),
+    "thresholds": ("published_lines", lambda _, r: published_lines.thresholds_figure(r)),
+    "fig12_lines": ("published_lines", lambda _, r: published_lines.touchdown_figure(r)),
     "fig13_lines": ("published_lines", lambda _, r: sun_height_figure(r.runs)),
     "health": ("phases", lambda _, r: sun_directions.draw(r)),
 }
@@ -144,7 +121,7 @@ Why a direct fit fails: errors grow with the window, the valley of E narrows bel
 motions only.
 
 fig09_telemetry: Near-minimum points in rate space for the telemetry
-The paper's recipe on this telemetry (paper, Fig. 9): {r.near.points.shape[0]} points, smallest EMD {r.scan.smallest:.4f}; \
+The paper's recipe on this telemetry (paper, Fig. 9): {r.near.points.shape[0]} points, smallest EMD {r.smallest:.4f}; \
 {r.lines_found} of the four printed lines (dashed) come out of them.{synthetic}
 
 distributions: Cumulative distributions of the z component
@@ -203,7 +180,7 @@ def _fields(s: Study, name: str, r: Any) -> dict[str, Any]:
         meaning = {"scan": f"; {bound}", "published": "; this telemetry does not enter"}
         fields |= {"about": s.chain.chosen.about, "meaning": meaning.get(s.chain.name, "")}
     if name == "distributions":
-        fields["spread"] = max(published_lines.pooled_spread(s.parts["published_lines"].pooled))
+        fields["spread"] = s.parts["published_lines"].spread
     if name == "fig09_lines":
         fields["smallest"] = float(r.clean.emd.min())
     return fields

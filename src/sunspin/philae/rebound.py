@@ -1,5 +1,5 @@
-"""Philae between the first touchdown and the collision: the paper's grid and lines, where the motions of a telemetry file begin,
-the way back to the touchdown (paper, sections 2.3 and 3.2)."""
+"""Philae between the first touchdown and the collision: the paper's grid and lines, the samples that a file has there, where its
+motions begin, and runs back to the touchdown (paper, sections 2.3 and 3.2)."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, end_rates
 from sunspin.estimate.scan.lines import Line, point_at
-from sunspin.estimate.scan.mask import allows, reconstructible_mask
-from sunspin.estimate.scan.table import Table, make_table
+from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.window import target_weights
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
@@ -31,14 +30,27 @@ from sunspin.vehicle.timeline import utc_seconds
 LINE_RANGE = (-0.2, 0.3)
 """omega_z (rad/s) over which fitted and published lines are compared."""
 
-LINE_POINTS = 51
-"""Candidates on each of the published lines: 0.01 rad/s apart in omega_z."""
 
-TRACK_STEP_S = 0.5
-"""Between directions of a motion whose r_z make a distribution."""
+@dataclass(frozen=True)
+class Options:
+    """How the study is run.
 
-SAME_SIGMAS = 4.0
-"""A direction this near (its own sigma) to the published first one is that direction."""
+    Attributes
+    ----------
+    source : where candidates come from: "scan", "posterior", "published", or the path of a table with columns omega_x, omega_y,
+        omega_z (rad/s)
+    twins : synthetic rebounds of a calibration made now; None: as many as it needs, where the shipped one does not fit; zero: none
+    seed : of all random choices
+    coarser : use every so many-th grid point of the scan and of the maps; 1 is the paper's grid
+    workers, progress : threads, progress bars
+    """
+
+    source: str = "scan"
+    twins: int | None = None
+    seed: int = 0
+    coarser: int = 1
+    workers: int | None = None
+    progress: bool = False
 
 
 def first_sun(case: Case) -> np.ndarray:
@@ -69,40 +81,33 @@ def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
     return utc_seconds(moment.refined_utc or moment.utc, data.attrs["epoch_utc"])
 
 
+def grid_ends(case: Case) -> np.ndarray:
+    """Ends (3, 2) of the scanned range of initial rates in rad/s."""
+    return np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
+
+
 def grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
     """The paper's grid of initial rates, or every `coarser`-th point of it."""
-    step, axes = case.published["scan_step"].value, {}
-    for name in ("omega_x", "omega_y", "omega_z"):
-        low, high = case.published[f"scan_{name}"].value
-        axes[name] = np.linspace(low, high, round((high - low) / step) + 1)[::coarser]
-    return axes
+    step = case.published["scan_step"].value
+    return {
+        f"omega_{axis}": np.linspace(low, high, round((high - low) / step) + 1)[::coarser]
+        for axis, (low, high) in zip("xyz", grid_ends(case), strict=True)
+    }
+
+
+def within_grid(case: Case, line: Line, n: int = 2) -> np.ndarray:
+    """Points (n, 3) evenly along a line from one end of the scanned range to the other."""
+    point, direction = line
+    along = np.abs(direction) > 1e-12  # a line parallel to a pair of faces meets neither
+    ends = np.sort((grid_ends(case) - point[:, None])[along] / direction[along, None], axis=1)
+    begin, end = ends[:, 0].max(), ends[:, 1].min()
+    return point + np.linspace(begin, max(begin, end), n)[:, None] * direction
 
 
 def counted(case: Case) -> Mask | None:
     """The simulated directions that count, as the study assumes; None: all."""
     everywhere = case.assumptions.study.mask != "reconstructible"
     return None if everywhere else reconstructible_mask(case.vehicle)
-
-
-def grid_table(
-    case: Case,
-    sun_B: np.ndarray,
-    duration_s: float,
-    coarser: int = 1,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Table:
-    """Every `coarser`-th motion of the grid from this direction (3) of the Sun, run once for any target."""
-    return make_table(
-        case.vehicle,
-        sun_B,
-        grid(case, coarser),
-        nominal_speed(case.vehicle),
-        duration_s,
-        workers=workers,
-        progress=progress,
-        mask=None if counted(case) is None else "reconstructible",
-    )
 
 
 def published_lines(case: Case) -> list[Line]:
@@ -117,18 +122,18 @@ def on_lines(lines: Sequence[Line], omega_z: Any) -> np.ndarray:
 
 
 def published_candidates(case: Case) -> np.ndarray:
-    """Rates (n, 3) in rad/s along the paper's lines, in equal steps of omega_z over the range in which they are compared."""
-    omega_z = np.linspace(*LINE_RANGE, LINE_POINTS)
-    return on_lines(published_lines(case), omega_z).reshape(-1, 3)
+    """Rates (n, 3) in rad/s along the paper's lines, 0.01 rad/s apart in omega_z over the range in which they are compared."""
+    return on_lines(published_lines(case), np.linspace(*LINE_RANGE, 51)).reshape(-1, 3)
 
 
-def seen_z(case: Case, omega_B: np.ndarray) -> np.ndarray:
-    """The reconstructible r_z of one motion over the paper's window, at equal steps of time."""
-    t = np.arange(0.0, window_s(case) + TRACK_STEP_S / 2, TRACK_STEP_S)
-    speed, mask = nominal_speed(case.vehicle), counted(case)
-    run = propagate(case.vehicle, omega_B, first_sun(case), speed, t, rtol=1e-9)
-    track = run["sun_B"].values
-    return track[slice(None) if mask is None else allows(mask, track), 2]
+def start_states(
+    case: Case, omega_B: np.ndarray, sun_B: np.ndarray, wheel_speed_rad_s: Any = None
+) -> Rows:
+    """States of motions with these rates (..., 3) in rad/s and one direction of the Sun (3); wheels nominal by default."""
+    omega = np.asarray(omega_B, dtype=np.float64).reshape(-1, 3)
+    speeds = nominal_speed(case.vehicle) if wheel_speed_rad_s is None else wheel_speed_rad_s
+    n = len(omega)
+    return Rows(omega, np.tile(sun_B, (n, 1)), np.tile(np.asarray(speeds, np.float64), (n, 1)))
 
 
 def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
@@ -168,7 +173,6 @@ class Rebound:
     first : number of the sample at whose instant the candidates stand
     sun_B : (3,) direction of the Sun then: the published one where the file holds it, else the first that the file gives
     covariance : (3, 3) of that direction from the noise
-    published_start : whether it is the published one
     lead_s : s from the touchdown to that instant
     window_s : s from that instant to the collision
     """
@@ -178,7 +182,6 @@ class Rebound:
     first: int
     sun_B: np.ndarray
     covariance: np.ndarray
-    published_start: bool
     lead_s: float
     window_s: float
 
@@ -203,16 +206,13 @@ class Rebound:
         rule = self.case.assumptions.study.target_weights
         return target_weights(rule, self.t_s[self.reconstructed])
 
-    @property
-    def as_published(self) -> bool:
-        """Whether motions begin where the paper's do: same direction, same window."""
-        return self.published_start and abs(self.window_s - window_s(self.case)) < 1.0
+    def begins_as(self, sun_B: np.ndarray, window_s: float) -> bool:
+        """Whether motions begin from this direction (3) and last as long."""
+        return np.array_equal(self.sun_B, sun_B) and abs(self.window_s - window_s) < 1.0
 
     def states(self, omega_B: np.ndarray) -> Rows:
         """Initial states of motions with these rates (n, 3) in rad/s at the candidates' instant."""
-        omega = np.asarray(omega_B, dtype=np.float64).reshape(-1, 3)
-        speeds = np.array(nominal_speed(self.case.vehicle))
-        return Rows(omega, np.tile(self.sun_B, (len(omega), 1)), np.tile(speeds, (len(omega), 1)))
+        return start_states(self.case, omega_B, self.sun_B)
 
 
 def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
@@ -234,8 +234,8 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     """The first rebound in the Sun directions of the whole landing (`sun_directions`).
 
     The paper states the first direction after the touchdown. Where the file holds it, within its error, the candidates stand at
-    the first sample with that direction, whichever sample gave it: so nothing that follows from the heights of the Sun uses the
-    order of the samples. Another lander begins at the first direction that its file gives.
+    the first sample with that direction, whichever sample gave it: so nothing that follows from r_z uses the order of the samples.
+    Another lander begins at the first direction that its file gives.
     """
     samples = rebound_samples(case, sun)
     reconstructed = is_reconstructed(samples["status"])
@@ -249,7 +249,7 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
     apart = np.linalg.norm(own - stated / np.linalg.norm(stated), axis=1)
     apart = np.where(reconstructed, apart / samples["sigma_rad"].values, np.inf)
     nearest, earliest = int(np.nanargmin(apart)), int(np.flatnonzero(reconstructed)[0])
-    published = bool(apart[nearest] < SAME_SIGMAS)
+    published = bool(apart[nearest] < 4.0)  # sigma
     first, which = (0, nearest) if published else (earliest, earliest)
     instant = float(samples["utc_s"].values[first])
     lead = case.assumptions.study.lead_s
@@ -259,7 +259,6 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
         first,
         stated if published else own[first],
         samples["sun_cov_B"].values[which],
-        published,
         instant - case_seconds(case, sun, "first_touchdown") if lead is None else lead,
         case_seconds(case, sun, "collision") - instant,
     )
@@ -277,9 +276,8 @@ def at_touchdown(
     case: Case, starts: np.ndarray, wheel_speed_rad_s: float, lead_s: float | None = None
 ) -> np.ndarray:
     """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample, `lead_s` after it."""
-    omega = np.asarray(starts, dtype=np.float64).reshape(-1, 3)
-    speeds = np.full((len(omega), len(case.vehicle.wheels)), float(wheel_speed_rad_s))
-    states = Rows(omega, np.tile(first_sun(case), (len(omega), 1)), speeds)
+    speeds = np.full(len(case.vehicle.wheels), wheel_speed_rad_s)
+    states = start_states(case, starts, first_sun(case), speeds)
     return run_back(case, states, after_touchdown_s(case) if lead_s is None else lead_s)
 
 
@@ -291,22 +289,18 @@ def speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 
-def smallest_on_lines(
-    case: Case, lines: Sequence[Line], wheel_speed_rad_s: float, lead_s: float | None = None
-) -> float:
-    """Smallest angular speed (rad/s) at touchdown over the lines, omega_z at the first sample in the compared range."""
-    starts = on_lines(lines, np.linspace(*LINE_RANGE, 101))
-    return float(
-        np.linalg.norm(at_touchdown(case, starts, wheel_speed_rad_s, lead_s), axis=1).min()
-    )
+def smallest_on_lines(case: Case, wheel_speed_rad_s: float, lead_s: float | None = None) -> float:
+    """Smallest angular speed (rad/s) at touchdown over the published lines, omega_z at the first sample in the compared range."""
+    starts = on_lines(published_lines(case), np.linspace(*LINE_RANGE, 101))
+    rates = at_touchdown(case, starts, wheel_speed_rad_s, lead_s)
+    return float(np.linalg.norm(rates, axis=1).min())
 
 
 def twin_file(case: Case) -> dict[str, Any]:
     """What made the telemetry, where it is the case's own twin; else nothing."""
     own, truth = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
-    if not (own.is_file() and truth.is_file()):
-        return {}
-    if hashlib.sha256(own.read_bytes()).hexdigest() != case.telemetry.attrs.get("sha256"):
+    given = case.telemetry.attrs.get("sha256")
+    if not truth.is_file() or hashlib.sha256(own.read_bytes()).hexdigest() != given:
         return {}
     return read_toml(truth.read_text("utf-8"), str(truth), InputError)
 

@@ -197,7 +197,7 @@ def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[st
         "chain": study.options.source,
         "carries": study.parts["carries"].first_line,
         "noise": study.noise.about,
-        "calibration": chain.calibration.told if chain and chain.calibration else None,
+        "calibration": str(chain.calibration) if chain and chain.calibration else None,
         "missing": missing,
         "stop": stop,
         "headline": headline(study),

@@ -26,16 +26,16 @@ from sunspin.philae import (
     data_check,
     descent,
     inputs,
-    level_set,
     mechanics,
+    metrics,
     motions,
     published_lines,
-    sensitivity,
     strategies,
     sun_directions,
     touchdown,
 )
 from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import Options
 from sunspin.philae.row import Row, counts, settled, tables
 from sunspin.telemetry import sun as telemetry_sun
 from sunspin.telemetry.case import Case
@@ -53,22 +53,6 @@ SECTIONS = {
     "paper": "The paper's own figures",
 }
 """What is counted apart. Nothing in the second and third changes with the telemetry."""
-
-
-class Options(NamedTuple):
-    """How the study is run.
-
-    `source`: where candidates come from (:mod:`sunspin.philae.candidates`), "scan", "posterior", "published" or a file; `twins`:
-    synthetic rebounds of a calibration, zero: none is made; `seed`: of all random choices; `coarser`: every so many-th grid point
-    of the scan and of the maps, 1 is the paper's grid.
-    """
-
-    source: str = "scan"
-    twins: int | None = None
-    seed: int = 0
-    coarser: int = 1
-    workers: int | None = None
-    progress: bool = False
 
 
 @dataclass(frozen=True)
@@ -162,17 +146,14 @@ def _carries(s: Study) -> Any:
     return data_check.compute(s.case, s.sun, s.parts.get("descent"), s.options.seed)
 
 
-@step("Section 2.3: the scan of this telemetry", level_set.rows)
+@step("Section 2.3: the scan of this telemetry", metrics.scan_rows)
 def _level_set(s: Study) -> Any:
-    o = s.options
-    return level_set.compute(s.case, s.sun, o.seed, o.coarser, o.workers, o.progress)
+    return metrics.scan_telemetry(s.case, s.sun, s.options)
 
 
 @step("Section 2.3: the motions that follow", needs=("level_set", "carries"))
 def _candidates(s: Study) -> Any:
-    o, scan = s.options, s.parts["level_set"].scan
-    how: dict[str, Any] = {"workers": o.workers, "progress": o.progress}
-    return candidates.compute(scan, s.parts["carries"], o.source, o.twins, o.seed, **how)
+    return candidates.compute(s.parts["level_set"], s.parts["carries"], s.options)
 
 
 @step("Section 3.2: after the first touchdown", touchdown.rows, needs=("candidates",))
@@ -192,9 +173,9 @@ def _strategies(s: Study) -> Any:
     return strategies.compute(s.case, chain, max(s.runs // 5, 1), o.seed, workers=o.workers)
 
 
-@step("Section 2.3: why a direct fit fails", sensitivity.rows, section="no_telemetry")
+@step("Section 2.3: why a direct fit fails", metrics.sensitivity_rows, section="no_telemetry")
 def _sensitivity(s: Study) -> Any:
-    return sensitivity.compute(s.case, s.sun, s.options.workers, s.options.coarser)
+    return metrics.sensitivity(s.case, s.sun, s.options)
 
 
 @step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
@@ -215,9 +196,7 @@ def _mechanics(s: Study) -> Any:
     needed=True,
 )
 def _published_lines(s: Study) -> Any:
-    o, scanned = s.options, s.parts.get("level_set")
-    table = scanned.scan.table if scanned and scanned.scan.rebound.as_published else None
-    return published_lines.compute(s.case, table, o.seed, o.coarser, s.runs, o.workers)
+    return published_lines.compute(s.case, s.parts.get("level_set"), s.runs, s.options)
 
 
 @step(
@@ -245,7 +224,7 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
     seen : callable, optional
         Given what there is so far each time that a step is computed.
     options
-        Of :class:`Options`.
+        Of :class:`sunspin.philae.rebound.Options`.
     """
     require_wheel(case.vehicle)
     case, noise = sun_directions.with_own_noise(case)

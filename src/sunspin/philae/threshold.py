@@ -1,10 +1,10 @@
-"""The threshold that makes the level set of a scan a confidence region, calibrated for the data at hand.
+"""The threshold that makes the level set of a scan a confidence set, calibrated for the data at hand.
 
 The paper's factor of 1.1 on the smallest EMD was chosen, not derived. Here the method is repeated on synthetic rebounds that are
-like the file's: true rates drawn evenly from the scanned box, the file's sample times, noise, brightness and first direction (with
-its error), panels off by the sigmas that the vehicle's file gives them, and about as many directions. The factor below which the
-truth lies in nine of ten of them makes the set of the file's own scan a 90 % region. It holds for these data only; a shipped result
-is used only where its key, the hash of all that it depends on, is that of the data.
+like the file's: true rates drawn evenly from the scanned range, the file's sample times, noise, brightness and first direction
+(with its error), panels off by the sigmas that the vehicle's file gives them, and about as many directions. The factor below which
+the truth lies in nine of ten of them makes the set of the file's own scan a 90 % confidence set. It holds for these data only; a
+shipped result is used only where its key, the hash of all that it depends on, is that of the data.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import numpy as np
 from scipy.stats import binom
 from tqdm import tqdm
 
-from sunspin.base import atomic_write
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, TelemetryError
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
@@ -40,8 +39,8 @@ CONFIDENCE = 0.9
 SHIPPED = "threshold.json"
 """The calibration of the case's own telemetry, which comes with the case."""
 
-TWINS, SHIPPED_TWINS = 60, 400
-"""Synthetic rebounds of a calibration that a run makes itself, which give the 90 % level to some 5 %; and of the shipped one."""
+TWINS = 60
+"""Synthetic rebounds of a calibration that a run makes itself, which give the 90 % level to some 5 %."""
 
 ALIKE = 0.2
 """A synthetic rebound is like the file if its number of directions is within this part of the file's (two at least)."""
@@ -49,23 +48,12 @@ ALIKE = 0.2
 BLOCK, MAX_BLOCKS = 256, 20
 """Truths drawn at once, and how many times at most until enough rebounds are like the file."""
 
-DIRECTION_ERROR = 1e-4
-"""Error (rad) of simulated directions: a hundredth of the noise."""
-
-UNUSUAL_SIGMAS = 3.5
-"""A smallest EMD further above those of the synthetic rebounds than this many sigma of their logarithm speaks against the model:
-about one right file in 4,000 is accused."""
-
-
-LISTS = ("ratio", "emd_min", "directions")
-"""Fields of a calibration with a number for each synthetic rebound."""
-
 
 @dataclass(frozen=True)
 class Calibration:
     """Synthetic rebounds like the data: `ratio` (n), EMD of the truth over the smallest; `emd_min` (n); how they were made.
 
-    `source`: "shipped" or "made for these data". `directions` (n): how many each gave. `confidence`: of the set that is asked for.
+    `directions` (n): how many each gave. `source`: in words, for whom it was made. `confidence`: of the set that is asked for.
     """
 
     key: str
@@ -76,26 +64,24 @@ class Calibration:
     source: str
     confidence: float = CONFIDENCE
 
-    @property
-    def n(self) -> int:
-        return len(self.ratio)
-
     def factor(self) -> tuple[float, float, float]:
         """Factor on the smallest EMD whose set holds a further truth with this probability, and its 95 % interval."""
         return holding(self.ratio, self.confidence)
 
     def unusual(self, emd_min: float) -> bool:
-        """Whether so large a smallest EMD speaks against the model, or against the readings."""
-        log = np.log(self.emd_min)
-        return bool(np.log(emd_min) > log.mean() + UNUSUAL_SIGMAS * log.std(ddof=1))
+        """Whether so large a smallest EMD speaks against the model, or against the readings.
 
-    @property
-    def told(self) -> str:
+        That is 3.5 sigma of the logarithm above those of the synthetic rebounds: about one right file in 4,000 is accused.
+        """
+        log = np.log(self.emd_min)
+        return bool(np.log(emd_min) > log.mean() + 3.5 * log.std(ddof=1))
+
+    def __str__(self) -> str:
         value, low, high = self.factor()
         return (
-            f"{value:.2f} times the smallest EMD (95 % interval of the calibration: {low:.2f} to {high:.2f}), from {self.n} "
-            f"synthetic rebounds of known truth like these data, {self.source}; {int(self.directions.min())} to "
-            f"{int(self.directions.max())} directions each"
+            f"{value:.2f} times the smallest EMD (95 % interval of the calibration: {low:.2f} to {high:.2f}), from "
+            f"{len(self.ratio)} synthetic rebounds of known truth like these data, {self.source}; "
+            f"{int(self.directions.min())} to {int(self.directions.max())} directions each"
         )
 
 
@@ -113,8 +99,8 @@ def check_confidence(n: int, confidence: float) -> int:
 def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]:
     """Threshold below which a further one of the `values` (n) lies with this probability, and its 95 % interval.
 
-    The order statistic ceil(c (n + 1)), which holds it with probability c or a little more whatever the distribution; the interval
-    is that of the quantile (binomial order statistics).
+    The order statistic ceil(c (n + 1)), which holds it with probability c or a little more for any distribution; the interval is
+    that of the quantile (binomial order statistics).
     """
     n, ordered = len(values), np.sort(values)
     at = check_confidence(n, confidence)
@@ -138,7 +124,7 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
             "directions": rebound.z.size,
             "noise": float(sun["noise"]),
             "lit_threshold": float(sun["lit_threshold"]),
-            "scale": _scale(rebound),
+            "scale": scale(rebound),
             "sun_B": np.round(rebound.sun_B, 4).tolist(),
             "window_s": round(rebound.window_s, 3),
             "lead_s": round(rebound.lead_s, 3),
@@ -157,7 +143,7 @@ def _readable(rebound: rb.Rebound) -> np.ndarray:
     return np.flatnonzero(rebound.samples["status"].values != SunStatus.MISSING)
 
 
-def _scale(rebound: rb.Rebound) -> float:
+def scale(rebound: rb.Rebound) -> float:
     """Brightness of the file's Sun: what the readings are over the model, in the median, to three digits."""
     data, samples = rebound.case.telemetry, rebound.samples
     power = signals(data)[np.searchsorted(data["time"].values, samples["utc_s"].values)]
@@ -196,8 +182,7 @@ def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterato
         ]
         for stream in ((), (1,))
     )
-    box = np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
-    truth = np.array([rng.uniform(box[:, 0], box[:, 1]) for rng in motion])
+    truth = np.array([rng.uniform(*rb.grid_ends(case).T) for rng in motion])
     shown = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in motion])
     shown /= np.linalg.norm(shown, axis=1, keepdims=True)
     # turns of the panels (None where the vehicle's file has no sigma of them) and the true direction behind the one that they show
@@ -206,9 +191,9 @@ def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterato
     states = replace(rebound.states(truth), sun_B=np.array([sun for _, sun in turned]))
     readable = _readable(rebound)
     later = readable[readable > rebound.first]
-    run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=DIRECTION_ERROR)
+    run = k.run_rows(vehicle, states, rebound.t_s[later], direction_error=1e-4)  # 1 % of the noise
     tilt = np.array(turns)[:, None] if turns else None
-    exact = _scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
+    exact = scale(rebound) * vehicle.response_in().power(run.sun_B, tilt=tilt)
     sigma, threshold = (rebound.samples[name].values for name in ("noise", "lit_threshold"))
     noise = sigma * np.array([rng.standard_normal(exact.shape[1:]) for rng in motion])
     power = np.where(exact > 0, np.maximum(exact + noise, 0.0), 0.0).reshape(-1, exact.shape[-1])
@@ -233,29 +218,18 @@ def reached(case: Case, states: k.Rows, window_s: float, targets: list[tuple]) -
     return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
 
 
-def calibrate(
-    rebound: rb.Rebound,
-    table: Table,
-    twins: int = TWINS,
-    seed: int = 0,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Calibration:
-    """Repeat the method on synthetic rebounds like the data; `table` of the scan from the same first direction."""
-    rebounds = alike_rebounds(rebound, twins, seed)
+def calibrate(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
+    """Repeat the method on `options.twins` synthetic rebounds like the data; `table` of the scan from the same first direction."""
+    rebounds = alike_rebounds(rebound, options.twins or TWINS, options.seed)
     targets = [(each.seen_B[:, 2], each.weights) for each in rebounds]
-    fine, threads = table.outcome == k.Outcome.FINE, worker_count(workers)
-    shown = tqdm(
-        targets,
-        desc="calibration of the threshold",
-        leave=False,
-        disable=None if progress else True,  # None: shown on a terminal only
-    )
+    fine, threads = table.outcome == k.Outcome.FINE, worker_count(options.workers)
+    hidden = None if options.progress else True  # None: shown on a terminal only
+    shown = tqdm(targets, "calibration of the threshold", leave=False, disable=hidden)
     smallest = np.array([table.distances(*target, threads)[fine].min() for target in shown])
     states = rebound.states(np.array([each.omega_B for each in rebounds]))
     return Calibration(
         key_of(rebound, table),
-        seed,
+        options.seed,
         reached(rebound.case, states, rebound.window_s, targets) / smallest,
         smallest,
         np.array([len(each.seen_B) for each in rebounds]),
@@ -263,62 +237,49 @@ def calibrate(
     )
 
 
-def calibration(
-    rebound: rb.Rebound,
-    table: Table,
-    twins: int | None = None,
-    seed: int = 0,
-    workers: int | None = None,
-    progress: bool = False,
-) -> Calibration | None:
-    """The calibration that fits these data: the shipped one if its key is theirs, else one made now; None for zero twins.
+def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
+    """The calibration that fits these data: the shipped one if its key is theirs, else one made now.
 
-    Parameters
-    ----------
-    twins : int, optional
-        Synthetic rebounds to make; asked for, they are made even where a shipped calibration fits. Zero: none are made.
+    Twins that are asked for are made even where the shipped calibration fits; `TelemetryError` where none fits and none are.
     """
     path = rebound.case.folder / SHIPPED
     confidence = rebound.case.assumptions.study.confidence
-    if not twins and path.is_file():
-        shipped = from_json(path.read_text("utf-8"), str(path), "shipped with the case")
+    if not options.twins and path.is_file():
+        shipped = read(path)
         if shipped.key == key_of(rebound, table):
             return replace(shipped, confidence=confidence)
-    if twins == 0:
-        return None
-    fresh = calibrate(rebound, table, twins or TWINS, seed, workers, progress)
-    return replace(fresh, confidence=confidence)
+    if options.twins == 0:
+        raise TelemetryError(
+            "the threshold of the set is not calibrated for these data",
+            do="run without --calibrate 0: it takes a minute",
+        )
+    return replace(calibrate(rebound, table, options), confidence=confidence)
 
 
-def to_json(calibration: Calibration) -> str:
-    """Plain data, six digits."""
+def read(path: Path) -> Calibration:
+    """What `write` wrote; `InputError` where it is something else."""
+    try:
+        data = json.loads(path.read_text("utf-8"))
+        ratio, emd_min, directions = np.array(
+            [data[name] for name in ("ratio", "emd_min", "directions")], dtype=np.float64
+        )
+        if not np.all(np.isfinite([ratio, emd_min, directions])):
+            raise ValueError("lists of finite numbers are needed")
+        key, seed = str(data["key"]), int(data["seed"])
+    except (ValueError, KeyError, TypeError) as error:
+        what = f"this is no calibration of a threshold ({error})"
+        raise InputError(what, where=str(path)) from None
+    return Calibration(key, seed, ratio, emd_min, directions, "shipped with the case")
+
+
+def write(calibration: Calibration, path: Path) -> None:
+    """Write a calibration that ships with a case, of 400 twins: plain data, six digits."""
     data = {
         "what": "the scan repeated on synthetic rebounds of known truth like the case's telemetry (sunspin.philae.threshold)",
         "synthetic": True,
         "key": calibration.key,
         "seed": calibration.seed,
     }
-    lists = {name: [float(f"{x:.6g}") for x in getattr(calibration, name)] for name in LISTS}
-    return json.dumps(data | lists) + "\n"
-
-
-def from_json(text: str, where: str, source: str) -> Calibration:
-    """What `to_json` wrote."""
-    try:
-        data = json.loads(text)
-        ratio, emd_min, directions = np.array([data[name] for name in LISTS], dtype=np.float64)
-        if not np.all(np.isfinite([ratio, emd_min, directions])):
-            raise ValueError("lists of finite numbers are needed")
-        return Calibration(str(data["key"]), int(data["seed"]), ratio, emd_min, directions, source)
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"this is no calibration of a threshold ({error})", where=where) from None
-
-
-def ship(
-    rebound: rb.Rebound, table: Table, folder: Path, workers: int | None = None
-) -> Calibration:
-    """Make the calibration that ships with a case, and write it beside its telemetry."""
-    fresh = calibrate(rebound, table, SHIPPED_TWINS, 0, workers, progress=True)
-    text = to_json(fresh)
-    atomic_write.write_whole(folder / SHIPPED, lambda path: path.write_text(text, "utf-8"))
-    return fresh
+    for name in ("ratio", "emd_min", "directions"):
+        data[name] = [float(f"{x:.6g}") for x in getattr(calibration, name)]
+    path.write_text(json.dumps(data) + "\n", "utf-8")
