@@ -88,85 +88,85 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
 """Name of the file -> steps of `study.STEPS`, the first the one whose result is drawn, and the figure of study and result."""
 
 TEXTS = """
-speed: Angular speed against time: the descent as a line, then a band of rates to the collision and another after it
+speed: Angular speed against time: the descent as a line, then a band of rates to the collision and another after it.
 How fast Philae turned. Band: {r.speed.attrs[about_candidates]}, slowest to fastest{meaning}. Dashed: \
 {r.speed.attrs[about_recipe]}; it has no stated confidence. After the collision: 95 % of simulated collisions of the same motions. \
 Diamonds: the magnetometer, which was not used.{synthetic}
 
-signals: Power of each panel against time in two motions: samples as dots, the motion's prediction as a line
+signals: Power of each panel against time in two motions: samples as dots, the motion's prediction as a line.
 Panel powers: dots are samples, lines the prediction of a motion in the first 15 minutes after the touchdown, with one common \
 factor. Motions that fit share how often the Sun stands at each height, not when: only one can meet the dots one by one.{synthetic}
 
-fig03_measured: Panel powers, components of the Sun direction and Delta against time
+fig03_measured: Panel powers, components of the Sun direction and Delta against time.
 Panel powers and reconstructed directions, events of Table 1 (paper, Fig. 3). Grey marks below: samples that give no direction, \
 by reason.{synthetic}
 
-fig04_phases: Sun directions on the unit sphere in four phases
+fig04_phases: Sun directions on the unit sphere in four phases.
 Directions in each phase (paper, Fig. 4). Orange: best fits to sets of lit panels that the Sun alone cannot light.{synthetic}
 
-fig05_spin_down: Wheel speed falling to zero
+fig05_spin_down: Wheel speed falling to zero.
 Spin-down of the wheel (paper, Fig. 5), drawn from the published coefficients.
 
-fig06_examples: Tracks of the Sun on the sphere and its components against time for three initial rates
+fig06_examples: Tracks of the Sun on the sphere and its components against time for three initial rates.
 Simulated tracks of the Sun in body axes (paper, Fig. 6).
 
-fig07_histograms: Three histograms of the Sun's z component
+fig07_histograms: Three histograms of the Sun's z component.
 Distribution of the z component in those simulations (paper, Fig. 7).
 
-fig08_maps: Two maps of E with many slanted valleys
+fig08_maps: Two maps of E with many slanted valleys.
 E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it.{synthetic}
 
-growth: Growth of direction errors, valleys of E in three windows, E and EMD under changes of one percent, width of the valley
+growth: Growth of direction errors, valleys of E in three windows, E and EMD under changes of one percent, width of the valley.
 Why a direct fit fails: errors grow with the window, the valley of E narrows below the scan's step, EMD hardly moves. Simulated \
 motions only.
 
-fig09_telemetry: Near-minimum points in rate space for the telemetry
+fig09_telemetry: Near-minimum points in rate space for the telemetry.
 The paper's recipe on this telemetry (paper, Fig. 9): {r.near.points.shape[0]} points, smallest EMD {r.smallest:.4f}; \
 {r.lines_found} of the four printed lines (dashed) come out of them.{synthetic}
 
-distributions: Cumulative distributions of the z component
+distributions: Cumulative distributions of the z component.
 z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one distribution (EMD \
 to their mean at most {spread:.4f}), which is why a line cannot be narrowed to a point.{synthetic}
 
-fig10_11_descent: The telemetry's directions and the fitted ones, the fitted rate, E against the rate
+fig10_11_descent: The telemetry's directions and the fitted ones, the fitted rate, E against the rate.
 The descent: directions of the telemetry and fitted ones (paper, Fig. 10), E against the rate (Fig. 11), here over all aliases \
 of the sampling too.{synthetic}
 
-precession: Height of the Sun, nutation angle and swing of the z axis along the four published lines
+precession: Height of the Sun, nutation angle and swing of the z axis along the four published lines.
 What section 3.2 says of the amplitude of precession: the Sun's height ranges as published, the z axis swings further than that \
 on L1 and L2.
 
-fig12_touchdown: Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box
+fig12_touchdown: Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box.
 What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the distribution of \
 r_z determines, over {about}; grey: all that was possible.{synthetic}
 
-fig13_after_collision: Densities of the z component between collision and second touchdown, wheel off and held
+fig13_after_collision: Densities of the z component between collision and second touchdown, wheel off and held.
 The Sun's height after the collision (paper, Fig. 13), {r.runs[chosen][off].sizes[run]} simulated collisions of {about}; each \
 area is 1.{synthetic}
 
-collision: Simulated collisions against the trajectory kernel's speeds
+collision: Simulated collisions against the trajectory kernel's speeds.
 The simulated collisions against what the trajectory kernel and the magnetometer say of them.{synthetic}
 
-strategies: What touches first, antenna, speeds and the Sun's height for several commands to the wheel
+strategies: What touches first, antenna, speeds and the Sun's height for several commands to the wheel.
 What other commands to the wheel would have done (paper, section 4), from the same draws of {about}.{synthetic}
 
-fig09_lines: Near-minimum points in rate space along four lines
+fig09_lines: Near-minimum points in rate space along four lines.
 No telemetry: near-minimum set against the printed lines' own distribution (paper, Fig. 9), {r.clean.points.shape[0]} points at \
 {r.clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the minimum \
 against so clean a target being {smallest:.4f}.
 
-thresholds: Size of the near-minimum set and distance of its lines against the factor
+thresholds: Size of the near-minimum set and distance of its lines against the factor.
 What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor used above. \
 Fewer points than four lines need have no line.
 
-fig12_lines: Body rates at the first touchdown of motions on the printed lines
+fig12_lines: Body rates at the first touchdown of motions on the printed lines.
 No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).
 
-fig13_lines: Densities of the z component after the collision for motions on the printed lines, wheel off and held
+fig13_lines: Densities of the z component after the collision for motions on the printed lines, wheel off and held.
 No telemetry: the Sun's height after the collision (paper, Fig. 13), {r.runs[off].sizes[run]} simulated collisions of motions on \
 the printed lines; each area is 1.
 
-health: Lit panels sample by sample and the probability of forbidden patterns
+health: Lit panels sample by sample and the probability of forbidden patterns.
 Which panels are lit, which patterns the Sun alone cannot make, and how improbable noise makes them (paper, section 4).{synthetic}
 """
 """Of each picture its name and what a reader who cannot see it is told; then its caption, with fields of the study `s`, of the
@@ -194,7 +194,7 @@ def drawing(s: Study, name: str) -> Drawing | None:
         return None
     r = s.parts[needed[0]]
     text = next(text for text in TEXTS.split("\n\n") if text.strip().startswith(f"{name}: "))
-    alt, caption = text.strip().split(": ", 1)[1].split("\n", 1)
+    alt, caption = text.strip().removeprefix(f"{name}: ").split(".\n", 1)
     return Drawing(name, lambda: make(s, r), alt, caption.format_map(_fields(s, name, r)))
 
 

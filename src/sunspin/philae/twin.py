@@ -411,7 +411,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
     add = parser.add_argument
-    add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml beside it")
+    add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml there")
     add("--seed", type=int, required=True)
     tilt = "sigma of each panel's normal to each side, degrees; default: vehicle file's"
     add("--tilt", type=float, help=tilt)
