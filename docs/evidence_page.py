@@ -1,4 +1,4 @@
-"""The page "What may be believed": the evidence that the tests declare, with the figures that they reached.
+"""The page "Evidence": the evidence that the tests declare, with the figures that they reached.
 
 A test declares what it is evidence for by ``@pytest.mark.evidence(capability, kind, against)`` and records figures by the
 fixture ``reached`` (tests/evidence.py). The declarations are read from the tests' text, so that none is lost where a test was
@@ -103,7 +103,7 @@ def _head(run: dict) -> list[str]:
         "`make test` runs them and builds it again."
     )
     return [
-        "# What may be believed",
+        "# Evidence",
         "",
         "Every capability of sunspin and the tests that speak for it. The tests write this page: no figure on it was typed.",
         "",

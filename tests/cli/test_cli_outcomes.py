@@ -36,14 +36,7 @@ def test_philae_to_files(tmp_path):
 
 def test_the_collision_against_the_trajectory():
     done = sunspin(
-        "outcomes",
-        "philae",
-        "--runs",
-        200,
-        "--strategy",
-        "off",
-        "--condition",
-        "--json",
+        "outcomes", "philae", "--runs", 200, "--strategy", "off", "--condition", "--json"
     )
     told = json.loads(done.out)
     assert abs(told["collision"]["facts"]["speed_before"] - 0.304) < 1e-4

@@ -49,7 +49,7 @@ def test_wrong_elements_are_one_sentence(satellite):
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle", command="rates")
     assert text.startswith("bad.tle, line 1: the checksum")
     text = said("vehicle.toml", "telemetry.csv", "--tle", "my.tle", "--no-orbit", command="rates")
-    assert text.startswith("--no-orbit says not to use an orbit")
+    assert text.startswith("--no-orbit contradicts the elements")
 
 
 def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(

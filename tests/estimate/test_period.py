@@ -91,7 +91,7 @@ def test_weights_are_those_of_the_mean_of_three_densities(monkeypatch):
 
 @pytest.mark.parametrize(
     ("middle", "sigma", "words"),
-    [(14.0, 0.05, "periods not used: of these draws"), (60.0, 1.0, "no motion")],
+    [(14.0, 0.05, "periods not used: of these draws"), (60.0, 1.0, "no solution")],
 )
 def test_what_the_draws_do_not_tell_is_said(monkeypatch, middle, sigma, words):
     periods = np.stack([np.linspace(10, 20, 4000)] * 3, axis=1)

@@ -21,6 +21,7 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.verdict import Found, believed, dark_stretch, sigmas, verdict
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
+from sunspin.output.verdicts import explained
 from sunspin.solve.rotations import moved
 from sunspin.solve.weights import _shape, effective_draws, pareto_tail
 
@@ -91,7 +92,7 @@ def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkey
     few["posterior"]["omega_B"][:] = RATE  # one draw, again and again
     low, _, high = believed(_found(), few, 0.1, False, "").speed[0]
     assert high - low > 0.5 * sigmas(few["solutions"]).min()
-    assert "which is rough: few draws have weight" in str(posterior_summary(few))
+    assert "(approximate: few draws)" in str(posterior_summary(few))
     assert " ± " in str(posterior_summary(tree)) and "rough" not in str(posterior_summary(tree))
 
 
@@ -169,7 +170,7 @@ def test_a_wheel_whose_speed_nothing_tells_leaves_nothing_decided(cube, telemetr
     )
     measured = ss.posterior(craft, read, SMALL, seed=0, draws=300, workers=1)
     assert (
-        "the speed is unknown of wheel fly" in standing.attrs["verdict"]
+        "WHEEL SPEED UNKNOWN (fly)" in standing.attrs["verdict"]
         and not standing["passes"]["decided"].values[0]
     )
     assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]
@@ -330,18 +331,22 @@ def _found(**changes):
 @pytest.mark.parametrize(
     ("changes", "word", "part"),
     [
-        ({}, "unique", "one region"),
-        ({"p": 1e-4}, "not explained", "no motion fits"),
-        ({"noise_sigmas": 5.0}, "not explained", "more than was assumed"),
+        ({}, "unique", "a single solution"),
+        ({"p": 1e-4}, "not explained", "no solution fits"),
+        ({"noise_sigmas": 5.0}, "not explained", "more than assumed"),
         (
-            {"p": 1e-4, "dark": "no panel was lit"},
+            {"p": 1e-4, "dark": "no panel lit"},
             "not explained",
-            "in shadow then, leave that out with --from and --to",
+            "an eclipse, exclude it with --from and --to",
         ),
         (
-            {"p": 1e-4, "complete": False, "doubts": ["more hypotheses than could be followed"]},
+            {
+                "p": 1e-4,
+                "complete": False,
+                "doubts": ["more trial solutions than the search can follow"],
+            },
             "not sure",
-            "none fits",
+            "none of the solutions searched fits",
         ),
         ({"tail": 0.9}, "not sure", "approximate"),
         ({"doubts": ["only rates up to 11.5 deg/s could be searched"]}, "not sure", "only rates"),
@@ -360,6 +365,7 @@ def _found(**changes):
 def test_the_verdict_in_words(changes, word, part):
     got, text = verdict(_found(**changes))
     assert got == word and part in text
+    assert bool(explained("posterior", [text])) is (word != "unique")
 
 
 def test_a_stretch_without_light_is_named_by_its_times():
@@ -367,7 +373,7 @@ def test_a_stretch_without_light_is_named_by_its_times():
     lit[[1, 2, 5]] = False
     assert dark_stretch(t_s, lit) == ""
     lit[6:9] = False
-    assert dark_stretch(t_s, lit) == "no panel was lit in 4 samples in a row, from 200 to 260 s"
+    assert dark_stretch(t_s, lit) == "no panel lit from 200 to 260 s (4 samples)"
 
 
 def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemetry):
@@ -376,12 +382,12 @@ def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemet
     said = ss.posterior(cube, shadow, PRIORS, draws=200).attrs["verdict"]
     assert (
         "not explained" in said
-        and "no panel was lit in 6 samples in a row" in said
+        and "s (6 samples). If this is an eclipse" in said
         and "--from" in said
-        and "dead" not in said
+        and "failed" not in said
     )
     begins = re.search(
-        r"from ([\d.]+) to [\d.]+ s: if the vehicle was in shadow then, leave that out", said
+        r"from ([\d.]+) to [\d.]+ s .6 samples.. If this is an eclipse, exclude it", said
     )
     assert begins is not None, said
     lit = ss.posterior(cube, shadow, PRIORS, draws=200, end_s=float(begins[1]) - 1.0)
@@ -405,9 +411,9 @@ def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, tele
         ss.posterior(ball, data, SMALL | {"max_rate_rad_s": most}, seed=0, draws=300, workers=1)
         for most in (size / 1.03, 1.5 * size)
     )
-    assert "run into the limit of those searched; raise max_rate_rad_s" in short.attrs["verdict"], (
-        short.attrs["verdict"]
-    )
+    assert (
+        "the rates reach the limit of the search; raise max_rate_rad_s" in short.attrs["verdict"]
+    ), short.attrs["verdict"]
     assert not short["passes"]["decided"].values[0]
     assert "raise" not in long.attrs["verdict"] and long["passes"]["decided"].values[0], long.attrs[
         "verdict"

@@ -56,7 +56,7 @@ def studies(tmp_path):
     ]
     inputs = [{"what": "telemetry", "sha256": "x"}]
     headlines = [
-        [f"It turned once in 8.6 min. It fits {share}% of 2.5 or so.", "Same."]
+        ["It turned once in 8.6 min.", f"It fits {share}% of 2.5 or so.", "Same."]
         for share in (73, 58)
     ]
     changes = ["wheel.speed_rad_s = 833"]

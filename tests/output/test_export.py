@@ -7,13 +7,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.export import (
-    LOCAL_FRAME,
-    attitude_of,
-    read_results,
-    write_cf,
-    write_parquet,
-)
+from sunspin.output.export import LOCAL_FRAME, attitude_of, read_results, write_cf, write_parquet
 from sunspin.output.export.aem import write_aem
 from sunspin.output.export.against import against_kernels
 from sunspin.output.export.ck import ephemeris_time, write_ck
@@ -161,10 +155,7 @@ def test_comparison_with_kernels_finds_what_was_changed(result, tmp_path, reache
             "2000-01-01T12:00",
             64.183927,
         ),  # known: J2000 is 64.184 s before noon UTC, less a periodic term
-        (
-            "2014-11-12T15:34:04",
-            469078511.183,
-        ),  # 67.184 s of TDB - UTC, as of the landing kernel
+        ("2014-11-12T15:34:04", 469078511.183),  # 67.184 s of TDB - UTC, as of the landing kernel
     ],
 )
 def test_ephemeris_time(utc, et):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -24,37 +25,22 @@ FILES_OF_CANDIDATES = tuple(
 
 def row(**given: Any) -> dict[str, Any]:
     """A row as summary.json has it."""
-    plain = {
-        "id": "some",
-        "what": "what",
-        "published": 1.0,
-        "ours": 1.0,
-        "unit": "1",
-        "tolerance": None,
-        "agrees": None,
-        "note": "",
-        "source": "",
-        "kind": "test",
-        "depends": "data",
-        "low": None,
-        "high": None,
-        "prior_low": None,
-        "prior_high": None,
-        "informative": True,
-        "chain": "telemetry",
-        "holds": None,
-        "part": "a part",
-        "section": "a section",
-    }
-    return plain | given
+    names = "tolerance agrees low high prior_low prior_high holds".split()
+    plain = {"id": "some", "what": "what", "published": 1.0, "ours": 1.0, "unit": "1", "note": ""}
+    plain |= {"source": "", "kind": "test", "depends": "data", "informative": True}
+    plain |= {"chain": "telemetry", "part": "a part", "section": "a section"}
+    return dict.fromkeys(names) | plain | given
 
 
 def page_of(folder: Path, **summary: Any) -> Page:
     """The page of a study whose summary is this."""
     folder.mkdir(exist_ok=True)
     (folder / MARKER).write_text("reproduce\n", "utf-8")
-    (folder / "summary.json").write_text(json.dumps(summary), "utf-8")
-    (folder / MANIFEST).write_text("{}", "utf-8")
+    text = json.dumps(summary).encode()
+    (folder / "summary.json").write_bytes(text)
+    manifest: dict[str, Any] = {"data": [], "figures": [], "tables": []}
+    manifest["sha256"] = {"summary.json": sha256(text).hexdigest()}
+    (folder / MANIFEST).write_text(json.dumps(manifest), "utf-8")
     return Page(write_report(folder))
 
 
@@ -87,7 +73,7 @@ def test_only_an_informative_test_agrees_or_differs(given, verdict):
 @pytest.mark.evidence(
     "report", "verified", "the counts of summary.json, recounted from the rows that the page shows"
 )
-def test_rows_filters_and_sentences_have_the_counts_of_the_summary(study):
+def test_rows_and_filters_have_the_counts_of_the_summary(study):
     summary, page = (
         json.loads((study / "summary.json").read_text("utf-8")),
         Page(study / "report.html"),
@@ -115,15 +101,6 @@ def test_rows_filters_and_sentences_have_the_counts_of_the_summary(study):
     assert found["not-comparable"] == total["not_comparable"] and found["drawn"] == 13
     own = ("holds", "holds-not", "arithmetic")
     assert sum(found[key] for key in own) == sum(part["arithmetic"] for part in every)
-    lines = counts["without_telemetry"]
-    said = (
-        f"Tests on this telemetry: {counts['agree']} agree, {counts['differ']} differ, {counts['uninformative']} are uninformative",
-        f"Tests without telemetry (the equations and the printed lines): {lines['agree']} agree, {lines['differ']} differ",
-        f"Inputs: {total['put_in']} figures",
-        f"Not comparable: {total['not_comparable']} rows",
-    )
-    for sentence in said:
-        assert sentence in page.text
 
 
 @pytest.mark.long
@@ -167,22 +144,10 @@ def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):
     texts = tuple("what unit note source chain part section published ours low high".split())
     rows = [row(id=f"{HOSTILE}{k}", **dict.fromkeys(texts, HOSTILE)) for k in range(2)]
     rows.append(row(id="rate_at_touchdown_bound", ours=1.0, unit=HOSTILE, chain=HOSTILE))
-    page = page_of(
-        tmp_path / "bad",
-        title=HOSTILE,
-        figures=rows,
-        carries=HOSTILE,
-        score=[HOSTILE],
-        headline=[HOSTILE] * 3,
-        noise=HOSTILE,
-        calibration=HOSTILE,
-        chain=HOSTILE,
-        missing={"candidates": HOSTILE},
-        stop=HOSTILE,
-        conclusions=[HOSTILE],
-        cite=HOSTILE,
-        command=HOSTILE,
-    )
+    names = "title carries noise calibration chain stop cite command".split()
+    lists = dict.fromkeys(("score", "headline", "conclusions"), [HOSTILE] * 3)
+    texts = dict.fromkeys(names, HOSTILE) | lists | {"missing": {"candidates": HOSTILE}}
+    page = page_of(tmp_path / "bad", figures=rows, **texts)
     assert [attrs.get("id") for tag, attrs in page.tags if tag == "script"] == ["data", None]
     assert page.text.count(" ".join(HOSTILE.split())) > 30
     rows = [attrs["data-row"] for tag, attrs in page.tags if tag == "tr" and "data-row" in attrs]

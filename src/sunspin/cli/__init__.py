@@ -13,8 +13,7 @@ import threading
 import click
 
 from sunspin.base.errors import SunspinError, printable
-from sunspin.cli.common import Group
-from sunspin.cli.gone import OPTIONS
+from sunspin.cli.common import GONE_OPTIONS, Group
 
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
@@ -32,7 +31,7 @@ INTERRUPTED = "interrupted; nothing half-written was left behind, run the same c
 @click.version_option(package_name="sunspin")
 @click.pass_context
 def cli(ctx: click.Context) -> None:
-    """sunspin tells how a spacecraft tumbles from nothing but the power of its solar panels."""
+    """Estimate spacecraft rotation from solar-panel power and other sparse attitude data."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
 
@@ -64,7 +63,7 @@ def main() -> None:
         text = re.sub("is not a valid float( range)?", "is not a number such as -1.5e-3", text)
         text = re.sub("is not a valid integer( range)?", "is not a whole number", text)
         if isinstance(error, click.NoSuchOption):
-            text = OPTIONS.get(error.option_name, text)
+            text = GONE_OPTIONS.get(error.option_name, text)
         context = getattr(error, "ctx", None)
         text += f"; see `{context.command_path} --help`" if context is not None else ""
         text, code = f"error: {text}", 2

@@ -22,17 +22,16 @@ COPY = "calibrated.toml"
     "--out",
     "target",
     type=PATH,
-    help="The calibrated copy of the vehicle file (FILE.toml), or a results "
-    "folder for it; neither may have one yet.",
+    help="Calibrated copy of the vehicle file (FILE.toml), or a results folder for it. Neither may exist.",
 )
 @shared("--data", "--tle", "--tle-shift-sigma", out=False)
 def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output) -> None:
-    """Calibrate panels, Sun sensors, magnetometer and gyro by the telemetry itself, and write a copy of the vehicle file.
+    """Calibrate panels, Sun sensors, magnetometer and gyro with the telemetry, and write a copy of the vehicle file.
 
-    Gains of panels come from how bright samples in full Sun are. With orbital elements the strength of the field and its angle to
-    the Sun are known, whatever the attitude: they determine zero, matrix and scale of the magnetometer, and bias and scale of each
-    Sun sensor. A gyro is compared with the rates of passes that are decided without it. Every number has a sigma; what the file
-    does not determine stays as it is. In the copy each new value says where it comes from, and your comments stay.
+    Panel gains come from the brightness of samples in full Sun. With orbital elements the field strength and its angle to the Sun
+    are known at any attitude. They determine zero, matrix and scale of the magnetometer, and bias and scale of each Sun sensor. A
+    gyro is compared with the rates of passes that are decided without it. Every estimate has a sigma. Values that the data do not
+    determine stay as they are. The copy keeps your comments and gives the source of each new value.
 
     \b
     Example:

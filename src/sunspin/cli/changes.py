@@ -20,21 +20,15 @@ if TYPE_CHECKING:
     from sunspin.vehicle.changes import Change
 
 SHORT = {
-    "friction": ("wheel.friction", "Name of another law of friction in the vehicle file: printed."),
-    "wheel_speed": (
-        "wheel.speed_rad_s",
-        "Wheel speed (rad/s) at the first sample after touchdown.",
-    ),
-    "lead": ("study.lead_s", "From the first touchdown to the first sample after it, s."),
-    "target_weights": (
-        "study.target_weights",
-        "What each measured direction counts: equal, interval.",
-    ),
-    "mask": ("study.mask", "Simulated directions that count: reconstructible, everywhere."),
+    "friction": ("wheel.friction", "Friction law, by its name in the file, such as printed."),
+    "wheel_speed": ("wheel.speed_rad_s", "Wheel speed at the first sample after touchdown, rad/s."),
+    "lead": ("study.lead_s", "Time from the first touchdown to the next sample, s."),
+    "target_weights": ("study.target_weights", "Weights of the directions: equal or interval."),
+    "mask": ("study.mask", "Simulated directions in use: reconstructible or everywhere."),
     "factor": ("study.near_minimum_factor", "Near-minimum factor of the paper's set."),
-    "confidence": ("study.confidence", "Of the calibrated set, as a share."),
-    "restitution": ("collision.restitution", "Of the collision, as a share: 0 sticks."),
-    "damper": ("collision.damper", "Share of the impact that the landing gear takes along z."),
+    "confidence": ("study.confidence", "Confidence level of the calibrated set, as a fraction."),
+    "restitution": ("collision.restitution", "Coefficient of restitution (0 = sticking)."),
+    "damper": ("collision.damper", "Fraction of the z impulse that the landing gear absorbs."),
 }
 """Option -> key that it is a name for, its help."""
 
@@ -93,8 +87,8 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
     `uses`: keys or tables of the assumptions that the command uses; `idle`: those of the vehicle file that it does not use.
     """
     about = (
-        "Change a value for this run by its key in the vehicle file: KEY=VALUE, KEY*=FACTOR or "
-        "KEY+=STEP; `--set list` shows what can be set. Repeatable."
+        "Override a value for this run: KEY=VALUE, KEY*=FACTOR or KEY+=STEP. `--set list` prints all "
+        "keys. Repeatable."
     )
 
     def decorate(function: Any) -> Callable:
@@ -104,11 +98,8 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
             from sunspin.vehicle.changes import changes_of
 
             source = click.get_current_context().get_parameter_source
-            said = {
-                key: name
-                for name, (key, _) in SHORT.items()
-                if name in given and source(name) is ParameterSource.COMMANDLINE
-            }
+            typed = [name for name in given if source(name) is ParameterSource.COMMANDLINE]
+            said = {SHORT[name][0]: name for name in typed if name in SHORT}
             changes = changes_of(sets)
             for change in changes:
                 if name := said.get(re.sub(r"\[[^\]]*\]", "", change.key)):

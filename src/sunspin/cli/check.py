@@ -14,10 +14,9 @@ from sunspin.cli.common import shared
 @click.argument("telemetry", required=False)
 @shared("--data", "--tle", "--tle-shift-sigma", out=False)
 def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
-    """Say what is wrong with a vehicle file and telemetry, or what they hold and what can be learnt from them.
+    """Check a vehicle file and telemetry: what they contain, what is wrong and which rates they can determine.
 
-    With orbital elements, say too whether the telemetry was taken in that orbit: whether strength of the field, its angle to the
-    Sun and eclipses follow from it.
+    With orbital elements, check too whether the telemetry was taken in that orbit: field strength, angle of field to Sun, eclipses.
 
     \b
     Examples:

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sunspin.base.errors import InputError, printable
-from sunspin.cli import gone
 from sunspin.cli.values import Parsed, numbers
 
 if TYPE_CHECKING:
@@ -34,23 +33,43 @@ PIECE = 1_000_000
 YOURS, MOTIONS, PHILAE, OTHERS = "Your satellite", "Motions", "Philae", "Data of others"
 
 COMMANDS = {
-    "init": (YOURS, "Write a vehicle file and telemetry to start from."),
-    "check": (YOURS, "What is wrong with my files, in plain words."),
-    "sun": (YOURS, "Directions to the Sun from panel powers or currents."),
-    "calibrate-sensors": (YOURS, "Gains, zeros, scales and soft iron from the telemetry itself."),
-    "rates": (YOURS, "Body rates and attitude of each pass, all motions that fit."),
-    "posterior": (YOURS, "Every motion that the readings allow, with its probability."),
-    "report": (YOURS, "A results folder as one page to look into."),
-    "export": (YOURS, "Attitude and rates as CCSDS AEM, SPICE CK, NetCDF or Parquet."),
-    "compare": (YOURS, "What moved between two results; or rates against SPICE kernels."),
-    "simulate": (MOTIONS, "One trajectory of a vehicle with its wheels."),
-    "scan": (MOTIONS, "Which initial rates fit, and the lines they lie on."),
-    "outcomes": (MOTIONS, "What a motion leads to: collision, landing, wheel strategies."),
-    "compile": (MOTIONS, "Compile what scans run now, so that the first need not wait."),
-    "reproduce": (PHILAE, "The whole Philae study: figures, tables, report."),
-    "decode": (OTHERS, "Raw beacons of skCUBE into a table."),
+    "init": (YOURS, "Create an example vehicle file and telemetry file."),
+    "check": (YOURS, "Check a vehicle file and telemetry for errors."),
+    "sun": (YOURS, "Compute the Sun direction of each sample from panel power or current."),
+    "calibrate-sensors": (YOURS, "Calibrate panels, Sun sensors, magnetometer and gyro in flight."),
+    "rates": (YOURS, "Estimate body rates and attitude of each pass."),
+    "posterior": (YOURS, "Sample the full posterior of one stretch of free motion."),
+    "report": (YOURS, "Make an HTML report from a results folder."),
+    "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
+    "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),
+    "simulate": (MOTIONS, "Propagate one motion."),
+    "scan": (MOTIONS, "Scan a grid of initial body rates against the Sun directions."),
+    "outcomes": (MOTIONS, "Simulate collision and landing outcomes (Monte Carlo)."),
+    "compile": (MOTIONS, "Compile the kernels of scans in advance."),
+    "reproduce": (PHILAE, "Reproduce the Philae study (figures, tables, report)."),
+    "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
 }
 """Name -> heading of --help and line there, in its order. A command's module, of its name, is imported when it is used."""
+
+
+GONE_COMMANDS = {
+    name: f"`sunspin {name}` is a study of the repository now: `python -m studies.coverage OUT`"
+    for name in ("coverage", "worth")
+}
+GONE_OPTIONS: dict[str, str] = {
+    **{
+        f"--{name}": f"--{name} is --{name}-deg-s now, and its rates are in deg/s"
+        for name in ("omega", "omega-x", "omega-y", "omega-z", "rate", "gyro", "max-rate")
+    },
+    "--interpolate": "--interpolate is gone, every motion of a scan is run; leave it out",
+    "--device": "--device is gone, kernels run on processors only; leave it out",
+    "--best-delay": "--best-delay is gone; compare delays by --strategy delay:SECONDS, given several times",
+    "--data": "--data of `sunspin reproduce` is gone, the impulse is a study: `python -m studies.impulse OUT --data FOLDER`",
+    "--noise": "--noise of `sunspin rates` is --acceleration-noise now, in rad/s^1.5",
+    "--no-wirings": "--no-wirings is --no-column-tests now",
+    "--printed-lines": "--printed-lines is gone, these lines are of the paper's body; give --omega-deg-s x,y,z or --scan scan.nc",
+}
+"""What earlier versions accepted and this one does not, and the sentence for each."""
 
 
 class Group(click.Group):
@@ -86,8 +105,8 @@ class Group(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
-            if args[0] in gone.COMMANDS:
-                raise click.UsageError(gone.COMMANDS[args[0]], ctx) from None
+            if args[0] in GONE_COMMANDS:
+                raise click.UsageError(GONE_COMMANDS[args[0]], ctx) from None
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             if not near or "Did you mean" in error.message:
                 raise
@@ -117,7 +136,12 @@ class Output:
             results_folder(self.folder, self.command)
 
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
-        """Print the summary as JSON, or the lines for a person."""
+        """Print the summary as JSON, or the lines for a person; of a verdict that is explained, where."""
+        from sunspin.output.verdicts import PAGE, explained
+
+        if labels := explained(self.command, lines):
+            summary = {**summary, "explained": [f"{PAGE}#{label}" for label in labels]}
+            lines = [*lines, f"Verdicts explained: {PAGE}#{', #'.join(labels)}"]
         if self.as_json:
             from sunspin.output.folder import plain
 
@@ -146,10 +170,8 @@ class Output:
             command = shlex.join(["sunspin", *sys.argv[1:]])
             inputs = {"vehicle": vehicle, "telemetry": telemetry, "command": command}
             folder = result.sunspin.save(self.folder, **inputs, also=also, lines=lines)
-            lines_shown += [
-                f"Results: {folder / main}",
-                f"View as HTML: sunspin report {folder}",
-            ]
+            lines_shown.append(f"Results: {folder / main}")
+            lines_shown.append(f"View as HTML: sunspin report {folder}")
         self.report({**summary, **(also or {})}, lines_shown)
 
 
@@ -157,10 +179,8 @@ PATH = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(0, min_open=True)
 
 SHARED: dict[str, dict[str, Any]] = {
-    "--from begin": {
-        "help": "Use samples from this time on: UTC such as 2017-06-28T19:18, or s from the epoch."
-    },
-    "--to end": {"help": "Use samples up to this time (same forms as --from)."},
+    "--from begin": {"help": "Start time: UTC such as 2017-06-28T19:18, or s from the epoch."},
+    "--to end": {"help": "End time, in the same form."},
     "--period periods": {
         "multiple": True,
         "metavar": "S+-SIGMA@TIME",
@@ -169,7 +189,7 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--tle --omm --ephemeris elements": {
         "type": PATH,
-        "help": "Orbit file: elements as TLE or OMM, or positions as OEM, CSV or SPK. Default: [orbit] of the vehicle file.",
+        "help": "Orbit file: TLE, OMM, OEM, CSV or SPK. Default: [orbit] of the vehicle file.",
     },
     "--tle-shift-sigma shift_sigma": {
         "type": POSITIVE,
@@ -177,40 +197,40 @@ SHARED: dict[str, dict[str, Any]] = {
     },
     "--wheel-speed": {
         "type": Parsed(numbers, "RAD/S,..."),
-        "help": "Wheel speeds (rad/s) at the first instant. Default: wheel.speed_rad_s of the vehicle file.",
+        "help": "Wheel speeds (rad/s) at the start. Default: wheel.speed_rad_s of the vehicle file.",
     },
     "--wheel-mode": {
         "type": click.Choice(["coast", "hold", "brake"]),
         "default": "coast",
-        "help": "Wheel control: coast (motor off, friction slows it), hold (constant speed) or brake (the vehicle's torque).",
+        "help": "Wheel control: coast (motor off), hold (constant speed) or brake.",
     },
     "--factor": {
         "type": click.FloatRange(1, min_open=True),
         "default": 1.1,
-        "help": "Near-minimum factor: motions with less than this times the least EMD.",
+        "help": "Near-minimum factor: motions with an EMD below this times the smallest EMD are selected.",
     },
     "--store": {
         "type": PATH,
-        "help": "Checkpoint folder: the same command resumes from it after an interruption. Other inputs need another folder.",
+        "help": "Checkpoint folder: rerun the same command to resume after an interruption. Other inputs need another folder.",
     },
     "--scheduler executor": {
         "metavar": "ADDRESS",
-        "help": "Run on a Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
+        "help": "Dask cluster: tcp://host:8786, or `local` for --workers processes on this machine. "
         'Needs pip install "sunspin[cluster]".',
     },
     "--data": {
         "envvar": "SUNSPIN_DATA",
         "type": PATH,
-        "help": "Folder in which TELEMETRY is looked for too (or set SUNSPIN_DATA); TELEMETRY may be - for standard input.",
+        "help": "Second folder to look for TELEMETRY in (or set SUNSPIN_DATA). TELEMETRY `-` is standard input.",
     },
-    "--seed": {"type": click.IntRange(0), "default": 0, "help": "Seed of all random choices."},
+    "--seed": {"type": click.IntRange(0), "default": 0, "help": "Random seed."},
     "--workers": {
         "type": click.IntRange(1, 4096),
-        "help": "Computations side by side. Default: one per core. The result does not depend on it.",
+        "help": "Number of parallel workers. Default: one per core. Results do not depend on it.",
     },
-    "--out": {"type": PATH, "help": "Results folder; made if needed."},
+    "--out": {"type": PATH, "help": "Results folder; created if needed."},
     "--json as_json": {"is_flag": True, "help": "Print the summary as JSON."},
-    "--quiet": {"is_flag": True, "help": "Print nothing but errors."},
+    "--quiet": {"is_flag": True, "help": "Print errors only."},
 }
 """Options that mean the same in every command that has them: their names, the argument's last if it has another -> the rest."""
 
@@ -221,6 +241,7 @@ def shared(*names: str, out: bool | str = True) -> Callable:
 
     `out`: the default results folder, False for a command without one.
     """
+    declared = {names.split()[0]: (names.split(), more) for names, more in SHARED.items()}
 
     def decorate(function: Callable) -> Callable:
         @wraps(function)
@@ -231,14 +252,11 @@ def shared(*names: str, out: bool | str = True) -> Callable:
                 given["telemetry"] = telemetry and find_telemetry(telemetry, data)
             function(output=Output(name, out, as_json, quiet), **given)
 
-        options = {declared.split()[0]: (declared, more) for declared, more in SHARED.items()}
         decorated: Callable = command
         for name in reversed((*names, *(["--out"] if out else []), "--json", "--quiet")):
-            declared, more = options[name]
-            default: dict[str, Any] = (
-                {"default": out} if name == "--out" and out is not True else {}
-            )
-            decorated = click.option(*declared.split(), **more, **default)(decorated)
+            given, more = declared[name]
+            default: dict[str, Any] = {} if name != "--out" or out is True else {"default": out}
+            decorated = click.option(*given, **more, **default)(decorated)
         return decorated
 
     return decorate
@@ -246,11 +264,20 @@ def shared(*names: str, out: bool | str = True) -> Callable:
 
 def find_telemetry(path: str, data: Path | None) -> Path:
     """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry, and `-` for
-    what is piped in."""
+    what is piped in, as a file for as long as the command runs: readers need its size before they begin."""
+    from sunspin.base.tables import MAX_FILE_BYTES
     from sunspin.telemetry.case import case_telemetry
 
     if path == "-":
-        return _from_standard_input()
+        if sys.stdin is None or sys.stdin.isatty():
+            what, do = "nothing is piped into standard input", "pipe telemetry in, or name a file"
+            raise InputError(what, do=do)
+        folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
+        piped, size = Path(folder) / "standard-input", 0
+        with open(piped, "wb") as file:
+            while size <= MAX_FILE_BYTES and (piece := sys.stdin.buffer.read(PIECE)):
+                size += file.write(piece)
+        return piped
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
         given = case_telemetry(path) or given
@@ -258,22 +285,6 @@ def find_telemetry(path: str, data: Path | None) -> Path:
         if data is not None and not given.exists() and (data / given).exists():
             return data / given
     return given
-
-
-def _from_standard_input() -> Path:
-    """What is piped in, as a file for as long as the command runs: readers take files, whose size they know before they begin."""
-    from sunspin.base.tables import MAX_FILE_BYTES
-
-    if sys.stdin is None or sys.stdin.isatty():
-        raise InputError(
-            "nothing is piped into standard input", do="pipe telemetry in, or name a file"
-        )
-    folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
-    path, size = Path(folder) / "standard-input", 0
-    with open(path, "wb") as file:
-        while size <= MAX_FILE_BYTES and (part := sys.stdin.buffer.read(PIECE)):
-            size += file.write(part)
-    return path
 
 
 def read_both(vehicle: Any, telemetry: Path) -> tuple[Vehicle, xr.Dataset]:

@@ -12,14 +12,14 @@ from sunspin.cli.common import PATH, shared
 @click.command(cls=Command)
 @click.argument("folder", metavar="A", type=PATH)
 @click.argument("others", metavar="B|KERNELS...", nargs=-1, required=True, type=PATH)
-@click.option("--frame", help="With kernels: the body's frame in them, for example ROS_LANDER.")
-@click.option("--base", default="J2000", help="With kernels: an inertial frame of theirs.")
-@click.option("--epoch", help="With kernels: UTC of time zero, where the results have none.")
+@click.option("--frame", help="With kernels: the name of the body frame, such as ROS_LANDER.")
+@click.option("--base", default="J2000", help="With kernels: the inertial frame.")
+@click.option("--epoch", help="With kernels: UTC of time zero, if the results have none.")
 @shared()
 def compare(folder, others, frame, base, epoch, output) -> None:
-    """What changed between two results folders of `reproduce`, `rates`, `posterior` or `outcomes`: row by row, against each error.
+    """Compare two results folders of `reproduce`, `rates`, `posterior` or `outcomes`: what changed, over its error.
 
-    With SPICE attitude kernels (C-kernel, frames, clock, leap seconds) in the place of B: the rates of A against theirs. With
+    With SPICE attitude kernels (C-kernel, frames, clock, leap seconds) instead of B, compares the rates of A with theirs. With
     --out, writes comparison.csv, comparison.nc and a figure.
 
     \b

@@ -14,10 +14,10 @@ from sunspin.cli.common import shared
 @click.argument("vehicles", metavar="[VEHICLE]...", nargs=-1)
 @shared(out=False)
 def compile_kernels(vehicles, output) -> None:
-    """Compile now what scans of these vehicles run, so that the first scan need not wait for it.
+    """Compile the kernels of scans in advance, so that the first scan starts at once.
 
-    A vehicle's kernels take about half a minute and are kept for this machine's kind of processor. Other vehicles with wheels,
-    panels and mask along the same axes share them. Without a VEHICLE: Philae, and the vehicle that `sunspin init` writes.
+    The kernels of a vehicle take about half a minute and are kept for this kind of processor. Vehicles with wheels, panels and mask
+    along the same axes share them. Without a VEHICLE: Philae, and the vehicle that `sunspin init` writes.
 
     \b
     Examples:

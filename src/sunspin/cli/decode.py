@@ -13,17 +13,14 @@ from sunspin.cli.common import PATH, Output, shared
 @click.command(cls=Command)
 @click.argument("raw", type=PATH)
 @click.option(
-    "--decoder",
-    type=click.Choice(["skcube"]),
-    default="skcube",
-    help="Whose frames these are.",
+    "--decoder", type=click.Choice(["skcube"]), default="skcube", help="Format of the frames."
 )
 @shared(out="skcube")
 def decode(raw: Path, decoder: str, output: Output) -> None:
-    """Decode raw beacons of skCUBE, a table for each kind of beacon: skcube_adcs.csv, skcube_pwr.csv and so on.
+    """Decode raw skCUBE beacons to CSV, a table for each kind of beacon: skcube_adcs.csv, skcube_pwr.csv and so on.
 
-    RAW is a folder or zip of frames as the collector publishes them, or an export of frames from SatNOGS DB (CSV or JSON). Beacons
-    of a kind whose fields are not published are written in hexadecimal digits, to skcube_other.csv.
+    RAW is a folder or zip of frames as the collector publishes them, or frames from SatNOGS DB (CSV or JSON). Beacons whose fields
+    are not published are written to skcube_other.csv in hexadecimal digits.
 
     \b
     Example:

@@ -15,24 +15,21 @@ from sunspin.cli.common import PATH, POSITIVE, shared
     "form",
     type=click.Choice(["aem", "aem-xml", "ck", "netcdf", "parquet"]),
     default="aem",
-    help="What to write.",
+    help="Output format.",
 )
 @click.option(
     "--frame",
-    help="Frame to write; a celestial one is refused if the rotation about the Sun direction is not known.",
+    help="Reference frame. A celestial frame is refused if the rotation about the Sun direction is not known.",
 )
-@click.option(
-    "--epoch", help="UTC of time zero, if the results have none (those of `sunspin simulate`)."
-)
+@click.option("--epoch", help="UTC of time zero, if the results have none (`sunspin simulate`).")
 @click.option(
     "--step",
     type=POSITIVE,
-    help="Write an attitude every so many s, interpolated along the "
-    "motion between the samples; default: at the samples.",
+    help="Interval of the attitudes in s, interpolated along the motion. Default: at the samples.",
 )
 @shared(out="export")
 def export(folder, form, frame, epoch, step, output) -> None:
-    """Attitude and rates of a results folder in formats that other tools read.
+    """Export attitude and rates of a results folder.
 
     aem and aem-xml: CCSDS attitude ephemeris message; ck: SPICE kernels (.bc, .tsc, .tf); netcdf: with CF attributes; parquet.
 

@@ -14,7 +14,7 @@ from sunspin.cli.common import PATH, Output, shared
 @click.argument("folder", metavar="DIR", type=PATH)
 @shared(out=False)
 def init(folder: Path, output: Output) -> None:
-    """Write a commented vehicle.toml and a telemetry.csv to start from. Existing files are never overwritten.
+    """Create an example vehicle.toml, with comments, and telemetry.csv. Existing files are never overwritten.
 
     \b
     Example:

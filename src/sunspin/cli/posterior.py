@@ -19,11 +19,11 @@ from sunspin.cli.values import Parsed, instants_of, observation, period, prior, 
 @click.option(
     "--prior",
     "priors",
-    type=Parsed(prior),
+    type=Parsed(prior, "KEY=SIGMA"),
     multiple=True,
-    help="KEY=SIGMA, relative; 0: known. Keys: inertia, wheel_speed, wheel_inertia, "
-    "friction, gain, noise, scale; tilt, tilt_common (rad); also time_s, max_rate_rad_s, steady_torque (deg by which "
-    "one may turn the body in this stretch, 300 unless given, 0: none). Repeatable.",
+    help="Prior width, relative; 0 = fixed. Keys: inertia, wheel_speed, wheel_inertia, friction, gain, noise, scale; tilt, "
+    "tilt_common (rad); time_s (s); max_rate_rad_s; steady_torque (rotation in deg that it may cause, 300 unless given). "
+    "Repeatable.",
 )
 @click.option(
     "--rate-deg-s",
@@ -42,15 +42,14 @@ from sunspin.cli.values import Parsed, instants_of, observation, period, prior, 
 @click.option(
     "--field",
     "fields",
-    type=Parsed(observation),
+    type=Parsed(observation, "T,X,Y,Z,ANGLE,SIGMA"),
     multiple=True,
-    help="A magnetic direction in the body, and its known angle from the Sun: "
-    "T,X,Y,Z,ANGLE,SIGMA (s, 1, rad, rad). Repeatable.",
+    help="Extra magnetic direction in body axes and its angle to the Sun (s, 1, rad, rad). Repeatable.",
 )
 @click.option(
     "--predict",
-    help="Times at which to say what the body did, comma-separated: s from the epoch, or UTC such as 16:20 "
-    "or 2014-11-12T16:20. Beyond a collision that a built-in case knows of, through it.",
+    help="Comma-separated times at which to predict the motion: s from the epoch, or UTC such as 16:20 or 2014-11-12T16:20. "
+    "For Philae, later times include the collision.",
 )
 @click.option(
     "--draws", type=click.IntRange(100, 1_000_000), default=4000, help="Draws in the result."
@@ -74,11 +73,10 @@ def posterior(
     output,
     **search,
 ) -> None:
-    """Every motion that the panel readings allow, with its probability, or the word that none fits.
+    """Sample the posterior of one stretch of free motion: every solution that fits, with its probability, or none.
 
-    Uses all readings of one stretch of free motion, dark panels included. With --out, writes posterior.nc, corner.png,
-    solutions.csv, passes.csv, the likeliest motion of each solution, and with --predict predicted.csv and predicted.png;
-    `sunspin report` makes a page of them. Without TELEMETRY the case's own is used.
+    Uses all readings, those of unlit panels included. With --out, writes posterior.nc, solutions.csv, passes.csv, the likeliest
+    motion of each solution and figures; with --predict predicted.csv and predicted.png. Without TELEMETRY the case's own is used.
 
     \b
     Examples:
@@ -92,10 +90,10 @@ def posterior(
 
     if output.quiet:
         logging.getLogger("sunspin").setLevel(logging.ERROR)
-    made = opened(vehicle, changes)
-    craft = made.craft
+    opening = opened(vehicle, changes)
+    craft = opening.craft
     if predict is None:
-        say_idle(made.changes, ("body.mass_kg", "leg", "collision"))  # of a collision
+        say_idle(opening.changes, ("body.mass_kg", "leg", "collision"))  # of a collision
     if telemetry is None and (telemetry := case_telemetry(vehicle)) is None:
         raise InputError("TELEMETRY is missing", do="only a built-in case comes with its own")
     samples = read_telemetry(telemetry, craft)
@@ -118,7 +116,6 @@ def posterior(
         periods=evidence,
     )
     if asked is not None:
-        with_predictions(
-            craft, tree, asked, seed, timeline_of(vehicle), made.assumptions.collision, workers
-        )
-    output.deliver(made.mark(tree), made.file, samples)
+        collision, timeline = opening.assumptions.collision, timeline_of(vehicle)
+        with_predictions(craft, tree, asked, seed, timeline, collision, workers)
+    output.deliver(opening.mark(tree), opening.file, samples)

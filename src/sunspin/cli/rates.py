@@ -36,39 +36,33 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option(
     "--acceleration-noise",
     type=POSITIVE,
-    help="Angular acceleration noise, rad/s^1.5; default: the "
-    "vehicle's, else what the data support best.",
+    help="Density of random angular acceleration (rad/s^1.5), for unmodelled torques. Default: from the vehicle file, else "
+    "estimated.",
 )
 @click.option(
-    "--gap",
-    "gap_s",
-    type=POSITIVE,
-    help="Gap in s that starts a new pass. Default: six sampling intervals.",
+    "--gap", "gap_s", type=POSITIVE, help="Gap that starts a new pass, s. Default: six intervals."
 )
 @click.option(
-    "--pass",
-    "pass_id",
-    type=click.IntRange(0),
-    help="Only this pass, numbered from zero as in passes.csv.",
+    "--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered as in passes.csv."
 )
 @click.option(
     "--no-column-tests",
     is_flag=True,
-    help="Where a pass does not fit, do not try other columns, axes and signs of panels and sensors.",
+    help="Do not test swapped columns, axes or signs when a pass fits poorly.",
 )
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
     type=Parsed(effort, "float"),
     default="1.0",
-    help="Computing budget; 1: about a minute and a half of one core, and 0.4 of that for other columns; inf: as much as is "
-    "needed. Counted in motions, so that every machine gives the same. A search that was cut short says so and is never decided.",
+    help="Computing budget: 1 is about 1.5 minutes of one core, inf is unlimited. Results do not depend on the machine. A pass "
+    "whose search is incomplete is not decided.",
 )
 @click.option(
     "--without",
     multiple=True,
     type=click.Choice(list(UNUSED)),
-    help="Do not use this sensor; repeatable.",
+    help="Do not use this sensor. Repeatable.",
 )
 @shared("--from", "--to", "--tle", "--tle-shift-sigma", "--period", "--workers", "--data")
 def rates(
@@ -87,17 +81,17 @@ def rates(
     output,
     **estimate,
 ) -> None:
-    """Body rates and attitude history of each pass, from the Sun seen now and then.
+    """Estimate body rates and attitude of each pass from Sun directions and other sensors.
 
-    All solutions that the data cannot tell apart are listed with their probabilities: whole turns more or less between samples,
-    mirror images; of each pass it is said whether one is left, which components the data constrain, and whether it fits. With
-    --out, writes passes.csv (a row for each solution of each pass), rates.csv (a row for each sample), rates.nc, rates.png and
-    rates.svg.
+    All solutions that the data cannot distinguish are listed with their probabilities: aliases with more or fewer whole
+    revolutions between samples, and mirror solutions. Each pass states whether it is decided, which components the data
+    constrain and whether it fits. With --out, writes passes.csv (a row for each solution), rates.csv (a row for each sample),
+    rates.nc and figures.
 
-    With orbital elements (--tle, --omm, or [orbit] in the vehicle file) shadow, Earth's light and magnetic field are known. The
-    telemetry first judges the elements, as `sunspin check` does; refused ones are not used, which is said. A magnetometer is
-    then calibrated with the whole file and gives directions, samples without a Sun count, and attitudes are those from J2000.
-    Elements of a sister satellite, or old ones, need --tle-shift-sigma: how far off along the track they may be, in s.
+    With an orbit (--tle, --omm, --ephemeris, or [orbit] in the vehicle file) shadow, Earth albedo and magnetic field are known.
+    The elements are first compared with the telemetry, as `sunspin check` does, and not used if they do not fit. Then the
+    magnetometer is calibrated, samples in shadow are used, and attitudes are relative to J2000. Old elements, or those of a sister
+    satellite, need --tle-shift-sigma.
 
     \b
     Examples:
@@ -118,7 +112,7 @@ def rates(
     evidence = [period(text, samples.attrs.get("epoch_utc")) for text in periods]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
-        what = "--no-orbit says not to use an orbit, and elements or their shift are given"
+        what = "--no-orbit contradicts the elements or their shift that are given"
         raise InputError(what, do="give one")
 
     def announce(line: str) -> None:
@@ -127,14 +121,12 @@ def rates(
 
     # a terminal shows a progress line in the place of these words
     progress = output.progress if output.quiet or output.progress else announce
-    if (
-        progress is announce
-        and not no_orbit
-        and elements_of(craft, elements, shift_sigma) is not None
-    ):
-        announce(f"{samples.sizes['time']} samples; they judge the elements first")
-    known = (None, None, {}, []) if no_orbit else orbit_used(file, elements, shift_sigma)
-    orbit, calibration, orbit_summary, orbit_lines = known
+    orbit, calibration, orbit_summary, orbit_lines = None, None, {}, []
+    if not no_orbit:
+        if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
+            announce(f"{samples.sizes['time']} samples; the elements are checked first")
+        used_orbit = orbit_used(file, elements, shift_sigma)
+        orbit, calibration, orbit_summary, orbit_lines = used_orbit
     result = run(
         craft,
         used,

@@ -14,9 +14,7 @@ from sunspin.cli.common import PATH, Output, shared
 @click.argument("folder", metavar="DIR", type=PATH)
 @shared(out=False)
 def report_page(folder: Path, output: Output) -> None:
-    """One page to look into, from a results folder: DIR/report.html, complete in itself, to open from disk or send away.
-
-    DIR is the --out of an earlier command.
+    """Make an HTML report from a results folder (the --out of another command): DIR/report.html, a single file.
 
     \b
     Example:

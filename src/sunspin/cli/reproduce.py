@@ -12,8 +12,7 @@ from sunspin.cli.common import PATH, shared
 @click.option(
     "--telemetry",
     type=PATH,
-    help="Panel powers to use in the place of the synthetic ones. Start "
-    "from a copy of telemetry.csv in an earlier results folder.",
+    help="Panel powers instead of the synthetic ones. Start from telemetry.csv of an earlier results folder.",
 )
 @click.option("--vehicle", type=PATH, help="Vehicle file of another body with one wheel and legs.")
 @click.option(
@@ -27,22 +26,19 @@ from sunspin.cli.common import PATH, shared
     "--calibrate",
     type=click.IntRange(0, 100_000),
     metavar="N",
-    help="Calibrate the set's threshold on N synthetic "
-    "flights like the data. Default: the shipped calibration where it fits them, else 60; 0: none.",
+    help="Number of simulated flights that calibrate the threshold of the set. Default: the built-in calibration if it applies, "
+    "else 60; 0: no calibration.",
 )
 @click.option(
-    "--coarser",
-    type=click.IntRange(1, 50),
-    default=1,
-    help="Every n-th grid point only: a quick look.",
+    "--coarser", type=click.IntRange(1, 50), default=1, help="Use every N-th grid point only."
 )
 @set_options("study", "collision", short=tuple(SHORT))
 @shared("--seed", "--workers", out="results")
 def reproduce(telemetry, output, **options) -> None:
-    """Run the whole Philae study: every figure and table of the paper beside what this run gives.
+    """Reproduce the Philae study: every figure and table of the paper next to the results of this run.
 
-    Every conclusion follows from the telemetry given. That which comes with the package is synthetic (the flown one is not public)
-    and is called so wherever it shows.
+    All conclusions follow from the telemetry that is given. The built-in telemetry is synthetic, as the flown one is not public,
+    and is labelled so.
 
     \b
     Examples:

@@ -12,8 +12,8 @@ from sunspin.cli.common import POSITIVE, shared
 from sunspin.cli.values import Parsed, grid, instants_of
 
 
-def grid_option(axis: str, default: str, form: str = ".") -> Callable:
-    about = f"Grid of omega_{axis}, deg/s{form}"
+def grid_option(axis: str, default: str) -> Callable:
+    about = f"Grid of omega_{axis} in deg/s: low:high:step, or comma-separated values."
     names = f"--omega-{axis}-deg-s", f"omega_{axis}"
     return click.option(*names, type=Parsed(grid), default=default, help=about)
 
@@ -21,27 +21,25 @@ def grid_option(axis: str, default: str, form: str = ".") -> Callable:
 @click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry")
-@grid_option("x", "-30:60:0.9", ": low:high:step, or values with commas.")
+@grid_option("x", "-30:60:0.9")
 @grid_option("y", "-30:60:0.9")
 @grid_option("z", "-18:18:0.9")
 @click.option(
     "--metric",
     type=click.Choice(["emd", "E"]),
     default="emd",
-    help="emd compares the distributions "
-    "of the Sun's height, without the timing; E compares direction by direction and needs a short window.",
+    help="emd compares the distributions of r_z, without their times. E compares each direction and needs a short window.",
 )
 @click.option(
     "--threshold",
     type=POSITIVE,
-    help="Take the points below this value instead: one that was "
-    "calibrated on simulated flights of known truth makes the set a confidence region.",
+    help="Select points below this value instead of --factor. A value calibrated on simulations gives a confidence region.",
 )
 @click.option(
     "--direction-error",
     type=POSITIVE,
-    help="Error allowed of simulated directions at the "
-    "end, rad. Default: for EMD, what an error of 1e-3 of the EMD allows, which is fastest; for E, 1e-3.",
+    help="Allowed integration error of the final Sun direction in rad. Default: 1e-3 for E; for EMD, chosen so that the EMD error "
+    "is 1e-3.",
 )
 @click.option(
     "--lines", "n_lines", type=click.IntRange(0, 20), default=4, help="Lines to fit; 0: none."
@@ -66,11 +64,10 @@ def scan(
     output,
     **run,
 ) -> None:
-    """Scan initial rates: which motions show the Sun at the heights that the panels saw?
+    """Scan a grid of initial body rates: which motions have the r_z (Sun above the body x-y plane) that the panels measured?
 
-    The run begins at the first sample that gives a direction. With --out, writes scan.nc. A long scan can be stopped and
-    resumed if it has a --store. The first run for a kind of vehicle compiles its kernel, for some twenty seconds, unless
-    `sunspin compile` has done so.
+    The run begins at the first sample with a Sun direction. With --out, writes scan.nc. A scan with a --store can be interrupted
+    and resumed. The first scan of a kind of vehicle compiles its kernel in about 20 s, unless `sunspin compile` has done so.
 
     \b
     Examples:
@@ -82,15 +79,15 @@ def scan(
     from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
 
-    made = opened(vehicle, changes)
-    craft, study = made.craft, made.assumptions.study
+    opening = opened(vehicle, changes)
+    craft, study = opening.craft, opening.assumptions.study
     if craft.telemetry.lit_threshold and not craft.channels:
         # then directions do not depend on the noise, only their sigmas do
         say_idle(craft.changes, ("telemetry.noise",))
     samples = read_telemetry(telemetry, craft)
     track = directions_within(craft, samples, *instants_of(samples, begin, end))
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
-    if metric == "E" and made.assumptions.changes:
+    if metric == "E" and opening.assumptions.changes:
         what, do = "mask and target weights are those of EMD", "leave one of them out"
         raise InputError(what, got="--metric E", do=do)
     target, weights = track, None
@@ -111,5 +108,5 @@ def scan(
         progress=output.progress,
         **run,
     )
-    result = made.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
-    output.deliver(result, made.file, samples, {"seed": seed}, main="scan.nc")
+    result = opening.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
+    output.deliver(result, opening.file, samples, {"seed": seed}, main="scan.nc")

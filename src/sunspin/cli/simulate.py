@@ -6,37 +6,29 @@ import click
 
 from sunspin.cli.changes import LANDING, SEEING, Command, opened, set_options
 from sunspin.cli.common import POSITIVE, shared
-from sunspin.cli.values import Parsed, rate, vector
+from sunspin.cli.values import BODY_RATE, VECTOR
 
 
 @click.command(cls=Command)
 @click.argument("vehicle")
 @click.option(
-    "--omega-deg-s",
-    "omega_B",
-    type=Parsed(rate, "X,Y,Z"),
-    required=True,
-    help="Body rate at the start, deg/s.",
+    "--omega-deg-s", "omega_B", type=BODY_RATE, required=True, help="Initial body rate, deg/s."
 )
 @click.option(
-    "--sun",
-    "sun_B",
-    type=Parsed(vector, "X,Y,Z"),
-    required=True,
-    help="Unit vector to the Sun at the start, body axes.",
+    "--sun", "sun_B", type=VECTOR, required=True, help="Initial unit vector to the Sun, body axes."
 )
-@click.option("--duration", type=float, required=True, help="Length in s; negative runs backward.")
+@click.option("--duration", type=float, required=True, help="Duration in s; negative: backward.")
 @click.option("--step", type=POSITIVE, default=1.0, help="Output step in s.")
 @click.option(
     "--stopped-at",
     "stopped_at_s",
     type=float,
-    help="When a wheel at rest had stopped, s (to run backward).",
+    help="When a wheel at rest stopped, s (backward runs).",
 )
 @set_options(short=("friction",), idle=(*LANDING, *SEEING))
 @shared("--wheel-speed", "--wheel-mode")
 def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, output, **run) -> None:
-    """One trajectory: body rates, the Sun in body axes, wheel speeds, attitude, wheel events.
+    """Propagate one motion: body rates, Sun direction, wheel speeds, attitude and wheel events.
 
     With --out, writes trajectory.nc.
 
@@ -47,11 +39,11 @@ def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, outp
     from sunspin.dynamics.extent import check_work, output_times
     from sunspin.dynamics.propagate import propagate
 
-    made = opened(vehicle, changes)
-    craft = made.craft
+    opening = opened(vehicle, changes)
+    craft = opening.craft
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
     t = output_times(duration, step)
     check_work(craft, omega_B, speeds, duration)
     output.claim()
     result = propagate(craft, omega_B, sun_B, speeds or None, t, **run)
-    output.deliver(result, made.file, main="trajectory.nc")
+    output.deliver(result, opening.file, main="trajectory.nc")

@@ -11,16 +11,16 @@ from sunspin.cli.common import POSITIVE, read_both, shared
 @click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry")
-@click.option("--noise", type=POSITIVE, help="One sigma of a panel's value, in W or A.")
+@click.option("--noise", type=POSITIVE, help="1-sigma noise of a panel's value, in W or A.")
 @click.option(
     "--lit-threshold",
     "threshold",
     type=POSITIVE,
-    help="A panel is lit above this, in W or A; default: the vehicle's, else from noise and light on dark faces.",
+    help="Panels above this value are lit, in W or A. Default: from the vehicle file, else estimated.",
 )
 @shared("--data")
 def sun(vehicle, telemetry, noise, threshold, output) -> None:
-    """Directions to the Sun from panel powers or currents, each with its uncertainty or the reason why there is none.
+    """Compute the Sun direction of each sample from panel power or current, with its sigma or the reason why there is none.
 
     With --out, writes sun.csv, sun.nc, sun.png and sun.svg.
 

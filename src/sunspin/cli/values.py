@@ -80,6 +80,9 @@ def rate(text: str, name: str) -> list[float]:
     return [math.radians(each) for each in numbers(text, name, 3)]
 
 
+VECTOR, BODY_RATE = Parsed(vector, "X,Y,Z"), Parsed(rate, "X,Y,Z")
+
+
 def effort(text: str, name: str) -> float:
     """A positive number, or infinity."""
     given = math.inf if text == "inf" else plain_number(text)
@@ -148,38 +151,35 @@ def period(text: str, epoch_utc: str | None) -> Any:
     if not (value and sigma and when):
         what, do = "--period takes SECONDS+-SIGMA@TIME", "for example --period 13.0+-0.5@15:50"
         raise InputError(what, got=text, do=do)
-    (t_s,) = times(when, epoch_utc, "--period")
+    t_s, _ = instant(when, epoch_utc, "--period")
     return Period(t_s, *numbers(f"{value},{sigma}", "--period", 2))
 
 
-def times(text: str, epoch_utc: str | None, option: str = "--predict") -> dict[float, str]:
-    """s from the epoch -> what was asked for, in order of time."""
+def instant(text: str, epoch_utc: str | None, option: str) -> tuple[float, str]:
+    """A time in s from the epoch and as text, given in s, as UTC or as the clock on the epoch's day."""
     from sunspin.vehicle.timeline import utc_seconds
 
-    times = {}
-    for part in (piece.strip() for piece in text.split(",")):
-        if ":" not in part:
-            times[numbers(part, option, 1, WHEN)[0]] = f"{part} s"
-        elif epoch_utc is None:
-            raise InputError("the telemetry has no epoch, so a time must be in s", got=part)
-        else:
-            utc = part if "T" in part else f"{epoch_utc[:10]}T{part}"
-            times[utc_seconds(utc, epoch_utc)] = f"{utc.rstrip('Z')} UTC"
-    return dict(sorted(times.items()))
+    text = text.strip()
+    if ":" not in text and "T" not in text:
+        return numbers(text, option, 1, WHEN)[0], f"{text} s"
+    if epoch_utc is None:
+        raise InputError("the telemetry has no epoch, so a time must be in s", got=text)
+    utc = text if "T" in text else f"{epoch_utc[:10]}T{text}"
+    return utc_seconds(utc, epoch_utc), f"{utc.rstrip('Z')} UTC"
+
+
+def times(text: str, epoch_utc: str | None) -> dict[float, str]:
+    """The times of --predict: s from the epoch -> as text, in their order."""
+    return dict(sorted(instant(piece, epoch_utc, "--predict") for piece in text.split(",")))
 
 
 def instants_of(
     samples: Any, begin: str | None, end: str | None
 ) -> tuple[float | None, float | None]:
-    """Seconds from the epoch of --from and --to, in UTC or in seconds from there; None where they are not given."""
-    from sunspin.vehicle.timeline import utc_seconds
-
-    def instant(text: str | None, option: str) -> float | None:
-        if text is None or not (":" in text or "T" in text):
-            return None if text is None else numbers(text, option, 1, WHEN)[0]
-        return utc_seconds(text, samples.attrs["epoch_utc"])
-
-    return instant(begin, "--from"), instant(end, "--to")
+    """Seconds from the epoch of --from and --to; None where they are not given."""
+    epoch = samples.attrs.get("epoch_utc")
+    first = None if begin is None else instant(begin, epoch, "--from")[0]
+    return first, None if end is None else instant(end, epoch, "--to")[0]
 
 
 def between(samples: Any, begin: str | None, end: str | None) -> Any:
@@ -188,9 +188,8 @@ def between(samples: Any, begin: str | None, end: str | None) -> Any:
 
     first, last = instants_of(samples, begin, end)
     t = samples["time"].values
-    inside = (t >= (-math.inf if first is None else first)) & (
-        t <= (math.inf if last is None else last)
-    )
+    after, before = -math.inf if first is None else first, math.inf if last is None else last
+    inside = (t >= after) & (t <= before)
     if not inside.any():
         there = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,8 +18,6 @@ from sunspin.output.folder import MARKER, maker
 from sunspin.output.kind import refuse_former
 from sunspin.output.text import number_text, with_sigma
 
-MAX_SUMMARY_BYTES = 20_000_000
-INTERVAL_SIGMAS = 1.645  # half of a 90 % interval of a normal distribution
 ROUNDING = 1e-12  # relative difference of values that are the same
 SIGMA = "one sigma of both together"
 INTERVAL = "half of the wider interval"
@@ -29,8 +25,8 @@ TOLERANCE = "tolerance of the row"
 
 
 class Number(NamedTuple):
-    """A quantity of a summary: the values (n) that are compared, their `error` (NaN: not known) of which kind it is, what
-    is printed, and facts whose changes are reported in words."""
+    """A quantity of a summary: its values (n), their `error` (NaN: not known), `of` which kind that is, what is printed, and facts
+    whose changes are reported in words."""
 
     what: str
     unit: str
@@ -38,7 +34,7 @@ class Number(NamedTuple):
     error: float
     of: str
     text: str
-    facts: Sequence[str] = ()
+    facts: tuple[str, ...] = ()
 
 
 def compare(a: str | Path, b: str | Path) -> xr.Dataset:
@@ -72,7 +68,7 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         what, known = "only two results of one command can be compared", " or ".join(NUMBERS)
         raise InputError(what, got=f"{command} and {second}", do=f"give two of {known}")
     files = [folder / "summary.json" for folder in folders]
-    content = [read_bytes(path, MAX_SUMMARY_BYTES, "summary", InputError, do) for path in files]
+    content = [read_bytes(path, 20_000_000, "summary", InputError, do) for path in files]
     try:
         with np.errstate(all="ignore"):
             summaries = [json.loads(text) for text in content]
@@ -86,10 +82,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
                 names = [p["pass_id"] for p in early if start <= p["utc_end"]]
                 if row["pass_id"] not in names:
                     row["pass_id"] = names[0] if names else f"{row['pass_id']} of B"
-            table_a, table_b = tables = [NUMBERS[command](summary) for summary in summaries]
-            names = [name for name in table_a if name in table_b]
-            rows: list[dict[str, Any]]
-            rows = [{"row": printable(k)} | _change(table_a[k], table_b[k]) for k in names]
+            ours, theirs = tables = [NUMBERS[command](summary) for summary in summaries]
+            rows = [_change(name, ours[name], theirs[name]) for name in ours if name in theirs]
             attrs = _attributes(folders, summaries, tables)
     except InputError:
         raise
@@ -104,85 +98,7 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     return xr.Dataset(columns, attrs=provenance("comparison", command=command, **attrs))
 
 
-def _numbers(value: Any) -> list[float]:
-    """The numbers in a JSON value, in their order."""
-    if isinstance(value, list | dict):
-        items = value.values() if isinstance(value, dict) else value
-        return [number for item in items for number in _numbers(item)]
-    return [float(value)] if isinstance(value, int | float) and abs(value) <= LARGEST else []
-
-
-def _study_numbers(summary: dict[str, Any]) -> dict[str, Number]:
-    """Entries of `reproduce`. If there is an interval, its ends are compared and not the printed value: that one comes from few
-    motions and scatters by more than the interval."""
-    table = {}
-    for entry in summary.get("figures") or ():
-        text, values = number_text(entry["ours"], 4), _numbers(entry["ours"])
-        of, error = TOLERANCE, entry.get("tolerance")
-        low, high = (np.array(_numbers(entry.get(end))) for end in ("low", "high"))
-        if low.size and low.shape == high.shape:
-            text += f" ({number_text(entry['low'], 4)} to {number_text(entry['high'], 4)})"
-            values, of, error = [*low, *high], INTERVAL, np.max(np.abs(high - low)) / 2
-        elif entry.get("kind") == "put_in" or not isinstance(error, int | float):
-            error = np.nan
-        judged = {True: "agrees", False: "differs"}.get(entry.get("agrees"), "not judged")
-        about, unit = str(entry.get("what")), str(entry.get("unit") or "").removeprefix("1")
-        table[str(entry["id"])] = Number(about, unit, values, error, of, text, (judged,))
-    return {name: number for name, number in table.items() if not name.startswith("figure_")}
-
-
-def _estimate(what: str, unit: str, value: float, sigma: float, **more: Any) -> Number:
-    text = with_sigma(value, sigma) if sigma > 0 else number_text(float(value))
-    return Number(what, unit, _numbers(value), float(sigma), SIGMA, text, **more)
-
-
-def _outcome_numbers(summary: dict[str, Any]) -> dict[str, Number]:
-    """Means and shares over the runs of each strategy; the same seed draws the same runs."""
-    table = {}
-    for strategy, estimates in (summary.get("strategies") or {}).items():
-        for name, estimate in estimates.items():
-            text, unit, scale = quantity(name)
-            value, error = scale * estimate["value"], scale * (estimate["error"] or np.nan)
-            table[f"wheels {strategy} {name}"] = _estimate(text, unit, value, error)
-    return table
-
-
-def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
-    """Speed, rates and probability of the likeliest solution of each pass. If the pass is not decided, which one is the likeliest
-    is chance: speed and rates are means over all its solutions, and the sigmas include their spread."""
-    table = {}
-    for row in summary.get("passes") or ():
-        name, decided, at = f"pass {row['pass_id']}", row["decided"] is not False, row["utc_at"]
-        used = pd.DataFrame(row["solutions"][:1] if decided else row["solutions"])
-        half = (used["speed_high_deg_s"] - used["speed_low_deg_s"]) / 2
-        estimates = {"speed": (used["speed_median_deg_s"], half / INTERVAL_SIGMAS)}
-        for axis in "xyz":
-            rate, sigma = used[f"omega_{axis}_deg_s"], used[f"sigma_{axis}_deg_s"]
-            estimates[f"omega_{axis} at {at}"] = rate, sigma
-        share = used["probability"] / used["probability"].sum()
-        of = "likeliest solution" if len(used) == 1 else "mean of all solutions, not decided"
-        for what, (value, sigma) in estimates.items():
-            mean = share @ value
-            spread = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
-            table[f"{name} {what}"] = _estimate(f"{what}: {of}", "deg/s", mean, spread)
-        facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]
-        facts += [f"columns {row['columns_checked']}", f"{summary.get('verdict_word')}"]
-        what, likeliest = "probability of the likeliest solution", row["solutions"][0]
-        share = likeliest["probability"]
-        table[f"{name} probability"] = _estimate(what, "", share, np.nan, facts=facts)
-    return table
-
-
-NUMBERS = {
-    "reproduce": _study_numbers,
-    "rates": _pass_numbers,
-    "posterior": _pass_numbers,
-    "outcomes": _outcome_numbers,
-}
-"""Commands whose results can be compared -> the numbers of their summaries, by name."""
-
-
-def _change(a: Number, b: Number) -> dict[str, Any]:
+def _change(name: str, a: Number, b: Number) -> dict[str, Any]:
     """The change from `a` to `b`, of several values the largest, over the error or without one over the values."""
     words = [f"{old}, now {new}" for old, new in zip(a.facts, b.facts, strict=True) if old != new]
     change, largest = 0.0, 0.0
@@ -194,28 +110,111 @@ def _change(a: Number, b: Number) -> dict[str, Any]:
     error = np.hypot(a.error, b.error) if a.of == SIGMA else max(a.error, b.error)
     known = a.of == b.of and SMALLEST <= error <= LARGEST
     size = abs(change) / (error if known else largest) if abs(change) > ROUNDING * largest else 0.0
-    texts = {"what": a.what, "a": a.text, "b": b.text, "unit": a.unit, "words": "; ".join(words)}
-    return {name: printable(text) for name, text in texts.items()} | {
-        "of": a.of if known else "none known",
+    return {
+        "row": printable(name),
+        "what": printable(a.what),
+        "a": printable(a.text),
+        "b": printable(b.text),
+        "unit": printable(a.unit),
         "change": float(change),
         "error": float(error) if known else np.nan,
+        "of": a.of if known else "none known",
         "size": float(size),
         "beyond": bool(size > 1 if known else size > 0 or words),
+        "words": printable("; ".join(words)),
     }
 
 
 def _attributes(folders: list[Path], summaries: list[dict], tables: list[dict]) -> dict[str, Any]:
-    """What is said of both results as wholes: their telemetry, changes made for the run, rows and sentences that one alone has."""
+    """What concerns the results as wholes: telemetry, changes made for the run, and rows and sentences of one alone."""
     inputs = [summary.get("inputs") or () for summary in summaries]
     hashes = [{row["sha256"] for row in rows if row["what"] == "telemetry"} for rows in inputs]
-    headlines = ["\n".join(map(str, summary.get("headline") or ())) for summary in summaries]
-    sentences = [re.split(r"(?<=\.) (?=[A-Z])|\n", text) for text in headlines]
+    said = [[str(line) for line in summary.get("headline") or ()] for summary in summaries]
     attrs: dict[str, Any] = {"same_telemetry": int(bool(hashes[0]) and hashes[0] == hashes[1])}
     attrs["synthetic"] = int(any(bool(each.get("synthetic_telemetry")) for each in summaries))
-    for i, letter in enumerate("ab"):
+    for letter, i in (("a", 0), ("b", 1)):
         lines = {"folder": [folders[i]], "changes": summaries[i].get("changes") or ()}
-        lines["said"] = [text for text in sentences[i] if text not in sentences[1 - i]]
+        lines["said"] = [line for line in said[i] if line not in said[1 - i]]
         lines["only"] = [name for name in tables[i] if name not in tables[1 - i]]
         for name, texts in lines.items():
             attrs[f"{name}_{letter}"] = "\n".join(printable(str(text)) for text in texts)
     return attrs
+
+
+def _study_numbers(summary: dict[str, Any]) -> dict[str, Number]:
+    """Entries of `reproduce`. If there is an interval, its ends are compared and not the printed value: that one comes from few
+    motions and scatters by more than the interval."""
+    table = {}
+    for entry in summary.get("figures") or ():
+        if str(entry["id"]).startswith("figure_"):
+            continue
+        text, values = number_text(entry["ours"], 4), _numbers(entry["ours"])
+        of, error = TOLERANCE, entry.get("tolerance")
+        low, high = (np.array(_numbers(entry.get(end))) for end in ("low", "high"))
+        if low.size and low.shape == high.shape:
+            text += f" ({number_text(entry['low'], 4)} to {number_text(entry['high'], 4)})"
+            values, of, error = [*low, *high], INTERVAL, np.max(np.abs(high - low)) / 2
+        elif entry.get("kind") == "put_in" or not isinstance(error, int | float):
+            error = np.nan
+        judged = {True: "agrees", False: "differs"}.get(entry.get("agrees"), "not judged")
+        about, unit = str(entry.get("what")), str(entry.get("unit") or "").removeprefix("1")
+        table[str(entry["id"])] = Number(about, unit, values, error, of, text, (judged,))
+    return table
+
+
+def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
+    """Speed, rates and probability of the likeliest solution of each pass. If the pass is not decided, which one is the likeliest
+    is chance: speed and rates are means over all its solutions, and the sigmas include their spread."""
+    table = {}
+    for row in summary.get("passes") or ():
+        name, decided, at = f"pass {row['pass_id']}", row["decided"] is not False, row["utc_at"]
+        used = pd.DataFrame(row["solutions"][:1] if decided else row["solutions"])
+        share = used["probability"] / used["probability"].sum()
+        of = "likeliest solution" if len(used) == 1 else "mean of all solutions, not decided"
+        half = (used["speed_high_deg_s"] - used["speed_low_deg_s"]) / 2  # of a 90 % interval
+        estimates = {"speed": (used["speed_median_deg_s"], half / 1.645)}
+        for axis in "xyz":
+            sigma = used[f"sigma_{axis}_deg_s"]
+            estimates[f"omega_{axis} at {at}"] = used[f"omega_{axis}_deg_s"], sigma
+        for what, (value, sigma) in estimates.items():
+            mean = share @ value
+            spread = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
+            table[f"{name} {what}"] = _estimate(f"{what}: {of}", "deg/s", mean, spread)
+        what, likeliest = "probability of the likeliest solution", row["solutions"][0]
+        facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]
+        facts += [f"columns {row['columns_checked']}", f"{summary.get('verdict_word')}"]
+        probability = _estimate(what, "", likeliest["probability"], np.nan)
+        table[f"{name} probability"] = probability._replace(facts=tuple(facts))
+    return table
+
+
+def _outcome_numbers(summary: dict[str, Any]) -> dict[str, Number]:
+    """Means and shares over the runs of each strategy; the same seed draws the same runs."""
+    table = {}
+    for strategy, estimates in (summary.get("strategies") or {}).items():
+        for name, estimate in estimates.items():
+            what, unit, scale = quantity(name)
+            value, error = scale * estimate["value"], scale * (estimate["error"] or np.nan)
+            table[f"wheels {strategy} {name}"] = _estimate(what, unit, value, error)
+    return table
+
+
+def _estimate(what: str, unit: str, value: float, sigma: float) -> Number:
+    return Number(what, unit, _numbers(value), float(sigma), SIGMA, with_sigma(value, sigma))
+
+
+def _numbers(value: Any) -> list[float]:
+    """The numbers in a JSON value, in their order."""
+    if isinstance(value, list | dict):
+        items = value.values() if isinstance(value, dict) else value
+        return [number for item in items for number in _numbers(item)]
+    return [float(value)] if isinstance(value, int | float) and abs(value) <= LARGEST else []
+
+
+NUMBERS = {
+    "reproduce": _study_numbers,
+    "rates": _pass_numbers,
+    "posterior": _pass_numbers,
+    "outcomes": _outcome_numbers,
+}
+"""Commands whose results can be compared -> the numbers of their summaries, by name."""

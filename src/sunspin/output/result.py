@@ -111,6 +111,7 @@ class Result:
         from sunspin.output.figures import save
         from sunspin.output.folder import Contents, results_folder, write_contents
         from sunspin.output.kind import Context, synthetic_words
+        from sunspin.output.verdicts import PAGE, explained
 
         kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
@@ -136,5 +137,7 @@ class Result:
         every = [*summary.lines[:1], *lines, *summary.lines[1:], *summary.notes]
         sentences = [line.strip() for line in every]
         also = {**(also or {}), "sentences": sentences, "command": command, "inputs": inputs}
+        if labels := explained(kind.command, sentences):
+            also["explained"] = [f"{PAGE}#{label}" for label in labels]
         write_contents(path, {**summary, **also}, contents)
         return path

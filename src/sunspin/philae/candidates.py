@@ -274,8 +274,8 @@ def starts(
 ) -> tuple[np.ndarray, str]:
     """Candidate rates (m, 3) in rad/s of `sunspin outcomes`, and in words where they come from and whose they are.
 
-    They are `omega` where any are given, else the near-minimum set of a stored scan, else the case's printed lines, which are
-    those of the case's own body: for another they are refused.
+    They are `omega` where any are given, else the near-minimum set of a stored scan, else the case's published lines, which
+    hold for the case's own body: for another they are refused.
     """
 
     def body(said: dict[str, str]) -> str:
@@ -297,7 +297,7 @@ def starts(
         raise InputError("no candidate motions are given", do=do)
     if rb.moving_and_seeing(craft) != rb.moving_and_seeing(case.vehicle):
         raise InputError(
-            "the printed lines were found for another body, wheel or panels than these",
+            "the published lines hold for another body, wheel or panels than these",
             got=body(craft.said),
             do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )

@@ -39,7 +39,7 @@ class Options:
     ----------
     source : where candidates come from: "scan", "posterior", "published", or the path of a table with columns omega_x, omega_y,
         omega_z (rad/s)
-    twins : synthetic rebounds of a calibration made now; None: as many as it needs, where the shipped one does not fit; zero: none
+    twins : synthetic rebounds of a calibration; None: as many as it needs, where the shipped one does not fit; zero: none
     seed : of all random choices
     coarser : use every so many-th grid point of the scan and of the maps; 1 is the paper's grid
     workers, progress : threads, progress bars

@@ -218,7 +218,9 @@ def posterior(
     likeliest = drawn.tried[int(np.argmax(drawn.weight))].hypothesis  # its search is in doubt
     notes = [*likeliest.modes.notes, *dict.fromkeys(lost)]
     if off:
-        notes.append(f"time tags seem to be off, by about {off:.1g} s; say by how much with time_s")
+        notes.append(
+            f"time tags seem to be off by about {off:.1g} s; state their error as the prior time_s"
+        )
     prior_sigma = min(chosen.limit, there.max_rate) / np.sqrt(5)  # of a component, even in the ball
     tree = _tree(there, modes, drawn, picked, prior_sigma)
     tree.attrs.update(
@@ -229,10 +231,10 @@ def posterior(
         > EDGE * min(chosen.limit, there.max_rate)
     )
     if edge > 0.01:
-        notes.append("the rates run into the limit of those searched; raise max_rate_rad_s")
+        notes.append("the rates reach the limit of the search; raise max_rate_rad_s")
     if unsure:
-        cure = "give speed_rad_s or a speed_column, or leave out a wheel that stands"
-        notes.append(f"the speed is unknown of wheel {unsure}, assumed to be at rest: {cure}")
+        cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
+        notes.append(f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0; {cure}")
     modes = replace(modes, notes=tuple(notes))
     tree.attrs["time_sigma_s"] = there.time_sigma_s
     found = _judge(tree, modes, drawn, checked, here, vehicle, remarks)
@@ -527,9 +529,7 @@ def _judge(
         )
     told = regions["probability"].values >= 0.01
     if np.any(regions["starts"].values[told] == 1):
-        doubts.append(
-            "a region of some probability was reached from one start only, so others may have been missed"
-        )
+        doubts.append("a solution was reached from one start only, so others may be missing")
     bright = data.used & (data.value > np.maximum(data.threshold, SURELY_LIT * data.sigma))
     awake = bright.any(
         axis=1
@@ -557,7 +557,7 @@ def _judge(
         text += f"; {alike}"
     likeliest, weight = max(drawn.said.items(), key=lambda one: one[1])
     if likeliest != STATED:
-        text += f"; the readings ask for {likeliest} (probability {weight:.2f})"
+        text += f"; an alternative model fits better: {likeliest} (probability {weight:.2f})"
     if word == "not explained":
         text += (
             f"; rates up to {np.degrees(tree.attrs['searched_rate_rad_s']):.3g} deg/s were searched"

@@ -86,11 +86,11 @@ of the first five samples; measured on Philae, samples 50 to 120 s apart. The la
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
 
-MORE = "more hypotheses than could be followed"
+MORE = "more trial solutions than the search can follow"
 
 MAX_RATE = "--prior max_rate_rad_s="
 
-NO_TORQUES = "motions under a steady torque were not searched for, as this would take longer than the search without"
+NO_TORQUES = "solutions with a constant torque were not searched, as this would take longer than the search without"
 
 INCOMPLETE = (MORE, "could be searched", NO_TORQUES)
 """Words of the notes on a search that did not follow all motions that may fit."""
@@ -163,7 +163,7 @@ def within(modes: Modes, max_rate: float) -> Modes:
     return replace(
         modes,
         state=state,
-        notes=(*modes.notes, "the readings ask for faster rates than those of the prior"),
+        notes=(*modes.notes, "the readings need faster rates than the prior allows"),
     )
 
 
@@ -437,7 +437,7 @@ class Search:
         if not len(state):
             state = _anything(few, chosen)
             hits = np.ones(len(state), dtype=np.int64)
-            notes.append("no rate explains even the first samples")
+            notes.append("no rate fits the first samples")
         used = np.sort(np.append(chosen.tried, chosen.anchor))
         trace, first, beside, origin = [], True, np.zeros(len(state)), np.arange(len(state))
         parents = state

@@ -112,7 +112,7 @@ def period_sentences(found: xr.Dataset) -> list[str]:
     weights = [found[f"solution_probability{when}"].values.max() for when in ("_before", "")]
     lines.append(
         f"with periods the angular speed at the first sample is {middle:.3g} deg/s, 90 % in {low:.3g} to {high:.3g} (without: "
-        f"{was:.3g}, {was_low:.3g} to {was_high:.3g}); the likeliest solution holds {weights[1]:.1%} (without: {weights[0]:.1%}); "
-        f"{about['effective_draws']:.0f} effective draws"
+        f"{was:.3g}, {was_low:.3g} to {was_high:.3g}); the likeliest solution has {weights[1]:.1%} (without: {weights[0]:.1%}); "
+        f"effective sample size {about['effective_draws']:.0f}"
     )
     return lines

@@ -82,20 +82,18 @@ def verdict(found: Found) -> tuple[str, str]:
         if not found.complete:
             return (
                 "not sure",
-                f"not sure: {'; '.join(found.doubts)}, and of the motions that were followed none fits",
+                f"not sure: {'; '.join(found.doubts)}; none of the solutions searched fits",
             )
         return "not explained", _not_explained(found)
     doubts = list(found.doubts)
     if found.rough:
-        worth = f"{found.effective:.0f} draws (Pareto k {found.tail:.2f})"
-        doubts.append(
-            f"effective sample size only {worth}: errors and probabilities are approximate"
-        )
+        size = f"effective sample size only {found.effective:.0f} (Pareto k {found.tail:.2f})"
+        doubts.append(f"{size}: errors and probabilities are approximate")
     text, word = _regions(found, told), word_of(found)
     if found.spoilt:
         text += "; " + "; ".join(found.spoilt)
     if doubts:
-        return "not sure", f"not sure: {'; '.join(doubts)}; as far as it goes, {text}"
+        return "not sure", f"not sure: {'; '.join(doubts)}; result so far: {text}"
     return word, text
 
 
@@ -119,30 +117,32 @@ def _regions(found: Found, told: np.ndarray) -> str:
         reach = 2 * max(
             float(found.length[told].max()), float(np.ptp(found.rate[told], axis=0).max()) / 2
         )
-        return f"a line: motions over {np.degrees(reach):.2g} deg/s fit alike, and the data do not single one out"
+        return f"a line of solutions over {np.degrees(reach):.2g} deg/s fits equally well; the data do not select one"
     best = f"{np.degrees(found.speed[0]):.3g} deg/s"
     if len(told) == 1 and found.weight[0] >= UNIQUE:
-        return f"unique: one region of motions, turning at {best}, fits the readings"
+        return f"unique: a single solution, with an angular speed of {best}, fits the readings"
     if len(told) == 1:
         others = int((found.weight > 0).sum()) - 1
-        return f"one region, turning at {best}, holds {found.weight[0]:.1%} of the probability, {others} others the rest"
+        share = f"{found.weight[0]:.1%} of the probability, {others} others have the rest"
+        return f"several solutions: the likeliest, at {best}, has {share}"
     gaps = np.linalg.norm(found.rate[told][:, None] - found.rate[told][None], axis=-1)
     gap = float(np.median(np.min(gaps + np.diag(np.full(len(told), np.inf)), axis=1)))
     text = f"{len(told)} aliases, {np.degrees(gap):.3g} deg/s apart, fit equally well"
-    text += f"; the first, turning at {best}, holds {found.weight[0]:.0%}"
-    return f"{text} (one turn more between samples would be {360 / found.interval_s:.3g} deg/s)"
+    text += f"; the likeliest, at {best}, has {found.weight[0]:.0%} of the probability"
+    extra = "one extra revolution between samples"
+    return f"{text} ({extra} would be {360 / found.interval_s:.3g} deg/s)"
 
 
 def _not_explained(found: Found) -> str:
-    text = f"not explained: no motion fits; readings as far from the best motion as these have a probability of {found.p:.2g}"
+    text = f"not explained: no solution fits; residuals as large as these have a probability of {found.p:.2g}"
     if abs(found.noise_sigmas) > NOISE_LIMIT:
         side = "more" if found.noise_sigmas > 0 else "less"
-        text = "not explained: no motion fits unless the noise is far "
-        text += f"{side} than was assumed, from the vehicle file or from the readings ({found.noise_sigmas:+.1f} sigma)"
+        text = "not explained: no solution fits unless the noise is far "
+        text += f"{side} than assumed ({found.noise_sigmas:+.1f} sigma)"
     text = "; ".join([text, *found.spoilt, *found.doubts])
     if found.dark:
-        return f"{text}; {found.dark}: if the vehicle was in shadow then, leave that out with --from and --to (begin_s, end_s)"
-    return f"{text}; the vehicle, the window or the state of the wheels is not what was assumed, or a panel is shadowed or dead"
+        return f"{text}; {found.dark}. If this is an eclipse, exclude it with --from and --to (begin_s, end_s)"
+    return f"{text}. Check the vehicle file, the time window, the wheels, and for shaded or failed panels"
 
 
 def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
@@ -155,7 +155,7 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
     if not len(begin) or (count := int((end - begin).max())) < DARK_RUN:
         return ""
     k = int(np.argmax(end - begin))
-    return f"no panel was lit in {count} samples in a row, from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s"
+    return f"no panel lit from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s ({count} samples)"
 
 
 def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
@@ -165,7 +165,7 @@ def spoilt_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray)
     for name, n, of in zip(names, count, base, strict=True):
         if n >= 3 and n > PANEL_SHARE * of:
             told.append(
-                f"panel {name} contradicts the motion in about {n:.0f} readings (shadow, dead panel or wrong name)"
+                f"panel {name}: about {n:.0f} outliers (shadow, failed panel or wrong column)"
             )
     return told
 

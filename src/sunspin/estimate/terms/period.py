@@ -126,7 +126,7 @@ def evidence(seen: Sequence[Period], periods: Sequence[np.ndarray], weight: np.n
 def unheard(nearest_sigmas: float, effective: float, whose: str) -> str | None:
     """In words, why periods decide nothing among the motions of `whose`, if they do not."""
     if nearest_sigmas > FAR_SIGMAS:
-        return f"periods: no motion of {whose} has them; the nearest is {nearest_sigmas:.1f} sigma away"
+        return f"periods: no solution of {whose} has them; the nearest is {nearest_sigmas:.1f} sigma away"
     if effective < LEAST_DRAWS:
         return f"periods not used: of these draws only {effective:.0f} have them"
     return None

@@ -28,8 +28,8 @@ def about_orbit(
     if orbit is None:
         return {}, []
     check = check_orbit(orbit, craft, assessment)
-    summary, notes = _summary(orbit, samples, check), orbit.notes(samples["time"].values)
-    return {"orbit": summary}, _lines(_nearest(orbit, samples), check, notes)
+    summary = _summary(orbit, samples, check)
+    return {"orbit": summary}, _lines(summary, check)
 
 
 def orbit_used(
@@ -42,30 +42,27 @@ def orbit_used(
     if orbit is None:
         return None, None, {}, []
     used, check, words = judged_orbit(orbit, craft, assessment)
-    summary = _summary(orbit, samples, check) | {"used": used is not None}
+    summary: dict[str, Any] = _summary(orbit, samples, check) | {"used": used is not None}
     calibration = None if used is None else field_calibration(used, craft, assessment, check.made)
-    lines = [f"{words}; {_named(_nearest(orbit, samples))}"]
-    lines += [f"  {note}" for note in orbit.notes(samples["time"].values)]
+    lines = [f"{words}; {_named(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
         lines += noise_lines(assessment.sun)
     return used, calibration, {"orbit": summary}, lines
 
 
-def _nearest(orbit: Any, samples: xr.Dataset) -> Any:
-    return nearest(orbit.elements, orbit.instants(samples["time"].values).middle)
-
-
-def _named(elements: Any) -> str:
-    number = elements.number
-    return f"{elements.name} ({number})" if elements.name else f"satellite {number}"
+def _named(summary: dict[str, Any]) -> str:
+    name, number = summary["name"], summary["satellite"]
+    return f"{name} ({number})" if name else f"satellite {number}"
 
 
 def _summary(orbit: Any, samples: xr.Dataset, found: Any) -> dict[str, Any]:
-    elements = _nearest(orbit, samples)
+    time = samples["time"].values
+    middle = orbit.instants(time).middle
+    elements = nearest(orbit.elements, middle)
     day, fraction = elements.epoch_jd
     summary = {
         "epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"),
-        "age_days": elements.days_to(orbit.instants(samples["time"].values).middle),
+        "age_days": elements.days_to(middle),
         "satellite": elements.number,
         "name": elements.name,
         "verdict": found.verdict.name.lower(),
@@ -87,16 +84,16 @@ def _summary(orbit: Any, samples: xr.Dataset, found: Any) -> dict[str, Any]:
         "clock_behind_s": found.clock_behind_s,
         "in_shadow": found.eclipse[1],
         "in_shadow_with_sun": found.eclipse[0],
-        "notes": orbit.notes(samples["time"].values),
+        "notes": orbit.notes(time),
     }
     if found.matrix is not None and found.zero is not None:
         summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
     return summary
 
 
-def _lines(elements: Any, found: Any, notes: list[str]) -> list[str]:
-    lines = [f"Orbit of {_named(elements)}: {found.verdict.value}"]
-    lines += [f"  {note}" for note in notes]
+def _lines(summary: dict[str, Any], found: Any) -> list[str]:
+    lines = [f"Orbit of {_named(summary)}: {found.verdict.value}"]
+    lines += [f"  {note}" for note in summary["notes"]]
     if off := clock_off(found):
         lines.append(f"  {off}")
     if found.sign_turned:

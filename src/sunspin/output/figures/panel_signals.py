@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
 
 from sunspin.base.errors import SunspinError
-from sunspin.output.figures import COLOURS, named, titled
+from sunspin.output.figures import COLOURS, axes_grid, named, styled
 from sunspin.output.figures.rates import clock_text
 from sunspin.telemetry.assess import panel_quality
 from sunspin.telemetry.quality import USED
@@ -24,9 +24,10 @@ LONGEST_S = 900.0
 """Of each motion these first seconds are drawn: a tumbling body makes up to sixty revolutions in them."""
 
 
+@styled
 def panel_signals_figure(
     telemetry: xr.Dataset, runs: Sequence[tuple[str, xr.Dataset]], vehicle: Vehicle
-) -> Figure:
+) -> Any:
     """A row for each panel, a column for each motion: samples as dots, the predicted signal as a line.
 
     Parameters
@@ -36,12 +37,14 @@ def panel_signals_figure(
     """
     measured, time = signals(telemetry), telemetry["time"].values
     dead, counts = _counting(telemetry, vehicle)
-    inside = [_within(time, run) for _, run in runs]
+    ends = [run["time"].values[[0, -1]] for _, run in runs]
+    inside = [(time >= first) & (time <= last) for first, last in ends]
     shown = sorted(sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS])
     names = [str(name) for name in telemetry["panel"].values]
     size = (max(7.5, 2.6 * len(shown) + 1), 1.05 * len(names) + 1.2)
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(len(names), len(shown), sharex="col", sharey="row", squeeze=False)
+    title = "Panel signals: samples (dots) and the motion's prediction (lines)"
+    layout = {"sharex": "col", "sharey": "row", "squeeze": False}
+    figure, grid = axes_grid(*size, len(names), len(shown), title, **layout)
     for column, k in zip(grid.T, shown, strict=True):
         title, run = runs[k]
         t0 = float(run["time"].values[0])
@@ -62,14 +65,7 @@ def panel_signals_figure(
     for panel, row in enumerate(grid):
         left = "\nnever lit" if dead[panel] else ""
         row[0].set_ylabel(f"{named(names[panel])} ({unit}){left}", fontsize=8)
-    text = "Panel signals: samples (dots) and the motion's prediction (lines)"
-    figure.suptitle(titled(text, telemetry.attrs.get("synthetic")), fontsize=10)
     return figure
-
-
-def _within(time: np.ndarray, run: xr.Dataset) -> np.ndarray:
-    first, last = run["time"].values[0], run["time"].values[-1]
-    return (time >= first) & (time <= last)
 
 
 def _counting(telemetry: xr.Dataset, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:

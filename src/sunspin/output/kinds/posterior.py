@@ -38,26 +38,27 @@ def posterior_summary(tree: Any) -> Summary:
     if numbers["synthetic_telemetry"]:
         lines.append("  synthetic telemetry: not measured")
     speed = predicted.degrees_text(numbers["rate_rad_s"])
-    lines.append(f"  angular speed at the first sample {speed} deg/s, 90 %")
-    for solution in numbers["solutions"][:MOST_SOLUTIONS]:
+    lines.append(f"  angular speed at the first sample: {speed} deg/s (90 % interval)")
+    for k, solution in enumerate(numbers["solutions"][:MOST_SOLUTIONS], 1):
         omega = with_sigma(*np.degrees([solution["omega_B"], solution["sigma"]]), "deg/s")
         few = solution["effective_draws"] < TOO_FEW
-        rough = ", which is rough: few draws have weight" if few else ""
-        fit = f"chi-square {solution['chi_square']:.0f}"
-        lines.append(f"  probability {solution['probability']:.3f}  omega {omega}{rough}  {fit}")
-    size = f"effective sample size {numbers['effective_draws']:.0f}"
-    p_value = number_text(numbers["p_value"], 3)
-    lines.append(f"  predictive p {p_value}, {size}, Pareto k {numbers['pareto_k']:.2f}")
+        rough = " (approximate: few draws)" if few else ""
+        about = f"probability {solution['probability']:.3f}, omega {omega}{rough}"
+        lines.append(f"  solution {k}: {about}, chi-square {solution['chi_square']:.0f}")
+    lines.append(
+        f"  diagnostics: predictive p {number_text(numbers['p_value'], 3)}, effective sample size "
+        f"{numbers['effective_draws']:.0f}, Pareto k {numbers['pareto_k']:.2f}"
+    )
     numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}
     if numbers.get("noise_from", "given") != "given":
         noise = number_text(numbers["noise"], 3)
         lines.append(f"  noise of panel readings: {noise}, {numbers['noise_from']}")
     priors = ", ".join(f"{key} {text}" for key, text in json.loads(tree.attrs["priors"]).items())
-    lines.append(f"  priors, relative sigmas: {priors}")
+    lines.append(f"  priors (relative 1 sigma): {priors}")
     if "hypotheses" in tree.attrs:
         numbers["hypotheses"] = json.loads(tree.attrs["hypotheses"])
         models = (f"{name} {share:.2g}" for name, share in numbers["hypotheses"].items())
-        lines.append(f"  probabilities: {', '.join(models)}")
+        lines.append(f"  model probabilities: {', '.join(models).replace('as stated', 'nominal')}")
     if "period" in tree.children:
         period = tree["period"].to_dataset()
         lines += [f"  {text}" for text in period_sentences(period)]
@@ -80,8 +81,8 @@ def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
             "search",
             lambda: search_figure(tree),
             "Trial solutions before and after each window, and the log evidence of each round.",
-            "How the search went: trial solutions fitted and kept over growing windows; and the sampling: log evidence of each "
-            "round with the share of effective draws and Pareto's k.",
+            "Search: trial solutions fitted and kept over growing windows. Sampling: log evidence of each round, with the share of "
+            "effective draws and Pareto's k.",
         )
     if "predictions" in tree.children:
         yield from predicted.predictions_drawings(tree["predictions"].to_dataset(), context)

@@ -24,9 +24,9 @@ def predictions_summary(predictions: Any) -> Summary:
         lines += [
             f"  at {label}{', after the collision' if after else ''} (90 % of the draws):",
             f"    angular speed {degrees_text(row['rate'])} deg/s",
-            f"    z from H {degrees_text(row['z_to_momentum'])} deg",
-            f"    z from the Sun {degrees_text(row['z_to_sun'])} deg",
-            f"    the Sun within {off:.1f} deg of its mean direction in the body",
+            f"    angle of z to the angular momentum {degrees_text(row['z_to_momentum'])} deg",
+            f"    angle of z to the Sun {degrees_text(row['z_to_sun'])} deg",
+            f"    Sun direction: 90 % within {off:.1f} deg of the mean (body axes)",
         ]
     collision = str(predictions.attrs.get("collision", ""))
     lines += [f"    collision: {collision}"] if collision.startswith("a leg") else []

@@ -43,12 +43,9 @@ CHAINS = {
 FIGURE = re.compile(r"figure_\d+")
 """Ids of the rows that only say which pictures show what a figure of the paper shows."""
 
-WITHOUT = "no telemetry"
-"""What the heading of the section says whose tests need no telemetry."""
-
 
 def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
-    """Title, sentences, filters, and the rows of the summary by section and part; None if it has no rows."""
+    """Title, filters with counts, and the rows of the summary by section and part; None if it has no rows."""
     given = summary.get("figures")
     given = [row for row in given if isinstance(row, dict)] if isinstance(given, list) else []
     if not given:
@@ -65,44 +62,7 @@ def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
         for key, text in VERDICTS.items()
         if count[key]
     ]
-    return {"title": title, "lead": lead(shown), "sections": sections, "filters": filters}
-
-
-def lead(rows: list[dict[str, str]]) -> list[str]:
-    """The counts in words: tests on the telemetry, tests without any, what is no test."""
-    here, lines = (
-        Counter(r["verdict"] for r in rows if (WITHOUT in r["section"]) is apart)
-        for apart in (False, True)
-    )
-    count, words = here + lines, []
-    if any(here[key] for key in TESTS):
-        words.append(
-            f"Tests on this telemetry: {here['agrees']} agree, {here['differs']} differ, {here['uninformative']} are "
-            "uninformative: these data leave nearly all that was possible before them."
-        )
-    elif any(lines[key] for key in TESTS):
-        words.append("No row is a test on this telemetry.")
-    if any(lines[key] for key in TESTS):
-        words.append(
-            f"Tests without telemetry (the equations and the printed lines): {lines['agrees']} agree, {lines['differs']} differ"
-            + (f", {lines['uninformative']} are uninformative" if lines["uninformative"] else "")
-            + ". No telemetry can change them."
-        )
-    back, missing = count["comes-back"], count["not-back"]
-    if put := back + missing + count["put-in"]:
-        words.append(
-            f"Inputs: {put} figures; {back} reproduced, {missing} not. This tests the code and not the paper."
-        )
-    holds, fails = count["holds"], count["holds-not"]
-    if own := holds + fails + count["arithmetic"]:
-        words.append(
-            f"The paper's own arithmetic and stored constants: {own} rows; {holds} hold, {fails} do not."
-        )
-    if apart := count["not-comparable"]:
-        words.append(
-            f"Not comparable: {apart} rows show two different things; the note says which."
-        )
-    return words
+    return {"title": title, "sections": sections, "filters": filters}
 
 
 def verdict_of(row: dict[str, Any]) -> str:
