@@ -9,7 +9,7 @@ from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
 from sunspin.output.folder import Contents, write_contents
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, passes_table
-from sunspin.output.text import number_text, size_text, with_range, with_sigma
+from sunspin.output.text import number_text, with_range, with_sigma
 from sunspin.vehicle.timeline import utc_after
 
 COLUMNS = (
@@ -88,4 +88,3 @@ def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
     assert with_range(3.104, 3.02, 3.21) == "3.104 (3.020 to 3.210)"
     assert with_range(3.104, 3.02, 3.21, sigma=0.2) == "3.10 (3.02 to 3.21)"
     assert with_range(3.0, 3.0, 3.0) == "3.000 (3.000 to 3.000)"
-    assert [size_text(n) for n in (12, 34_000, 5_200_000)] == ["0.1 kB", "34.0 kB", "5.2 MB"]

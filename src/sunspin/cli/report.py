@@ -21,8 +21,9 @@ def report_page(folder: Path, output: Output) -> None:
       sunspin report rates
     """
     from sunspin.output.report import write_report
-    from sunspin.output.text import size_text
 
     target = write_report(folder)
     size = target.stat().st_size
-    output.report({"report": str(target), "bytes": size}, [f"Report: {target} ({size_text(size)})"])
+    output.report(
+        {"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.1f} MB)"]
+    )

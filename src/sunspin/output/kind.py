@@ -32,11 +32,23 @@ def refuse_former(kind: object, names: Iterable[object], where: str | None = Non
 
 
 class Summary(dict[str, Any]):
-    """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know with them."""
+    """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know with them.
 
-    def __init__(self, numbers: Mapping, lines: Sequence[str], notes: Sequence[str] = ()) -> None:
+    `table`: lines of a console table, printed after the first line; a page shows `in_words`, sentences, in their place.
+    """
+
+    def __init__(
+        self,
+        numbers: Mapping,
+        lines: Sequence[str],
+        notes: Sequence[str] = (),
+        table: Sequence[str] = (),
+        in_words: Sequence[str] = (),
+    ) -> None:
         super().__init__(numbers)
-        self.lines, self.notes = list(lines), list(notes)
+        first, rest = list(lines[:1]), list(lines[1:])
+        self.lines, self.notes = [*first, *table, *rest], list(notes)
+        self.sentences = [*first, *in_words, *rest]
 
     def __str__(self) -> str:
         return "\n".join([*self.lines, *self.notes])

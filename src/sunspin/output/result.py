@@ -44,11 +44,12 @@ class Result:
 
     def summary(self) -> Summary:
         """The main numbers as a dict of plain data; printed, the sentences that the command line prints."""
-        found, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
+        summary, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
         if changed:
-            found["changes"] = changed.splitlines()
-            found.lines[:0] = [f"Changed for this run: {line}" for line in found["changes"]]
-        return found
+            summary["changes"] = changed.splitlines()
+            for lines in (summary.lines, summary.sentences):
+                lines[:0] = [f"Changed for this run: {line}" for line in summary["changes"]]
+        return summary
 
     def plot(self, name: str | None = None, *, telemetry: xr.Dataset | None = None) -> Any:
         """A figure of the result.
@@ -134,10 +135,10 @@ class Result:
             file, digest = (str(telemetry.attrs[key]) for key in ("file", "sha256"))
             inputs = [{"what": "telemetry", "file": file, "sha256": digest}]
         summary = self.summary()
-        every = [*summary.lines[:1], *lines, *summary.lines[1:], *summary.notes]
-        sentences = [line.strip() for line in every]
+        every = [*summary.sentences[:1], *lines, *summary.sentences[1:], *summary.notes]
+        sentences = [" ".join(line.split()) for line in every]
         also = {**(also or {}), "sentences": sentences, "command": command, "inputs": inputs}
-        if labels := explained(kind.command, sentences):
+        if labels := explained(kind.command, [*summary.lines, *sentences]):
             also["explained"] = [f"{PAGE}#{label}" for label in labels]
         write_contents(path, {**summary, **also}, contents)
         return path

@@ -81,11 +81,6 @@ def turn_text(rate_rad_s: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
-def size_text(size: int) -> str:
-    """The size of a file of so many bytes, in MB or, if it is small, in kB."""
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{max(size / 1e3, 0.1):.1f} kB"
-
-
 def capital(text: str) -> str:
     """A text that begins as a sentence does."""
     return text[:1].upper() + text[1:]

@@ -55,7 +55,7 @@ def _named(summary: dict[str, Any]) -> str:
     return f"{name} ({number})" if name else f"satellite {number}"
 
 
-def _summary(orbit: Any, samples: xr.Dataset, found: Any) -> dict[str, Any]:
+def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
     time = samples["time"].values
     middle = orbit.instants(time).middle
     elements = nearest(orbit.elements, middle)
@@ -65,64 +65,64 @@ def _summary(orbit: Any, samples: xr.Dataset, found: Any) -> dict[str, Any]:
         "age_days": elements.days_to(middle),
         "satellite": elements.number,
         "name": elements.name,
-        "verdict": found.verdict.name.lower(),
-        "copies": found.copies,
-        "better_copies": found.better,
-        "copies_expected_better_by_chance": found.mistaken,
-        "node_turn_rad": found.turn_rad,
-        "node_turn_times": found.turn_times,
-        "shift_s": found.shift_s,
-        "shift_sigma_s": found.shift_sigma_s,
-        "shift_at_border": found.border,
-        "drift_s_day": found.drift_s_day,
-        "drift_sigma_s_day": found.drift_sigma_s_day,
-        "samples": found.samples,
-        "field_residual_T": found.strength_residual_T,
-        "sun_field_residual_rad": found.angle_residual_rad,
-        "sign_turned": found.sign_turned,
-        "turned_axes": found.turned_axes,
-        "clock_behind_s": found.clock_behind_s,
-        "in_shadow": found.eclipse[1],
-        "in_shadow_with_sun": found.eclipse[0],
+        "verdict": fit.verdict.name.lower(),
+        "copies": fit.copies,
+        "better_copies": fit.better,
+        "copies_expected_better_by_chance": fit.mistaken,
+        "node_turn_rad": fit.turn_rad,
+        "node_turn_times": fit.turn_times,
+        "shift_s": fit.shift_s,
+        "shift_sigma_s": fit.shift_sigma_s,
+        "shift_at_border": fit.border,
+        "drift_s_day": fit.drift_s_day,
+        "drift_sigma_s_day": fit.drift_sigma_s_day,
+        "samples": fit.samples,
+        "field_residual_T": fit.strength_residual_T,
+        "sun_field_residual_rad": fit.angle_residual_rad,
+        "sign_turned": fit.sign_turned,
+        "turned_axes": fit.turned_axes,
+        "clock_behind_s": fit.clock_behind_s,
+        "in_shadow": fit.eclipse[1],
+        "in_shadow_with_sun": fit.eclipse[0],
         "notes": orbit.notes(time),
     }
-    if found.matrix is not None and found.zero is not None:
-        summary["magnetometer"] = {"matrix_T": found.matrix.tolist(), "zero_T": found.zero.tolist()}
+    if fit.matrix is not None and fit.zero is not None:
+        summary["magnetometer"] = {"matrix_T": fit.matrix.tolist(), "zero_T": fit.zero.tolist()}
     return summary
 
 
-def _lines(summary: dict[str, Any], found: Any) -> list[str]:
-    lines = [f"Orbit of {_named(summary)}: {found.verdict.value}"]
+def _lines(summary: dict[str, Any], fit: Any) -> list[str]:
+    lines = [f"Orbit of {_named(summary)}: {fit.verdict.value}"]
     lines += [f"  {note}" for note in summary["notes"]]
-    if off := clock_off(found):
+    if off := clock_off(fit):
         lines.append(f"  {off}")
-    if found.sign_turned:
+    if fit.sign_turned:
         turned = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
         lines.append(f"  {turned}")
-    if found.turned_axes:
-        lines.append(f"  {found.turned_axes}")
-    used = ", ".join(f"{what} of {n}" for what, n in found.samples.items() if n)
+    if fit.turned_axes:
+        lines.append(f"  {fit.turned_axes}")
+    used = ", ".join(f"{what} of {n}" for what, n in fit.samples.items() if n)
     if not used:
         return [
             *lines,
             "  no sample can be compared: no magnetic field, Sun direction or eclipse in the file",
         ]
-    copies = f"{found.copies} randomised comparison orbits with random node and phase"
-    lines.append(f"  {found.better} of {copies} fit better (samples: {used})")
-    if found.turn_times > 1.05:
-        turn = f"with the node turned by {np.degrees(found.turn_rad):+z.0f} deg"
-        lines.append(f"  {turn} residuals are {found.turn_times:.2f} times smaller")
-    border = ", at the border of what was tried: widen --tle-shift-sigma" if found.border else ""
+    copies = f"{fit.copies} randomised comparison orbits with random node and phase"
+    lines.append(f"  {fit.better} of {copies} fit better (samples: {used})")
+    if fit.turn_times > 1.05:
+        turn = f"with the node turned by {np.degrees(fit.turn_rad):+z.0f} deg"
+        lines.append(f"  {turn} residuals are {fit.turn_times:.2f} times smaller")
+    border = ", at the border of what was tried: widen --tle-shift-sigma" if fit.border else ""
     both = " (includes any clock error)"
-    shift = with_sigma(found.shift_s, found.shift_sigma_s, "s")
-    lines.append(f"  along-track offset {shift}{drifting(found)}{both}{border}")
-    if np.isfinite(found.strength_residual_T):
-        angle, n = np.degrees(found.angle_residual_rad), found.samples.get("field and Sun", 0)
+    shift = with_sigma(fit.shift_s, fit.shift_sigma_s, "s")
+    lines.append(f"  along-track offset {shift}{drifting(fit)}{both}{border}")
+    if np.isfinite(fit.strength_residual_T):
+        angle, n = np.degrees(fit.angle_residual_rad), fit.samples.get("field and Sun", 0)
         few = f" (too few samples to judge: {n})" if n < FEWEST else ""
         sun = f", Sun-field angle {angle:.1f} deg{few}" if np.isfinite(angle) else ""
-        strength = f"{1e6 * found.strength_residual_T:.2f} uT"
+        strength = f"{1e6 * fit.strength_residual_T:.2f} uT"
         lines.append(f"  median residuals: field magnitude {strength}{sun}")
-    seen, dark = found.eclipse
+    seen, dark = fit.eclipse
     if dark:
         lines.append(f"  eclipse: {dark} samples, {seen} of them with a Sun signal")
     return lines

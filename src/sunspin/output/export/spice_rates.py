@@ -5,7 +5,6 @@ axes of the frame, NaN where no kernel covers.
 """
 
 import sys
-from typing import Any
 
 import numpy as np
 
@@ -15,19 +14,15 @@ def main() -> None:
 
     frame, base, *kernels = sys.argv[1:]
     sp.furnsh(kernels)
-    times = np.frombuffer(sys.stdin.buffer.read(), dtype=np.float64)
-    rates = [rate(sp, frame, base, float(t)) for t in times]
+    rates = []
+    for et in np.frombuffer(sys.stdin.buffer.read(), dtype=np.float64).tolist():
+        try:
+            rotation, omega_base = sp.xf2rav(sp.sxform(base, frame, et))
+            with np.errstate(all="ignore"):
+                rates.append(rotation @ omega_base)
+        except sp.exceptions.SpiceNOFRAMECONNECT:
+            rates.append(np.full(3, np.nan))
     sys.stdout.buffer.write(np.array(rates, dtype=np.float64).tobytes())
-
-
-def rate(sp: Any, frame: str, base: str, et: float) -> np.ndarray:
-    try:
-        transform = sp.sxform(base, frame, et)
-    except sp.exceptions.SpiceNOFRAMECONNECT:
-        return np.full(3, np.nan)
-    rotation, omega_base = sp.xf2rav(transform)
-    with np.errstate(all="ignore"):
-        return rotation @ omega_base
 
 
 if __name__ == "__main__":

@@ -20,17 +20,17 @@ OF_A_MOTION = tuple(
 """rad/s; each has a column in deg/s too."""
 
 
-def pass_numbers(found: Any, k: int) -> dict[str, Any]:
+def pass_numbers(result: Any, k: int) -> dict[str, Any]:
     """What a summary says of pass number `k` of a Dataset with the variables of :func:`sunspin.estimate.passes.table`."""
-    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *(name for name in ADDED if name in found))
-    values = {name: found[name].values[k].item() for name in names}
-    return {"pass_id": int(found["pass_id"].values[k])} | values
+    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *(name for name in ADDED if name in result))
+    values = {name: result[name].values[k].item() for name in names}
+    return {"pass_id": int(result["pass_id"].values[k])} | values
 
 
-def motion_numbers(found: Any, k: int, solution: int) -> dict[str, Any]:
+def motion_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
     """The same of one of its motions."""
-    rates: dict[str, Any] = {name: float(found[name].values[k, solution]) for name in OF_A_MOTION}
-    probability = float(found["probability"].values[k, solution])
+    rates: dict[str, Any] = {name: float(result[name].values[k, solution]) for name in OF_A_MOTION}
+    probability = float(result["probability"].values[k, solution])
     return {"solution": solution, "probability": probability} | rates | in_degrees(rates)
 
 
@@ -49,15 +49,15 @@ SHOWN |= {"decided": "decided", "why_not_decided": "why not", "model": "model of
 """Columns on the page."""
 
 
-def passes_table(found: Any) -> Table:
+def passes_table(result: Any) -> Table:
     """A row for each solution of each pass."""
     import pandas as pd
 
     rows = []
-    for k in range(found.sizes["pass_id"]):
-        known = pass_numbers(found, k)
-        for solution in np.flatnonzero(np.isfinite(found["probability"].values[k])):
-            rows.append(known | motion_numbers(found, k, int(solution)))
+    for k in range(result.sizes["pass_id"]):
+        known = pass_numbers(result, k)
+        for solution in np.flatnonzero(np.isfinite(result["probability"].values[k])):
+            rows.append(known | motion_numbers(result, k, int(solution)))
     head = ("pass_id", *OF_A_PASS, "solution", "probability", *BELIEVED, *OF_A_MOTION)
     head += (*(f"{name}_deg_s" for name in OF_A_MOTION), *ADDED, "why_not_decided")
     frame = pd.DataFrame(rows)

@@ -23,6 +23,9 @@ MOST_UNSEEN = 6
 HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':46}  prob  verdict"
 """Of the table of passes: a line each, at most 110 columns with a decided verdict."""
 
+PASSES_IN_WORDS = 3
+"""Of the first passes a page has a sentence each; its table has all."""
+
 COARSE = 0.1
 """A decided rate whose sigma exceeds this part of the speed is called coarse."""
 
@@ -58,11 +61,12 @@ def rate_at(result: Any, k: int) -> RateAt:
 def rates_summary(result: Any) -> Summary:
     """The verdict, and the solutions of each pass, deg/s."""
     decided, *notes = result.attrs["verdict"].split("\n")
-    passes, lines = [], [decided, HEADING]
+    passes, lines, table, in_words = [], [decided], [HEADING], []
     for k in range(result.sizes["pass_id"]):
-        numbers, line = _pass(result, k)
+        numbers, row, sentence = _pass(result, k)
         passes.append(numbers)
-        lines.append(line)
+        table.append(row)
+        in_words += [sentence] if k < PASSES_IN_WORDS else []
         if numbers.get("model", AS_STATED) != AS_STATED:
             chance = f"{numbers['model_probability']:.2f}"
             notes.append(f"pass {numbers['pass_id']}: {numbers['model']} (probability {chance})")
@@ -91,23 +95,23 @@ def rates_summary(result: Any) -> Summary:
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _columns_unseen(result, passes)
     lines += [f"  {count:6d} samples  {text}" for text, count in numbers["samples"].items()]
-    return Summary(numbers, lines)
+    return Summary(numbers, lines, table=table, in_words=in_words)
 
 
-def _period(result: Any, one: dict[str, Any]) -> str:
+def _period(result: Any, period: dict[str, Any]) -> str:
     """What a period decides in its pass, in words."""
-    k = int(np.flatnonzero(result["pass_id"].values == one["pass"])[0])
-    if why_not := unheard(one["nearest_sigmas"], one["effective"], f"pass {one['pass']}"):
+    k = int(np.flatnonzero(result["pass_id"].values == period["pass"])[0])
+    if why_not := unheard(period["nearest_sigmas"], period["effective"], f"pass {period['pass']}"):
         return f"{why_not}; its probabilities stay as they are"
-    if not one["told"]:
+    if not period["told"]:
         return (
-            f"periods: the samples of pass {one['pass']} contradict {one['period_s']:g} s at {one['t_s']:g} s: solutions that "
-            f"have it hold {one['carried']:.1%} of the probability, which stays as it is"
+            f"periods: the samples of pass {period['pass']} contradict {period['period_s']:g} s at {period['t_s']:g} s: solutions "
+            f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
-    said = reading_words(one["t_s"], one["period_s"], one["sigma_s"], one["shares"])
-    own, heaviest = one["without"]
+    said = reading_words(period["t_s"], period["period_s"], period["sigma_s"], period["shares"])
+    own, heaviest = period["without"]
     was = f"{own:.0%}" if own == heaviest else f"{own:.0%}, when another held {heaviest:.0%}"
-    return f"{said}; in pass {one['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
+    return f"{said}; in pass {period['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
 
 
 def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
@@ -131,7 +135,8 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
+def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
+    """Numbers of a pass, its row of the console table, and a sentence."""
     at = np.flatnonzero(result["pass_of"].values == k)
     t, rate = result["time"].values[at], rate_at(result, k)
     probability = result["probability"].values[k]
@@ -156,8 +161,10 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str]:
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = "decided, coarse"
     verdict = verdict.replace("several solutions", f"{n} solutions")
-    line = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
-    return numbers, line
+    row = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
+    called = f"pass {numbers['pass_id']} ({len(at)} samples)"
+    sentence = f"{called}: {speed} deg/s, body rate {omega} deg/s at mid-pass; {verdict}"
+    return numbers, row, sentence
 
 
 def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:

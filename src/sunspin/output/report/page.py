@@ -145,13 +145,13 @@ def _events(results: Results) -> list[PageTable]:
 
 def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Every entry of the summary that is no list of objects, as text."""
-    found = []
+    entries = []
     for key, value in summary.items():
         if key not in HIDDEN:
             nested = value.items() if isinstance(value, dict) else [("", value)]
             for name, item in nested:
-                found.append((f"{key} {name}".replace("_", " ").strip(), number_text(item)))
-    return found
+                entries.append((f"{key} {name}".replace("_", " ").strip(), number_text(item)))
+    return entries
 
 
 def _provenance(results: Results) -> list[tuple[str, str]]:
@@ -160,8 +160,8 @@ def _provenance(results: Results) -> list[tuple[str, str]]:
     version = summary.get("version", "of unknown version")
     facts = [("computed by", f"sunspin {version}, command {results.command}")]
     facts += [(key, str(summary[key])) for key in ("seed", "seconds") if key in summary]
-    made = "computed, not measured" if results.synthetic else "no file calls itself synthetic"
-    facts.append(("synthetic data", made))
+    origin = "computed, not measured" if results.synthetic else "no file calls itself synthetic"
+    facts.append(("synthetic data", origin))
     for entry in _list(summary, "inputs"):
         if isinstance(entry, dict):
             words = f"{entry.get('file', '')}, SHA-256 {entry.get('sha256', '')}"
