@@ -25,7 +25,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
-from sunspin.philae.carries import LEAST_DIRECTIONS
+from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import near_minimum_set, run_grid
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.philae.twin import CELL_W, drawn_panels, noisy_readings, rebound_times

@@ -28,7 +28,7 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
-from sunspin.philae import candidates, carries, metrics
+from sunspin.philae import candidates, data_check, metrics
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
 from sunspin.philae.rebound import Options
 from sunspin.telemetry.case import Case, load_case
@@ -143,7 +143,7 @@ def motions(source: str, seed: int) -> candidates.Chain:
     case, sun = case_of()
     options = Options(source, seed=seed)
     scan = metrics.scan_telemetry(case, sun, options)
-    return candidates.compute(scan, carries.compute(case, sun, None, seed), options)
+    return candidates.compute(scan, data_check.compute(case, sun, None, seed), options)
 
 
 def collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:

@@ -15,7 +15,7 @@ import xarray as xr
 
 from sunspin.base.errors import SunspinError
 from sunspin.dynamics.propagate import propagate
-from sunspin.philae import candidates, carries, descent, metrics, touchdown
+from sunspin.philae import candidates, data_check, descent, metrics, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, settled
 from sunspin.philae.sun_directions import with_own_noise
@@ -107,7 +107,7 @@ class Found:
     """What the file carries; its scan and its chain of candidates, or why there is none."""
 
     case: Case
-    carries: carries.Carries
+    carries: data_check.DataCheck
     scan: metrics.TelemetryScan | None
     chain: candidates.Chain | None
     why: str
@@ -139,7 +139,7 @@ def chain_of(
         fit = descent.compute(case, sun)
     except SunspinError:
         fit = None
-    looked = carries.compute(case, sun, fit)
+    looked = data_check.compute(case, sun, fit)
     scan = chain = None
     why = ""
     try:

@@ -16,7 +16,7 @@ from browser import HOSTILE, Browser, found
 from drawing import blank
 from shared_folder import shared_folder
 from sunspin.output import figures
-from sunspin.philae import carries, motions, pictures, published_lines, reproduction, threshold
+from sunspin.philae import data_check, motions, pictures, published_lines, reproduction, threshold
 from sunspin.philae import study as rp
 from sunspin.telemetry.case import load_case
 
@@ -31,7 +31,7 @@ def small() -> Iterator[None]:
             (published_lines, "LINE_POINTS", 3),
             (published_lines, "POOL_POINTS", 4),
             (threshold, "BLOCK", 64),
-            (carries, "SHUFFLES", 1),
+            (data_check, "SHUFFLES", 1),
             (rp, "LEAST_RUNS", 40),
             (rp, "LANDING_RUNS", 1),
             (
@@ -39,7 +39,7 @@ def small() -> Iterator[None]:
                 "STEPS",
                 tuple(step for step in rp.STEPS if step.name not in ("precession", "sensitivity")),
             ),
-            (pictures, "SHEETS", ()),
+            (pictures, "PICTURES", {}),
             (figures, "drawn", blank),
         ):
             patch.setattr(module, name, value)

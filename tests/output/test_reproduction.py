@@ -60,7 +60,7 @@ def test_another_body_takes_the_place_of_philae(tmp_path):
     )
     path = tmp_path / "heavy.toml"
     path.write_text(text, "utf-8")
-    case = reproduction._case(None, path, ())
+    case, _ = reproduction._case(None, path, ())
     assert case.vehicle.mass_kg == 120.0 and case.telemetry.sizes == CASE.telemetry.sizes
     assert reproduction._inputs(case, path)[1]["file"] == "heavy.toml"
 

@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.philae import candidates, carries, touchdown
+from sunspin.philae import candidates, data_check, touchdown
 from sunspin.philae import rebound as rb
 from validation import controls
 from validation.controls import chain_of
@@ -19,7 +19,7 @@ CASE = ss.load_case("philae")
 def quick():
     """Fewer random orders of the descent's directions: its margin is a factor of hundreds."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(carries, "SHUFFLES", 3)
+        patch.setattr(data_check, "SHUFFLES", 3)
         yield
 
 
@@ -111,15 +111,17 @@ def test_readings_of_no_sun_conclude_nothing(found):
 )
 def test_any_two_exchanged_panels_are_noticed(first, second):
     case = rb.with_telemetry(CASE, controls.exchanged_panels(CASE, first, second))
-    assert not carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None).one_sun
+    assert not data_check.compute(
+        case, ss.sun_directions(case.vehicle, case.telemetry), None
+    ).one_sun
 
 
 def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
     """Six samples of this twin have patterns forbidden to panels as drawn, more than 2 %; with the stated sigmas one."""
     case = rb.with_telemetry(CASE, ss.twin("philae", seed=8))
-    found = carries.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None)
+    found = data_check.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None)
     assert (
-        found.impossible > carries.MOST_IMPOSSIBLE * found.early
+        found.impossible > data_check.MOST_IMPOSSIBLE * found.early
         and found.unexplained <= 1
         and found.one_sun
     )

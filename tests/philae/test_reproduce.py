@@ -11,7 +11,7 @@ from matplotlib.text import Text
 from drawing import covered
 from sunspin.base.errors import MotionError, TelemetryError
 from sunspin.output.kind import Drawing
-from sunspin.philae import carries, inputs, pictures, published_lines
+from sunspin.philae import data_check, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
@@ -39,7 +39,7 @@ def quick():
         patch.setattr(rp, "STEPS", tuple(step for step in rp.STEPS if step.name in QUICK))
         patch.setattr(rp, "LEAST_RUNS", 60)
         patch.setattr(rp, "LANDING_RUNS", 1)
-        patch.setattr(carries, "SHUFFLES", 3)
+        patch.setattr(data_check, "SHUFFLES", 3)
         patch.setattr(published_lines, "LINE_POINTS", 3)
         yield lambda case, **options: rp.compute(case, **({"coarser": 10, "twins": 30} | options))
 
@@ -58,12 +58,7 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
     assert "too few samples" in headline(found)[0]
     ids = [row.id for row in found.rows]
     assert len(ids) == len(set(ids)) and not {"descent_E", "descent_unique"} & set(ids)
-    sheets = [
-        sheet
-        for (name, *_), make in pictures.SHEETS
-        if name in found.parts
-        for sheet in make(found, found.parts[name])
-    ]
+    sheets = [sheet for name in pictures.PICTURES if (sheet := pictures.drawing(found, name))]
     names = {sheet.name for sheet in sheets}
     assert (
         "fig10_11_descent" not in names
@@ -137,13 +132,7 @@ def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
     told = headline(found)
     assert "cannot be concluded" in told[1] and "lit pattern" in told[1]
     assert "No conclusions" in told[2]
-    made = [
-        make(found, found.parts[name])
-        for (name, *_), make in pictures.SHEETS
-        if name in found.parts
-    ]
-    sheets = [sheet.name for some in made for sheet in some]
-    assert "fig12_touchdown" not in sheets and "fig12_lines" in sheets
+    assert not pictures.drawing(found, "fig12_touchdown") and pictures.drawing(found, "fig12_lines")
 
 
 def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
@@ -177,7 +166,7 @@ def test_what_a_run_changes_is_not_called_used_as_published():
 
 
 def step(name, compute, **about):
-    return rp.Step(name, name, "telemetry", compute, **about)
+    return rp.Step(name, name, compute, **about)
 
 
 def failing(_):
@@ -205,7 +194,7 @@ def test_steps_end_in_any_order(monkeypatch):
         step("both", lambda s: s.parts["slow"], needs=("slow",), uses=("failing", "nowhere")),
     )
     monkeypatch.setattr(rp, "STEPS", steps)
-    study = rp.compute(CASE, workers=2, seen=progress)
+    study = rp.compute(CASE, seen=progress, workers=2)
     assert list(study.parts.items()) == [("slow", "slow"), ("fast", "fast"), ("both", "slow")]
     assert seen[-1] == ["fast", "slow", "both"]
     assert list(study.missing) == ["failing", "lost"]

@@ -170,7 +170,7 @@ def test_noise_on_dark_panels_lights_none(kind):
     sigma, count = dark_sigma(case.vehicle, data["power_W"].values)
     assert sigma == pytest.approx(0.02, rel=0.35) and count > 50
     noisy, found = with_own_noise(rb.with_telemetry(case, data))
-    assert 0.06 < found.lit_threshold < 0.12 and "lit above" in found.told
+    assert 0.06 < found.lit_threshold < 0.12 and "lit above" in found.about
 
     def impossible(vehicle):
         return int((sun_directions(vehicle, data)["status"].values == 2).sum())
@@ -184,7 +184,7 @@ def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
     case = ss.load_case("philae")
     few = case.telemetry.isel(time=slice(0, 5))
     _, found = with_own_noise(rb.with_telemetry(case, few))
-    assert found.lit == case.vehicle.telemetry.noise and "too few samples" in found.told
+    assert found.lit == case.vehicle.telemetry.noise and "too few samples" in found.about
 
 
 def test_what_a_calibration_depends_on_is_in_its_key():

@@ -22,7 +22,7 @@ from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.landing.outcomes import BINS
 from sunspin.philae import rebound as rb
-from sunspin.philae.carries import Carries
+from sunspin.philae.data_check import DataCheck
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
 from sunspin.telemetry.case import Case, case_names, load_case
@@ -157,7 +157,7 @@ class Chain:
         return self.chosen.chain
 
 
-def compute(scan: TelemetryScan, carries: Carries, options: rb.Options) -> Chain:
+def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Chain:
     """The candidates of this telemetry, from the source asked for.
 
     Raises

@@ -6,9 +6,9 @@ or the touchdown if that comes first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -39,19 +39,12 @@ CUBIC_CHI2 = 16.25
 """Chi-square with four degrees that is exceeded with probability 0.0027, as three sigma are with one."""
 
 
-@dataclass(frozen=True)
-class Descent:
-    """The descent's samples (`sun`, time in s from the first of them) and the fit.
+class Descent(NamedTuple):
+    """The descent's samples (`sun`, of `sun_directions`, time in s from the first of them) and the fit.
 
-    Attributes
-    ----------
-    case : Case
-    sun : Dataset of `sun_directions` on the samples of the fit
-    number : (first, last), counted from 1 in the telemetry
-    delta_limit : Delta above which a sample counts as spoiled
-    fit : SpinFit
-    simulated_B : (n, 3) fitted directions at every sample, whether it was reconstructed or not
-    predicted : (n,) whether the fitted direction is one that the panels allow to reconstruct
+    `number`: of the first and the last, counted from 1 in the telemetry; `delta_limit`: Delta above which a sample counts as
+    spoiled; `fitted_B` (n, 3): fitted direction at every sample, reconstructed or not; `in_view` (n): whether the panels allow
+    to reconstruct it.
     """
 
     case: Case
@@ -59,50 +52,37 @@ class Descent:
     number: tuple[int, int]
     delta_limit: float
     fit: SpinFit
-    simulated_B: np.ndarray
-    predicted: np.ndarray
+    fitted_B: np.ndarray
+    in_view: np.ndarray
 
-    @property
-    def synthetic(self) -> bool:
-        """Whether the telemetry is."""
-        return bool(self.sun.attrs.get("synthetic"))
-
-    def rate_range(self, coefficients: np.ndarray | None = None) -> tuple[float, float]:
-        """Smallest and largest rate (rad/s) over the fitted window, of the fit or of other coefficients."""
-        t = np.linspace(0.0, float(self.sun["time"].values[-1]), 2001)
-        rate = polyval(t, self.fit.coefficients if coefficients is None else coefficients)
+    def rate_range(self, coefficients: np.ndarray) -> tuple[float, float]:
+        """Smallest and largest rate (rad/s) with these coefficients over the fitted window."""
+        rate = polyval(np.linspace(0.0, float(self.sun["time"].values[-1]), 2001), coefficients)
         return float(rate.min()), float(rate.max())
 
 
-def delta_limit(sun: xr.Dataset) -> float:
-    """Delta above which a sample does not fit whole, unshadowed panels: four robust sigma of all that redundancy checks."""
-    checked = sun["delta"].values[sun["status"].values == SunStatus.OK]
-    if checked.size < 2 * LEAST_RUN:
-        raise TelemetryError(
-            "too few samples with more than three lit panels to tell what Delta is usual",
-            got=f"{checked.size}",
-        )
-    # sigma of a Gaussian from the median of its absolute value: four lit panels leave one degree of freedom
-    return DELTA_SIGMAS * 1.4826 * float(np.median(checked))
+def clean_from(sun: xr.Dataset) -> tuple[int, float]:
+    """Index of the first sample after a run of spoiled ones at the beginning, 0 if there is none; Delta above which one is spoiled.
 
-
-def clean_from(sun: xr.Dataset) -> int:
-    """Index of the first sample after a run of spoiled ones at the beginning; 0 if there is none.
-
-    The rule: of the samples whose Delta checks something (more than three lit panels) those above `delta_limit` count +1
-    and the others -1; the run is the beginning with the largest sum, if that is at least `LEAST_RUN`. What follows counts
-    as clean from the next sample that Delta has checked and judged good: those between can be neither accused nor cleared.
+    The rule: of the samples whose Delta checks something (more than three lit panels) those above the limit, four robust sigma,
+    count +1 and the others -1; the run is the beginning with the largest sum, if that is at least `LEAST_RUN`. What follows
+    counts as clean from the next sample that Delta has checked and judged good: those between can be neither accused nor cleared.
     """
     checked = np.flatnonzero(sun["status"].values == SunStatus.OK)
-    votes = np.cumsum(np.where(sun["delta"].values[checked] > delta_limit(sun), 1, -1))
+    delta = sun["delta"].values[checked]
+    if delta.size < 2 * LEAST_RUN:
+        what = "too few samples with more than three lit panels to tell what Delta is usual"
+        raise TelemetryError(what, got=f"{delta.size}")
+    # sigma of a Gaussian from the median of its absolute value: four lit panels leave one degree of freedom
+    limit = DELTA_SIGMAS * 1.4826 * float(np.median(delta))
+    votes = np.cumsum(np.where(delta > limit, 1, -1))
     end = int(np.argmax(votes))
     if votes[end] < LEAST_RUN:
-        return 0
+        return 0, limit
     if end + 1 == checked.size:
-        raise TelemetryError(
-            "no sample is clean: Delta is large to the end", do="check the panels' gains and names"
-        )
-    return int(checked[end + 1])
+        what = "no sample is clean: Delta is large to the end"
+        raise TelemetryError(what, do="check the panels' gains and names")
+    return int(checked[end + 1]), limit
 
 
 def compute(case: Case, sun: xr.Dataset) -> Descent:
@@ -110,114 +90,88 @@ def compute(case: Case, sun: xr.Dataset) -> Descent:
     touchdown = case_seconds(case, sun, "first_touchdown")
     before = sun.isel(time=np.flatnonzero(sun["time"].values < touchdown))
     if before.sizes["time"] == 0:
-        raise TelemetryError(
-            "no sample before the first touchdown", do="check the times of the telemetry"
-        )
-    first = clean_from(before)
+        what, do = "no sample before the first touchdown", "check the times of the telemetry"
+        raise TelemetryError(what, do=do)
+    first, limit = clean_from(before)
     time = before["time"].values - before["time"].values[first]
     # published to 0.1 h, about two intervals
     span = 3600.0 * case.published["descent_span"].value + float(np.median(np.diff(time))) / 2
     samples = before.isel(time=np.flatnonzero((time >= 0) & (time <= span)))
-    t = samples["time"].values - samples["time"].values[0]
+    samples = samples.assign_coords(time=samples["time"] - samples["time"].values[0])
+    t = samples["time"].values
     fit = fit_spin(t, samples["sun_B"].values)
-    return Descent(
-        case,
-        samples.assign_coords(time=samples["time"] - samples["time"].values[0]),
-        (first + 1, first + len(t)),
-        delta_limit(before),
-        fit,
-        fit.directions(t),
-        allows(reconstructible_mask(case.vehicle), fit.directions(t)),
-    )
+    fitted, number = fit.directions(t), (first + 1, first + len(t))
+    in_view = allows(reconstructible_mask(case.vehicle), fitted)
+    return Descent(case, samples, number, limit, fit, fitted, in_view)
 
 
 def rows(r: Descent) -> list[Row]:
     """Published figures of section 3.1 with ours."""
     case, fit, t, n = r.case, r.fit, r.sun["time"].values, r.sun["sun_B"].values
-    row_of = partial(row, case)
-    seen = is_reconstructed(r.sun["status"])
-    twin = "synthetic telemetry, made with the published cubic; " if r.synthetic else ""
+    paper = {key: figure.value for key, figure in case.published.items()}
+    seen, synthetic = is_reconstructed(r.sun["status"]), bool(r.sun.attrs.get("synthetic"))
+    twin = "synthetic telemetry, made with the published cubic; " if synthetic else ""
+    row_of = partial(row, case, twin=twin)
+
+    rms, meant = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, paper["descent_E"]))
+    first_E = float(direction_error(replace(fit, sun_B=n[0]).directions(t), n))
     put_in = (
         "synthetic telemetry: its panel misalignment is chosen so that the mean E of twenty seeds is as published; "
         f"that of one comes back if within a factor of {FACTOR_OF_E:g}; "
     )
-    flown_E = float(case.published["descent_E"].value)
-    back = 1 / FACTOR_OF_E <= fit.E / flown_E <= FACTOR_OF_E
-    rms, meant = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, flown_E))
-    published = np.array(case.published["descent_rate_cubic"].value)
-    off = fit.coefficients - published
+    comes_back = 1 / FACTOR_OF_E <= fit.E / paper["descent_E"] <= FACTOR_OF_E
+    texts = {"rms": rms, "meant": meant, "first_E": first_E, "twin": put_in * synthetic}
+    of_E = row(case, "descent_E", fit.E, holds=comes_back if synthetic else None, **texts)
+
+    cubic = np.array(paper["descent_rate_cubic"])
+    off = fit.coefficients - cubic
     distance = float(off @ np.linalg.solve(fit.covariance, off))
-    low, high = r.rate_range()
+    of_cubic = row_of(
+        "descent_rate_cubic",
+        fit.coefficients.tolist(),
+        tolerance=(np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(),
+        agrees=bool(distance <= CUBIC_CHI2),
+        distance=distance,
+        asked=CUBIC_CHI2,
+        sigmas="[" + ", ".join(f"{sigma:.1e}" for sigma in fit.sigma) + "]",
+        printed_E=error_of_rate(cubic, t[seen], n[seen]),
+        rounding=0.5e-5 * float(t[-1]),
+    )
+    second = fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan])
+    minima = {"minima": len(fit.aliases), "within": fit.scan_rate[-1], "gap": fit.alias_gap}
+    unique = row_of("descent_unique", fit.unique, agrees=fit.unique, second=second, **minima)
+    low, high = r.rate_range(fit.coefficients)
     mean_rate = float(fit.rate(np.linspace(0, t[-1], 2001)).mean())
     result = [
-        row_of(
-            "descent_E",
-            fit.E,
-            holds=back if r.synthetic else None,
-            twin=put_in if r.synthetic else "",
-            rms=rms,
-            meant=meant,
-            first_E=float(direction_error(replace(fit, sun_B=n[0]).directions(t), n)),
-        ),
-        row_of(
-            "descent_rate_cubic",
-            fit.coefficients.tolist(),
-            published=published.tolist(),
-            tolerance=(np.sqrt(CUBIC_CHI2) * fit.sigma).tolist(),
-            agrees=bool(distance <= CUBIC_CHI2),
-            twin=twin,
-            distance=distance,
-            asked=CUBIC_CHI2,
-            sigmas="[" + ", ".join(f"{sigma:.1e}" for sigma in fit.sigma) + "]",
-            printed_E=error_of_rate(published, t[seen], n[seen]),
-            rounding=0.5e-5 * float(t[-1]),
-        ),
-        row_of(
-            "descent_unique",
-            fit.unique,
-            agrees=fit.unique,
-            minima=len(fit.aliases),
-            within=fit.scan_rate[-1],
-            second=fit.aliases[1] if len(fit.aliases) > 1 else np.array([np.nan, np.nan]),
-            gap=fit.alias_gap,
-        ),
-        row_of("descent_rate_range", [low, high], twin=twin, printed=r.rate_range(published)),
-        row_of("descent_rate_romap", mean_rate, twin=twin),
+        of_E,
+        of_cubic,
+        unique,
+        row_of("descent_rate_range", [low, high], printed=r.rate_range(cubic)),
+        row_of("descent_rate_romap", mean_rate),
     ]
     wheel = case.vehicle.wheels[0]
-    if wheel.speed_rad_s:
+    if nominal := wheel.speed_rad_s:
         # without external torque Theta_uu omega + J W stays (paper, eq. 3, for spin about the wheel's axis u)
         inertia = float(wheel.axis_B @ case.vehicle.require_inertia() @ wheel.axis_B)
         change = inertia * (high - low) / wheel.inertia_kg_m2
-        nominal = wheel.speed_rad_s
         share = 100 * change / abs(nominal)
-        result.append(
-            row_of("descent_wheel_speed", share, twin=twin, change=change, nominal=nominal)
-        )
-    z, behind = n[seen, 2], ~r.predicted
-    agreed = float(np.mean(behind == ~seen))
+        result.append(row_of("descent_wheel_speed", share, change=change, nominal=nominal))
+    z, agreed = n[seen, 2], float(np.mean(r.in_view == seen))
+    dark, lit = int((~seen).sum()), int(seen.sum())
+    rightly = {"dark_right": (~seen & ~r.in_view).sum(), "lit_right": (seen & ~r.in_view).sum()}
     return [
         *result,
         row_of("descent_samples", list(r.number), limit=r.delta_limit),
-        row_of("nz_descent", float(z.mean()), twin=twin, spread=z.std()),
-        row_of(
-            "descent_behind",
-            agreed,
-            agrees=agreed >= 0.95,
-            dark_right=int((~seen & behind).sum()),
-            dark=int((~seen).sum()),
-            told_right=int((seen & behind).sum()),
-            told=int(seen.sum()),
-        ),
+        row_of("nz_descent", float(z.mean()), spread=z.std()),
+        row_of("descent_behind", agreed, agrees=agreed >= 0.95, dark=dark, lit=lit, **rightly),
     ]
 
 
-def figure_11(r: Descent, within: float = 2e-3) -> tuple[np.ndarray, np.ndarray]:
-    """Constant terms of the rate (n) in rad/s no further than `within` from the fitted one, and E (n) with the other three
-    coefficients as fitted."""
+def figure_11(r: Descent) -> tuple[np.ndarray, np.ndarray]:
+    """Constant terms of the rate (n) in rad/s near the fitted one, and E (n) with the other three coefficients as fitted."""
     scan, centre = r.fit.scan_rate, r.fit.coefficients[0]
     omega_0 = np.unique(np.append(np.linspace(scan[0], scan[-1], 8001), centre))
-    omega_0 = omega_0[np.abs(omega_0 - centre) < within]
+    omega_0 = omega_0[np.abs(omega_0 - centre) < 2e-3]
     rates = np.column_stack([omega_0, np.tile(r.fit.coefficients[1:], (omega_0.size, 1))])
     seen, n = is_reconstructed(r.sun["status"]), r.sun["sun_B"].values
     return omega_0, errors_of_rates(rates, r.sun["time"].values[seen], n[seen])
@@ -227,11 +181,31 @@ def draw(r: Descent) -> Figure:
     """Measured and fitted directions (Fig. 10), the rate, E over all aliases and near its minimum (Fig. 11)."""
     figure = Figure(figsize=(11, 8.2), layout="constrained")
     (sphere, rates), (wide, near) = figure.subplots(2, 2)
-    _draw_figure_10(sphere, r)
     cubic, low_high, flown_E = (
         np.array(r.case.published[f"descent_{name}"].value)
         for name in ("rate_cubic", "rate_range", "E")
     )
+
+    # Fig. 10 as a map of the sphere; lines join what was measured to what the fit says
+    n, seen = r.sun["sun_B"].values, is_reconstructed(r.sun["status"])
+    azimuth, fitted = (np.degrees(np.arctan2(each[:, 1], each[:, 0])) for each in (n, r.fitted_B))
+    z, fitted_z = n[:, 2], r.fitted_B[:, 2]
+    joined = seen & (np.abs(azimuth - fitted) < 180)  # not across the edge of the map
+    pairs = np.stack([azimuth, fitted])[:, joined], np.stack([z, fitted_z])[:, joined]
+    sphere.plot(*pairs, lw=0.6, color=COLOURS[7])
+    label = f"from the telemetry ({seen.sum()})"
+    sphere.plot(azimuth[seen], z[seen], "o", ms=4.5, mfc="none", color=COLOURS[0], label=label)
+    for marker, size, colour, chosen, label in (
+        (".", 4, COLOURS[1], seen, "fitted, same samples"),
+        ("+", 6, COLOURS[6], ~seen & ~r.in_view, "fitted, behind the lander ({})"),
+        ("x", 6, COLOURS[3], ~seen & r.in_view, "fitted in view, no direction ({})"),
+    ):
+        if chosen.any():
+            style: dict[str, Any] = {"color": colour, "label": label.format(chosen.sum())}
+            sphere.plot(fitted[chosen], fitted_z[chosen], marker, ms=size, **style)
+    sphere.set(xlim=(-185, 185), ylim=(0.4, 0.8), xticks=range(-180, 181, 90))
+    sphere.set(xlabel="azimuth of the Sun about z (deg)", ylabel="$z$ component")
+    sphere.legend(fontsize=8, loc="upper left", ncols=2)
 
     # rates are drawn in mrad/s
     t = np.linspace(0, float(r.sun["time"].values[-1]), 300)
@@ -246,7 +220,6 @@ def draw(r: Descent) -> Figure:
     rates.axhspan(*(1e3 * low_high), color=COLOURS[7], alpha=0.25, lw=0, label="published range")
     rates.set(xlabel="time since the first sample of the fit (h)", ylabel="rate about z (mrad/s)")
     rates.legend(fontsize=8)
-    rates.set_title("rate", fontsize=9)
 
     label = "scan, least over drifts of the rate"
     wide.semilogy(1e3 * r.fit.scan_rate, r.fit.scan_E, lw=0.6, color=COLOURS[7], label=label)
@@ -256,43 +229,21 @@ def draw(r: Descent) -> Figure:
     wide.plot(1e3 * mean_rate[0], E[0], "o", ms=6, color=COLOURS[0], label="smallest E")
     wide.axhline(flown_E, ls=":", lw=1, color=COLOURS[6], label="published E (flown data)")
     wide.set(xlabel="mean rate about z (mrad/s)", ylabel="E")
-    wide.set_title("E over the aliases of the sampling", fontsize=9)
 
     omega_0, E = figure_11(r)
     near.plot(1e3 * omega_0, E, lw=1, color=COLOURS[0])
     near.axvline(1e3 * cubic[0], ls="--", lw=1, color=COLOURS[1], label="published")
     near.set(xlabel=r"$\omega_0$ (mrad/s), other coefficients as fitted")
     near.set(ylabel="E", ylim=(0, None))
-    near.set_title(r"E against $\omega_0$", fontsize=9)
     for axes in (wide, near):
         axes.legend(fontsize=8, loc="lower left")
-    title = f"Descent, samples {r.number[0]} to {r.number[1]}: cubic rate about z"
-    figure.suptitle(titled(title, r.synthetic), fontsize=11)
-    return figure
-
-
-def _draw_figure_10(axes: Any, r: Descent) -> None:
-    """As a map of the sphere: azimuth and z. Lines join what was measured to what the fit says."""
-    seen, behind = is_reconstructed(r.sun["status"]), ~r.predicted
-    azimuth, fitted = (
-        np.degrees(np.arctan2(n[:, 1], n[:, 0])) for n in (r.sun["sun_B"].values, r.simulated_B)
-    )
-    z, fitted_z = r.sun["sun_B"].values[:, 2], r.simulated_B[:, 2]
-    near = seen & (np.abs(azimuth - fitted) < 180)  # not across the edge of the map
-    pairs = np.stack([azimuth, fitted])[:, near], np.stack([z, fitted_z])[:, near]
-    axes.plot(*pairs, lw=0.6, color=COLOURS[7])
-    label = f"from the telemetry ({seen.sum()})"
-    axes.plot(azimuth[seen], z[seen], "o", ms=4.5, mfc="none", color=COLOURS[0], label=label)
-    for marker, size, colour, chosen, label in (
-        (".", 4, COLOURS[1], seen, "fitted, same samples"),
-        ("+", 6, COLOURS[6], ~seen & behind, "fitted, behind the lander ({})"),
-        ("x", 6, COLOURS[3], ~seen & ~behind, "fitted in view, no direction ({})"),
+    for axes, title in (
+        (sphere, f"directions to the Sun, body axes; E = {r.fit.E:.2g}"),
+        (rates, "rate"),
+        (wide, "E over the aliases of the sampling"),
+        (near, r"E against $\omega_0$"),
     ):
-        if chosen.any():
-            label = label.format(chosen.sum())
-            axes.plot(fitted[chosen], fitted_z[chosen], marker, ms=size, color=colour, label=label)
-    axes.set(xlim=(-185, 185), ylim=(0.4, 0.8), ylabel="$z$ component")
-    axes.set(xlabel="azimuth of the Sun about z (deg)")
-    axes.set_xticks(range(-180, 181, 90))
-    axes.legend(fontsize=8, loc="upper left", ncols=2)
-    axes.set_title(f"directions to the Sun, body axes; E = {r.fit.E:.2g}", fontsize=9)
+        axes.set_title(title, fontsize=9)
+    title = f"Descent, samples {r.number[0]} to {r.number[1]}: cubic rate about z"
+    figure.suptitle(titled(title, r.sun.attrs.get("synthetic")), fontsize=11)
+    return figure

@@ -6,9 +6,8 @@ in which direction, is drawn once (`twin.collide`) and the same for all, so that
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -20,7 +19,6 @@ from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
-from sunspin.environment.frames import BODY_AT_START
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
 from sunspin.output.figures import COLOURS, titled
@@ -28,31 +26,18 @@ from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
-from sunspin.philae.row import Row
 from sunspin.philae.twin import State, collide
 from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 
-STEP_S = 1.0
-"""Between instants of a candidate: at the fastest, half a radian."""
-
-DESCENT_STEP_S = 20.0
-DIRECTION_ERROR = 1e-4
 SPREAD_MOTIONS = 150
 """Motions drawn from the confidence region, beside those of least and most speed and momentum, which are its edges."""
 
-SPREAD_STEP_S = 30.0
 COLLISIONS = 2000
-AFTER_LEVELS = (0.025, 0.5, 0.975)
-"""Quantiles over simulated collisions; before the collision a set is shown from its slowest to its fastest motion."""
-
-FLOOR_RAD_S = 1e-4
-"""Smaller speeds, such as none at all, are drawn as this."""
 
 
-@dataclass(frozen=True)
-class Motions:
+class Motions(NamedTuple):
     """`candidates`: name -> Dataset as of `propagate`, with panel signals; `speed`: see :func:`speeds`."""
 
     candidates: dict[str, xr.Dataset]
@@ -60,7 +45,7 @@ class Motions:
 
 
 def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None = None) -> Motions:
-    """From the results of the parts before: `level_set`, `candidates`, and where there is one `descent`."""
+    """From the results of the steps before: `level_set`, `candidates`, and where there is one `descent`."""
     scan: TelemetryScan = done["level_set"]
     chain: Chain = done["candidates"]
     descent: Descent | None = done.get("descent")
@@ -71,10 +56,7 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
         about = "the motion from which the synthetic telemetry was made"
         runs["Truth"] = landing(rebound, start, about, rb.twin_file(case).get("seed", seed))
     start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
-    about = (
-        "the grid point whose distribution of r_z fits this telemetry best "
-        f"(EMD {scan.smallest:.4f})"
-    )
+    about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
     runs["Best fit"] = landing(rebound, start, about, seed)
     order = np.argsort(chosen.speed_touchdown)
     for name, at in (("Slowest", 0), ("Middle", len(order) // 2), ("Fastest", -1)):
@@ -86,73 +68,55 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
     return Motions(runs, speeds(chain, descent, seed, workers))
 
 
-def rows(_: Motions) -> list[Row]:
-    """No published figure belongs to this part."""
-    return []
-
-
 def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
     """The motion through `start`, one state at the candidates' instant, from the first touchdown over the collision to the second.
 
     Times in s from the case's epoch.
     """
-    case = rebound.case
-    timeline = case.require_timeline()
+    case, timeline = rebound.case, rebound.case.require_timeline()
     blow_s, end = (timeline.event(name).t_s for name in ("collision", "second_touchdown"))
     first = blow_s - rebound.window_s
     state = State(first, start.omega_B[0], start.sun_B[0], start.wheel_speed_rad_s[0])
     _, after, blow = collide(case, state, generator(seed, 3))
 
-    def seconds(duration_s: float) -> np.ndarray:
-        return np.arange(0.0, duration_s + 1e-6, STEP_S)
+    def run(
+        state: State, duration_s: float, sign: int = 1, wheel_mode: Any = "coast"
+    ) -> xr.Dataset:
+        t = sign * np.arange(0.0, duration_s + 1e-6, 1.0)  # at the fastest, half a radian
+        return propagate(case.vehicle, *state[1:], t, wheel_mode=wheel_mode, rtol=1e-9)
 
-    def run(state: State, t_s: np.ndarray, wheel_mode: Any = "coast") -> xr.Dataset:
-        return propagate(case.vehicle, *state[1:], t_s, wheel_mode=wheel_mode, rtol=1e-9)
-
-    back = run(state, -seconds(rebound.lead_s), mode_before(start.wheel_speed_rad_s))
-    forth = run(state, seconds(blow_s - first))
-    beyond = run(after, seconds(end - blow_s))
-    turned = Rotation.from_quat(beyond["B_from_N"].values) * Rotation.from_quat(
-        forth["B_from_N"].values[-1]
-    )
-    beyond["B_from_N"] = beyond["B_from_N"].copy(data=turned.as_quat())
-    pieces = [
+    back = run(state, rebound.lead_s, -1, mode_before(start.wheel_speed_rad_s))
+    forth, beyond = run(state, blow_s - first), run(after, end - blow_s)
+    to_blow = Rotation.from_quat(forth["B_from_N"].values[-1])
+    turned = (Rotation.from_quat(beyond["B_from_N"].values) * to_blow).as_quat()
+    beyond["B_from_N"] = beyond["B_from_N"].copy(data=turned)
+    pieces = (
         (back.isel(time=slice(None, 0, -1)), first),
         (forth.isel(time=slice(None, -1)), first),
         (beyond, blow_s),
-    ]
-    whole = xr.concat(
-        [p.drop_dims("event").assign_coords(time=p["time"] + shift) for p, shift in pieces],
-        "time",
-        data_vars="minimal",
-        coords="minimal",
-        compat="override",
-        join="override",
     )
-    changes = zip(
-        *(forth[f"event_{key}"].values for key in ("time_s", "wheel", "what")), strict=True
-    )
-    events = [(t + first, f"{wheel} {what}") for t, wheel, what in changes] + [
-        (blow_s, "collision")
-    ]
+    pieces = [p.drop_dims("event").assign_coords(time=p["time"] + shift) for p, shift in pieces]
+    alike: Any = {"data_vars": "minimal", "coords": "minimal", "compat": "override"}
+    whole = xr.concat(pieces, "time", join="override", **alike)
+    changes = (forth[f"event_{key}"].values for key in ("time_s", "wheel", "what"))
+    events = [(t + first, f"{wheel} {what}") for t, wheel, what in zip(*changes, strict=True)]
     about += (
         "; after the collision one of many possible motions "
         f"(leg {blow['collision_leg']} hits, drawn with seed {seed})"
     )
-    return _with_panels(case, whole, about, events)
+    return _with_panels(case, whole, about, [*events, (blow_s, "collision")])
 
 
 def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     """The plain spin about z that fits the descent, time in s from the case's epoch; the turn about z at its start is free."""
-    start, end = descent_span(case, descent)
-    t = np.arange(0.0, end - start, DESCENT_STEP_S)
+    start, end = _descent_span(case, descent)
+    t = np.arange(0.0, end - start, 20.0)
     rate = np.polynomial.Polynomial(descent.fit.coefficients)
     axis = np.array([0.0, 0.0, 1.0])
     omega = rate(t)[:, None] * axis
     turned = Rotation.from_rotvec(-rate.integ()(t)[:, None] * axis).as_quat()
     speed = np.tile(rb.nominal_speed(case.vehicle), (t.size, 1))
-    momentum = gyrostat.total_momentum(case.vehicle, omega, speed)
-    body = ("time", "axis")
+    momentum, body = gyrostat.total_momentum(case.vehicle, omega, speed), ("time", "axis")
     run = xr.Dataset(
         {
             "omega_B": (body, omega, {"units": "rad s-1"}),
@@ -162,13 +126,12 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
             "B_from_N": (("time", "quaternion"), turned, {"units": "1"}),
         },
         coords={"time": ("time", t + start, {"units": "s"}), "axis": ["x", "y", "z"]},
-        attrs={"frame_N": BODY_AT_START},
     )
     about = "the spin about z that fits the directions of the descent, wheel held by its motor"
     return _with_panels(case, run, about, [])
 
 
-def descent_span(case: Case, descent: Descent) -> tuple[float, float]:
+def _descent_span(case: Case, descent: Descent) -> tuple[float, float]:
     """Begin of the fit and first touchdown, s from the case's epoch."""
     end = case.require_timeline().event("first_touchdown").t_s
     to_case = end - rb.case_seconds(case, descent.sun, "first_touchdown")
@@ -180,11 +143,10 @@ def _with_panels(
 ) -> xr.Dataset:
     """The motion with the signal of each panel and the `events`: s from the case's epoch, what happens."""
     signal = {"units": case.vehicle.gain_unit or "1", "long_name": "modelled signal"}
-    power = panel_power(case.vehicle, run["sun_B"].values)
     event_s = np.array([t for t, _ in events], dtype=np.float64)
-    run["panel_signal"] = (("time", "panel"), power, signal)
-    run["event_time_s"] = ("event", event_s, {"units": "s"})
-    run["event_what"] = ("event", np.array([what for _, what in events], dtype=np.str_))
+    what = np.array([what for _, what in events], dtype=np.str_)
+    run["panel_signal"] = ("time", "panel"), panel_power(case.vehicle, run["sun_B"].values), signal
+    run = run.assign(event_time_s=("event", event_s, {"units": "s"}), event_what=("event", what))
     run = run.assign_coords(panel=np.array(case.vehicle.panel_names, dtype=np.str_))
     epoch = case.require_timeline().epoch_utc
     run.attrs = {"vehicle": case.vehicle.name, "about": about, "epoch_utc": epoch}
@@ -197,25 +159,30 @@ def speeds(
     """Angular speed against time for sets of motions: slowest, median and fastest of each set; and after the collision.
 
     Sets: "candidates", those from which everything follows; "recipe", the paper's own set of this telemetry. Each motion of a set
-    counts as much as another. After the collision: `AFTER_LEVELS` over simulated collisions of the set.
+    counts as much as another. After the collision: quantiles 0.025, 0.5, 0.975 over simulated collisions of the set.
     """
     case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
     vehicle, scenario = case.vehicle, case_scenario(case, rebound)
-    sets = {"candidates": chain.chosen, "recipe": chain.recipe}
-    first = timeline.event("collision").t_s - rebound.window_s
-    t = np.append(np.arange(0.0, rebound.window_s, SPREAD_STEP_S), rebound.window_s)
+    t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
     before, after, count = [], [], []
-    for candidates in sets.values():
-        states = _spread(case, candidates.states, seed)
-        run = run_rows(vehicle, states, t[1:], direction_error=DIRECTION_ERROR).omega_B
+    for candidates in (chain.chosen, chain.recipe):
+        # some of the states (n), and those of least and most angular speed and momentum
+        states = candidates.states
+        momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
+        sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
+        edges = [end(size) for size in sizes for end in (np.argmin, np.argmax)]
+        some = min(SPREAD_MOTIONS, len(states))
+        pick = generator(seed, 4).choice(len(states), some, replace=False)
+        states = states.take(np.unique([*edges, *pick]))
+        run = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
         speed = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
         before.append(np.quantile(speed, [0.0, 0.5, 1.0], axis=0))
         count.append(len(states))
         starts = candidates.dataset()
         hit = outcomes(vehicle, starts, "off", COLLISIONS, seed, scenario=scenario, workers=workers)
         speed = np.linalg.norm(hit["omega_after_B"].values, axis=1)
-        after.append(np.nanquantile(speed, AFTER_LEVELS))
-    rate = {"units": "rad s-1"}
+        after.append(np.nanquantile(speed, [0.025, 0.5, 0.975]))
+    rate, first = {"units": "rad s-1"}, timeline.event("collision").t_s - rebound.window_s
     data = xr.Dataset(
         {
             "speed": (("set", "level", "time"), np.array(before), rate),
@@ -223,7 +190,7 @@ def speeds(
             "motions": ("set", count, {"units": "1"}),
         },
         coords={
-            "set": [*sets],
+            "set": ["candidates", "recipe"],
             "level": ["low", "middle", "high"],
             "time": ("time", t + first, {"units": "s"}),
         },
@@ -238,21 +205,11 @@ def speeds(
     )
     if descent is None:
         return data
-    begin, end = descent_span(case, descent)
+    begin, end = _descent_span(case, descent)
     when = np.linspace(0.0, end - begin, 100)
     spin = np.abs(np.polynomial.Polynomial(descent.fit.coefficients)(when))
-    return data.assign(descent_speed=("descent_time", spin, rate)).assign_coords(
-        descent_time=("descent_time", when + begin, {"units": "s"})
-    )
-
-
-def _spread(case: Case, states: Rows, seed: int) -> Rows:
-    """Some of the states (n), and those of least and most angular speed and momentum."""
-    momentum = gyrostat.total_momentum(case.vehicle, states.omega_B, states.wheel_speed_rad_s)
-    sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
-    edges = [f(size) for size in sizes for f in (np.argmin, np.argmax)]
-    pick = generator(seed, 4).choice(len(states), min(SPREAD_MOTIONS, len(states)), replace=False)
-    return states.take(np.unique([*edges, *pick]))
+    data = data.assign_coords(descent_time=("descent_time", when + begin, {"units": "s"}))
+    return data.assign(descent_speed=("descent_time", spin, rate))
 
 
 def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
@@ -266,7 +223,7 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     at = {event.name: event.t_s for event in timeline.events}
     epoch = np.datetime64(timeline.epoch_utc.removesuffix("Z"), "ms")
 
-    def clock(seconds: float | Sequence[float] | np.ndarray) -> Any:
+    def clock(seconds: Any) -> Any:
         return epoch + np.round(1000 * np.asarray(seconds)).astype("timedelta64[ms]")
 
     figure = Figure(figsize=(11, 5), layout="constrained")
@@ -274,34 +231,32 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     if "descent_speed" in speed:
         t, spin = clock(speed["descent_time"].values), speed["descent_speed"].values
         left.plot(t, spin, color=COLOURS[2], lw=2.5, label="fit of the descent")
+    after, floor = speed["speed_after_collision"].expand_dims(time=2, axis=-1), 1e-4
     bands = [
-        (clock(speed["time"].values), speed["speed"].clip(min=FLOOR_RAD_S)),
-        (
-            clock([at["collision"], at["second_touchdown"]]),
-            speed["speed_after_collision"].clip(min=FLOOR_RAD_S).expand_dims(time=2, axis=-1),
-        ),
+        (clock(speed["time"].values), speed["speed"].clip(min=floor)),
+        (clock([at["collision"], at["second_touchdown"]]), after.clip(min=floor)),
     ]
-    for k, (t, band) in enumerate(bands):
+    label = "all candidates: slowest to fastest"
+    for t, band in bands:
         low, _, high = band.sel(set="candidates").values
-        label = None if k else "all candidates: slowest to fastest"
         right.fill_between(t, low, high, color=COLOURS[0], alpha=0.25, lw=0, label=label)
-    for k, (t, band) in enumerate(bands):
+        label = None
+    label = "the paper's recipe on this telemetry, and its median"
+    for t, band in bands:
         low, middle, high = band.sel(set="recipe").values
-        label = None if k else "the paper's recipe on this telemetry, and its median"
         right.plot(t, low, "--", color=COLOURS[1], lw=1.2, label=label)
         right.plot(t, high, "--", color=COLOURS[1], lw=1.2)
         right.plot(t, middle, color=COLOURS[1], lw=1.6)
+        label = None
     marks: dict[str, Any] = {"marker": "D", "ls": "", "ms": 7, "color": COLOURS[6]}
     middle_s = (at["separation"] + at["first_touchdown"]) / 2
     spin = published["descent_rate_romap"].value
     left.plot(clock(middle_s), spin, label="magnetometer (not used)", **marks)
     for t, name in ((-240, "romap_period_before"), (600, "romap_period_after")):
         right.plot(clock(at["collision"] + t), 2 * np.pi / published[name].value, **marks)
-    for name, text in (
-        ("first_touchdown", "bounce"),
-        ("collision", "hits crater rim"),
-        ("second_touchdown", "lands"),
-    ):
+    texts = "bounce", "hits crater rim", "lands"
+    events = "first_touchdown", "collision", "second_touchdown"
+    for name, text in zip(events, texts, strict=True):
         right.axvline(clock(at[name]), color=COLOURS[7], ls=":", lw=1)
         above = right.get_xaxis_transform()
         right.text(clock(at[name]), 1.01, text, fontsize=8, transform=above, ha="center")

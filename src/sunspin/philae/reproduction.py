@@ -7,9 +7,13 @@ import json
 import re
 import shlex
 import time
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import version
@@ -18,19 +22,10 @@ from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import rebound as rb
-from sunspin.philae.files import datasets
 from sunspin.philae.headline import conclusions, headline, score
 from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
-from sunspin.philae.study import (
-    SECTIONS,
-    STEPS,
-    Options,
-    Reproduction,
-    compute,
-    require_wheel,
-    with_vehicle,
-)
+from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
 from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
@@ -38,32 +33,16 @@ from sunspin.vehicle.assumptions import split
 from sunspin.vehicle.changes import Change, Changes, changes_of
 from sunspin.vehicle.file import changed_file
 
-FIGURES = "The figures of the paper"
-
 SHOWN_BY_THE_PAPER = (
-    "structure of Philae",
-    "panels, legs, wheel",
-    "panel powers and Sun directions over time",
-    "Sun directions in four phases",
-    "spin-down of the wheel",
-    "three example motions",
-    "histograms of r_z in these",
-    "E over rates and over parameters",
-    "near-minimum points and four lines",
-    "simulated and measured directions of the descent",
-    "E against omega_0",
-    "angular velocities at the first touchdown",
-    "densities of r_z after the collision, wheel off and held",
-)
+    "structure of Philae; panels, legs, wheel; panel powers and Sun directions over time; Sun directions in four phases; "
+    "spin-down of the wheel; three example motions; histograms of r_z in these; E over rates and over parameters; "
+    "near-minimum points and four lines; simulated and measured directions of the descent; E against omega_0; "
+    "angular velocities at the first touchdown; densities of r_z after the collision, wheel off and held"
+).split("; ")
 """What Figs. 1, 2 ... of the paper show."""
 
 
-PRINTED = ("delta_mean", "wheel_stop", "emd_min")
-"""Rows that are printed with their numbers."""
-
-
-@dataclass(frozen=True)
-class Written:
+class Written(NamedTuple):
     """Where a study was written: the folder, the page in it, and the summary's content."""
 
     folder: Path
@@ -74,14 +53,12 @@ class Written:
     def lines(self) -> list[str]:
         """What is printed of it."""
         summary = self.summary
-        origin = "synthetic (made from published facts)"
+        synthetic = summary["synthetic_telemetry"]
+        origin = "synthetic (made from published facts)" if synthetic else "measured"
         lines = [f"Changed for this run: {change}" for change in summary["changes"]]
-        lines += [
-            f"Data check: {summary['carries']}",
-            f"Telemetry: {origin if summary['synthetic_telemetry'] else 'measured'}",
-        ]
+        lines += [f"Data check: {summary['carries']}", f"Telemetry: {origin}"]
         for row in summary["figures"]:
-            if row["id"] in PRINTED:
+            if row["id"] in ("delta_mean", "wheel_stop", "emd_min"):
                 unit = "" if row["unit"] == "1" else f" {row['unit']}"
                 ours = "none" if row["ours"] is None else f"{row['ours']:.4g}{unit}"
                 lines.append(f"  {row['what']}: {ours} (published {row['published']:.4g})")
@@ -132,164 +109,104 @@ def reproduce(
     """
     began = time.perf_counter()
     asked = changes_of(changes)
-    case = _case(telemetry, vehicle, asked)
-    options = Options(candidates, calibrate, seed, coarser, workers, progress)
-    source = _source(case, telemetry)
+    case, source = _case(telemetry, vehicle, asked)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
-        raise InputError(
-            "the telemetry lies in the results folder, which is replaced",
-            do="copy it to another place first",
-            where=str(telemetry),
-        )
+        what = "the telemetry lies in the results folder, which is replaced"
+        raise InputError(what, do="copy it to another place first", where=str(telemetry))
     folder = results_folder(out, "reproduce")
-    with Gallery() as gallery:
-        result = compute(case, options, gallery.begin)
-        pictures = gallery.write(result, folder)
-    timeline = (case.folder / "timeline.toml").read_bytes()
-    write_whole(folder / "timeline.toml", timeline)
-    write_whole(
-        folder / f"telemetry{source.suffix or '.csv'}",
-        lambda part: part.write_bytes(source.read_bytes()),
-    )
-    summary = _summary(result, pictures, time.perf_counter() - began)
-    summary |= {
-        "changes": [str(change) for change in case.changes],
-        "command": _command(telemetry, vehicle, options, asked),
-        "inputs": _inputs(case, vehicle),
-    }
+    options = {"source": candidates, "twins": calibrate, "seed": seed, "coarser": coarser}
+    with closing(Gallery()) as gallery:
+        study = compute(case, gallery.begin, workers=workers, progress=progress, **options)
+        pictures = gallery.write(study, folder)
+    write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
+    copy = folder / f"telemetry{source.suffix or '.csv'}"
+    write_whole(copy, lambda part: part.write_bytes(source.read_bytes()))
+
+    words = ["sunspin", "reproduce", "--seed", str(seed)]
+    chosen = {"telemetry": telemetry, "vehicle": vehicle, "calibrate": calibrate}
+    chosen |= {"candidates": None if candidates == "scan" else candidates}
+    words += [word for name, x in chosen.items() if x is not None for word in (f"--{name}", str(x))]
+    words += [word for change in asked for word in ("--set", str(change))]
+    words += [] if coarser == 1 else ["--coarser", str(coarser)]
+    summary = summary_of(study, pictures, time.perf_counter() - began)
+    summary["changes"] = [str(change) for change in case.changes]
+    summary |= {"command": shlex.join(words), "inputs": _inputs(case, vehicle)}
     vehicle_text = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
     unchanged = telemetry is None and vehicle is None and not asked
     tables = [_contradictions(case)] if unchanged else []
-    contents = Contents(
-        datasets(result), pictures, tables, vehicle_text, case.telemetry, result.synthetic
-    )
+    samples = case.telemetry, study.synthetic
+    contents = Contents(datasets(study), pictures, tables, vehicle_text, *samples)
     write_contents(folder, summary, contents)
     return Written(folder, write_report(folder), summary)
 
 
-def _summary(result: Reproduction, pictures: list[Drawing], seconds: float) -> dict[str, Any]:
-    """What `summary.json` says of the results."""
-    counts, chain = result.counts(), result.chain
-    rows = [
-        asdict(row) | {"part": step.title, "section": SECTIONS[step.section]}
-        for step in STEPS
-        for row in result.rows_by_part.get(step.name, [])
-    ]
-    rows += [
-        asdict(row) | {"part": FIGURES, "section": SECTIONS["paper"]}
-        for row in figure_rows(pictures)
-    ]
-    return {
-        "version": version(),
-        "title": "How Philae tumbled",
-        "seed": result.seed,
-        "synthetic_telemetry": result.synthetic,
-        "seconds": round(seconds, 1),
-        "chain": result.options.source,
-        "carries": result.parts["carries"].first_line,
-        "noise": result.noise.told,
-        "calibration": str(chain.calibration) if chain and chain.calibration else None,
-        "missing": result.missing,
-        "stop": _no_conclusion(result),
-        "headline": headline(result),
-        "conclusions": conclusions(result),
-        "score": score(result),
-        "counts": counts["telemetry"]
-        | {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]},
-        "cite": CITE,
-        "figures": rows,
-    }
-
-
-def _no_conclusion(result: Reproduction) -> str:
-    """Why nothing follows from this telemetry about the motion after the first touchdown; empty if something does."""
-    if "candidates" not in result.missing:
-        return ""
-    texts = [result.missing[name] for name in ("candidates", "level_set") if name in result.missing]
-    reasons = [
-        text.split(": not reproduced, as ", 1)[-1] for text in texts if "not reproduced, as" in text
-    ]
-    why = (reasons or texts)[0].rstrip(".")
-    return f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
-
-
-def _contradictions(case: Case) -> Table:
-    """Statements of the paper that contradict its own figures or public facts, as a study computed them once."""
-    import pandas as pd
-
-    study = json.loads((case.folder / "contradictions.json").read_text("utf-8"))
-    shown = {
-        "what": "statement",
-        "sentence": "the paper says",
-        "published": "published",
-        "ours": "recomputed",
-        "unit": "unit",
-        "other_reading": "other reading",
-        "changes": "what it changes",
-        "strength": "strength",
-    }
-    rows = [
-        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in shown}
-        | {"strength": "weak" if row["weak"] else "strong"}
-        for row in study["statements"]
-    ]
-    title = (
-        "Where the paper contradicts itself (it judges the paper and not this run; weak: a matter of wording, or nearly explained "
-        f"by the other reading). Computed on {study['made']} by {study['command']}"
-    )
-    return Table("contradictions", pd.DataFrame(rows), title, shown)
-
-
 def _case(
     telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]
-) -> Case:
-    """The case with the vehicle, the changes and the telemetry given; all refused before any work."""
+) -> tuple[Case, Path]:
+    """The case with the vehicle, the changes and the telemetry given, all refused before any work; the file of the telemetry."""
     of_vehicle, of_study = split(changes)
     case = load_case("philae", changes if vehicle is None else of_study)
+    source = case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
     if vehicle is not None:
         craft = load_vehicle(vehicle, of_vehicle)
         require_wheel(craft)
-        return with_vehicle(case, craft, read_telemetry(_source(case, telemetry), craft))
-    return (
-        case
-        if telemetry is None
-        else rb.with_telemetry(case, read_telemetry(telemetry, case.vehicle))
-    )
-
-
-def _source(case: Case, telemetry: str | Path | None) -> Path:
-    return case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
-
-
-def _command(
-    telemetry: str | Path | None,
-    vehicle: str | Path | None,
-    options: Options,
-    changes: tuple[Change, ...],
-) -> str:
-    words = ["sunspin", "reproduce", "--seed", str(options.seed)]
-    given = {"telemetry": telemetry, "vehicle": vehicle, "calibrate": options.twins}
-    for name, value in given.items():
-        words += [] if value is None else [f"--{name}", str(value)]
-    words += [] if options.source == "scan" else ["--candidates", options.source]
-    words += [word for change in changes for word in ("--set", str(change))]
-    return shlex.join(words + ([] if options.coarser == 1 else ["--coarser", str(options.coarser)]))
+        case = replace(case, vehicle=craft)
+    if telemetry is None and vehicle is None:
+        return case, source
+    return rb.with_telemetry(case, read_telemetry(source, case.vehicle)), source
 
 
 def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     """The files that the study was made from, with their hashes."""
-    telemetry, own = case.telemetry.attrs, case.folder / "vehicle.toml"
-    files = {"vehicle": own if vehicle is None else Path(vehicle)}
+    # a vehicle may be named after a built-in case
+    own = vehicle is None or not Path(vehicle).is_file()
+    files = {"vehicle": case.folder / "vehicle.toml" if own else Path(vehicle)}
     files |= {name: case.folder / f"{name}.toml" for name in ("timeline", "published")}
-    inputs = [
-        {"what": "telemetry", "file": str(telemetry["file"]), "sha256": str(telemetry["sha256"])}
-    ]
+    about = {key: str(case.telemetry.attrs[key]) for key in ("file", "sha256")}
+    inputs = [{"what": "telemetry"} | about]
     for name, path in files.items():
-        # a vehicle may be named after a built-in case
-        file = path if path.is_file() else own
-        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
         inputs.append({"what": name, "file": path.name, "sha256": digest})
     return inputs
+
+
+def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[str, Any]:
+    """What `summary.json` says of the results."""
+    counts, chain, missing = study.counts(), study.chain, study.missing
+    stop = ""
+    if "candidates" in missing:
+        texts = [missing[name] for name in ("candidates", "level_set") if name in missing]
+        cut = ": not reproduced, as "
+        reasons = [text.split(cut, 1)[1] for text in texts if cut in text]
+        why = (reasons or texts)[0].rstrip(".")
+        stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
+    sections = [(step.title, step.section, study.rows_by_part.get(step.name, [])) for step in STEPS]
+    sections.append(("The figures of the paper", "paper", figure_rows(pictures)))
+    rows = [
+        asdict(row) | {"part": title, "section": SECTIONS[section]}
+        for title, section, of_section in sections
+        for row in of_section
+    ]
+    apart = {"without_telemetry": counts["no_telemetry"], "paper": counts["paper"]}
+    return {
+        "version": version(),
+        "title": "How Philae tumbled",
+        "seed": study.options.seed,
+        "synthetic_telemetry": study.synthetic,
+        "seconds": round(seconds, 1),
+        "chain": study.options.source,
+        "carries": study.parts["carries"].first_line,
+        "noise": study.noise.about,
+        "calibration": str(chain.calibration) if chain and chain.calibration else None,
+        "missing": missing,
+        "stop": stop,
+        "headline": headline(study),
+        "conclusions": conclusions(study),
+        "score": score(study),
+        "counts": counts["telemetry"] | apart,
+        "cite": CITE,
+        "figures": rows,
+    }
 
 
 def figure_rows(pictures: list[Drawing]) -> list[Row]:
@@ -303,9 +220,6 @@ def figure_rows(pictures: list[Drawing]) -> list[Row]:
             what=f"Fig. {number}",
             published=shows,
             ours=", ".join(f"{p.name}.png" for p in mine) or absent,
-            unit="1",
-            tolerance=None,
-            agrees=None,
             note=" ".join(p.caption for p in mine),
             source=f"paper, Fig. {number}",
             kind="not_comparable",
@@ -313,3 +227,79 @@ def figure_rows(pictures: list[Drawing]) -> list[Row]:
         )
         rows.append(row)
     return rows
+
+
+def _contradictions(case: Case) -> Table:
+    """Statements of the paper that contradict its own figures or public facts, as a study computed them once."""
+    import pandas as pd
+
+    study = json.loads((case.folder / "contradictions.json").read_text("utf-8"))
+    shown = {"what": "statement", "sentence": "the paper says", "published": "published"}
+    shown |= {"ours": "recomputed", "unit": "unit", "other_reading": "other reading"}
+    shown |= {"changes": "what it changes", "strength": "strength"}
+    rows = [
+        {name: "" if row.get(name) == "1" else number_text(row.get(name), 4) for name in shown}
+        | {"strength": "weak" if row["weak"] else "strong"}
+        for row in study["statements"]
+    ]
+    title = (
+        "Where the paper contradicts itself (it judges the paper and not this run; weak: a matter of wording, or nearly explained "
+        f"by the other reading). Computed on {study['made']} by {study['command']}"
+    )
+    return Table("contradictions", pd.DataFrame(rows), title, shown)
+
+
+# ---- NetCDF files ------------------------------------------------------------------------------------------------------------
+
+
+def datasets(study: Study) -> dict[str, xr.Dataset]:
+    """File name -> data of every step that was computed: what the report is made from, and what a reader may compute with."""
+    parts, lines, rate = study.parts, study.parts["published_lines"], {"units": "rad s-1"}
+    scans = [("scan_published_lines", lines.clean, "the common distribution of the printed lines")]
+    if (scan := parts.get("level_set")) is not None:
+        scans.insert(0, ("scan_telemetry", scan.near, "the directions of this telemetry"))
+    files = {"sun": study.sun}
+    printed = [np.array(each) for each in zip(*rb.published_lines(study.case), strict=True)]
+    for name, family, target in scans:
+        data = family.emd.to_dataset()
+        if family.lines is not None:
+            data = data.merge(family.lines.rename({"axis": "line_axis", "n": "near_point"}))
+        near, by = rate | {"factor": family.factor}, ("published_line", "rate_axis")
+        data["near_minimum"] = ("near_point", "rate_axis"), family.points, near
+        data["published_point"] = by, printed[0], rate
+        data["published_direction"] = by, printed[1], {"units": "1"}
+        files[name] = data.assign_attrs(kind="scan", about=f"against {target}")
+    if scan is not None and scan.truth:
+        files["scan_telemetry"]["truth"] = "rate_axis", scan.truth["omega_B"], rate
+    touchdown = {
+        "omega_B": (("point", "axis"), lines.near_touchdown, rate),
+        "published_B": (("published", "axis"), lines.on_lines_touchdown, rate),
+    }
+    files["touchdown"] = xr.Dataset(touchdown, coords={"axis": ["x", "y", "z"]})
+    if study.chain is not None:
+        chosen = study.chain.chosen
+        table, every = chosen.dataset(), -(-len(chosen) // 20_000)  # an even draw of more
+        for name, unit, about in (
+            ("speed_touchdown", "rad s-1", "just after the first touchdown"),
+            ("theta", "rad", "angle from the momentum to the z axis"),
+            ("alpha", "rad", "angle from the momentum to the Sun"),
+        ):
+            table[name] = "candidate", getattr(chosen, name), {"units": unit, "long_name": about}
+        files["candidates"] = table.isel(candidate=slice(None, None, every))
+    if "sensitivity" in parts:
+        files["map_rates"] = parts["sensitivity"].rates.to_dataset()
+        files["map_parameters"] = data = parts["sensitivity"].parameters.to_dataset()
+        data["mu_0"].attrs["units"] = "N m"
+        data["theta_xx"].attrs["units"] = "kg m2"
+    if "collision" in parts:
+        runs = parts["collision"].runs["chosen"]
+        files |= {f"outcomes-{name}": each for name, each in runs.items()}
+    if "strategies" in parts:
+        files["strategies"] = parts["strategies"].table
+    if "motions" in parts:
+        for name, run in parts["motions"].candidates.items():
+            files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
+        files["speed"] = parts["motions"].speed
+    attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
+    attrs["sunspin_version"] = version()
+    return {name: data.assign_attrs(attrs) for name, data in files.items()}

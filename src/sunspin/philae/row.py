@@ -29,13 +29,6 @@ from sunspin.landing.tally import Estimate
 from sunspin.telemetry.case import Case
 
 KINDS = ("test", "put_in", "arithmetic", "not_comparable")
-DEPENDS = ("data", "candidates")
-
-NARROWER = 0.5
-"""An interval informs where it is narrower than this part of what was possible before the data."""
-
-SIGMAS = 3.0
-"""A share or mean over candidates informs where it differs from the one over all that was possible by this many errors."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +40,8 @@ class Row:
     published, ours : the paper's figure; ours by the paper's own recipe
     tolerance : how far ours may be off; None where an interval, or nothing, judges
     agrees : only for informative rows of kind "test", else None
-    low, high : interval of ours: over the chosen candidates ("candidates") or from the noise ("data")
+    depends : on what an interval of ours does, "data" (the noise) or "candidates"
+    low, high : interval of ours, over the chosen candidates or from the noise
     prior_low, prior_high : the same over all that was possible before the data, where the row depends on candidates
     informative : False where the data leave nearly all that was possible
     chain : what made ours: "telemetry", the candidates ("scan", "posterior", "published", a file's name) or "none"; where a row
@@ -59,11 +53,11 @@ class Row:
     what: str
     published: Any
     ours: Any
-    unit: str
-    tolerance: float | list[float] | None
-    agrees: bool | None
-    note: str
     source: str
+    note: str = ""
+    unit: str = "1"
+    tolerance: float | list[float] | None = None
+    agrees: bool | None = None
     kind: str = "test"
     depends: str = "data"
     low: Any = None
@@ -74,9 +68,6 @@ class Row:
     chain: str = ""
     holds: bool | None = None
 
-    def __post_init__(self) -> None:
-        assert self.kind in KINDS and self.depends in DEPENDS, (self.id, self.kind, self.depends)
-
 
 def settled(row: Row, put_in: bool = False) -> Row:
     """The row as it counts: only an informative test agrees or differs; what another kind compared goes to `holds`."""
@@ -85,20 +76,19 @@ def settled(row: Row, put_in: bool = False) -> Row:
         kind = "not_comparable"
     if kind == "test":
         return replace(row, agrees=row.agrees if row.informative else None)
-    return replace(
-        row, kind=kind, agrees=None, holds=row.agrees if row.holds is None else row.holds
-    )
+    holds = row.agrees if row.holds is None else row.holds
+    return replace(row, kind=kind, agrees=None, holds=holds)
 
 
 def counts(rows: list[Row]) -> dict[str, int]:
     """How many rows agree, differ, are uninformative tests, and how many there are of each other kind."""
     tests = [row for row in rows if row.kind == "test"]
-    found = {
+    verdicts = {
         "agree": sum(row.agrees is True for row in tests),
         "differ": sum(row.agrees is False for row in tests),
         "uninformative": sum(not row.informative for row in tests),
     }
-    return found | {kind: sum(row.kind == kind for row in rows) for kind in KINDS[1:]}
+    return verdicts | {kind: sum(row.kind == kind for row in rows) for kind in KINDS[1:]}
 
 
 @cache
@@ -111,15 +101,7 @@ def tables(case: Case) -> Mapping[str, dict[str, Any]]:
     return _tables(case.folder / "published.toml")
 
 
-def row(
-    case: Case,
-    name: str,
-    ours: Any,
-    *,
-    says: tuple[str, ...] = ("note",),
-    sigma: Any = None,
-    **given: Any,
-) -> Row:
+def row(case: Case, name: str, ours: Any, **given: Any) -> Row:
     """The figure `name` beside ours, with the texts that the case's `published.toml` has for it.
 
     Numbers within the tolerance of each other agree; of a row with `at_most`, ours that are no larger. `agrees` or `holds` judge
@@ -128,50 +110,43 @@ def row(
 
     Parameters
     ----------
-    says : the notes of the table that the row shows, one after the other
-    sigma : one standard error of ours from the noise; the interval is 1.645 of them either way (90 %)
-    given : fields of `Row` that replace those of the table (with another `id`, the figure of that name); the rest fills its texts
+    says : tuple of str
+        The notes of the table that the row shows, one after the other; default: "note".
+    given
+        Fields of `Row` that replace those of the table (with another `id`, the figure of that name); the rest fills its texts.
     """
+    says = ("what", *given.pop("says", ("note",)))
     about = tables(case).get(given.get("id", name), {}) | tables(case)[name]
-    most = about.get("at_most")
     values: dict[str, Any] = {
+        "id": name,
+        "ours": ours,
         "published": about.get("published", about.get("value")),
-        "tolerance": about.get("tolerance", most),
+        "tolerance": about.get("tolerance", about.get("at_most")),
+        "unit": about["unit"],
         "kind": about.get("kind", "test"),
         "chain": about.get("chain", "none" if about.get("kind") == "arithmetic" else ""),
     }
-    values |= {"id": name, "ours": ours}
-    if sigma is not None:
-        values["low"], values["high"] = interval(ours, sigma)
+    judged = bool({"agrees", "holds"} & set(given))
     values |= {key: given.pop(key) for key in list(given) if key in Row.__dataclass_fields__}
     fields = {"paper": {key: figure.value for key, figure in case.published.items()}}
     fields |= values | given
-
-    def filled(key: str) -> str:
-        return about[key].format_map(fields) if key in about else ""
-
     if isinstance(values["published"], str):
         values["published"] = values["published"].format_map(fields)
-    place = filled("place")
-    source = place.removeprefix("not stated; ")
-    texts: dict[str, Any] = {
-        "what": filled("what"),
-        "unit": filled("unit"),
-        "source": f"paper, {place}" if source == place else source,
-        "note": "".join(filled(key) for key in says),
-    }
-    judged = bool({"agrees", "holds"} & set(values))
-    everything: dict[str, Any] = {"agrees": None} | texts | values
-    comparison = Row(**everything)
+    source = about["place"].removeprefix("not stated; ")
+    source = f"paper, {source}" if source == about["place"] else source
+    what, *notes = (about[key].format_map(fields) if key in about else "" for key in says)
+    values = {"source": source, "what": what, "note": "".join(notes), **values}
+    comparison = Row(**values)
     if comparison.tolerance is None or judged:
         return comparison
-    mine = np.asarray(ours, dtype=np.float64)
-    off = mine if most is not None else np.abs(mine - np.asarray(comparison.published, float))
+    off = np.asarray(ours, dtype=np.float64)
+    if "at_most" not in about:
+        off = np.abs(off - np.asarray(comparison.published, float))
     return replace(comparison, agrees=bool(np.all(off <= comparison.tolerance)))
 
 
 def interval(ours: Any, sigma: Any) -> tuple[Any, Any]:
-    """Ours less and plus 1.645 sigma, in the shape of ours."""
+    """Ours less and plus 1.645 sigma (90 %), in the shape of ours."""
     middle, half = np.asarray(ours, dtype=np.float64), 1.645 * np.asarray(sigma, dtype=np.float64)
     return (middle - half).tolist(), (middle + half).tolist()
 
@@ -185,22 +160,14 @@ def over_candidates(
     the row's tolerance, lies inside. That is half a unit of its last digit; a row without one has no published number to hold
     against it.
     """
-    low, high = chosen
-    informative = bool(high - low < NARROWER * (possible[1] - possible[0]))
+    (low, high), (prior_low, prior_high) = chosen, possible
+    informative = bool(high - low < 0.5 * (prior_high - prior_low))
     agrees, half_digit = None, cast(float | None, row.tolerance)
     if half_digit is not None and informative:
         agrees = bool(low - half_digit <= row.published <= high + half_digit)
-    return replace(
-        row,
-        depends="candidates",
-        chain=chain,
-        low=low,
-        high=high,
-        prior_low=possible[0],
-        prior_high=possible[1],
-        informative=informative,
-        agrees=agrees,
-    )
+    ranges = {"low": low, "high": high, "prior_low": prior_low, "prior_high": prior_high}
+    about: dict[str, Any] = {"depends": "candidates", "chain": chain} | ranges
+    return replace(row, informative=informative, agrees=agrees, **about)
 
 
 def share_of_candidates(
@@ -211,17 +178,8 @@ def share_of_candidates(
     It informs where the two differ by more than three sampling errors; `agrees` is the caller's criterion, stated in the note.
     """
     apart = abs(chosen.value - possible.value)
-    informative = bool(apart > SIGMAS * np.hypot(chosen.error, possible.error))
-    low, high = interval(chosen.value, chosen.error)
-    before = interval(possible.value, possible.error)
-    return replace(
-        row,
-        depends="candidates",
-        chain=chain,
-        low=low,
-        high=high,
-        prior_low=before[0],
-        prior_high=before[1],
-        informative=informative,
-        agrees=agrees if informative else None,
-    )
+    informative = bool(apart > 3.0 * np.hypot(chosen.error, possible.error))
+    unjudged = replace(row, tolerance=None)
+    shown = over_candidates(unjudged, chain, interval(*chosen), interval(*possible))
+    agrees = agrees if informative else None
+    return replace(shown, tolerance=row.tolerance, informative=informative, agrees=agrees)

@@ -2,39 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from sunspin.landing import strategies as st
 from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import case_scenario
+from sunspin.landing.scenario import Scenario, case_scenario
 from sunspin.landing.tally import Estimate, tally
 from sunspin.philae.candidates import Chain
 from sunspin.philae.row import Row, row, share_of_candidates
 from sunspin.telemetry.case import Case
-from sunspin.vehicle import HullPart
-
-SHIFT_M = 0.1
-"""Shift of the hull along z whose effect on the first contact is reported: the uncertainty of Philae's hull."""
-
-CONE_DEG = 30.0
-"""Half-angle of a narrower distribution of the local vertical, about upright at the touchdown."""
+from sunspin.vehicle import HullPart, Vehicle
 
 
-@dataclass(frozen=True)
-class Strategies:
+class Strategies(NamedTuple):
     """Landings at the kernel's times and speeds.
 
-    Attributes
-    ----------
-    table, runs : of the chosen candidates: comparison of the strategies, and the runs of each by its name
-    off : tallies with the wheel off of the chosen candidates, the scanned box and the paper's own set
-    delay : search of the best delay of switching off
-    settling : of `landing.strategies.settling`
-    alternatives : assumption in words -> tally with the wheel off
+    `table`, `runs`: of the chosen candidates, the comparison of the strategies, and the runs of each by its name; `off`: tallies
+    with the wheel off of the chosen candidates, the scanned box and the paper's own set; `delay`: search of the best delay of
+    switching off; `alternatives`: assumption in words -> tally with the wheel off.
     """
 
     chain: Chain
@@ -42,7 +32,6 @@ class Strategies:
     runs: dict[str, xr.Dataset]
     off: dict[str, dict[str, Estimate]]
     delay: xr.Dataset
-    settling: list[dict[str, Any]]
     alternatives: dict[str, dict[str, Estimate]]
 
 
@@ -51,75 +40,68 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     vehicle, real = case.vehicle, case_scenario(case, chain.rebound)
     motions, half = chain.chosen.dataset(), max(n // 2, 1)
     table, runs = st.compare(vehicle, motions, st.STRATEGIES, n, seed, real, **options)
-    off = {"chosen": tally(runs["off"])}
-    for name, candidates in (("box", chain.box), ("recipe", chain.recipe)):
-        starts = candidates.dataset()
-        off[name] = tally(outcomes(vehicle, starts, "off", n, seed, scenario=real, **options))
+    table.attrs["synthetic"] = case.telemetry.attrs.get("synthetic", 0)
+
+    def off(
+        craft: Vehicle, starts: xr.Dataset, count: int, scenario: Scenario
+    ) -> dict[str, Estimate]:
+        return tally(outcomes(craft, starts, "off", count, seed, scenario=scenario, **options))
+
+    others = {"box": chain.box, "recipe": chain.recipe}
+    by_set = {name: off(vehicle, each.dataset(), n, real) for name, each in others.items()}
+    by_set["chosen"] = tally(runs["off"])
     delay = st.best_delay(vehicle, motions, n=half, seed=seed, scenario=real, **options)
     assumed = {}
-    for about, dz_m in (
-        (f"body {SHIFT_M:g} m lower", -SHIFT_M),
-        (f"body {SHIFT_M:g} m higher", SHIFT_M),
-    ):
+    for word, dz_m in (("lower", -0.1), ("higher", 0.1)):  # the uncertainty of Philae's hull
         hull = tuple(HullPart(p.name, p.points_B_m + [0, 0, dz_m], p.panel) for p in vehicle.hull)
-        assumed[about] = replace(vehicle, hull=hull), real
+        assumed[f"body 0.1 m {word}"] = replace(vehicle, hull=hull), real
     assumed["any vertical"] = vehicle, replace(real, vertical="any")
-    cone = replace(real, vertical=float(np.radians(CONE_DEG)))
-    assumed[f"vertical within {CONE_DEG:g} degrees of upright"] = vehicle, cone
+    cone = replace(real, vertical=float(np.radians(30.0)))
+    assumed["vertical within 30 degrees of upright"] = vehicle, cone
     alternatives = {
-        about: tally(outcomes(craft, motions, "off", half, seed, scenario=scenario, **options))
-        for about, (craft, scenario) in assumed.items()
+        about: off(craft, motions, half, scenario) for about, (craft, scenario) in assumed.items()
     }
-    settling = st.settling(vehicle, case.published["gravity"].value)
-    return Strategies(chain, table, runs, off, delay, settling, alternatives)
+    return Strategies(chain, table, runs, by_set, delay, alternatives)
 
 
 def rows(strategies: Strategies) -> list[Row]:
     """Published figures of section 4 beside ours."""
-    chain, off = strategies.chain, strategies.off
-    case, name, about = chain.case, chain.name, chain.chosen.about
+    chain, off, delay = strategies.chain, strategies.off, strategies.delay
+    case, name, chosen = chain.case, chain.name, off["chosen"]
+    paper = {key: figure.value for key, figure in case.published.items()}
     held = tally(strategies.runs["held"])
+    # the wheel switched off at rest: its torque, and what the feet have to hold
+    ways = st.settling(case.vehicle, paper["gravity"])
+    rest = next(way for way in ways if way["way"] == "off")
+    shares = strategies.alternatives.items()
+    texts = {"about": chain.chosen.about, "off": chosen, "held": held, "rest": rest}
+    spread = (f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)
+    texts["spread"] = ", ".join(spread)
+    texts["speed"] = case.vehicle.wheels[0].speed_rad_s
+    row_of = partial(row, case, **texts)
+
+    def share(id: str, quantity: str) -> Row:
+        box, recipe = off["box"][quantity], off["recipe"][quantity]
+        shown = row_of(id, recipe.value, chain=name)
+        return share_of_candidates(shown, name, chosen[quantity], box, None)
 
     # a leg's tip: v + |l| |omega|
-    paper = {key: figure.value for key, figure in case.published.items()}
     longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     turning = longest * paper["rate_at_collision"]
-    tip = row(
-        case,
-        "leg_tip_speed",
-        paper["landing_speed"] + turning,
-        fast=paper["collision_speed"] + turning,
-        spun=paper["collision_speed"] + longest * 2 * np.pi / paper["romap_period_before"],
-        off=off["chosen"]["leg_tip_speed"].value,
-        held=held["leg_tip_speed"].value,
-    )
-
-    # the wheel switched off at rest: its torque, and what the feet have to hold
-    rest = next(way for way in strategies.settling if way["way"] == "off")
-    speed = case.vehicle.wheels[0].speed_rad_s
-
-    def share(id: str, quantity: str, **texts: Any) -> Row:
-        chosen, box, recipe = (off[of][quantity] for of in ("chosen", "box", "recipe"))
-        texts |= {"about": about, "off": off["chosen"], "held": held}
-        shown = row(case, id, recipe.value, chain=name, **texts)
-        return share_of_candidates(shown, name, chosen, box, None)
-
-    shares = strategies.alternatives.items()
-    spread = ", ".join(f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)
+    speeds = {"off": chosen["leg_tip_speed"].value, "held": held["leg_tip_speed"].value}
+    speeds["fast"] = paper["collision_speed"] + turning
+    speeds["spun"] = paper["collision_speed"] + longest * 2 * np.pi / paper["romap_period_before"]
 
     # when to switch the wheel off for a landing on the legs
-    delay = strategies.delay
     metric, tips = (
         delay["value"].sel(quantity=quantity).values
         for quantity in (delay.attrs["metric"], "leg_tip_speed")
     )
     good = delay["delay_s"].values[delay["as_good"].values] / 60
-    best = row(
-        case,
+    best = row_of(
         "best_switch_off_delay",
         delay.attrs["best_s"] / 60,
         chain=name,
-        about=about,
         best=metric.max(),
         at_once=metric[0],
         as_good=", ".join(f"{minutes:g}" for minutes in good),
@@ -130,12 +112,12 @@ def rows(strategies: Strategies) -> list[Row]:
         tip=[tips[0], tips[-1]],
     )
     return [
-        tip,
-        row(case, "landing_speed", paper["kernel_speed_before_landing"]),
-        row(case, "final_friction_torque", rest["torque_N_m"], speed=speed, rest=rest),
-        row(case, "final_foot_force", rest["foot_force_N"], rest=rest),
-        row(case, "weight", 3 * rest["weight_per_foot_N"]),
-        share("first_contact_panel", "touch_panel", spread=spread),
+        row(case, "leg_tip_speed", paper["landing_speed"] + turning, **speeds),
+        row_of("landing_speed", paper["kernel_speed_before_landing"]),
+        row_of("final_friction_torque", rest["torque_N_m"]),
+        row_of("final_foot_force", rest["foot_force_N"]),
+        row_of("weight", 3 * rest["weight_per_foot_N"]),
+        share("first_contact_panel", "touch_panel"),
         share("rest_on_panel", "rest_panel"),
         share("antenna_serves", "antenna_at_rest"),
         best,

@@ -66,31 +66,24 @@ FOLDED_LEG_TRANSMISSION = (0.42, 0.72, 0.42, 0.72, 0.42, 1.0)
 """Part of the light that reaches each panel past the folded legs: gives n_z near 0.8 and Delta in 0.1 .. 0.2."""
 
 REST_TRANSMISSION = (0.0, 0.4, 0.4, 0.4, 0.4, 1.0)
-"""The same past the rocks at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
+"""Past the rocks at the final site: gives the lit patterns (2, 3, 6), (2, 3), (2)."""
 
 BEFORE_THE_SHADOW = (0.15, 0.6, 0.3, 0.4, 0.4, 1.0)
-"""The same before the shadow is all over panel 1: the pattern (1, 2, 3, 6) has a direction, with Delta in 0.1 .. 0.2."""
+"""Before the shadow is all over panel 1: the pattern (1, 2, 3, 6) has a direction, with Delta in 0.1 .. 0.2."""
 
 REST_ANGLES_DEG = (-60.0, -50.0, -40.0, 3.0)
 """Angle of the Sun along its circle from where it sinks below the xy plane: when the lander comes to rest; until where the shadow
 leaves panel 1 free (some five samples); between which the rocks hide the Sun."""
 
-COMET_TURN_S = 12.4 * 3600.0
-"""Rotation period of 67P on the day."""
-
-SPIN_PERIOD_S = 13.0
-"""Turn before the collision: ROMAP team, 2014; read here as 2 pi / |omega|."""
-
+COMET_TURN_S = 12.4 * 3600.0  # 67P on the day
+SPIN_PERIOD_S = 13.0  # before the collision: ROMAP team, 2014; read here as 2 pi / |omega|
 SAMPLES_BEFORE_DESCENT, SAMPLES_OF_REBOUND = 9, 23
 DEPLOYMENT_INTERVAL_S = 102.0  # nine samples between separation and 08:50:30 leave no more
 REBOUND_INTERVAL_S = 120.0  # paper, section 1: about 2 min
 SETTLING_INTERVAL_S = 150.0
 REST_DURATION_S = 4.0 * 3600.0
-JITTER_S = 6.0
-"""Sample times are irregular by up to this, as housekeeping is."""
-
-MAX_DRAWS = 200
-"""Draws of what has to be possible, before it is refused."""
+JITTER_S = 6.0  # sample times are irregular by up to this, as housekeeping is
+MAX_DRAWS = 200  # of what has to be possible, before it is refused
 
 
 def twin(
@@ -131,9 +124,8 @@ def twin(
             return philae_twin(seed, **landing)
         raise InputError("a twin needs a truth", do="give omega_B, sun_B and t_s")
     if landing:
-        raise InputError(
-            "a twin with a truth takes no options of the landing", got=", ".join(landing)
-        )
+        what = "a twin with a truth takes no options of the landing"
+        raise InputError(what, got=", ".join(landing))
     return synthetic_telemetry(source.vehicle if isinstance(source, Case) else source, truth, seed)
 
 
@@ -149,7 +141,7 @@ class State(NamedTuple):
     wheel_speed_rad_s: np.ndarray
 
 
-class Part(NamedTuple):
+class PhaseSamples(NamedTuple):
     """The samples of one phase: times (n), true directions (n, 3), part of the light that reaches each panel, (n, n_panel) or as
     broadcast to it."""
 
@@ -167,24 +159,12 @@ def philae_twin(
     turned_rad: float | None = None,
     rest_seen: bool = True,
 ) -> xr.Dataset:
-    """Synthetic telemetry of the whole landing.
+    """Synthetic telemetry of the whole landing; the same seed gives the same data.
 
-    Parameters
-    ----------
-    seed : int
-        The same seed gives the same data.
-    noise : float, optional
-        One sigma in W; default: the vehicle file's. Zero gives the powers that the true directions make.
-    tilt_rad, turned_rad : float, optional
-        One sigma of the angles by which each panel's normal is off to each side, and all panels together about each axis; default:
-        the vehicle file's. Zero for panels as drawn.
-    rest_seen : bool
-        Whether the first samples at rest give a direction.
-
-    Raises
-    ------
-    InputError
-        Turns so large that no Sun makes the panels show the published first direction: another seed may.
+    `noise`: one sigma in W (zero: the powers that the true directions make); `tilt_rad`, `turned_rad`: one sigma of the angles by
+    which each panel's normal is off to each side, and all panels together about each axis (zero: panels as drawn); default: the
+    vehicle file's. `rest_seen`: whether the first samples at rest give a direction. An `InputError` where the turns are so large
+    that no Sun makes the panels show the published first direction: another seed may.
 
     Returns
     -------
@@ -194,7 +174,6 @@ def philae_twin(
     """
     case = load_case("philae")
     vehicle, timeline = case.vehicle, case.require_timeline()
-    sigma = vehicle.require_noise() if noise is None else noise
     own, common = stated_sigma(vehicle)
     own = own if tilt_rad is None else tilt_rad
     common = common if turned_rad is None else turned_rad
@@ -202,28 +181,26 @@ def philae_twin(
 
     start = first_state(case, tilt)
     before, after, blow = collide(case, start, generator(seed, 3))
-    landed = _state_at(vehicle, after, timeline.event("second_touchdown").t_s)
-    sampled = (
-        ("first_rebound", start, rebound_times(case, generator(seed, 2))),
-        ("second_rebound", after, _sparse_times(case, "collision", generator(seed, 4))),
-    )
-    parts = [
+    first_t = rebound_times(case, generator(seed, 2))
+    second_t = _sparse_times(case, "collision", generator(seed, 4))
+    landed = _flown(vehicle, after, np.array([timeline.event("second_touchdown").t_s]))
+    phases = [
         *_descent(case, generator(seed, 1)),
-        *(Part(phase, t, _sun_at(vehicle, state, t)) for phase, state, t in sampled),
-        _settling(case, landed.sun_B, generator(seed, 5)),
-        _rest(case, generator(seed, 6), rest_seen),
+        PhaseSamples("first_rebound", first_t, _flown(vehicle, start, first_t)["sun_B"].values),
+        PhaseSamples("second_rebound", second_t, _flown(vehicle, after, second_t)["sun_B"].values),
+        *_on_the_ground(case, landed["sun_B"].values[-1], seed, rest_seen),
     ]
-    t, sun = (np.concatenate([getattr(part, key) for part in parts]) for key in ("t_s", "sun_B"))
-    phase = np.repeat([part.phase for part in parts], [part.t_s.size for part in parts])
+    t, sun = (np.concatenate([getattr(each, key) for each in phases]) for key in ("t_s", "sun_B"))
+    phase = np.repeat([each.phase for each in phases], [each.t_s.size for each in phases])
     panels = len(vehicle.panels)
-    seen = [np.broadcast_to(part.transmission, (part.t_s.size, panels)) for part in parts]
+    seen = [np.broadcast_to(each.transmission, (each.t_s.size, panels)) for each in phases]
 
     exact = CELL_W * vehicle.response_in().power(sun, tilt=tilt) * np.concatenate(seen)
     first = int(np.flatnonzero(phase == "first_rebound")[0])
     power = noisy_readings(vehicle, sun, exact, noise, generator(seed, 0), first)
     truth = {
         "seed": seed,
-        "noise": sigma,
+        "noise": vehicle.require_noise() if noise is None else noise,
         "scale": CELL_W,
         **start._asdict(),
         "collision_t_s": before.t_s,
@@ -260,9 +237,8 @@ def drawn_panels(
             return None, shown_B
         with suppress(InputError):
             return tilt, behind(vehicle, shown_B, tilt)
-    raise InputError(
-        f"no Sun makes panels show this direction in {MAX_DRAWS} draws", got=f"sigmas {sigmas}"
-    )
+    what = f"no Sun makes panels show this direction in {MAX_DRAWS} draws"
+    raise InputError(what, got=f"sigmas {sigmas}")
 
 
 def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarray:
@@ -276,9 +252,8 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
     sun /= np.linalg.norm(sun)
     if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
-        raise InputError(
-            "no Sun makes panels turned so far show the published direction", do="take another seed"
-        )
+        what = "no Sun makes panels turned so far show the published direction"
+        raise InputError(what, do="take another seed")
     return sun
 
 
@@ -325,37 +300,27 @@ def collide(
     case: Case, start: State, rng: np.random.Generator
 ) -> tuple[State, State, dict[str, Any]]:
     """The states just before and after the collision, and what hit: leg and velocity."""
-    before = _state_at(case.vehicle, start, case.require_timeline().event("collision").t_s)
+    t = case.require_timeline().event("collision").t_s
+    run = _flown(case.vehicle, start, np.array([t]))
+    before = State(t, *(run[key].values[-1] for key in State._fields[1:]))
     legs, assumed = case.vehicle.legs, case.assumptions.collision
     leg = legs[int(rng.integers(len(legs)))].name
     direction = rng.standard_normal(3)
     direction /= np.linalg.norm(direction)
     direction[2] = -abs(direction[2])  # paper, section 3.3: any direction, but towards -z
     velocity = case.published["collision_speed"].value * direction
-    after = impact(
-        case.vehicle,
-        before.omega_B,
-        before.wheel_speed_rad_s,
-        velocity,
-        leg,
-        restitution=assumed.restitution,
-        damper=assumed.damper,
-    )
+    bounce: dict[str, Any] = {"restitution": assumed.restitution, "damper": assumed.damper}
+    motion = before.omega_B, before.wheel_speed_rad_s
+    after = impact(case.vehicle, *motion, velocity, leg, **bounce)
     omega, speed = after["omega_B"].values, after["wheel_speed_rad_s"].values
-    blow = {"collision_leg": leg, "collision_velocity_B": velocity}
-    return before, State(before.t_s, omega, before.sun_B, speed), blow
+    hit = {"collision_leg": leg, "collision_velocity_B": velocity}
+    return before, State(t, omega, before.sun_B, speed), hit
 
 
-def _state_at(vehicle: Vehicle, state: State, t_s: float) -> State:
-    run = propagate(vehicle, state.omega_B, state.sun_B, state.wheel_speed_rad_s, [state.t_s, t_s])
-    return State(t_s, *(run[key].values[-1] for key in State._fields[1:]))
-
-
-def _sun_at(vehicle: Vehicle, state: State, t: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) at t (n), the first of which may be the state's own time."""
-    times = t if t[0] == state.t_s else np.concatenate([[state.t_s], t])
-    run = propagate(vehicle, state.omega_B, state.sun_B, state.wheel_speed_rad_s, times)
-    return run["sun_B"].values[-t.size :]
+def _flown(vehicle: Vehicle, state: State, t_s: np.ndarray) -> xr.Dataset:
+    """The motion from a state at t_s (n), the first of which may be the state's own time."""
+    times = t_s if t_s[0] == state.t_s else np.concatenate([[state.t_s], t_s])
+    return propagate(vehicle, *state[1:], times).isel(time=slice(-t_s.size, None))
 
 
 def _jittered(t_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -380,7 +345,7 @@ def _sparse_times(
     return _jittered(begin + interval * (np.arange(n) + 0.5), rng)
 
 
-def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
+def _descent(case: Case, rng: np.random.Generator) -> tuple[PhaseSamples, PhaseSamples]:
     """Samples 1 to 9 with folded legs, then 10 to the touchdown: rotation about z at the published cubic rate."""
     timeline, published = case.require_timeline(), case.published
     begin, end = (timeline.event(name).t_s for name in ("descent_fit_begins", "first_touchdown"))
@@ -402,42 +367,41 @@ def _descent(case: Case, rng: np.random.Generator) -> tuple[Part, Part]:
         return np.stack([x, y, np.full(t_s.shape, z)], axis=-1)
 
     return (
-        Part("deployment", folded, sun(folded), FOLDED_LEG_TRANSMISSION),
-        Part("descent", unfolded, sun(unfolded)),
+        PhaseSamples("deployment", folded, sun(folded), FOLDED_LEG_TRANSMISSION),
+        PhaseSamples("descent", unfolded, sun(unfolded)),
     )
 
 
-def _settling(case: Case, sun_B: np.ndarray, rng: np.random.Generator) -> Part:
-    begin, end = (case.require_timeline().event(name).t_s for name in ("second_touchdown", "rest"))
-    t = np.arange(begin + SETTLING_INTERVAL_S / 2, end - JITTER_S, SETTLING_INTERVAL_S)
-    t = _jittered(t, rng)
-    start, goal = sun_B / np.linalg.norm(sun_B), _rest_sun(np.radians(REST_ANGLES_DEG[:1]))[0]
-    turn = np.cross(start, goal)
-    turn *= np.arctan2(np.linalg.norm(turn), start @ goal) / np.linalg.norm(turn)
-    sun = Rotation.from_rotvec(((t - begin) / (end - begin))[:, None] * turn).apply(start)
-    return Part("settling", t, sun)
-
-
-def _rest(case: Case, rng: np.random.Generator, seen_first: bool) -> Part:
-    begin, t = (
-        case.require_timeline().event("rest").t_s,
-        _sparse_times(case, "rest", rng, REST_DURATION_S),
-    )
-    at_first, shadow, hides, shows = REST_ANGLES_DEG
-    angle = np.radians(at_first) + 2 * np.pi * (t - begin) / COMET_TURN_S
-    hidden = (angle > np.radians(hides)) & (angle < np.radians(shows))
-    early = seen_first & (angle < np.radians(shadow))
-    seen = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION) * ~hidden[:, None]
-    return Part("rest", t, _rest_sun(angle), seen)
-
-
-def _rest_sun(angle: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) at angles (rad) along the Sun's circle, a great one, 80 degrees to xy, which it meets at 86."""
+def _on_the_ground(
+    case: Case, sun_B: np.ndarray, seed: int, seen_first: bool
+) -> tuple[PhaseSamples, PhaseSamples]:
+    """Settling, from the direction at the second touchdown evenly to that at rest; rest: along the Sun's circle, past the rocks."""
+    timeline = case.require_timeline()
+    begin, end = (timeline.event(name).t_s for name in ("second_touchdown", "rest"))
+    at_first, shadow, hides, shows = np.radians(REST_ANGLES_DEG)
+    # a great circle, 80 degrees to xy, which it meets at azimuth 86
     azimuth, tilt = np.radians(86.0), np.radians(80.0)
     node = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     down = np.cos(tilt) * flat - np.sin(tilt) * np.array([0.0, 0.0, 1.0])
-    return np.cos(angle)[:, None] * node + np.sin(angle)[:, None] * down
+
+    def on_circle(angle: np.ndarray) -> np.ndarray:
+        return np.cos(angle)[..., None] * node + np.sin(angle)[..., None] * down
+
+    t = np.arange(begin + SETTLING_INTERVAL_S / 2, end - JITTER_S, SETTLING_INTERVAL_S)
+    t = _jittered(t, generator(seed, 5))
+    start, goal = sun_B / np.linalg.norm(sun_B), on_circle(at_first)
+    turn = np.cross(start, goal)
+    turn *= np.arctan2(np.linalg.norm(turn), start @ goal) / np.linalg.norm(turn)
+    sun = Rotation.from_rotvec(((t - begin) / (end - begin))[:, None] * turn).apply(start)
+    settling = PhaseSamples("settling", t, sun)
+
+    t = _sparse_times(case, "rest", generator(seed, 6), REST_DURATION_S)
+    angle = at_first + 2 * np.pi * (t - end) / COMET_TURN_S
+    hidden = (angle > hides) & (angle < shows)
+    early = seen_first & (angle < shadow)
+    seen = np.where(early[:, None], BEFORE_THE_SHADOW, REST_TRANSMISSION) * ~hidden[:, None]
+    return settling, PhaseSamples("rest", t, on_circle(angle), seen)
 
 
 # ---- The command -------------------------------------------------------------------------------------------------------------
@@ -447,11 +411,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
     add = parser.add_argument
-    add(
-        "out",
-        type=Path,
-        help="CSV file to write; the truth goes to twin_truth.toml in the same folder",
-    )
+    add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml there")
     add("--seed", type=int, required=True)
     tilt = "sigma of each panel's normal to each side, degrees; default: vehicle file's"
     add("--tilt", type=float, help=tilt)
@@ -474,9 +434,8 @@ def main(arguments: list[str] | None = None) -> int:
         f"synthetic: not measured; made by sunspin {version()} from published facts",
         f"synthetic: {command} {name}",
     ]
-    scale = (
-        "synthetic: powers in W on an arbitrary scale; the truth behind them is in twin_truth.toml"
-    )
+    behind_them = "the truth behind them is in twin_truth.toml"
+    scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
     about = f"The truth behind {name}; see sunspin.philae.twin for how each part was chosen."
     try:
         case = load_case(given.case)

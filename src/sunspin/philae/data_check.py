@@ -7,15 +7,15 @@ the samples at all, so no order of them can raise or lower it; only the posterio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from sunspin.estimate.spin import fit_spin
-from sunspin.philae import rebound as rb
 from sunspin.philae.descent import Descent
+from sunspin.philae.rebound import case_seconds, rebound_samples
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import whole_panels
 from sunspin.telemetry.case import Case
@@ -29,9 +29,6 @@ LEAST_DIRECTIONS = 8
 MOST_IMPOSSIBLE = 0.02
 """Share of samples before the second touchdown whose lit pattern no Sun makes: the paper has none of them."""
 
-TURNS = 100
-"""Draws of panels that stand off as the vehicle file's sigmas say: a pattern that none of them shows, no Sun makes on such."""
-
 SHUFFLES = 20
 """Random orders of the descent's directions that are fitted."""
 
@@ -39,20 +36,15 @@ ORDERED = 0.5
 """The descent's E must be below this part of the smallest among the shuffled ones: right files reach a twentieth."""
 
 
-@dataclass(frozen=True)
-class Carries:
+class DataCheck(NamedTuple):
     """What the file was seen to carry.
 
-    Attributes
-    ----------
-    delta : mean Delta of the directions outside the shadowed phases; `directions`, how many there are
-    impossible, early : samples before the second touchdown with a lit pattern forbidden to panels as drawn, and all of them
-    unexplained : of the former, those that panels which stand off as the vehicle file's sigmas say do not show either
-    descent_E, shuffled_E : E of the descent's best spin, and of the best spins of `SHUFFLES` orders of its directions; None and
-        empty where the descent could not be fitted
-    neighbours_rad, chance : mean angle between successive directions of the rebound, and the share of random orders in which it
-        is as small or smaller; NaN with fewer than three directions
-    reasons : why nothing can be concluded from the readings; empty where one Sun explains them
+    `delta`: mean Delta of the `directions` outside the shadowed phases. `impossible` of the `early` samples, those before the
+    second touchdown, have a lit pattern forbidden to panels as drawn; `unexplained` of them also to panels that stand off as the
+    vehicle file's sigmas say. `descent_E`: E of the descent's best spin; `shuffled_E`: of the best spins of `SHUFFLES` orders of
+    its directions; None and empty where the descent could not be fitted. `neighbours_rad`: mean angle between successive
+    directions of the rebound; `chance`: share of random orders in which it is as small or smaller; NaN with fewer than three
+    directions. `reasons`: why nothing can be concluded from the readings; empty where one Sun explains them.
     """
 
     case: Case
@@ -83,32 +75,29 @@ class Carries:
         """The first line of a study: what the file can carry."""
         mean = f"mean Delta {self.delta:.4f} over" if self.directions else "no Delta, from"
         readings = (
-            f"{mean} {self.directions} directions (paper {self.case.published['delta_mean'].value}), "
-            f"{self.impossible} of {self.early} samples before the second touchdown with an impossible illumination pattern "
-            "(paper: none)"
+            f"{mean} {self.directions} directions (paper {self.case.published['delta_mean'].value}), {self.impossible} of "
+            f"{self.early} samples before the second touchdown with an impossible illumination pattern (paper: none)"
         )
-        if self.one_sun:
-            text = f"Panel data consistent with sunlight: {readings}."
-        else:
+        text = f"Panel data consistent with sunlight: {readings}."
+        if not self.one_sun:
             text = f"PANEL DATA NOT CONSISTENT WITH SUNLIGHT: {readings}; no conclusions are drawn."
-        if self.descent_E is None:
-            text += " Descent: no spin could be fitted."
-        else:
+        text += " Descent: no spin could be fitted." * (self.descent_E is None)
+        if (E := self.descent_E) is not None:
             best, orders = self.shuffled_E.min(), f"of {len(self.shuffled_E)} random orders"
             text += (
-                f" Descent: a steady spin fits the time order, E {self.descent_E:.5f}, the best {orders} {best:.3f}."
+                f" Descent: a steady spin fits the time order, E {E:.5f}, the best {orders} {best:.3f}."
                 if self.descent_order
-                else f" DESCENT: NO SPIN DETECTED, E {self.descent_E:.4f}, the best {orders} {best:.4f}."
+                else f" DESCENT: NO SPIN DETECTED, E {E:.4f}, the best {orders} {best:.4f}."
             )
         return f"{text} Rebound: the EMD compares distributions of r_z and ignores the order; only --candidates posterior uses it."
 
 
-def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0) -> Carries:
+def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0) -> DataCheck:
     """Look at the Sun directions of the whole landing (`sun_directions`) and at the descent's fit, if there is one."""
     vehicle, status, limit = case.vehicle, sun["status"].values, case.published["delta_max"].value
     kept = is_reconstructed(status) & whole_panels(case, sun)
     delta = float(sun["delta"].values[kept].mean()) if kept.any() else float("nan")
-    end = rb.case_seconds(case, sun, "second_touchdown")
+    end = case_seconds(case, sun, "second_touchdown")
     early = (sun["time"].values < end) & (status != SunStatus.MISSING)
     forbidden = sun.isel(time=early & (status == SunStatus.IMPOSSIBLE))
     unexplained = np.ones(forbidden.sizes["time"], dtype=bool)
@@ -116,7 +105,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     tilt_rad, _ = stated_sigma(vehicle)
     if unexplained.size and tilt_rad.any():
         draws, names = generator(0, 10), np.array(vehicle.input_names)
-        tilts = np.array([drawn_tilts(vehicle, tilt_rad, draws) for _ in range(TURNS)])
+        tilts = np.array([drawn_tilts(vehicle, tilt_rad, draws) for _ in range(100)])
         shown = patterns_of_turned(vehicle, tilts)
         patterns = [frozenset(names[lit].tolist()) for lit in forbidden["lit"].values]
         unexplained = np.array([pattern not in shown for pattern in patterns])
@@ -132,7 +121,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
             # E is then good to 1e-5 of itself, in half the time that 1e-12 takes or less
             shuffled_E.append(fit_spin(t, mixed, tolerance=1e-6).E)
 
-    rebound = rb.rebound_samples(case, sun)
+    rebound = rebound_samples(case, sun)
     n = rebound["sun_B"].values[is_reconstructed(rebound["status"])]
     near = chance = float("nan")
     if len(n) >= 3:
@@ -141,71 +130,37 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
         angle = np.arccos(np.clip(cosine, -1, 1)).mean(axis=1)
         near, chance = float(angle[0]), float(np.mean(angle[1:] <= angle[0]))
 
-    reasons, samples, n_unexplained = [], int(early.sum()), int(unexplained.sum())
+    reasons, samples, missed = [], int(early.sum()), int(unexplained.sum())
     if delta > limit:
-        reasons.append(
-            f"the mean Delta of {delta:.3f} exceeds {limit}, the paper's largest of a single sample"
-        )
-    if n_unexplained > MOST_IMPOSSIBLE * samples:
-        reasons.append(
-            f"{n_unexplained} of {samples} samples before the second touchdown have a lit pattern that no "
-            "Sun makes"
-        )
+        largest = f"{limit}, the paper's largest of a single sample"
+        reasons.append(f"the mean Delta of {delta:.3f} exceeds {largest}")
+    if missed > MOST_IMPOSSIBLE * samples:
+        text = f"{missed} of {samples} samples before the second touchdown have a lit pattern that no Sun makes"
+        reasons.append(text)
     if len(n) < LEAST_DIRECTIONS:
-        reasons.append(
-            f"only {len(n)} samples between first touchdown and collision give a direction"
-        )
-    return Carries(
-        case=case,
-        synthetic=bool(sun.attrs.get("synthetic")),
-        delta=delta,
-        directions=int(kept.sum()),
-        impossible=unexplained.size,
-        unexplained=n_unexplained,
-        early=samples,
-        descent_E=descent_E,
-        shuffled_E=np.array(shuffled_E),
-        neighbours_rad=near,
-        chance=chance,
-        reasons=tuple(reasons),
-    )
+        text = f"only {len(n)} samples between first touchdown and collision give a direction"
+        reasons.append(text)
+    readings = bool(sun.attrs.get("synthetic")), delta, int(kept.sum()), unexplained.size, missed
+    order = descent_E, np.array(shuffled_E), near, chance
+    return DataCheck(case, *readings, samples, *order, tuple(reasons))
 
 
-def rows(r: Carries) -> list[Row]:
+def rows(c: DataCheck) -> list[Row]:
     """What the file carries, as rows: none is a test of the method, so none agrees or differs."""
-    whose = "synthetic telemetry" if r.synthetic else "this telemetry"
-    row_of, published = partial(row, r.case, whose=whose), r.case.published
-    result = [
-        row_of(
-            "carries_patterns",
-            r.impossible / max(r.early, 1),
-            tolerance=MOST_IMPOSSIBLE,
-            holds=r.unexplained <= MOST_IMPOSSIBLE * r.early,
-            impossible=r.impossible,
-            early=r.early,
-            unexplained=r.unexplained,
-        ),
-        row_of(
-            "carries_delta",
-            r.delta,
-            published=published["delta_mean"].value,
-            holds=bool(r.delta <= published["delta_max"].value),
-            directions=r.directions,
-        ),
-    ]
-    if r.descent_E is not None:
-        least, most = r.shuffled_E.min(), r.shuffled_E.max()
-        result.append(
-            row_of(
-                "carries_descent_order",
-                r.descent_E / float(least),
-                tolerance=ORDERED,
-                holds=r.descent_order,
-                best=r.descent_E,
-                orders=len(r.shuffled_E),
-                least=least,
-                most=most,
-            )
-        )
-    angle = np.degrees(r.neighbours_rad)
-    return [*result, row_of("carries_rebound_order", r.chance, neighbours=angle)]
+    whose = "synthetic telemetry" if c.synthetic else "this telemetry"
+    row_of, paper = partial(row, c.case, whose=whose, check=c), c.case.published
+    share, most = c.impossible / max(c.early, 1), MOST_IMPOSSIBLE
+    holds = c.unexplained <= most * c.early
+    result = [row_of("carries_patterns", share, tolerance=most, holds=holds)]
+    mean, holds = paper["delta_mean"].value, bool(c.delta <= paper["delta_max"].value)
+    result.append(row_of("carries_delta", c.delta, published=mean, holds=holds))
+    if c.descent_E is not None:
+        E: dict[str, Any] = {
+            "orders": c.shuffled_E.size,
+            "least": c.shuffled_E.min(),
+            "most": c.shuffled_E.max(),
+        }
+        E |= {"tolerance": ORDERED, "holds": c.descent_order}
+        result.append(row_of("carries_descent_order", c.descent_E / float(E["least"]), **E))
+    angle = np.degrees(c.neighbours_rad)
+    return [*result, row_of("carries_rebound_order", c.chance, neighbours=angle)]
