@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from sunspin.cases import load_case
 from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
 from sunspin.landing.predictions import collision_s
 from sunspin.output.kinds.predictions import predicted_figure
-from sunspin.telemetry.case import load_case
 
 IMAGES = Path(__file__).parent / "images"
 

@@ -20,11 +20,11 @@ from nautilus import Sampler
 from scipy.special import logsumexp
 
 import sunspin as ss
+from sunspin.cases import load_case
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
-from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import make
 

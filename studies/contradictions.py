@@ -22,9 +22,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from studies.paper_numbers import Lines, motions_on_lines, of_descent, of_motion
+from sunspin.cases import Case, load_case
 from sunspin.output.figures import COLOURS
 from sunspin.output.text import number_text
-from sunspin.telemetry.case import Case, load_case
 from validation.campaign import command, rows_folder
 
 COMMAND = "python -m studies.contradictions OUT"

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import binomtest
 
+from sunspin.cases import Case, load_case
 from sunspin.dynamics.ensemble import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
@@ -29,7 +30,6 @@ from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import near_minimum_set, run_grid
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.philae.twin import CELL_W, drawn_panels, noisy_readings, rebound_times
-from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from validation.campaign import command, kept, rows_folder
 

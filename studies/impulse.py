@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError
 from sunspin.base.tables import read_table
+from sunspin.cases import Case, load_case
 from sunspin.landing.flight import angle_about
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import case_scenario
@@ -31,7 +32,6 @@ from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, data_check, metrics
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
 from sunspin.philae.rebound import Options
-from sunspin.telemetry.case import Case, load_case
 from validation.campaign import command, rows_folder
 from validation.controls import case_of
 

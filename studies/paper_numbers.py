@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sunspin.cases import Case
 from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import error_of_rate, turned
 from sunspin.landing.strategies import settling
 from sunspin.philae import rebound as rb
-from sunspin.telemetry.case import Case
 
 LINE_POINTS = 13
 """Motions on each of the published lines."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from sunspin.cases import Case
 from sunspin.philae import candidates
 from sunspin.philae import rebound as rb
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import sun_directions
 
 

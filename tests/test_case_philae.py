@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.telemetry.case import parse_published
+from sunspin.cases import parse_published
 from sunspin.vehicle.timeline import parse_timeline, utc_seconds
 
 case = ss.load_case("philae")

@@ -194,7 +194,7 @@ def _of_word(word: str, near: bool) -> str:
 def _twin(
     kind: str, seed: int, i: int, max_rate: float = 0.25, samples: int = 16, apart_s: float = 20.0
 ) -> Row:
-    from sunspin.telemetry.case import load_case
+    from sunspin.cases import load_case
     from validation.calibrate import judge, make
 
     vehicle = load_case("philae").vehicle
@@ -553,7 +553,7 @@ def _numbers(value: Any) -> list[float]:
 
 
 def _control(name: str) -> Row:
-    from sunspin.telemetry.case import load_case
+    from sunspin.cases import load_case
     from validation.controls import CONTROLS, NOT_CONCLUDED, chain_of
 
     looked = chain_of(CONTROLS[name](load_case("philae")))

@@ -14,13 +14,13 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import SunspinError
+from sunspin.cases import Case, load_case
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import candidates, data_check, descent, metrics, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, settled
 from sunspin.philae.sun_directions import with_own_noise
 from sunspin.philae.twin import CELL_W, noisy_readings
-from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator
 

@@ -108,8 +108,8 @@ class Corrupt(Suite):
         return self._told("compare", "stock/results", bad, *more, *names)
 
     def try_orbit_bsp(self, place: Path, rng: np.random.Generator) -> Verdict:
+        from sunspin.cases import load_case
         from sunspin.philae.collision import KERNEL, kernel_facts
-        from sunspin.telemetry.case import load_case
 
         (place / KERNEL[0]).mkdir()
         place.joinpath(*KERNEL).write_bytes(damaged(self.good["orbit.bsp"], rng))
@@ -247,8 +247,8 @@ def write_orbits(home: Path) -> None:
     """A made-up trajectory of the lander where the case's kernel would be, with its ids and times, and an orbit of the Earth."""
     import spiceypy as sp
 
+    from sunspin.cases import load_case
     from sunspin.philae import collision
-    from sunspin.telemetry.case import load_case
 
     case = load_case("philae")
     begin = collision.tdb_of(case, "first_touchdown") - 100

@@ -23,8 +23,8 @@ import xarray as xr
 from scipy.integrate import solve_ivp
 
 from sunspin.base.errors import SunspinError
+from sunspin.cases import load_case
 from sunspin.estimate.posterior.estimate import posterior
-from sunspin.telemetry.case import load_case
 
 CASES = 24
 

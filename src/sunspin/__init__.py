@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if (
     TYPE_CHECKING
 ):  # what type checkers and editors see; test_house_rules.py compares it with the names below
-    from sunspin.telemetry.case import (
+    from sunspin.cases import (
         Case as Case,
         load_case as load_case,
         load_example as load_example,
@@ -68,9 +68,9 @@ if (
     __version__: str
 
 _HOME = {
-    "Case": "sunspin.telemetry.case",
-    "load_case": "sunspin.telemetry.case",
-    "load_example": "sunspin.telemetry.case",
+    "Case": "sunspin.cases",
+    "load_case": "sunspin.cases",
+    "load_example": "sunspin.cases",
     "Vehicle": "sunspin.vehicle",
     "Panel": "sunspin.vehicle",
     "Wheel": "sunspin.vehicle",

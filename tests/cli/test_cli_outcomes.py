@@ -119,8 +119,8 @@ def test_bad_input_is_one_sentence(arguments, text, tmp_path):
 
 def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
     """`sunspin reproduce` writes both: a collision ten minutes later gives other times, and a damaged file one sentence."""
+    from sunspin.cases import load_case
     from sunspin.landing.scenario import case_scenario
-    from sunspin.telemetry.case import load_case
 
     folder, wanted = (
         load_case("philae").folder,

@@ -15,10 +15,10 @@ from click.testing import CliRunner
 from browser import HOSTILE, Browser, found
 from drawing import blank
 from shared_folder import shared_folder
+from sunspin.cases import load_case
 from sunspin.output import figures
 from sunspin.philae import data_check, motions, pictures, published_lines, reproduction, threshold
 from sunspin.philae import study as rp
-from sunspin.telemetry.case import load_case
 
 
 @contextmanager

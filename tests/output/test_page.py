@@ -18,6 +18,7 @@ from pages import Page
 import sunspin as ss
 from browser import HOSTILE
 from sunspin.base.errors import InputError
+from sunspin.cases import load_case
 from sunspin.cli import cli
 from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
@@ -26,7 +27,6 @@ from sunspin.output.report.page import _json, _script
 from sunspin.output.report.read import Results, read_results
 from sunspin.output.report.views import motions_of, sun_on_sphere
 from sunspin.philae.motions import speed_figure
-from sunspin.telemetry.case import load_case
 from sunspin.vehicle import Channel, Panel, Vehicle
 
 

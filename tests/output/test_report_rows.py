@@ -13,10 +13,10 @@ import pytest
 from pages import Page
 
 from browser import HOSTILE
+from sunspin.cases import load_case
 from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
 from sunspin.output.report.rows import VERDICTS, between, verdict_of
-from sunspin.telemetry.case import load_case
 
 FILES_OF_CANDIDATES = tuple(
     "candidates outcomes-off outcomes-held strategies speed motion-best-fit".split()

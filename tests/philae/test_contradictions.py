@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from studies import contradictions as study
-from sunspin.telemetry.case import load_case
+from sunspin.cases import load_case
 
 CASE = load_case("philae")
 

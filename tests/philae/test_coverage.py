@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from studies import coverage as study
 from sunspin.base.errors import InputError, MotionError
+from sunspin.cases import load_case
 from sunspin.cli import cli
 from sunspin.dynamics.ensemble import Rows
 from sunspin.dynamics.propagate import propagate
@@ -19,7 +20,6 @@ from sunspin.estimate.scan.table import make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold
 from sunspin.philae.metrics import simulated_z
-from sunspin.telemetry.case import load_case
 
 CASE = load_case("philae")
 COARSE = 25  # 5 x 5 x 2 motions

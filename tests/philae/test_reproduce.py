@@ -10,13 +10,13 @@ from matplotlib.text import Text
 
 from drawing import covered
 from sunspin.base.errors import MotionError, TelemetryError
+from sunspin.cases import load_case
 from sunspin.output.kind import Drawing
 from sunspin.philae import data_check, inputs, pictures, published_lines
 from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
 from sunspin.philae.reproduction import figure_rows
-from sunspin.telemetry.case import load_case
 from validation import controls
 
 CASE = load_case("philae")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from sunspin.cases import load_case
 from sunspin.philae import row as rw
-from sunspin.telemetry.case import load_case
 
 CASE = load_case("philae")
 TABLES = rw.tables(CASE)

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from sunspin.base.errors import InputError
+from sunspin.cases import load_case
 from sunspin.estimate.posterior import cells
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.modes import require_few
-from sunspin.telemetry.case import load_case
 from validation.border import Told, judge, sunspin
 
 KERNEL = [

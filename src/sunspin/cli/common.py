@@ -266,7 +266,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
     """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry, and `-` for
     what is piped in, as a file for as long as the command runs: readers need its size before they begin."""
     from sunspin.base.tables import MAX_FILE_BYTES
-    from sunspin.telemetry.case import case_telemetry
+    from sunspin.cases import case_telemetry
 
     if path == "-":
         if sys.stdin is None or sys.stdin.isatty():

@@ -83,9 +83,9 @@ def posterior(
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
     """
+    from sunspin.cases import case_telemetry, timeline_of
     from sunspin.estimate.posterior.estimate import posterior as run
     from sunspin.landing.predictions import with_predictions
-    from sunspin.telemetry.case import case_telemetry, timeline_of
     from sunspin.telemetry.reader import read_telemetry
 
     if output.quiet:

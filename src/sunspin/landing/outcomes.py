@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.cases import case_names, load_case
 from sunspin.compute.rows import ensemble
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics import gyrostat as g
@@ -25,7 +26,6 @@ from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of, 
 from sunspin.landing.flight import angle_about, carry, fly, sun_height_shares
 from sunspin.landing.outcome_data import BINS, VARIABLES, dataset, dim_of
 from sunspin.solve.rotations import smallest_turn
-from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Antenna, Vehicle
 
 CHUNK = 2048

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from sunspin.cases import case_names, load_case
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.predict import (
     carried,
@@ -25,7 +26,6 @@ from sunspin.estimate.posterior.predict import (
 )
 from sunspin.landing.outcomes import collide
 from sunspin.landing.scenario import draws, paper_scenario
-from sunspin.telemetry.case import case_names, load_case
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.assumptions import Collision
 from sunspin.vehicle.timeline import Timeline

@@ -11,9 +11,9 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import is_sensible, plain_number
+from sunspin.cases import Case, case_names, load_case, timeline_of
 from sunspin.dynamics.wheel_modes import Schedule, schedules
 from sunspin.landing.contact import legs_down, shape_of
-from sunspin.telemetry.case import Case, case_names, load_case, timeline_of
 from sunspin.vehicle import Vehicle
 
 SPIRAL = 20_000

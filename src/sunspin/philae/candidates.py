@@ -16,6 +16,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.tables import read_table
+from sunspin.cases import Case, case_names, load_case
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
@@ -25,7 +26,6 @@ from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import DataCheck
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
-from sunspin.telemetry.case import Case, case_names, load_case
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle import Vehicle
 

@@ -18,6 +18,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import Elsewhere, elsewhere
+from sunspin.cases import Case, case_names, load_case
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.landing.tally import (
@@ -32,7 +33,6 @@ from sunspin.landing.tally import (
 )
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
-from sunspin.telemetry.case import Case, case_names, load_case
 from sunspin.vehicle.timeline import utc_seconds
 
 RARELY, OFTEN = 0.05, 0.25

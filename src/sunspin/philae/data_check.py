@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from sunspin.cases import Case
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae.descent import Descent
 from sunspin.philae.rebound import case_seconds, rebound_samples
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import whole_panels
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 from sunspin.telemetry.synthetic import drawn_tilts, generator
 from sunspin.vehicle.response.panels import patterns_of_turned, stated_sigma

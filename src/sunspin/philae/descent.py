@@ -16,13 +16,13 @@ from matplotlib.figure import Figure
 from numpy.polynomial.polynomial import polyval
 
 from sunspin.base.errors import TelemetryError
+from sunspin.cases import Case
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.metrics import direction_error
 from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
 from sunspin.output.figures import COLOURS, titled
 from sunspin.philae.rebound import case_seconds
 from sunspin.philae.row import Row, row
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 
 DELTA_SIGMAS = 4.0
@@ -227,7 +227,7 @@ def draw(r: Descent) -> Figure:
     label = "next minima, refined"
     wide.plot(1e3 * mean_rate[1:4], E[1:4], "v", ms=6, color=COLOURS[1], label=label)
     wide.plot(1e3 * mean_rate[0], E[0], "o", ms=6, color=COLOURS[0], label="smallest E")
-    wide.axhline(flown_E, ls=":", lw=1, color=COLOURS[6], label="published E (flown data)")
+    wide.axhline(flown_E, ls=":", lw=1, color=COLOURS[6], label="published E (flight data)")
     wide.set(xlabel="mean rate about z (mrad/s)", ylabel="E")
 
     omega_0, E = figure_11(r)

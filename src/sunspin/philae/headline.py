@@ -24,7 +24,7 @@ def headline(study: Study) -> list[str]:
         rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
         descent = f"Descent: rotation period {turn_text(rate)}."
     synthetic = (
-        "The flown panel powers are not public. This run uses synthetic ones made from published facts: it tests the method and "
+        "The panel powers measured in flight are not public. This run uses synthetic ones made from published facts: it tests the method and "
         "does not measure Philae again."
     )
     measured = "The panel powers were read from a file that does not call itself synthetic."
@@ -55,7 +55,7 @@ def headline(study: Study) -> list[str]:
     else:
         extent = (
             f"The {calibration.confidence:.0%} confidence set contains {chain.share:.0%} of the scanned initial rates (EMD below "
-            f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} simulated flights)."
+            f"{calibration.factor()[0]:.2f} times the minimum; calibrated on {len(calibration.ratio)} simulated data sets)."
         )
     return [descent, motion, extent, touchdown.sentences(chain)[0], origin]
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.cases import Case
 from sunspin.estimate.scan.mask import allows
 from sunspin.estimate.scan.metrics import direction_error, emd
 from sunspin.landing.scenario import spiral
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row, tables
-from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle, load_vehicle
 from sunspin.vehicle.timeline import utc_seconds
 

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 from scipy.spatial.transform import Rotation
 
+from sunspin.cases import Case
 from sunspin.dynamics.friction import (
     fit_spin_down,
     spin_down_curve,
@@ -29,7 +30,6 @@ from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import sphere
-from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
 
 # ---- Wheel and example motions -----------------------------------------------------------------------------------------------

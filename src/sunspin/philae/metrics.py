@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
 from sunspin.base.errors import InputError
+from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics.ensemble import Outcome
 from sunspin.dynamics.propagate import propagate
@@ -28,7 +29,6 @@ from sunspin.estimate.scan.volume import near_minimum, scan
 from sunspin.output.figures import COLOURS, titled
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row
-from sunspin.telemetry.case import Case
 
 NEAR_RAD_S = 0.03
 """A published line comes out of a set where a fitted one is nearer on average than this, two grid steps."""

@@ -15,6 +15,7 @@ from matplotlib.dates import DateFormatter
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from sunspin.cases import Case
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
@@ -27,7 +28,6 @@ from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
 from sunspin.philae.twin import State, collide
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.estimate.scan.metrics import emd
 from sunspin.landing.outcomes import outcomes
@@ -30,7 +31,6 @@ from sunspin.philae.metrics import (
     simulated_z,
 )
 from sunspin.philae.row import Row, interval, row
-from sunspin.telemetry.case import Case
 
 LINE_POINTS = 41
 """Motions on each line that are run back to the touchdown."""

@@ -13,6 +13,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.untrusted import read_toml
+from sunspin.cases import Case
 from sunspin.compute.identity import plain
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Mask, Rows
@@ -22,7 +23,6 @@ from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, end_rates
 from sunspin.estimate.scan.lines import Line, point_at
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.window import target_weights
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_seconds

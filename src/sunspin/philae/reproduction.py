@@ -17,6 +17,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import version
+from sunspin.cases import Case, load_case
 from sunspin.output.folder import CITE, Contents, results_folder, write_contents, write_whole
 from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
@@ -26,7 +27,6 @@ from sunspin.philae.headline import conclusions, headline, score
 from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
 from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
-from sunspin.telemetry.case import Case, load_case
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
 from sunspin.vehicle.assumptions import split

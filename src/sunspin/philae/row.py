@@ -25,8 +25,8 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import read_toml
+from sunspin.cases import Case
 from sunspin.landing.tally import Estimate
-from sunspin.telemetry.case import Case
 
 KINDS = ("test", "put_in", "arithmetic", "not_comparable")
 

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from sunspin.cases import Case
 from sunspin.landing import strategies as st
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario, case_scenario
 from sunspin.landing.tally import Estimate, tally
 from sunspin.philae.candidates import Chain
 from sunspin.philae.row import Row, row, share_of_candidates
-from sunspin.telemetry.case import Case
 from sunspin.vehicle import HullPart, Vehicle
 
 

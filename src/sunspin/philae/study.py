@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import xarray as xr
 
 from sunspin.base.errors import InputError, MotionError, TelemetryError
+from sunspin.cases import Case
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS as SCAN_BINS
@@ -38,7 +39,6 @@ from sunspin.philae import rebound as rb
 from sunspin.philae.rebound import Options
 from sunspin.philae.row import Row, counts, settled, tables
 from sunspin.telemetry import sun as telemetry_sun
-from sunspin.telemetry.case import Case
 from sunspin.vehicle import Vehicle
 
 LANDING_RUNS = 5_000

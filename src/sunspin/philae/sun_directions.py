@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from scipy.special import ndtri
 from scipy.stats import chi2
 
+from sunspin.cases import Case
 from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
 from sunspin.philae.rebound import case_seconds, with_telemetry
 from sunspin.philae.row import Row, interval, row
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.health import PanelHealth, explanations, noise_alone, panel_health
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions

@@ -21,6 +21,7 @@ from scipy.stats import binom
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError, TelemetryError
+from sunspin.cases import Case
 from sunspin.compute.identity import fingerprint, plain
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
@@ -29,7 +30,6 @@ from sunspin.estimate.scan.table import Table
 from sunspin.estimate.scan.window import target_weights
 from sunspin.philae import rebound as rb
 from sunspin.philae.twin import drawn_panels
-from sunspin.telemetry.case import Case
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle.response.panels import brightness, stated_sigma
 

@@ -42,10 +42,10 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import version
+from sunspin.cases import Case, case_names, load_case
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
-from sunspin.telemetry.case import Case, case_names, load_case
 from sunspin.telemetry.synthetic import (
     csv_text,
     drawn_tilts,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from sunspin.telemetry.case import Case
+    from sunspin.cases import Case
     from sunspin.vehicle import Vehicle
 
 
