@@ -20,7 +20,7 @@ MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 
-HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':46}  prob  verdict"
+HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':45}  prob  verdict"
 """Of the table of passes: a line each, at most 110 columns with a decided verdict."""
 
 PASSES_IN_WORDS = 3
@@ -153,7 +153,7 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
         "at_s": rate.at_s,
         "omega_at_deg_s": rate.omega.tolist(),
     }
-    speed = with_range(rate.mean, rate.low, rate.high, float(rate.sigma.min()))
+    speed = with_range(rate.mean, rate.low, rate.high, float(rate.sigma.max()))
     omega = with_sigma(rate.omega, rate.sigma)
     start = clock_text(result, float(t[0]))
     start = start[5:16].replace("T", " ") if "T" in start else start
@@ -161,7 +161,7 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = "decided, coarse"
     verdict = verdict.replace("several solutions", f"{n} solutions")
-    row = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega:46}  {probability[0]:.2f}  {verdict}"
+    row = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
     called = f"pass {numbers['pass_id']} ({len(at)} samples)"
     sentence = f"{called}: {speed} deg/s, body rate {omega} deg/s at mid-pass; {verdict}"
     return numbers, row, sentence
