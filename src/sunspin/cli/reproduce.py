@@ -37,8 +37,8 @@ from sunspin.cli.common import PATH, shared
 def reproduce(telemetry, output, **options) -> None:
     """Reproduce the Philae study: every figure and table of the paper next to the results of this run.
 
-    All conclusions follow from the telemetry that is given. The built-in telemetry is synthetic, as that of the flight is not public,
-    and is labelled so.
+    All conclusions follow from the telemetry that is given. The built-in telemetry is synthetic, as that of the flight is not
+    public, and is labelled so.
 
     \b
     Examples:

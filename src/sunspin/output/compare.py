@@ -61,7 +61,7 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     folders, got, do = [Path(a), Path(b)], f"{a} and {b}", "run the command again"
     for folder in folders:
         if not is_own(folder / MARKER):
-            what, named = "this is no results folder of sunspin", "give what --out named"
+            what, named = "this is no results folder of sunspin", "give the --out of a command"
             raise InputError(what, got=str(folder), do=named)
     command, second = (maker(folder / MARKER) for folder in folders)
     if command != second or command not in NUMBERS:

@@ -187,7 +187,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     command = maker(folder / MARKER) if is_own(folder / MARKER) else ""
     if not command:
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
-        what, do = what if folder.is_dir() else "there is no such folder", "give what --out named"
+        what, do = what if folder.is_dir() else "there is no such folder", "give a command's --out"
     elif command in ("coverage", "worth"):
         what = f"results of `sunspin {command}` are no longer shown, as the command is gone"
         do = "python -m studies.coverage OUT repeats the study"

@@ -24,8 +24,8 @@ def headline(study: Study) -> list[str]:
         rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
         descent = f"Descent: rotation period {turn_text(rate)}."
     synthetic = (
-        "The panel powers measured in flight are not public. This run uses synthetic ones made from published facts: it tests the method and "
-        "does not measure Philae again."
+        "The panel powers measured in flight are not public. This run uses synthetic ones made from published facts: it tests "
+        "the method and does not measure Philae again."
     )
     measured = "The panel powers were read from a file that does not call itself synthetic."
     origin = synthetic if study.synthetic else measured
