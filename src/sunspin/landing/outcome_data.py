@@ -45,8 +45,8 @@ VARIABLES = {
     "leg_tip_bound": ("f8", "m/s", "v + |l| |omega| at first contact (paper, section 4)"),
     "up_z": ("f8", "1", "cosine of the z axis to the ground's normal at first contact"),
     "antenna_share": ("f4", "1", "share of the flight with the orbiter in the antenna's cone"),
-    "antenna_at_contact": ("i1", "1", "1: the cone holds the orbiter at first contact"),
-    "antenna_at_rest": ("i1", "1", "1: the cone holds the orbiter once at rest"),
+    "antenna_at_contact": ("i1", "1", "1: the orbiter is in the antenna cone at first contact"),
+    "antenna_at_rest": ("i1", "1", "1: the orbiter is in the antenna cone at rest"),
     "rest_facet": ("i2", "1", "facet on which the vehicle comes to rest, rolling without speed"),
 }
 """Type, unit and meaning of each variable; -1 and NaN: not told."""
@@ -132,7 +132,7 @@ def _not_told(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterator[str]
     if not vehicle.legs:
         yield "Without legs in the vehicle file no speed of a leg's end is reported."
     if vehicle.antenna is None:
-        yield "Without an antenna in the vehicle file it is unknown whether it serves the orbiter."
+        yield "Without an antenna in the vehicle file it is unknown whether the orbiter is in its cone."
     lost = (
         values["contact_point"] < 0
         if rows.lands

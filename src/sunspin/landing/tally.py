@@ -52,9 +52,9 @@ QUANTITIES = {
     "velocity_change": Quantity("change of velocity at the collision", "m/s"),
     "speed_after": Quantity("speed after the collision", "m/s"),
     "up_z": Quantity("cosine of the z axis to the ground's normal at contact"),
-    "antenna_share": Quantity("antenna holds the orbiter, share of the time"),
-    "antenna_at_contact": Quantity("antenna holds the orbiter at contact"),
-    "antenna_at_rest": Quantity("antenna holds the orbiter at rest"),
+    "antenna_share": Quantity("orbiter in the antenna cone, share of the time"),
+    "antenna_at_contact": Quantity("orbiter in the antenna cone at contact"),
+    "antenna_at_rest": Quantity("orbiter in the antenna cone at rest"),
     "rz_time_below_-0.5": Quantity(
         "Sun more than 120 deg from the z axis (r_z below -0.5), share of the time"
     ),

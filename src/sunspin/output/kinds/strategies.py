@@ -62,7 +62,7 @@ def strategies_figure(table: Any) -> Any:
     sun = {"rz_time_below_0": "$r_z$ < 0", "rz_time_below_-0.5": "$r_z$ < -0.5"}
     rate = {"rate_before": "before the collision", "rate_after": "after it"}
     dots = (
-        ("antenna's cone holds the orbiter", "probability", antenna),
+        ("orbiter in the antenna cone", "probability", antenna),
         ("speed at first contact", "mean speed over ground (m/s)", speed),
         ("Sun below the body's equator", "share of the time", sun),
         ("angular speed", "mean (deg/s)", rate),
