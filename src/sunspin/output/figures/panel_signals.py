@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from sunspin.base.errors import SunspinError
 from sunspin.output.figures import COLOURS, axes_grid, named, styled
 from sunspin.output.figures.rates import clock_text
-from sunspin.telemetry.assess import panel_quality
-from sunspin.telemetry.quality import USED
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
@@ -27,7 +23,11 @@ LONGEST_S = 900.0
 
 @styled
 def panel_signals_figure(
-    telemetry: xr.Dataset, runs: Sequence[tuple[str, xr.Dataset]], vehicle: Vehicle
+    telemetry: xr.Dataset,
+    runs: Sequence[tuple[str, xr.Dataset]],
+    vehicle: Vehicle,
+    used: np.ndarray | None = None,
+    left_out: Sequence[str] = (),
 ) -> Any:
     """A row for each panel, a column for each motion: samples as dots, the predicted signal as a line.
 
@@ -35,14 +35,13 @@ def panel_signals_figure(
     ----------
     runs : (title, Dataset)
         Motions with `sun_B` (time, 3) in body axes on times fine enough to draw; their factor is fitted to the samples.
+    used : (n,)
+        The samples that count for the factor, not limited by the battery; all if there is none. `left_out`: names of dark panels
     """
     measured, time = signals(telemetry), telemetry["time"].values
-    # which panels ever see light, and which samples are not limited by the battery
-    dead, counts = np.zeros(measured.shape[1], bool), np.ones(len(measured), bool)
-    with suppress(SunspinError):  # samples that cannot be judged are drawn as they are
-        quality = panel_quality(vehicle, telemetry)
-        dead, full = quality["dead"].values.astype(bool), quality["use"].values == USED
-        counts = full if full.any() else counts
+    dead = np.isin(telemetry["panel"].values, list(left_out))
+    of_file = used is not None and used.shape == time.shape  # else of a part of it
+    counts = used if of_file and used.any() else np.ones(len(time), bool)
     ends = [run["time"].values[[0, -1]] for _, run in runs]
     inside = [(time >= first) & (time <= last) for first, last in ends]
     shown = sorted(sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS])

@@ -19,7 +19,6 @@ from sunspin.vehicle.timeline import utc_after
 MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
-
 RATE = "omega x, y, z at mid-pass, deg/s ± 1 sigma"
 HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {RATE:45}  prob  verdict"
 """Of the table of passes: a line each, at most 110 columns with a decided verdict."""
@@ -206,11 +205,13 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         )
     if context.telemetry is None or context.vehicle is None:
         return
-    samples, vehicle = context.telemetry, context.craft()
-    if "panel" in samples.coords and (runs := dense(result)):
+    samples, vehicle, runs = context.telemetry, context.craft(), dense(result)
+    left_out = str(result.attrs.get("panels_left_out", "")).split(", ")
+    used = np.char.startswith(result["why"].values.astype(str), "used")
+    if "panel" in samples.coords and runs:
         yield Drawing(
             "signals",
-            lambda: panel_signals_figure(samples, runs, vehicle),
+            lambda: panel_signals_figure(samples, runs, vehicle, used, left_out),
             "Signal of each panel against time in up to four passes: samples as dots, the solution's prediction as a line.",
             "Panel signals of the passes with the most samples: dots are samples, lines what the likeliest solution predicts, with "
             "one factor for each pass.",
