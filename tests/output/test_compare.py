@@ -1,6 +1,7 @@
 """What changed between two results: each number against its error, the largest change first."""
 
 import json
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -9,13 +10,21 @@ from click.testing import CliRunner
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.common import Group
-from sunspin.output.folder import MARKER
+from sunspin.output.folder import MANIFEST, MARKER
+
+
+def write(path, summary):
+    """The summary of a folder, and the manifest with its hash."""
+    (path / "summary.json").write_text(summary)
+    digests = {"summary.json": sha256(summary.encode()).hexdigest()}
+    manifest = {"data": [], "figures": [], "tables": [], "sha256": digests}
+    (path / MANIFEST).write_text(json.dumps(manifest))
 
 
 def folder(path, command, **summary):
     path.mkdir()
     (path / MARKER).write_text(f"{command}\n")
-    (path / "summary.json").write_text(json.dumps(summary))
+    write(path, json.dumps(summary))
     return path
 
 
@@ -168,7 +177,7 @@ def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
     for a, b, words in (
         (studies[0], rates, "reproduce and rates.*two of reproduce or rates or"),
         (simulated, simulated, "only two results of one command"),
-        (rates, tmp_path / "plain", "no results folder"),
+        (rates, tmp_path / "plain", "not a results folder|no such folder"),
         (rates, others, "nothing in common"),
     ):
         with pytest.raises(InputError, match=words):
@@ -195,6 +204,6 @@ def test_summaries_of_any_content_end_in_a_sentence(tmp_path, command, key):
             ss.compare(a, b)
         assert str(error.value).isprintable()
     for text in ("", "{", "3", "[" * 100_000, "1" * 5000):
-        (a / "summary.json").write_text(text)
+        write(a, text)
         with pytest.raises(InputError, match="something else than"):
             ss.compare(a, b)

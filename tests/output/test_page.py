@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -216,18 +215,6 @@ def test_tables_are_those_of_the_files(user_runs):
     assert (
         "off at touchdown" in strategies and "m/s" in strategies and "touch_leg" not in strategies
     )
-
-
-def test_what_is_broken_is_named_and_the_rest_is_shown(user_runs, tmp_path):
-    folder = tmp_path / "odd"
-    shutil.copytree(user_runs["rates"], folder)
-    (folder / "rates.nc").write_bytes(b"\x89HDF\r\n\x1a\nno")
-    (folder / "summary.json").write_text('{"half": ', "utf-8")
-    (folder / "vehicle.toml").write_text("name = 'x'\n[body]\nmass_kg = -1\n", "utf-8")
-    (folder / "passes.csv").unlink()
-    text = Page(write_report(folder)).text
-    for name in ("rates.nc", "summary.json", "vehicle.toml", "passes.csv"):
-        assert f"{name} could not be read or shown" in text
 
 
 def test_only_our_folders_are_taken(tmp_path):

@@ -149,7 +149,7 @@ def test_a_panel_that_was_left_out_of_the_rates_is_said():
     assert said["panels_left_out"] == [
         "+X",
         "-Y",
-    ] and "panel +X, -Y no signal in any sample" in str(said)
+    ] and "panel +X, -Y: no signal in any sample" in str(said)
 
 
 def test_rates_are_printed_in_degrees_a_second(user_runs):

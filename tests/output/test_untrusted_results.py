@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import os
 import shutil
@@ -15,6 +16,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.base.netcdf import read_groups, read_netcdf
+from sunspin.output import folder as folders
 from sunspin.output.export import read_results as exported
 from sunspin.output.folder import MANIFEST, MARKER, write_netcdf
 from sunspin.output.report import read, write_report
@@ -97,6 +99,39 @@ def test_a_manifest_of_another_form_is_one_sentence(text, folder):
             reader(folder)
 
 
+@pytest.mark.parametrize("passes", ['{"passes": [[{}]]}', "[1]", "{", None])
+def test_an_earlier_version_is_one_sentence_whatever_its_summary_is(passes, folder):
+    """None: a pipe, which nobody writes into."""
+    manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
+    del manifest["sha256"]
+    (folder / MANIFEST).write_text(json.dumps(manifest), "utf-8")
+    (folder / "summary.json").unlink()
+    if passes is None:
+        os.mkfifo(folder / "summary.json")
+    else:
+        (folder / "summary.json").write_text(passes)
+    for reader in (read_results, exported):
+        with pytest.raises(InputError, match="of an earlier version; run the command again"):
+            reader(folder)
+
+
+@pytest.mark.parametrize("text", ["[1]", "3", "{", "[" * 10_000])
+def test_a_summary_that_is_no_object_is_named(text, folder):
+    manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
+    manifest["sha256"]["summary.json"] = hashlib.sha256(text.encode()).hexdigest()
+    (folder / MANIFEST).write_text(json.dumps(manifest), "utf-8")
+    (folder / "summary.json").write_text(text)
+    assert "summary.json could not be read or shown" in page_of(folder)
+
+
+def test_a_large_drawing_is_shown_as_png(written, tmp_path, monkeypatch):
+    run, _ = exported(written)
+    monkeypatch.setattr(folders, "LARGEST_SVG_BYTES", 1000)
+    folder = run.sunspin.save(tmp_path / "results")
+    figures = read_results(folder).figures
+    assert figures and all(figure.name.endswith(".png") for figure in figures)
+
+
 def test_entries_of_a_manifest_lead_to_no_other_file(folder):
     (folder.parent / "secret").write_text(SECRET)
     manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
@@ -161,9 +196,3 @@ def test_how_a_file_was_packed_is_not_handed_on(tmp_path):
         file["sigma_x"].attrs["_FillValue"] = "a"
     data = read_groups(path, "rates.nc", InputError, probe=False)["/"]
     assert write_netcdf(tmp_path / "again.nc", data).exists()
-
-
-def test_a_device_or_a_pipe_is_not_opened(folder):
-    (folder / "summary.json").unlink()
-    os.mkfifo(folder / "summary.json")
-    assert "not a regular file" in read_results(folder).problems[0]

@@ -274,19 +274,6 @@ def test_results_and_their_page_in_a_folder_of_any_name(home, undrawn, framed):
     )
 
 
-def test_a_page_of_damaged_results_names_them(home, undrawn):
-    assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
-    data = bytearray((home / "results" / "trajectory.nc").read_bytes())
-    data[200:260] = bytes(60)
-    (home / "results" / "trajectory.nc").write_bytes(data)
-    (home / "results" / "summary.json").write_text('{"title": "\\ud800 <script>x</script>"}')
-    told = sunspin("report", "results")
-    assert told.code == 0 and sunspin("report", "results") == told
-    page = (home / "results" / "report.html").read_text("utf-8")
-    assert "trajectory.nc could not be read" in page and "summary.json could not be read" in page
-    assert "<script>x" not in page
-
-
 def test_a_page_of_motions_that_are_partly_unknown(home, undrawn):
     assert sunspin("simulate", "philae", *START, "--duration=20", "--out=results").code == 0
     with xr.open_dataset("results/trajectory.nc", engine="h5netcdf") as data:

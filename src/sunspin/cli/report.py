@@ -25,5 +25,5 @@ def report_page(folder: Path, output: Output) -> None:
     target = write_report(folder)
     size = target.stat().st_size
     output.report(
-        {"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.1f} MB)"]
+        {"report": str(target), "bytes": size}, [f"Report: {target} ({size / 1e6:.3g} MB)"]
     )

@@ -12,10 +12,9 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, printable
 from sunspin.base.provenance import provenance
-from sunspin.base.untrusted import LARGEST, SMALLEST, is_own, read_bytes
+from sunspin.base.untrusted import LARGEST, SMALLEST
 from sunspin.landing.tally import quantity
-from sunspin.output.folder import MARKER, maker
-from sunspin.output.kind import refuse_former
+from sunspin.output.folder import MARKER, as_written, maker, read_manifest
 from sunspin.output.text import number_text, with_sigma
 
 ROUNDING = 1e-12  # relative difference of values that are the same
@@ -59,22 +58,17 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         Folders of different commands, of others than these, or with nothing in common.
     """
     folders, got, do = [Path(a), Path(b)], f"{a} and {b}", "run the command again"
-    for folder in folders:
-        if not is_own(folder / MARKER):
-            what, named = "this is no results folder of sunspin", "give the --out of a command"
-            raise InputError(what, got=str(folder), do=named)
+    manifests = [read_manifest(folder) for folder in folders]
     command, second = (maker(folder / MARKER) for folder in folders)
     if command != second or command not in NUMBERS:
         what, known = "only two results of one command can be compared", " or ".join(NUMBERS)
         raise InputError(what, got=f"{command} and {second}", do=f"give two of {known}")
-    files = [folder / "summary.json" for folder in folders]
-    content = [read_bytes(path, 20_000_000, "summary", InputError, do) for path in files]
+    both = zip(folders, manifests, strict=True)
+    files = [as_written(folder, manifest, "summary.json") for folder, manifest in both]
     try:
         with np.errstate(all="ignore"):
-            summaries = [json.loads(text) for text in content]
+            summaries = [json.loads(path.read_text("utf-8")) for path in files]
             passes_a, passes_b = (summary.get("passes") or () for summary in summaries)
-            for path, passes in zip(files, (passes_a, passes_b), strict=True):
-                refuse_former(command, (key for row in passes for key in row), str(path))
             for row in passes_b:
                 # named as a pass of the first result that overlaps it, rather as one of its own name
                 start, end = row["utc_start"], row["utc_end"]

@@ -16,7 +16,7 @@ import numpy as np
 from sunspin.base import atomic_write
 from sunspin.base.errors import InputError, OutputError
 from sunspin.base.provenance import described
-from sunspin.base.untrusted import is_own
+from sunspin.base.untrusted import is_own, read_bytes
 from sunspin.output.kind import Drawing, Table, refuse_former
 from sunspin.vehicle.file import vehicle_text
 
@@ -32,7 +32,7 @@ CITE = (
 MANIFEST = "manifest.json"
 """The list of the folder's data, figures and tables, of which a page shows these and nothing else; and the SHA-256 of each file."""
 
-MAX_MANIFEST_BYTES = 1_000_000
+MAX_JSON_BYTES, LARGEST_SVG_BYTES = 20_000_000, 1_000_000
 
 
 def results_folder(path: Any, command: str) -> Path:
@@ -133,7 +133,8 @@ class Contents:
 
 
 def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
-    """Write data, tables, the vehicle's file, the samples, `summary.json` and the manifest that lists them.
+    """Write data, tables, the vehicle's file, the samples, `summary.json` and the manifest that lists them, with the hash of each
+    file: figures, and whatever else belongs to the folder, must be there already.
 
     Parameters
     ----------
@@ -155,8 +156,8 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     manifest = {
         "data": [f"{name}.nc" for name in data],
         "figures": [
-            {"file": f"{figure.name}.svg", "alt": figure.alt, "caption": figure.caption}
-            for figure in contents.figures
+            {"file": _shown(folder, each.name), "alt": each.alt, "caption": each.caption}
+            for each in contents.figures
         ],
         "tables": [
             {"file": f"{table.name}.csv", "title": table.title, "shown": dict(table.shown)}
@@ -164,9 +165,19 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
         ],
     }
     write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})
-    files = [path for path in sorted(folder.iterdir()) if is_own(path)]
-    digests = {path.name: _digest(path) for path in files if path.name != MANIFEST}
+    try:
+        files = [path for path in sorted(folder.iterdir()) if is_own(path)]
+        digests = {path.name: _digest(path) for path in files if path.name != MANIFEST}
+    except OSError as error:
+        what = f"a file of the results folder cannot be read back ({error.strerror or error})"
+        raise OutputError(what, do="choose another --out", where=str(folder)) from None
     write_json(folder / MANIFEST, manifest | {"sha256": digests})
+
+
+def _shown(folder: Path, name: str) -> str:
+    """The file of a drawing that a page shows: SVG, or PNG where very many points make that large."""
+    svg = folder / f"{name}.svg"
+    return f"{name}.png" if svg.is_file() and svg.stat().st_size > LARGEST_SVG_BYTES else svg.name
 
 
 def _digest(path: Path) -> str:
@@ -188,19 +199,18 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not command:
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
         what, do = what if folder.is_dir() else "there is no such folder", "give a command's --out"
-    elif command in ("coverage", "worth"):
-        what = f"results of `sunspin {command}` are no longer shown, as the command is gone"
-        do = "python -m studies.coverage OUT repeats the study"
     elif not is_own(folder / MANIFEST):
         what = f"the folder has no {MANIFEST}: an earlier version wrote it, or the run did not end"
     else:
         names: list[str] = []
         try:
-            manifest = json.loads((folder / MANIFEST).read_bytes()[:MAX_MANIFEST_BYTES])
+            content = read_bytes(folder / MANIFEST, MAX_JSON_BYTES, "file", InputError, do)
+            manifest = json.loads(content)
             complete = all(isinstance(manifest[key], list) for key in ("data", "figures", "tables"))
             if "sha256" not in manifest:  # of an earlier version
-                summary = json.loads((folder / "summary.json").read_bytes())
-                names = [name for row in summary["passes"] for name in row]
+                summary = folder / "summary.json"
+                content = read_bytes(summary, MAX_JSON_BYTES, "file", InputError, do)
+                names = [str(name) for row in json.loads(content)["passes"] for name in row]
             complete &= isinstance(manifest["sha256"], dict)
         except (ValueError, LookupError, TypeError, RecursionError, OSError):
             complete = False

@@ -80,10 +80,8 @@ def rows(case: Case) -> list[Row]:
             note = f"only compared; {about['compared']}"
             result.append(row(case, name, "not an input", note=note))
         elif "used" in about:
-            note, ours_here = (
-                f"used as published; {about['used']}",
-                in_this_run.get(name, paper[name]),
-            )
+            note, ours_here = f"used as published; {about['used']}", in_this_run.get(name)
+            ours_here = paper[name] if ours_here is None else ours_here
             result.append(taken(name, ours_here, paper[name], note=note))
     return result
 

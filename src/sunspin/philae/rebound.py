@@ -300,7 +300,9 @@ def twin_file(case: Case) -> dict[str, Any]:
     """What made the telemetry, where it is the case's own twin; else nothing."""
     own, truth = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
     given = case.telemetry.attrs.get("sha256")
-    if not truth.is_file() or hashlib.sha256(own.read_bytes()).hexdigest() != given:
+    if not (own.is_file() and truth.is_file()):
+        return {}
+    if hashlib.sha256(own.read_bytes()).hexdigest() != given:
         return {}
     return read_toml(truth.read_text("utf-8"), str(truth), InputError)
 

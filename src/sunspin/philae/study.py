@@ -1,8 +1,8 @@
 """The paper, computed step by step from the telemetry given: every result as data, and a row for each published figure.
 
-A step is a module of this folder: its `compute`, and `rows` that compare with the paper. They count in three sections: what
-follows from the telemetry, what the equations and the printed lines give without any, and the paper's own figures. A step that
-the telemetry cannot carry is said to be missing, and why.
+A step is a function below that calls a section's module, and the rows that compare with the paper. They count in three
+sections: what follows from the telemetry, what the equations and the printed lines give without any, and the paper's own
+figures. A step that the telemetry cannot carry is said to be missing, and why.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import binom
 from tqdm import tqdm
 
+from sunspin.base import atomic_write
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.cases import Case
 from sunspin.compute.identity import fingerprint, plain
@@ -282,4 +283,5 @@ def write(calibration: Calibration, path: Path) -> None:
     }
     for name in ("ratio", "emd_min", "directions"):
         data[name] = [float(f"{x:.6g}") for x in getattr(calibration, name)]
-    path.write_text(json.dumps(data) + "\n", "utf-8")
+    text = json.dumps(data) + "\n"
+    atomic_write.write_whole(path, lambda part: part.write_text(text, "utf-8"))

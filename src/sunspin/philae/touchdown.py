@@ -127,9 +127,8 @@ def figure(chain: Chain, synthetic: bool) -> Figure:
     speed.stairs(before, edges, lw=1.8, label="possible before the data", **style)
     speed.stairs(after, edges, lw=1.8, color=COLOURS[0], label=f"left: {left}")
     if bounded(chain):
-        low = chosen.speed_range()[
-            0
-        ]  # which counts the cells of the grid and so lies below the least
+        # the range counts the cells of the grid, and so begins below the least
+        low, _ = chosen.speed_range()
         speed.axvspan(0, low, color=COLOURS[0], alpha=0.12, lw=0)
         label = f"our lower bound: {low:.3f} rad/s"
         speed.axvline(low, color=COLOURS[0], lw=1.4, ls=":", label=label)

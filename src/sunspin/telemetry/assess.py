@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.telemetry.health import PanelHealth, panel_health
-from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
-from sunspin.telemetry.quality import DEAD_SAMPLES, SURELY_LIT, judge_readings
+from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise, wild
+from sunspin.telemetry.quality import DEAD_SAMPLES, SURELY_LIT, came_late, judge_readings
 from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, signals, sun_directions
 from sunspin.telemetry.units import WrongUnit, panel_unit, wrong_units
 from sunspin.vehicle import Vehicle
@@ -49,10 +49,12 @@ class Assessment:
     @cached_property
     def noise(self) -> tuple[np.ndarray, str]:
         """One sigma of a reading of each panel (n_panel), in its unit, and where it comes from: the vehicle file, else readings
-        below zero, else assumed. :attr:`sun` asks the redundancy of its directions before the latter two."""
+        below zero of the whole file, else assumed; readings that no light explains, and late frames, do not count. :attr:`sun`
+        asks the redundancy of its directions before the latter two."""
         stated, value = self.vehicle.input_noise, signals(self.telemetry)
         if stated is not None:
             return stated, "given"
+        value = np.where(wild(self.vehicle, value), np.nan, value)[~came_late(self.telemetry)]
         dark = dark_noise(value)
         sigma = assumed_noise(value) if dark is None else dark
         return np.full(value.shape[1], sigma), ASSUMED_FROM if dark is None else DARK_FROM

@@ -121,8 +121,8 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
             by_turns = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
             turned = np.array([by_turns.probability[own].min() for own in members])
-    by_turns = turned * sun.sizes["time"] > NOISE_ALONE
-    needed = [pattern for pattern, excused in zip(patterns, by_turns, strict=True) if not excused]
+    excused = turned * sun.sizes["time"] > NOISE_ALONE
+    needed = [pattern for pattern, turns in zip(patterns, excused, strict=True) if not turns]
     sets = {
         "allowed_lit": ("allowed_pattern", lit_patterns(vehicle), "lit panels, as possible"),
         "impossible_lit": ("pattern", patterns, "lit panels, as seen and impossible"),
@@ -133,7 +133,10 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
         ),
     }
     figures = {
-        "samples": ([own.sum() for own in members], "samples that show the pattern"),
+        "samples": (
+            np.array([own.sum() for own in members], dtype=np.int64),
+            "samples that show the pattern",
+        ),
         "largest": (largest, "bound on the probability that noise alone made the likeliest sample"),
         "log10_together": (together, "log10 of that bound for all samples together"),
         "turned": (
@@ -150,7 +153,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
         rows = np.array([np.isin(names, list(each)) for each in panels]).reshape(-1, len(names))
         health[key] = (dimension, "panel"), rows.astype(bool), {"long_name": long_name}
     for key, (values, long_name) in figures.items():
-        health[key] = "pattern", np.asarray(values), {"units": "1", "long_name": long_name}
+        health[key] = "pattern", values, {"units": "1", "long_name": long_name}
     return health
 
 

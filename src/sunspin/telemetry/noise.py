@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from sunspin.vehicle import Vehicle
+
 HALF_NORMAL_MEDIAN = 0.6745
 """Half of the values of a normal law lie within this many sigma of its middle."""
 
@@ -19,6 +21,9 @@ vehicle files of this package state 0.007 (the example of `sunspin init`), 0.01 
 DARK_FROM = "estimated from readings below zero"
 ASSUMED_FROM = "assumed: the vehicle file states none and the readings show none"
 """Where a noise that is not stated comes from, in results."""
+
+WILD = 20.0
+"""A reading this many times the usual brightest one of a sample is no light: a wrapped count, a filler, a broken converter."""
 
 BRIGHT_QUANTILE = 0.9
 """Of the samples' largest readings: what the panels give in full Sun, spikes apart."""
@@ -57,3 +62,13 @@ def assumed_noise(values: npt.ArrayLike) -> float:
     largest = np.where(np.isfinite(known), known, 0.0).max(axis=1, initial=0.0)
     lit = largest[largest > 0]
     return ASSUMED_SHARE * float(np.quantile(lit, BRIGHT_QUANTILE)) if len(lit) else float("nan")
+
+
+def wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
+    """Readings (n, n_panel) that no light explains."""
+    relative = np.nan_to_num(value / vehicle.input_gains)
+    brightest = relative.max(axis=1, initial=0.0)
+    lit = brightest[brightest > 0]
+    return (
+        relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
+    )

@@ -101,7 +101,7 @@ class Fit(NamedTuple):
 def _without(
     k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, gone: np.ndarray
 ) -> Fit:
-    """Readings (n, P) without panel `k`, those `found` being left out."""
+    """Readings (n, P) without panel `k`, those `gone` being left out."""
     others = ~gone & (np.arange(len(gone)) != k)
     model, extra = (light / sigma)[:, others], (np.maximum(light[:, k] - DARK, 0.0) / sigma[k]) ** 2
     sun, best, gain = np.empty(len(read), dtype=np.intp), np.empty(len(read)), np.empty(len(read))

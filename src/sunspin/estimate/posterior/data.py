@@ -13,6 +13,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
 from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.noise import wild
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -22,9 +23,6 @@ FREE_PHASE = "first_rebound"
 
 MAX_SAMPLES = 600
 """Samples beyond this are thinned evenly: the motion is overdetermined long before, and time is spent on what is not."""
-
-WILD = 20.0
-"""A reading this many times the usual brightest one of a sample is no light: a wrapped count, a filler, a broken converter."""
 
 BEYOND_LARGEST = 1.5
 """A reading that has nothing to do with the Sun is anything up to this many times the largest."""
@@ -142,7 +140,7 @@ def readings(
         )
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
-    finite = np.isfinite(value) & ~_wild(vehicle, value)
+    finite = np.isfinite(value) & ~wild(vehicle, value)
     usable = keep & np.isfinite(times) & ~came_late(telemetry) & finite.any(axis=1)
     index = np.flatnonzero(usable)
     index = (
@@ -187,16 +185,6 @@ def readings(
         noise_from,
     )
     return made, start, remarks
-
-
-def _wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
-    """Readings (n, n_panel) that no light explains."""
-    relative = np.nan_to_num(value / vehicle.input_gains)
-    brightest = relative.max(axis=1, initial=0.0)
-    lit = brightest[brightest > 0]
-    return (
-        relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
-    )
 
 
 def _window(

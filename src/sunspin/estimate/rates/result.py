@@ -325,7 +325,7 @@ def verdict(result: xr.Dataset) -> str:
             f"{passes(count)}: single solution, but not all rate components are constrained"
         )
     if count := sum(model != AS_READ for model in result["model"].values):
-        notes.append(f"{passes(count)}: an alternative model fits better (named with the pass)")
+        notes.append(f"{passes(count)}: an alternative model fits better, as named below")
     notes += _left_open(result, fits & unique, fits & ~unique)
     if count := attrs["cut_passes"]:
         notes.append(

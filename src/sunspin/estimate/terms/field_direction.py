@@ -19,7 +19,7 @@ from sunspin.estimate.terms.term import MotionTerm
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import Magnetometer
 
-UNREAD_FIELD = "no direction of the field: only the motion bridges it"
+UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
 
 
 def reads_directions(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:

@@ -27,7 +27,7 @@ COLUMNS = {"sun_sensor": ("sun_sensor_B", "sun_sensor_cov_B"), "directions": ("s
 OTHER = {"sun_sensor": ("sun_sensor_other_B", "sun_sensor_other_cov_B")}
 """Where it has what a reading may mean as well, and the covariances."""
 
-UNREAD = "no direction of the Sun: only the motion and other sensors bridge it"
+UNREAD = "no Sun direction: bridged by the dynamics and other sensors"
 
 
 @dataclass(frozen=True)

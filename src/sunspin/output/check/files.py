@@ -35,7 +35,9 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
     parts = ", ".join(counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
     known = "given"
     if not summary["inertia_given"]:
-        known = "not given: `rates` starts from a sphere, `simulate` and `scan` are not available"
+        known = (
+            "not given: `rates` starts from equal moments, `simulate` and `scan` are not available"
+        )
     lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
     if craft.panels:
         lit, clear = len(lit_patterns(craft)), len(reconstructible_patterns(craft))
@@ -56,7 +58,7 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
     bare = summary["without_source"]
     if bare:
         shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
-        lines.append(f"  {counted(len(bare), 'value')} without a source: {shown}")
+        lines.append(f"  {counted(len(bare), 'value')} in the vehicle file cite no source: {shown}")
     return summary, lines
 
 

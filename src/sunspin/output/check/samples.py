@@ -110,12 +110,12 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     lines = [f"  {n:6d}  {text}" for text, n in why.items()]
     if dead:
         text = "no signal in any sample (failed, or never sunlit); excluded"
-        lines.append(f"  panel {', '.join(dead)} {text}")
+        lines.append(f"  panel {', '.join(dead)}: {text}")
     if unlit:
         text = (
             "no signal, probably never sunlit (the other panels account for the full Sun); not used"
         )
-        lines.append(f"  panel {', '.join(unlit)} {text}")
+        lines.append(f"  panel {', '.join(unlit)}: {text}")
     pairs = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
     pairs = pairs / craft.input_gains[:, None]
     summary["gains"] = dict(zip(names.tolist(), pairs.tolist(), strict=True))
@@ -139,10 +139,10 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     lines.append(
         f"  albedo and stray light on unlit panels: up to {quality.attrs['albedo']:.0%} of full Sun"
     )
-    counted = ", ".join(f"{k} in {n}" for k, n in summary["samples_by_lit_faces"].items())
+    counted = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
     lines.append(
-        f"  {lit} lit: {counted} samples; three determine the direction; `sunspin rates` also uses samples with one or two"
+        f"  {lit} lit: {counted}; three determine the direction; `sunspin rates` also uses samples with one or two"
     )
     return summary, lines
 

@@ -20,7 +20,6 @@ from sunspin.base.netcdf import read_groups
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.environment.frames import BODY_AT_START, FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.output.folder import as_written, read_manifest, write_netcdf, write_whole
-from sunspin.output.kind import refuse_former
 from sunspin.solve.rotations import continuous
 
 LOCAL_FRAME = "SUNSPIN_LOCAL"
@@ -83,7 +82,6 @@ def read_results(folder: Any) -> tuple[xr.Dataset, Path]:
         if name in manifest["data"]:
             path = as_written(Path(folder), manifest, name)
             data = read_groups(path, str(path), InputError, probe=False, times=True)["/"]
-            refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
             t = data["time"].values if "time" in data.variables else np.zeros(0)
             backward = t.ndim == 1 and len(t) > 1 and np.all(np.diff(t) < 0)
             return data.isel(time=slice(None, None, -1)) if backward else data, path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,12 @@ def panel_signals_figure(
         Motions with `sun_B` (time, 3) in body axes on times fine enough to draw; their factor is fitted to the samples.
     """
     measured, time = signals(telemetry), telemetry["time"].values
-    dead, counts = _counting(telemetry, vehicle)
+    # which panels ever see light, and which samples are not limited by the battery
+    dead, counts = np.zeros(measured.shape[1], bool), np.ones(len(measured), bool)
+    with suppress(SunspinError):  # samples that cannot be judged are drawn as they are
+        quality = panel_quality(vehicle, telemetry)
+        dead, full = quality["dead"].values.astype(bool), quality["use"].values == USED
+        counts = full if full.any() else counts
     ends = [run["time"].values[[0, -1]] for _, run in runs]
     inside = [(time >= first) & (time <= last) for first, last in ends]
     shown = sorted(sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS])
@@ -66,18 +72,6 @@ def panel_signals_figure(
         left = "\nnever lit" if dead[panel] else ""
         row[0].set_ylabel(f"{named(names[panel])} ({unit}){left}", fontsize=8)
     return figure
-
-
-def _counting(telemetry: xr.Dataset, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
-    """Which panels (n_panel) never see light, and which samples (n) are not limited by the battery."""
-    none = np.zeros(telemetry.sizes["panel"], bool)
-    every = np.ones(telemetry.sizes["time"], bool)
-    try:
-        quality = panel_quality(vehicle, telemetry)
-    except SunspinError:  # samples that cannot be judged are drawn as they are
-        return none, every
-    full = quality["use"].values == USED
-    return quality["dead"].values.astype(bool), full if full.any() else every
 
 
 def _factor(t: np.ndarray, measured: np.ndarray, when: np.ndarray, model: np.ndarray) -> float:

@@ -46,7 +46,7 @@ def posterior_summary(tree: Any) -> Summary:
         about = f"probability {solution['probability']:.3f}, omega {omega}{rough}"
         lines.append(f"  solution {k}: {about}, chi-square {solution['chi_square']:.0f}")
     lines.append(
-        f"  diagnostics: predictive p {number_text(numbers['p_value'], 3)}, effective sample size "
+        f"  diagnostics: posterior predictive p {number_text(numbers['p_value'], 3)}, effective sample size "
         f"{numbers['effective_draws']:.0f}, Pareto k {numbers['pareto_k']:.2f}"
     )
     numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}

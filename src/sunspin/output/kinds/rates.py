@@ -20,13 +20,14 @@ MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 
-HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {'omega at mid-pass, deg/s':45}  prob  verdict"
+RATE = "omega x, y, z at mid-pass, deg/s ± 1 sigma"
+HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {RATE:45}  prob  verdict"
 """Of the table of passes: a line each, at most 110 columns with a decided verdict."""
 
 PASSES_IN_WORDS = 3
 """Of the first passes a page has a sentence each; its table has all."""
 
-COARSE = 0.1
+COARSE, COARSE_WORD = 0.1, "decided, coarse"
 """A decided rate whose sigma exceeds this part of the speed is called coarse."""
 
 
@@ -69,7 +70,11 @@ def rates_summary(result: Any) -> Summary:
         in_words += [sentence] if k < PASSES_IN_WORDS else []
         if numbers.get("model", AS_STATED) != AS_STATED:
             chance = f"{numbers['model_probability']:.2f}"
-            notes.append(f"pass {numbers['pass_id']}: {numbers['model']} (probability {chance})")
+            notes.append(
+                f"pass {numbers['pass_id']}: alternative model {numbers['model']} (probability {chance})"
+            )
+    if any(row.endswith(COARSE_WORD) for row in table):
+        notes.append(f"coarse: one sigma of a component exceeds {COARSE:.0%} of the speed")
     lines += [f"  {note}" for note in notes]
     texts, counts = np.unique(result["why"].values.astype(str), return_counts=True)
     left_out = str(result.attrs.get("panels_left_out", ""))
@@ -88,7 +93,7 @@ def rates_summary(result: Any) -> Summary:
         lines += [f"  {_period(result, period)}" for period in numbers["periods"]]
     if left_out:
         why = "no signal in any sample (failed, or never sunlit); excluded"
-        lines.append(f"  panel {left_out} {why}")
+        lines.append(f"  panel {left_out}: {why}")
     numbers |= {key: result.attrs[key] for key in ("noise", "noise_from") if key in result.attrs}
     if numbers.get("noise_from", "given") != "given":
         size = number_text(numbers["noise"], 3)
@@ -159,7 +164,7 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
     start = start[5:16].replace("T", " ") if "T" in start else start
     verdict = str(numbers["why_not_decided"]).split(" (")[0] or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
-        verdict = "decided, coarse"
+        verdict = COARSE_WORD
     verdict = verdict.replace("several solutions", f"{n} solutions")
     row = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
     called = f"pass {numbers['pass_id']} ({len(at)} samples)"

@@ -1,4 +1,7 @@
-"""A results folder read back: its manifest says what is in it; what is not as it was written is named and left out."""
+"""A results folder read back: its manifest says what is in it; what is not as it was written is named and left out.
+
+The hashes of the manifest show damage and changes by mistake. They are no seal: who sends a folder has written its manifest.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,12 @@ import xarray as xr
 from sunspin.base.errors import InputError, SunspinError, printable
 from sunspin.base.netcdf import read_groups
 from sunspin.output.folder import MARKER, as_written, maker, read_manifest
-from sunspin.output.kind import refuse_former
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import read_vehicle
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
 MAX_DATA_BYTES = 500_000_000
 """Of one NetCDF file; larger ones are named and not read."""
-
-LARGEST_SVG_BYTES = 1_000_000
-"""A larger drawing, of very many points, is shown as PNG."""
 
 MAX_ROWS = 200
 """Rows of a table that the page shows."""
@@ -116,12 +115,13 @@ def read_results(folder: str | Path) -> Results:
         called = name[:200] if isinstance(name, str) else "an entry of the manifest"
         return results.attempt(called, lambda: read(as_written(path, manifest, name), entry))
 
-    results.summary = attempt("summary.json", lambda file, _: json.loads(file.read_text("utf-8")))
+    # a value that is no object becomes an error of dict()
+    results.summary = attempt(
+        "summary.json", lambda file, _: dict(json.loads(file.read_text("utf-8")))
+    )
     results.summary = results.summary or {}
     for entry in manifest["data"]:
         results.data |= attempt(entry, _data) or {}
-    for data in results.data.values():
-        refuse_former(data.attrs.get("kind"), (*data.variables, *data.dims), str(path))
     for entry in manifest["figures"]:
         figure = attempt(entry, _figure)
         results.figures += [] if figure is None else [figure]
@@ -151,9 +151,6 @@ def _data(path: Path, _: Any) -> dict[str, xr.Dataset]:
 
 
 def _figure(path: Path, entry: Any) -> PageFigure:
-    smaller = path.with_suffix(".png")
-    if path.suffix == ".svg" and path.stat().st_size > LARGEST_SVG_BYTES and smaller.is_file():
-        path = smaller
     alt, caption = (str(entry.get(key, "")) for key in ("alt", "caption"))
     return PageFigure(path.name, path.read_bytes(), alt, caption)
 
