@@ -36,7 +36,12 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
 @click.option("--sun", "sun_B", type=VECTOR, help="Unit vector to the Sun at --lead, body axes.")
 @click.option("--lead", type=float, help="Time after touchdown at which candidate rates hold, s.")
 @click.option("--before", "before_s", type=float, help="Time from --lead to the collision, s.")
-@click.option("--after", "after_s", type=float, help="From the collision (--before) to landing, s.")
+@click.option(
+    "--after",
+    "after_s",
+    type=float,
+    help="Time from the end of --before (collision) to landing, s.",
+)
 @click.option(
     "--collision-speed", "collision_speed_m_s", type=float, help="Speed in m/s; 0: no collision."
 )

@@ -13,10 +13,10 @@ from sunspin.cli.common import shared
 from sunspin.cli.values import Parsed, instants_of, observation, period, prior, times
 
 
-def observed(name: str, form: str, about: str) -> Callable:
-    names, kind = (f"--{name}", f"{name.partition('-')[0]}s"), Parsed(observation, form)
+def observed(name: str, form: Parsed, about: str) -> Callable:
+    names = f"--{name}", f"{name.partition('-')[0]}s"
     about = f"Extra observation of the {about}. Repeatable."
-    return click.option(*names, type=kind, multiple=True, help=about)
+    return click.option(*names, type=form, multiple=True, help=about)
 
 
 @click.command(cls=Command)
@@ -32,11 +32,11 @@ def observed(name: str, form: str, about: str) -> Callable:
     "scale (of all panels). In rad: tilt (of each panel), tilt_common (of all). In s: time_s (of each sample). Upper limits: "
     "max_rate_rad_s; steady_torque (rotation in deg that it causes, default 300). Repeatable.",
 )
-@observed("rate-deg-s", "T,VALUE,SIGMA", "angular speed, in s and deg/s")
-@observed("gyro-deg-s", "T,X,Y,Z,SIGMA", "body rate, in s and deg/s")
+@observed("rate-deg-s", Parsed(observation, "T,VALUE,SIGMA"), "angular speed, in s and deg/s")
+@observed("gyro-deg-s", Parsed(observation, "T,X,Y,Z,SIGMA"), "body rate, in s and deg/s")
 @observed(
     "field",
-    "T,X,Y,Z,ANGLE,SIGMA",
+    Parsed(observation, "T,X,Y,Z,ANGLE,SIGMA"),
     "magnetic direction X,Y,Z in body axes (any length), with its ANGLE to the Sun and SIGMA of the angle, rad",
 )
 @click.option(
