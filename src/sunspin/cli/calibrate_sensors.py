@@ -28,8 +28,8 @@ COPY = "calibrated.toml"
 def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output) -> None:
     """Calibrate panels, Sun sensors, magnetometer and gyro with the telemetry, and write a copy of the vehicle file.
 
-    Panel gains come from the brightness of samples in full Sun. With orbital elements the field strength and its angle to the Sun
-    are known at any attitude. They determine zero, matrix and scale of the magnetometer, and bias and scale of each Sun sensor. A
+    Panel gains: in sunlight the Sun is equally bright whichever panels are lit. In an orbit the field strength and its angle to the
+    Sun are known. They determine bias, soft-iron matrix and scale of the magnetometer, and bias and scale of each Sun sensor. A
     gyro is compared with the rates of passes that are decided without it. Every estimate has a sigma. Values that the data do not
     determine stay as they are. The copy keeps your comments and gives the source of each new value.
 

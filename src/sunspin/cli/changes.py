@@ -20,15 +20,24 @@ if TYPE_CHECKING:
     from sunspin.vehicle.changes import Change
 
 SHORT = {
-    "friction": ("wheel.friction", "Friction law, by its name in the file, such as printed."),
+    "friction": (
+        "wheel.friction",
+        "Wheel-friction law, by name in the vehicle file, e.g. `printed`.",
+    ),
     "wheel_speed": ("wheel.speed_rad_s", "Wheel speed at the first sample after touchdown, rad/s."),
     "lead": ("study.lead_s", "Time from the first touchdown to the next sample, s."),
-    "target_weights": ("study.target_weights", "Weights of the directions: equal or interval."),
-    "mask": ("study.mask", "Simulated directions in use: reconstructible or everywhere."),
-    "factor": ("study.near_minimum_factor", "Near-minimum factor of the paper's set."),
-    "confidence": ("study.confidence", "Confidence level of the calibrated set, as a fraction."),
+    "target_weights": (
+        "study.target_weights",
+        "Weights of the measured Sun directions: equal, or interval (by the time between samples).",
+    ),
+    "mask": (
+        "study.mask",
+        "Simulated Sun directions that count: reconstructible (from the panels) or everywhere (all).",
+    ),
+    "factor": ("study.near_minimum_factor", "The paper's set: EMD below this times the smallest."),
+    "confidence": ("study.confidence", "Confidence level of --candidates scan, e.g. 0.9."),
     "restitution": ("collision.restitution", "Coefficient of restitution (0 = sticking)."),
-    "damper": ("collision.damper", "Fraction of the z impulse that the landing gear absorbs."),
+    "damper": ("collision.damper", "Fraction of the body-z impulse that the landing gear absorbs."),
 }
 """Option -> key that it is a name for, its help."""
 
@@ -87,8 +96,8 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
     `uses`: keys or tables of the assumptions that the command uses; `idle`: those of the vehicle file that it does not use.
     """
     about = (
-        "Override a value for this run: KEY=VALUE, KEY*=FACTOR or KEY+=STEP. `--set list` prints all "
-        "keys. Repeatable."
+        "Override a value of the vehicle file or the study for this run: KEY=VALUE, KEY*=FACTOR or "
+        "KEY+=STEP. `--set list` prints all keys. Repeatable."
     )
 
     def decorate(function: Any) -> Callable:

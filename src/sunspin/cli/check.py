@@ -16,10 +16,10 @@ from sunspin.cli.common import shared
 def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
     """Check a vehicle file and telemetry: what they contain, what is wrong and which rates they can determine.
 
-    With orbital elements, check too whether the telemetry was taken in that orbit: field strength, angle of field to Sun, eclipses.
+    With an orbit, also check whether the telemetry was taken in it: strength of the magnetic field, its angle to the Sun, eclipses.
 
     \b
-    Examples:
+    Examples (the second with the built-in vehicle philae and its telemetry):
       sunspin check vehicle.toml telemetry.csv
       sunspin check philae philae
     """

@@ -179,17 +179,18 @@ PATH = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(0, min_open=True)
 
 SHARED: dict[str, dict[str, Any]] = {
-    "--from begin": {"help": "Start time: UTC such as 2017-06-28T19:18, or s from the epoch."},
-    "--to end": {"help": "End time, in the same form."},
+    "--from begin": {"help": "Start: UTC such as 2017-06-28T19:18, or seconds from the epoch."},
+    "--to end": {"help": "End, in the same form."},
     "--period periods": {
         "multiple": True,
         "metavar": "S+-SIGMA@TIME",
-        "help": "Rotation period (s) from radio fading or a light curve, for example 13.0+-0.5@15:50: the precession, the spin "
-        "or their sum. Used to weight the solutions. Repeatable.",
+        "help": "Observed rotation period (s), from radio fading or a light curve, for example 13.0+-0.5@15:50. It may be that of "
+        "the precession, the spin or their sum: all three are tried. Used to weight the solutions. Repeatable.",
     },
     "--tle --omm --ephemeris elements": {
         "type": PATH,
-        "help": "Orbit file: TLE, OMM, OEM, CSV or SPK. Default: [orbit] of the vehicle file.",
+        "help": "Orbit file: TLE, OMM, OEM, SPK, or CSV with time_utc, x_km, y_km, z_km. The three names mean the same: the format "
+        "is detected. Default: [orbit] of the vehicle file.",
     },
     "--tle-shift-sigma shift_sigma": {
         "type": POSITIVE,
@@ -207,11 +208,11 @@ SHARED: dict[str, dict[str, Any]] = {
     "--factor": {
         "type": click.FloatRange(1, min_open=True),
         "default": 1.1,
-        "help": "Near-minimum factor: motions with an EMD below this times the smallest EMD are selected.",
+        "help": "Select the rates of a scan whose metric is below this times the smallest (near-minimum set).",
     },
     "--store": {
         "type": PATH,
-        "help": "Checkpoint folder: rerun the same command to resume after an interruption. Other inputs need another folder.",
+        "help": "Checkpoint folder: rerun the same command to resume after an interruption. Use a new folder if inputs change.",
     },
     "--scheduler executor": {
         "metavar": "ADDRESS",
@@ -221,7 +222,7 @@ SHARED: dict[str, dict[str, Any]] = {
     "--data": {
         "envvar": "SUNSPIN_DATA",
         "type": PATH,
-        "help": "Second folder to look for TELEMETRY in (or set SUNSPIN_DATA). TELEMETRY `-` is standard input.",
+        "help": "Folder searched for TELEMETRY if it is not found as given (or set SUNSPIN_DATA). TELEMETRY `-` is standard input.",
     },
     "--seed": {"type": click.IntRange(0), "default": 0, "help": "Random seed."},
     "--workers": {

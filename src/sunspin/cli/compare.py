@@ -17,10 +17,10 @@ from sunspin.cli.common import PATH, shared
 @click.option("--epoch", help="With kernels: UTC of time zero, if the results have none.")
 @shared()
 def compare(folder, others, frame, base, epoch, output) -> None:
-    """Compare two results folders of `reproduce`, `rates`, `posterior` or `outcomes`: what changed, over its error.
+    """Compare results folders A and B of `reproduce`, `rates`, `posterior` or `outcomes`: each change, divided by its error.
 
-    With SPICE attitude kernels (C-kernel, frames, clock, leap seconds) instead of B, compares the rates of A with theirs. With
-    --out, writes comparison.csv, comparison.nc and a figure.
+    Give SPICE attitude kernels (C-kernel, frames, clock, leap seconds) instead of B to compare the rates of A with theirs. For two
+    folders, --out writes comparison.csv, comparison.nc and a figure.
 
     \b
     Examples (the second for those who have ESA's kernels of Philae):

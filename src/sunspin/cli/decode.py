@@ -12,15 +12,13 @@ from sunspin.cli.common import PATH, Output, shared
 
 @click.command(cls=Command)
 @click.argument("raw", type=PATH)
-@click.option(
-    "--decoder", type=click.Choice(["skcube"]), default="skcube", help="Format of the frames."
-)
+@click.option("--decoder", type=click.Choice(["skcube"]), default="skcube", help="Frame format.")
 @shared(out="skcube")
 def decode(raw: Path, decoder: str, output: Output) -> None:
     """Decode raw skCUBE beacons to CSV, a table for each kind of beacon: skcube_adcs.csv, skcube_pwr.csv and so on.
 
-    RAW is a folder or zip of frames as the collector publishes them, or frames from SatNOGS DB (CSV or JSON). Beacons whose fields
-    are not published are written to skcube_other.csv in hexadecimal digits.
+    RAW is a folder or zip of frames from the repository yangwao/skCube-data-collector, or frames from SatNOGS DB (CSV or JSON).
+    Beacons whose fields are not published are written to skcube_other.csv in hexadecimal.
 
     \b
     Example:

@@ -19,7 +19,7 @@ from sunspin.cli.common import PATH, POSITIVE, shared
 )
 @click.option(
     "--frame",
-    help="Reference frame. A celestial frame is refused if the rotation about the Sun direction is not known.",
+    help="Reference frame: J2000, or SUNSPIN_LOCAL if the rotation about the Sun direction is unknown (J2000 is then refused).",
 )
 @click.option("--epoch", help="UTC of time zero, if the results have none (`sunspin simulate`).")
 @click.option(

@@ -15,44 +15,55 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
     "--strategy",
     "strategies",
     multiple=True,
-    help="Wheel command: off (at the touchdown), held, brake, after_rest (held until the lander rests) or delay:SECONDS (off that "
-    "much later). Repeatable. Default: off and held.",
+    help="Wheel from the touchdown on: off (motor off), held (constant speed), brake, after_rest (held until the lander rests) or "
+    "delay:SECONDS (held so long, then off). Repeatable. Default: off and held.",
 )
 @click.option(
     "--runs", type=click.IntRange(1, 100_000_000), default=100_000, help="Runs per strategy."
 )
 @click.option(
-    "--scan", type=PATH, help="scan.nc of `sunspin scan`: its near-minimum set are the candidates."
+    "--scan",
+    type=PATH,
+    help="Candidates: rates that --factor selects in scan.nc of `sunspin scan`.",
 )
 @click.option(
-    "--omega-deg-s", "omega_B", type=BODY_RATE, multiple=True, help="Candidate rate. Repeatable."
+    "--omega-deg-s",
+    "omega_B",
+    type=BODY_RATE,
+    multiple=True,
+    help="Candidate: a possible body rate, deg/s, at --lead. Each run draws one candidate. Repeatable.",
 )
+@click.option("--sun", "sun_B", type=VECTOR, help="Unit vector to the Sun at --lead, body axes.")
+@click.option("--lead", type=float, help="Time after touchdown at which candidate rates hold, s.")
+@click.option("--before", "before_s", type=float, help="Time from --lead to the collision, s.")
 @click.option(
-    "--sun", "sun_B", type=VECTOR, help="Unit vector to the Sun in body axes, for the candidates."
+    "--after",
+    "after_s",
+    type=float,
+    help="Time from the end of --before (collision) to landing, s.",
 )
-@click.option("--lead", type=float, help="Time from the touchdown to the candidates, s.")
-@click.option("--before", "before_s", type=float, help="Time from there to the collision, s.")
-@click.option("--after", "after_s", type=float, help="Time from the collision to the landing, s.")
 @click.option(
     "--collision-speed", "collision_speed_m_s", type=float, help="Speed in m/s; 0: no collision."
 )
-@click.option("--landing-speed", "landing_speed_m_s", type=float, help="Speed at the landing, m/s.")
+@click.option(
+    "--landing-speed", "landing_speed_m_s", type=float, help="Total speed at the landing, m/s."
+)
 @click.option(
     "--vertical",
     type=Parsed(vertical),
-    help="Normal of the ground at the landing, in body axes at touchdown: legs_down (any normal for which a leg is lowest), any, "
-    "an angle about legs-down in degrees, or x,y,z.",
+    help="Ground normal at the landing, in body axes at the touchdown: legs_down (any for which a leg tip is lowest), any, the "
+    "largest angle (deg) from upright on the legs, or x,y,z.",
 )
 @click.option(
     "--condition",
     is_flag=True,
-    help="Weight the collisions of the first strategy by the speeds of the trajectory kernel.",
+    help="Weight the collisions of the first strategy by their agreement with Philae's trajectory kernel (SPK).",
 )
 @click.option(
     "--data",
     envvar="SUNSPIN_DATA",
     type=PATH,
-    help="Folder with philae_spk/, the kernel for --condition (or set SUNSPIN_DATA). Default: the facts of the case.",
+    help="Folder with philae_spk/ (SPK for --condition), or set SUNSPIN_DATA. Default: the speeds stored with the case philae.",
 )
 @set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"), idle=READING)
 @shared("--wheel-speed", "--factor", "--store", "--scheduler", "--seed", "--workers")
@@ -75,11 +86,11 @@ def outcomes(
     output,
     **known,
 ) -> None:
-    """Simulate what a tumbling motion leads to: collision, first contact, antenna and rest, for each wheel strategy.
+    """Simulate a lander after touchdown (Monte Carlo), by wheel strategy: collision, first contact, rest, orbiter in antenna cone.
 
-    A built-in case (philae) has times, speeds and, as candidates, its published lines. For another vehicle give at least
-    --omega-deg-s (or --scan), --sun and --after, or the times in a timeline.toml next to the vehicle file. With --out, writes
-    outcomes-STRATEGY.nc, strategies.nc and figures.
+    For philae, times, speeds and candidate rates (on four straight lines in the space of rates, from the paper) are built in. For
+    another vehicle give at least --omega-deg-s (or --scan), --sun and --after; times may also be in timeline.toml next to its file.
+    With --out, writes outcomes-STRATEGY.nc, strategies.nc and figures.
 
     \b
     Examples:

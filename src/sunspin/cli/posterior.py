@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import click
 
@@ -12,44 +13,36 @@ from sunspin.cli.common import shared
 from sunspin.cli.values import Parsed, instants_of, observation, period, prior, times
 
 
+def observed(name: str, form: Parsed, about: str) -> Callable:
+    names = f"--{name}", f"{name.partition('-')[0]}s"
+    about = f"Extra observation of the {about}. Repeatable."
+    return click.option(*names, type=form, multiple=True, help=about)
+
+
 @click.command(cls=Command)
 @click.argument("vehicle")
 @click.argument("telemetry", required=False)
-@click.option("--phase", help="Use the samples of this phase of the file.")
+@click.option("--phase", help="Use only the samples with this value in the `phase` column.")
 @click.option(
     "--prior",
     "priors",
     type=Parsed(prior, "KEY=SIGMA"),
     multiple=True,
-    help="Prior width, relative; 0 = fixed. Keys: inertia, wheel_speed, wheel_inertia, friction, gain, noise, scale; tilt, "
-    "tilt_common (rad); time_s (s); max_rate_rad_s; steady_torque (rotation in deg that it may cause, 300 unless given). "
-    "Repeatable.",
+    help="Prior 1-sigma, relative; 0 = fixed. Keys: inertia, wheel_speed, wheel_inertia, friction, gain (of each panel), noise, "
+    "scale (of all panels). In rad: tilt (of each panel), tilt_common (of all). In s: time_s (of each sample). Upper limits: "
+    "max_rate_rad_s; steady_torque (rotation in deg that it causes, default 300). Repeatable.",
 )
-@click.option(
-    "--rate-deg-s",
-    "rates",
-    type=Parsed(observation, "T,VALUE,SIGMA"),
-    multiple=True,
-    help="Extra observation of the angular speed, in s and deg/s. Repeatable.",
-)
-@click.option(
-    "--gyro-deg-s",
-    "gyros",
-    type=Parsed(observation, "T,X,Y,Z,SIGMA"),
-    multiple=True,
-    help="Extra observation of the body rate, in s and deg/s. Repeatable.",
-)
-@click.option(
-    "--field",
-    "fields",
-    type=Parsed(observation, "T,X,Y,Z,ANGLE,SIGMA"),
-    multiple=True,
-    help="Extra magnetic direction in body axes and its angle to the Sun (s, 1, rad, rad). Repeatable.",
+@observed("rate-deg-s", Parsed(observation, "T,VALUE,SIGMA"), "angular speed, in s and deg/s")
+@observed("gyro-deg-s", Parsed(observation, "T,X,Y,Z,SIGMA"), "body rate, in s and deg/s")
+@observed(
+    "field",
+    Parsed(observation, "T,X,Y,Z,ANGLE,SIGMA"),
+    "magnetic direction X,Y,Z in body axes (any length), with its ANGLE to the Sun and SIGMA of the angle, rad",
 )
 @click.option(
     "--predict",
-    help="Comma-separated times at which to predict the motion: s from the epoch, or UTC such as 16:20 or 2014-11-12T16:20. "
-    "For Philae, later times include the collision.",
+    help="Comma-separated times at which to predict the motion: seconds from the epoch, or UTC such as 17:25 or 2014-11-12T17:25. "
+    "For Philae, times after the collision (16:20) include its effect.",
 )
 @click.option(
     "--draws", type=click.IntRange(100, 1_000_000), default=4000, help="Draws in the result."
@@ -73,15 +66,15 @@ def posterior(
     output,
     **search,
 ) -> None:
-    """Sample the posterior of one stretch of free motion: every solution that fits, with its probability, or none.
+    """Sample the posterior of a stretch of motion without impacts: each solution that fits and its probability, or that none fits.
 
-    Uses all readings, those of unlit panels included. With --out, writes posterior.nc, solutions.csv, passes.csv, the likeliest
-    motion of each solution and figures; with --predict predicted.csv and predicted.png. Without TELEMETRY the case's own is used.
+    Uses all readings, also of unlit panels. Without TELEMETRY that of the built-in vehicle is used. --out writes posterior.nc,
+    solutions.csv, passes.csv, the likeliest motion of each solution and figures; with --predict predicted.csv and predicted.png.
 
     \b
     Examples:
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
-      sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store rows
+      sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store checkpoints
     """
     from sunspin.cases import case_telemetry, timeline_of
     from sunspin.estimate.posterior.estimate import posterior as run

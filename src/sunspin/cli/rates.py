@@ -24,7 +24,7 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option(
     "--source",
     type=click.Choice(["panels", "sun_sensor"]),
-    help="Source of the Sun direction. Default: whichever the file contains.",
+    help="Source of the Sun direction. Default: sun_sensor if the file has one, else panels.",
 )
 @click.option(
     "--max-rate-deg-s",
@@ -40,29 +40,24 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "estimated.",
 )
 @click.option(
-    "--gap", "gap_s", type=POSITIVE, help="Gap that starts a new pass, s. Default: six intervals."
+    "--gap", "gap_s", type=POSITIVE, help="Gap that starts a pass, s. Default: 6 median intervals."
 )
 @click.option(
     "--pass", "pass_id", type=click.IntRange(0), help="Only this pass, numbered as in passes.csv."
 )
 @click.option(
-    "--no-column-tests",
-    is_flag=True,
-    help="Do not test swapped columns, axes or signs when a pass fits poorly.",
+    "--no-column-tests", is_flag=True, help="Do not test swapped columns or signs on a poor fit."
 )
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
     type=Parsed(effort, "float"),
     default="1.0",
-    help="Computing budget: 1 is about 1.5 minutes of one core, inf is unlimited. Results do not depend on the machine. A pass "
-    "whose search is incomplete is not decided.",
+    help="Computing budget of the run, in propagated motions: 1 takes up to about 2 minutes of one core, inf is unlimited. Results "
+    "do not depend on the machine's speed. A pass whose search is incomplete is not decided.",
 )
 @click.option(
-    "--without",
-    multiple=True,
-    type=click.Choice(list(UNUSED)),
-    help="Do not use this sensor. Repeatable.",
+    "--without", multiple=True, type=click.Choice(list(UNUSED)), help="Sensor not used. Repeatable."
 )
 @shared("--from", "--to", "--tle", "--tle-shift-sigma", "--period", "--workers", "--data")
 def rates(
@@ -84,17 +79,17 @@ def rates(
     """Estimate body rates and attitude of each pass from Sun directions and other sensors.
 
     All solutions that the data cannot distinguish are listed with their probabilities: aliases with more or fewer whole
-    revolutions between samples, and mirror solutions. Each pass states whether it is decided, which components the data
-    constrain and whether it fits. With --out, writes passes.csv (a row for each solution), rates.csv (a row for each sample),
-    rates.nc and figures.
+    revolutions between samples, and mirror solutions. A pass is decided if one solution remains, the data constrain all rate
+    components, it fits, and the search is complete. With --out, writes passes.csv (a row for each solution), rates.csv (a row for
+    each sample), rates.nc and figures.
 
-    With an orbit (--tle, --omm, --ephemeris, or [orbit] in the vehicle file) shadow, Earth albedo and magnetic field are known.
-    The elements are first compared with the telemetry, as `sunspin check` does, and not used if they do not fit. Then the
-    magnetometer is calibrated, samples in shadow are used, and attitudes are relative to J2000. Old elements, or those of a sister
-    satellite, need --tle-shift-sigma.
+    With an orbit (--tle, --omm, --ephemeris, or [orbit] in the vehicle file) eclipses, Earth albedo and magnetic field are known.
+    The elements are first compared with the telemetry, as `sunspin check` does. If they do not fit, they are not used. If they
+    fit, the magnetometer is calibrated, samples in eclipse are used too, and attitudes are relative to J2000. Old elements, or
+    those of a sister satellite, need --tle-shift-sigma.
 
     \b
-    Examples:
+    Examples (the second with the built-in vehicle skcube, and telemetry in the folder DIR):
       sunspin rates vehicle.toml telemetry.csv --tle my.tle
       sunspin rates skcube skcube/skcube_adcs.csv --without gyro --data DIR --out skcube-rates
     """

@@ -18,7 +18,7 @@ def report_page(folder: Path, output: Output) -> None:
 
     \b
     Example:
-      sunspin report rates
+      sunspin report skcube-rates
     """
     from sunspin.output.report import write_report
 

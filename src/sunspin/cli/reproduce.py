@@ -10,9 +10,7 @@ from sunspin.cli.common import PATH, shared
 
 @click.command(cls=Command)
 @click.option(
-    "--telemetry",
-    type=PATH,
-    help="Panel powers instead of the synthetic ones. Start from telemetry.csv of an earlier results folder.",
+    "--telemetry", type=PATH, help="Panel powers, in the form of telemetry.csv of a results folder."
 )
 @click.option("--vehicle", type=PATH, help="Vehicle file of another body with one wheel and legs.")
 @click.option(
@@ -26,19 +24,16 @@ from sunspin.cli.common import PATH, shared
     "--calibrate",
     type=click.IntRange(0, 100_000),
     metavar="N",
-    help="Number of simulated flights that calibrate the threshold of the set. Default: the built-in calibration if it applies, "
-    "else 60; 0: no calibration.",
+    help="Simulated flights that calibrate the threshold of --candidates scan. Default: built-in if it applies, else 60; 0: none.",
 )
-@click.option(
-    "--coarser", type=click.IntRange(1, 50), default=1, help="Use every N-th grid point only."
-)
+@click.option("--coarser", type=click.IntRange(1, 50), default=1, help="Use every N-th grid point.")
 @set_options("study", "collision", short=tuple(SHORT))
 @shared("--seed", "--workers", out="results")
 def reproduce(telemetry, output, **options) -> None:
     """Reproduce the Philae study: every figure and table of the paper next to the results of this run.
 
-    All conclusions follow from the telemetry that is given. The built-in telemetry is synthetic, as that of the flight is not
-    public, and is labelled so.
+    All conclusions are recomputed from the telemetry given. The built-in telemetry is synthetic, and labelled so, because the
+    flight telemetry is not public.
 
     \b
     Examples:

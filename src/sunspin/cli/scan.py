@@ -28,21 +28,24 @@ def grid_option(axis: str, default: str) -> Callable:
     "--metric",
     type=click.Choice(["emd", "E"]),
     default="emd",
-    help="emd compares the distributions of r_z, without their times. E compares each direction and needs a short window.",
+    help="emd: earth mover's distance of the distributions of r_z, times ignored. E: mean misfit of directions, for short windows.",
 )
 @click.option(
     "--threshold",
     type=POSITIVE,
-    help="Select points below this value instead of --factor. A value calibrated on simulations gives a confidence region.",
+    help="Select rates whose metric is below this value, not by --factor. Calibrated on simulations, it gives a confidence region.",
 )
 @click.option(
     "--direction-error",
     type=POSITIVE,
-    help="Allowed integration error of the final Sun direction in rad. Default: 1e-3 for E; for EMD, chosen so that the EMD error "
-    "is 1e-3.",
+    help="Largest numerical error of the final Sun direction, rad. Default: 1e-3 for E; for emd, what keeps its error below 1e-3.",
 )
 @click.option(
-    "--lines", "n_lines", type=click.IntRange(0, 20), default=4, help="Lines to fit; 0: none."
+    "--lines",
+    "n_lines",
+    type=click.IntRange(0, 20),
+    default=4,
+    help="Number of straight lines fitted to the selected rates, in the space of omega_x, omega_y, omega_z; 0: none.",
 )
 @set_options("study.mask", "study.target_weights", short=("friction",), idle=LANDING)
 @shared(
@@ -64,13 +67,13 @@ def scan(
     output,
     **run,
 ) -> None:
-    """Scan a grid of initial body rates: which motions have the r_z (Sun above the body x-y plane) that the panels measured?
+    """Scan a grid of initial body rates: which motions reproduce the measured r_z, the body-z component of the Sun direction?
 
-    The run begins at the first sample with a Sun direction. With --out, writes scan.nc. A scan with a --store can be interrupted
-    and resumed. The first scan of a kind of vehicle compiles its kernel in about 20 s, unless `sunspin compile` has done so.
+    Motions begin at the first sample with a Sun direction. With --out, writes scan.nc. A scan with a --store can be interrupted
+    and resumed. The first scan of a kind of vehicle compiles its code in about 20 s, unless `sunspin compile` has done so.
 
     \b
-    Examples:
+    Examples (the second with the built-in vehicle philae and its telemetry):
       sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x-deg-s=-6:6:1 --omega-y-deg-s=-6:6:1 --omega-z-deg-s=0:6:1
       sunspin scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:60:6 --store scan-rows --out scan-results
     """

@@ -23,12 +23,12 @@ from sunspin.cli.values import BODY_RATE, VECTOR
     "--stopped-at",
     "stopped_at_s",
     type=float,
-    help="When a wheel at rest stopped, s (backward runs).",
+    help="Backward runs: when a wheel that is at rest at the start had stopped, s from the start (negative).",
 )
 @set_options(short=("friction",), idle=(*LANDING, *SEEING))
 @shared("--wheel-speed", "--wheel-mode")
 def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, output, **run) -> None:
-    """Propagate one motion: body rates, Sun direction, wheel speeds, attitude and wheel events.
+    """Propagate one motion: body rates, Sun direction, attitude, wheel speeds and when wheels stop.
 
     With --out, writes trajectory.nc.
 

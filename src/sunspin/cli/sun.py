@@ -20,12 +20,12 @@ from sunspin.cli.common import POSITIVE, read_both, shared
 )
 @shared("--data")
 def sun(vehicle, telemetry, noise, threshold, output) -> None:
-    """Compute the Sun direction of each sample from panel power or current, with its sigma or the reason why there is none.
+    """Compute each sample's Sun direction in body axes from panel power or current, with 1-sigma error, or why it is unknown.
 
     With --out, writes sun.csv, sun.nc, sun.png and sun.svg.
 
     \b
-    Examples:
+    Examples (the second with the built-in vehicle philae and its telemetry):
       sunspin sun vehicle.toml telemetry.csv --out sun-results
       sunspin sun philae philae
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -71,16 +72,12 @@ def numbers(text: str, name: str, count: int | None = None, form: str = "") -> l
     return values
 
 
-def vector(text: str, name: str) -> list[float]:
-    return numbers(text, name, 3)
-
-
 def rate(text: str, name: str) -> list[float]:
     """A body rate in deg/s; the result is in rad/s."""
     return [math.radians(each) for each in numbers(text, name, 3)]
 
 
-VECTOR, BODY_RATE = Parsed(vector, "X,Y,Z"), Parsed(rate, "X,Y,Z")
+VECTOR, BODY_RATE = Parsed(partial(numbers, count=3), "X,Y,Z"), Parsed(rate, "X,Y,Z")
 
 
 def effort(text: str, name: str) -> float:
