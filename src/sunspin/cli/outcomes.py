@@ -37,10 +37,7 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
 @click.option("--lead", type=float, help="Time after touchdown at which candidate rates hold, s.")
 @click.option("--before", "before_s", type=float, help="Time from --lead to the collision, s.")
 @click.option(
-    "--after",
-    "after_s",
-    type=float,
-    help="Time from the end of --before (collision) to landing, s.",
+    "--after", "after_s", type=float, help="From the end of --before (collision) to landing, s."
 )
 @click.option(
     "--collision-speed", "collision_speed_m_s", type=float, help="Speed in m/s; 0: no collision."
