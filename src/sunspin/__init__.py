@@ -1,4 +1,4 @@
-"""sunspin: how a spacecraft tumbles, told by the power of its solar panels.
+"""sunspin: estimates how a spacecraft tumbles from the power of its solar panels.
 
 Public names are loaded on first use, so that ``import sunspin`` and ``sunspin --help`` stay fast. Datasets have the accessor
 ``.sunspin`` from then on, also those opened from files: it is registered as soon as xarray has been imported.
