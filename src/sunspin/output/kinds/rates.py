@@ -205,10 +205,10 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
         )
     if context.telemetry is None or context.vehicle is None:
         return
-    samples, vehicle, runs = context.telemetry, context.craft(), dense(result)
-    left_out = str(result.attrs.get("panels_left_out", "")).split(", ")
-    used = np.char.startswith(result["why"].values.astype(str), "used")
-    if "panel" in samples.coords and runs:
+    samples, vehicle = context.telemetry, context.craft()
+    if "panel" in samples.coords and (runs := dense(result)):
+        left_out = str(result.attrs.get("panels_left_out", "")).split(", ")
+        used = np.char.startswith(result["why"].values.astype(str), "used")
         yield Drawing(
             "signals",
             lambda: panel_signals_figure(samples, runs, vehicle, used, left_out),

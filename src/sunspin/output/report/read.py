@@ -116,10 +116,9 @@ def read_results(folder: str | Path) -> Results:
         return results.attempt(called, lambda: read(as_written(path, manifest, name), entry))
 
     # a value that is no object becomes an error of dict()
-    results.summary = attempt(
-        "summary.json", lambda file, _: dict(json.loads(file.read_text("utf-8")))
+    results.summary = (
+        attempt("summary.json", lambda file, _: dict(json.loads(file.read_text("utf-8")))) or {}
     )
-    results.summary = results.summary or {}
     for entry in manifest["data"]:
         results.data |= attempt(entry, _data) or {}
     for entry in manifest["figures"]:
