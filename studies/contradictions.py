@@ -3,7 +3,7 @@
     python -m studies.contradictions OUT
 
 `contradictions.toml` beside this script has a table for each statement: the paper's sentence, the fairest other reading, what
-follows. Its `ours`, its `published` and fields in its texts name numbers of `paper_numbers.py` or of the case's `published.toml`.
+follows. Its `ours`, its `published` and fields in its texts name its `facts`, numbers of `paper_numbers.py` or `published.toml`.
 Statements marked `weak` are matters of wording, harmless, or nearly explained by the other reading. OUT holds table, picture and
 `contradictions.json`, which the package ships in cases/philae/ for the page of `sunspin reproduce`.
 """
@@ -28,12 +28,13 @@ from sunspin.output.text import number_text
 from validation.campaign import command, rows_folder
 
 COMMAND = "python -m studies.contradictions OUT"
-TEXTS = Path(__file__).with_suffix(".toml")
+TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 
 
 def statements(case: Case, lines: Lines) -> list[dict[str, Any]]:
     """Each statement with its texts filled; `holds` where both numbers differ by no more than the tolerance, None without one."""
-    paper = {key: figure.value for key, figure in case.published.items()}
+    tables = {**TEXTS}
+    paper = {key: figure.value for key, figure in case.published.items()} | tables.pop("facts")
     numbers = of_descent(case, paper) | of_motion(case, paper, lines)
 
     def value(name: Any) -> Any:
@@ -43,15 +44,14 @@ def statements(case: Case, lines: Lines) -> list[dict[str, Any]]:
         return number if isinstance(number, str) else np.asarray(number).tolist()
 
     each = []
-    for name, texts in tomllib.loads(TEXTS.read_text("utf-8")).items():
-        published, ours = value(texts.pop("published")), value(texts.pop("ours"))
-        tolerance, holds = value(texts.pop("tolerance", None)), None
-        if tolerance is not None:
-            holds = bool(np.all(np.abs(np.subtract(ours, published)) <= tolerance))
-        fields = numbers | {"paper": paper}
-        row = {"id": name, "published": published, "ours": ours, "holds": holds}
-        row |= {"weak": texts.pop("weak", False)}
-        each.append(row | {key: text.format_map(fields) for key, text in texts.items()})
+    for name, table in tables.items():
+        published, ours = value(table["published"]), value(table["ours"])
+        row = {"id": name, "published": published, "ours": ours, "holds": None, "weak": False}
+        if (tolerance := value(table.get("tolerance"))) is not None:
+            row["holds"] = bool(np.all(np.abs(np.subtract(ours, published)) <= tolerance))
+        fields, texts = numbers | {"paper": paper}, table.keys() - row - {"tolerance"}
+        row["weak"] = table.get("weak", False)
+        each.append(row | {key: table[key].format_map(fields) for key in texts})
     return each
 
 

@@ -26,7 +26,6 @@ from sunspin.base.tables import read_table
 from sunspin.cases import Case, load_case
 from sunspin.landing.flight import angle_about
 from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import effective_runs, estimate
 from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, data_check, metrics
@@ -151,7 +150,7 @@ def collisions(chain: candidates.Chain, n: int, seed: int) -> xr.Dataset:
 
     Nothing after the blow matters, so that the flight ends a second later.
     """
-    real, starts = case_scenario(chain.case, chain.rebound), chain.chosen.dataset()
+    (_, real), starts = chain.rebound.scenarios(), chain.chosen.dataset()
     each = []
     for k, shift in enumerate(FREE_S * (2 * (np.arange(INSTANTS) + 0.5) / INSTANTS - 1)):
         before_s = real.before_s + float(shift)

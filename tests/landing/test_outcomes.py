@@ -65,7 +65,7 @@ def test_a_store_resumes_and_refuses_another_seed(case, tmp_path):
 def test_probabilities_sum_to_one_and_densities_to_area_one(paper):
     for runs in paper.values():
         found = tally(runs)
-        for prefix in ("touch", "lowest", "rest"):
+        for prefix in ("touch", "rest"):
             assert sum(
                 found[f"{prefix}_{kind}"].value for kind in ("leg", "panel", "body")
             ) == pytest.approx(1, abs=1e-12)

@@ -27,7 +27,6 @@ def small() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         for module, name, value in (
             (motions, "SPREAD_MOTIONS", 4),
-            (motions, "COLLISIONS", 40),
             (published_lines, "LINE_POINTS", 3),
             (published_lines, "POOL_POINTS", 4),
             (threshold, "BLOCK", 64),

@@ -114,6 +114,11 @@ def test_no_label_ends_the_script_it_stands_in(text):
     assert "</script" not in _script(f"x = '{text}'") and "<!--" not in _script(text)
 
 
+def corners_of(view):
+    """Of each frame the corners (n, 3) of the body."""
+    return [np.array([frame["data"][0][axis] for axis in "xyz"]).T for frame in view.frames]
+
+
 @pytest.mark.evidence(
     "report", "verified", "the drawn attitude, rates and Sun against the result file"
 )
@@ -123,15 +128,13 @@ def test_the_drawn_attitude_is_the_stored_one(user_runs):
     (view,) = body_in_motion(results, motions_of(results))
     run = results.data["trajectory"]
     toward_sun = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
-    first, label = view.figure.frames[0].data[0], view.figure.layout.sliders[0].steps[0].label
-    still = np.array([first.x, first.y, first.z]).T
+    label = view.figure.layout.sliders[0].steps[0].label
+    still = corners_of(view)[0]
     sun = np.array([view.figure.data[2][a][1] for a in "xyz"])
     sun /= np.linalg.norm(sun)  # fixed in the view
     steps = view.figure.layout.sliders[0].steps
-    for frame, step in list(zip(view.figure.frames, steps, strict=True))[::20]:
-        mesh, seconds = frame.data[0], float(step.label.split()[0])
-        at = int(np.argmin(np.abs(run["time"].values - seconds)))
-        turned = np.array([mesh.x, mesh.y, mesh.z]).T
+    for turned, step in list(zip(corners_of(view), steps, strict=True))[::20]:
+        at = int(np.argmin(np.abs(run["time"].values - float(step.label.split()[0]))))
         matrix, *_ = np.linalg.lstsq(still, turned, rcond=None)
         np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-5)
         stored = toward_sun[at] @ toward_sun[0]
@@ -149,7 +152,7 @@ def test_faster_motions_are_shown_in_part_and_standing_ones_whole():
         run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 600.0, 0.05))
         results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
         (view,) = body_in_motion(results, motions_of(results))
-        corners = [np.array([f.data[0].x, f.data[0].y, f.data[0].z]).T for f in view.figure.frames]
+        corners = corners_of(view)
         assert 2 <= len(corners) <= 300
         size = np.linalg.norm(corners[0], axis=1).max()
         assert max(np.abs(np.diff(corners, axis=0)).max(axis=(1, 2))) < 0.5 * size
@@ -179,7 +182,7 @@ def test_panels_on_one_input_are_lit_one_by_one():
     run = ss.propagate(cube, [0, 0, 0.5], [1, 0, 0], None, np.arange(0.0, 12.0, 0.1))
     results = Results(Path("."), "simulate", data={"t": run}, vehicle=cube)
     (view,) = body_in_motion(results, motions_of(results))
-    colours = np.array([frame.data[0].facecolor for frame in view.figure.frames])
+    colours = np.array([frame["data"][0]["facecolor"] for frame in view.frames])
     assert {colours[0][0], colours[0][2]} == {"#facd3c", "#283c6e"}
     assert len(set(colours[:, 0])) > 5
 

@@ -53,7 +53,7 @@ def test_each_table_is_used_and_says_what_a_row_needs(reached):
     said = set().union(*map(strings, CODE))
     for name, table in TABLES.items():
         assert name in said or name.startswith("line_L") or {"used", "compared"} & set(table), name
-        assert {"what", "unit", "place"} <= set(table) or name == "line", name
+        assert {"what", "place"} <= set(table) or name == "line", name
         assert table.get("kind", "test") in rw.KINDS, name
         notes = {key for key in table if key.startswith("note")}
         assert set(table) <= KEYS | notes | {"value", "used", "compared"}, name

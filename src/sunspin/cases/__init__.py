@@ -192,7 +192,7 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
     for key, entry in read_toml(text, where, InputError).items():
         if "value" not in entry:
             continue
-        texts = [entry.get(name, "") for name in PUBLISHED_TEXTS]
+        texts = [({"unit": "1"} | entry).get(name, "") for name in PUBLISHED_TEXTS]
         if not all(text.strip() for text in texts):
             raise InputError(
                 f"a published figure has {', '.join(PUBLISHED_TEXTS)}, none of them empty",

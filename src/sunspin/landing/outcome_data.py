@@ -39,7 +39,6 @@ VARIABLES = {
         "angle of that change about the Sun, from the vertical's side",
     ),
     "contact_point": ("i2", "1", "point that touches the ground first at the landing"),
-    "lowest_point": ("i2", "1", "lowest point at landing, had the vehicle not turned coming down"),
     "contact_speed": ("f8", "m/s", "speed over ground of the point that touches first"),
     "leg_tip_speed": ("f8", "m/s", "largest speed over ground of an end of a leg at first contact"),
     "leg_tip_bound": ("f8", "m/s", "v + |l| |omega| at first contact (paper, section 4)"),

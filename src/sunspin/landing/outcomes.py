@@ -22,7 +22,7 @@ from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import wheel_speeds
 from sunspin.dynamics.wheel_modes import command_at, mode_before
 from sunspin.landing import scenario as sc
-from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of, support
+from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of
 from sunspin.landing.flight import angle_about, carry, fly, sun_height_shares
 from sunspin.landing.outcome_data import BINS, VARIABLES, dataset, dim_of
 from sunspin.solve.rotations import smallest_turn
@@ -281,7 +281,6 @@ class OutcomeRows:
         point = shape.points_B_m[contact.point]
         over_ground = velocity + np.cross(contact.omega_B, point)
         out["contact_point"][rows] = contact.point
-        out["lowest_point"][rows] = support(shape.points_B_m, -up[:, -1])[1]
         out["contact_speed"][rows] = np.linalg.norm(over_ground, axis=1)
         out["up_z"][rows] = contact.up_B[:, 2]
         if legs:
@@ -355,9 +354,9 @@ def outcomes(
     -------
     xarray.Dataset
         Over `run`: `rz_share (run, rz)`, share of the time from collision to landing in each bin of r_z; `contact_point`,
-        number of the point (coordinates `point`) that touches first, turning and descending; `lowest_point`, the lowest
-        one at a fixed time; `leg_tip_speed`, the largest speed over ground of an end of a leg then (m/s); antenna and rest;
-        rates (rad/s, B) before and after the collision. -1 and NaN: not told. `outcome` 0: computed as asked.
+        number of the point (coordinates `point`) that touches first, turning and descending; `leg_tip_speed`, the largest
+        speed over ground of an end of a leg then (m/s); antenna and rest; rates (rad/s, B) before and after the collision. -1
+        and NaN: not told. `outcome` 0: computed as asked.
         :func:`sunspin.landing.tally.tally` turns it into probabilities with their standard errors.
     """
     if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:

@@ -40,14 +40,11 @@ def collision_s(
 
     Nor is there one if the epoch is another.
     """
-    if vehicle.name not in case_names():
-        return None
-    timeline = timeline or load_case(vehicle.name).timeline
-    if (
-        timeline is None
-        or epoch_utc is None
-        or timeline.epoch_utc.rstrip("Z") != str(epoch_utc).rstrip("Z")
-    ):
+    if vehicle.name in case_names():
+        timeline = timeline or load_case(vehicle.name).timeline
+    else:
+        timeline = None
+    if timeline is None or timeline.epoch_utc.rstrip("Z") != str(epoch_utc).rstrip("Z"):
         return None
     return next((event.t_s for event in timeline.events if event.name == "collision"), None)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -97,12 +97,10 @@ class Scenario:
             if not 0 <= getattr(self, name) < np.inf:
                 what = f"{name} must be zero or a positive time in s"
                 raise InputError(what, got=getattr(self, name))
-        for name in ("after_s", "landing_speed_m_s", "collision_speed_m_s"):
-            value: float | None = getattr(self, name)
-            if value is None and name == "collision_speed_m_s":
-                continue
-            if value is None or not 0 < value < np.inf:
-                raise InputError(f"{name} must be positive", got=value)
+        blow = () if self.collision_speed_m_s is None else ("collision_speed_m_s",)
+        for name in ("after_s", "landing_speed_m_s", *blow):
+            if getattr(self, name) is None or not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name} must be positive", got=getattr(self, name))
 
     @property
     def collision_s(self) -> float:
@@ -113,27 +111,12 @@ class Scenario:
         return self.collision_s + self.after_s
 
 
-class FirstSample(Protocol):
-    """Where a telemetry's candidates stand: its first direction, and how long after the touchdown and before the collision."""
-
-    @property
-    def sun_B(self) -> np.ndarray: ...
-    @property
-    def lead_s(self) -> float: ...
-    @property
-    def window_s(self) -> float: ...
-
-
-def paper_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
-    """Section 3.3 of the paper: from the first sample at nominal wheel speed, 45 min, speed 0.2355 m/s, 65 min on.
-
-    With `rebound` from the first direction of that telemetry, at its own time.
-    """
+def paper_scenario(case: Case) -> Scenario:
+    """Section 3.3 of the paper: from the first sample at nominal wheel speed, 45 min, speed 0.2355 m/s, 65 min on."""
     published = case.published
     return _of_case(
         case,
-        rebound,
-        before_s=60.0 * published["scan_duration"].value if rebound is None else rebound.window_s,
+        before_s=60.0 * published["scan_duration"].value,
         after_s=60.0 * published["duration_after_collision"].value,
         collision_speed_m_s=published["collision_speed"].value,
     )
@@ -147,28 +130,23 @@ TIMES = {
 """Time of a scenario -> the events between which it is."""
 
 
-def case_scenario(case: Case, rebound: FirstSample | None = None) -> Scenario:
-    """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper.
-
-    With `rebound` candidates are at the first direction of that telemetry.
-    """
+def case_scenario(case: Case) -> Scenario:
+    """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper."""
     if case.timeline is None or "kernel_speed_before" not in case.published:
         what = f"case {case.name!r} knows of no landing"
         raise InputError(what, do="give a Scenario of your own")
     times = {key: case.timeline.seconds(*ends) for key, ends in TIMES.items()}
     if case.assumptions.study.lead_s is not None:
         times["lead_s"] = case.assumptions.study.lead_s
-    if rebound is not None:
-        times |= {"lead_s": rebound.lead_s, "before_s": rebound.window_s}
     speed = case.published["kernel_speed_before"].value
-    return _of_case(case, rebound, collision_speed_m_s=speed, **times)
+    return _of_case(case, collision_speed_m_s=speed, **times)
 
 
-def _of_case(case: Case, rebound: FirstSample | None, **fields: Any) -> Scenario:
-    """A scenario with the case's first direction (or a telemetry's), wheels, landing speed and law of the collision."""
-    sun = np.array(case.published["first_sun"].value) if rebound is None else rebound.sun_B
+def _of_case(case: Case, **fields: Any) -> Scenario:
+    """A scenario with the case's first direction, wheels, landing speed and law of the collision."""
+    sun = np.array(case.published["first_sun"].value)
     return Scenario(
-        sun_B=tuple(sun / np.linalg.norm(sun) if rebound is None else sun),
+        sun_B=tuple(sun / np.linalg.norm(sun)),
         wheel_speed_rad_s=tuple(wheel.speed_rad_s for wheel in case.vehicle.wheels),
         landing_speed_m_s=case.published["kernel_speed_before_landing"].value,
         restitution=case.assumptions.collision.restitution,

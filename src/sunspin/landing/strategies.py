@@ -48,13 +48,15 @@ def compare(
     dict
         The runs of each strategy by its name.
     """
-    runs, store = {}, options.pop("store", None)
+    runs, store = dict[str, xr.Dataset](), options.pop("store", None)
+    flown = dict[Any, xr.Dataset]()  # two strategies may fly alike and differ on the ground
     for strategy in strategies:
-        name = strategy_of(vehicle, strategy).name
-        own = None if store is None else Path(store) / name.replace(":", "-")
-        runs[name] = outcomes(
-            vehicle, candidates, strategy, n, seed, scenario=scenario, store=own, **options
-        )
+        name, schedule = (plan := strategy_of(vehicle, strategy)).name, plan.schedule
+        if schedule not in flown:
+            own = None if store is None else Path(store) / name.replace(":", "-")
+            about: dict[str, Any] = {"scenario": scenario, "store": own, **options}
+            flown[schedule] = outcomes(vehicle, candidates, plan, n, seed, **about)
+        runs[name] = flown[schedule].assign_attrs(strategy=name)
         outcome = runs[name]["outcome"].values
         if np.all(outcome != 0):
             why = "; ".join(OUTCOME_TEXT[Outcome(code)] for code in np.unique(outcome))

@@ -17,7 +17,7 @@ from sunspin.landing.contact import KINDS
 LOW_RZ = (-0.5, -0.2, 0.0)
 """Bounds of r_z of which the paper speaks."""
 
-TRUTHS = ("touch_", "lowest_", "rest_", "rz_ever_", "antenna_at_")
+TRUTHS = ("touch_", "rest_", "rz_ever_", "antenna_at_")
 """How the names of questions begin that a run answers with yes or no."""
 
 
@@ -40,9 +40,6 @@ QUANTITIES = {
     "touch_leg": Quantity("a leg touches first"),
     "touch_panel": Quantity("a panel touches first"),
     "touch_body": Quantity("the bare body touches first"),
-    "lowest_leg": Quantity("a leg is lowest at a fixed time"),
-    "lowest_panel": Quantity("a panel is lowest at a fixed time"),
-    "lowest_body": Quantity("the bare body is lowest at a fixed time"),
     "rest_leg": Quantity("comes to rest on its legs"),
     "rest_panel": Quantity("comes to rest on a panel"),
     "rest_body": Quantity("comes to rest on the bare body"),
@@ -127,13 +124,9 @@ def effective_runs(weights: npt.ArrayLike) -> float:
     return float(w.sum() ** 2 / np.sum(w**2)) if np.any(w > 0) else 0.0
 
 
-def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int = 1) -> xr.Dataset:
-    """Probability density of r_z over time and runs (area 1; paper, Fig. 13).
-
-    Parameters
-    ----------
-    merge : int
-        Bins of the runs that become one; a divisor of their number.
+def density(runs: xr.Dataset, merge: int = 1) -> xr.Dataset:
+    """Probability density of r_z over time and runs (area 1; paper, Fig. 13); `merge` bins of the runs, a divisor of their number,
+    become one.
 
     Returns
     -------
@@ -142,11 +135,9 @@ def density(runs: xr.Dataset, weights: npt.ArrayLike | None = None, merge: int =
         that of a mean over runs. Errors of neighbouring bins are correlated.
     """
     share = runs["rz_share"].values.astype(np.float64)
-    if merge < 1 or share.shape[1] % merge:
-        raise InputError(f"merge must divide the number of bins, {share.shape[1]}", got=merge)
     share = share.reshape(len(share), -1, merge).sum(axis=2)
     width = 2.0 / share.shape[1]
-    value, error = np.array([estimate(column, weights) for column in share.T]).T / width
+    value, error = np.array([estimate(column) for column in share.T]).T / width
     return xr.Dataset(
         {
             "density": ("rz", value, {"units": "1"}),
@@ -169,8 +160,8 @@ def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, E
 def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
     """What each run (n) says on each question: truth values, shares of time or numbers; NaN where it says nothing.
 
-    `touch_leg`, `touch_panel`, `touch_body`: what touches first, turning and descending; `lowest_...`: what is lowest at a
-    fixed time; `touch_panel_NAME` (a corner shared by panels counts for each); `rest_leg`, `rest_panel`, `rest_body`;
+    `touch_leg`, `touch_panel`, `touch_body`: what touches first, turning and descending; `touch_panel_NAME` (a corner shared by
+    panels counts for each); `rest_leg`, `rest_panel`, `rest_body`;
     `rz_time_below_X` share of the time, `rz_ever_below_X`; `antenna_share`, `antenna_at_contact`, `antenna_at_rest`; speeds
     (m/s); `rate_before`, `rate_after` (rad/s).
     """
@@ -190,7 +181,6 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
         answers[name] = np.where(unknown, np.nan, values)
     for prefix, number, kinds in (
         ("touch", "contact_point", "point_kind"),
-        ("lowest", "lowest_point", "point_kind"),
         ("rest", "rest_facet", "facet_kind"),
     ):
         if kinds in runs.coords:

@@ -62,8 +62,8 @@ class Candidates:
     alpha: np.ndarray
     speed_collision: np.ndarray
     height: np.ndarray
-    cell_rad_s: float
     angle_cell: float
+    cell_rad_s: float = 0.0
     probable: bool = False
 
     def __len__(self) -> int:
@@ -104,15 +104,21 @@ class Candidates:
         )
 
 
+def at_touchdown(rebound: rb.Rebound, states: Rows) -> np.ndarray:
+    """Angular speed (n) in rad/s of motions just after the first touchdown."""
+    back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
+    return np.linalg.norm(back, axis=1)
+
+
 def describe(
-    rebound: rb.Rebound, states: Rows, seed: int, cell_rad_s: float = 0.0, **labels: Any
+    rebound: rb.Rebound, states: Rows, seed: int, speed: np.ndarray | None = None, **labels: Any
 ) -> Candidates:
     """Candidates with what is asked of them; runs to the collision are made for even draws only.
 
-    `labels`: `chain`, `about` and `probable` of :class:`Candidates`.
+    `speed` (n): of :func:`at_touchdown`, if known; `labels`: `chain`, `about`, `cell_rad_s` and `probable` of :class:`Candidates`.
     """
     vehicle, draws = rebound.case.vehicle, states
-    at_touchdown = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
+    speed = at_touchdown(rebound, states) if speed is None else speed
     if len(states) > DRAWS:
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
@@ -122,15 +128,14 @@ def describe(
     low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
     theta, alpha, momentum = rb.momentum_angles(vehicle, states)
     largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
-    turn = largest * cell_rad_s / max(float(np.median(momentum)), 1e-12)
+    turn = largest * labels.get("cell_rad_s", 0.0) / max(float(np.median(momentum)), 1e-12)
     return Candidates(
         states=states,
-        speed_touchdown=np.linalg.norm(at_touchdown, axis=1),
+        speed_touchdown=speed,
         theta=theta,
         alpha=alpha,
         speed_collision=np.linalg.norm(at_collision, axis=1),
         height=np.arcsin(np.stack([low, high], axis=1)),
-        cell_rad_s=cell_rad_s,
         angle_cell=float(np.arctan(turn)),
         **labels,
     )
@@ -185,9 +190,12 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
     steps = [np.diff(axis[:2]).sum() for axis in (start.omega_x, start.omega_y, start.omega_z)]
     cell = float(np.linalg.norm(steps)) / 2
 
+    fine = np.flatnonzero(np.isfinite(scan.emd))
+    emd, speed = scan.emd[fine], at_touchdown(rebound, start.take(fine))
+
     def below(level: float, chain: str, about: str) -> Candidates:
-        states = start.take(np.flatnonzero((scan.emd < level) & np.isfinite(scan.emd)))
-        return describe(rebound, states, options.seed, cell, chain=chain, about=about)
+        of, labels = fine[emd < level], {"chain": chain, "about": about, "cell_rad_s": cell}
+        return describe(rebound, start.take(of), options.seed, speed[emd < level], **labels)
 
     factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"

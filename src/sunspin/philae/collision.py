@@ -20,7 +20,7 @@ from sunspin.base.errors import InputError
 from sunspin.base.untrusted import Elsewhere, elsewhere
 from sunspin.cases import Case, case_names, load_case
 from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
+from sunspin.landing.scenario import Scenario
 from sunspin.landing.tally import (
     density,
     effective_runs,
@@ -71,7 +71,7 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
         runs = outcomes(case.vehicle, starts, strategy, max(count, 1), **about)
         return runs.assign_attrs(synthetic=case.telemetry.attrs.get("synthetic", 0))
 
-    paper, real = paper_scenario(case, chain.rebound), case_scenario(case, chain.rebound)
+    paper, real = chain.rebound.scenarios()
     sets = ("chosen", chain.chosen, n), ("box", chain.box, n // 2), ("recipe", chain.recipe, n // 2)
     runs = {
         name: {strategy: simulated(of, strategy, count, paper) for strategy in ("off", "held")}
@@ -103,10 +103,10 @@ def rows(collision: AfterCollision) -> list[Row]:
     weighted, facts = {line["name"]: line for line in weightings(known)}, facts_of(known)
     drawn, kernel = weighted["as drawn"], weighted[f"kernel, sigma {SIGMA_M_S:g} m/s"]
     slowest = facts["speed_after"] / max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
-    texts: dict[str, Any] = {"about": chosen.about, "off": off, "held": held}
-    texts |= {"kernel": kernel, "drawn": drawn, "mean": chosen.speed_collision.mean()}
-    texts |= {"runs": n, "reaches": reaches, "explained": explained(known), "within": 2 * SIGMA_M_S}
-    texts |= {"slowest": slowest, "period": 2 * np.pi / slowest, "rarely": RARELY, "often": OFTEN}
+    texts: dict[str, Any] = {"off": off, "held": held, "kernel": kernel, "drawn": drawn}
+    texts |= {"mean": chosen.speed_collision.mean(), "runs": n, "reaches": reaches}
+    texts |= {"explained": explained(known), "within": 2 * SIGMA_M_S, "rarely": RARELY}
+    texts |= {"often": OFTEN, "period": 2 * np.pi / slowest}
     row_of = partial(row, case, **texts)
 
     def share(id: str, strategy: str, quantity: str, agrees: bool) -> Row:

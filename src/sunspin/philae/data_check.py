@@ -48,7 +48,6 @@ class DataCheck(NamedTuple):
     """
 
     case: Case
-    synthetic: bool
     delta: float
     directions: int
     impossible: int
@@ -140,15 +139,14 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     if len(n) < LEAST_DIRECTIONS:
         text = f"only {len(n)} samples between first touchdown and collision give a direction"
         reasons.append(text)
-    readings = bool(sun.attrs.get("synthetic")), delta, int(kept.sum()), unexplained.size, missed
+    readings = delta, int(kept.sum()), unexplained.size, missed
     order = descent_E, np.array(shuffled_E), near, chance
     return DataCheck(case, *readings, samples, *order, tuple(reasons))
 
 
 def rows(c: DataCheck) -> list[Row]:
     """What the file carries, as rows: none is a test of the method, so none agrees or differs."""
-    whose = "synthetic telemetry" if c.synthetic else "this telemetry"
-    row_of, paper = partial(row, c.case, whose=whose, check=c), c.case.published
+    row_of, paper = partial(row, c.case, check=c), c.case.published
     share, most = c.impossible / max(c.early, 1), MOST_IMPOSSIBLE
     holds = c.unexplained <= most * c.early
     result = [row_of("carries_patterns", share, tolerance=most, holds=holds)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.output.text import number_text, turn_text
+from sunspin.output.text import turn_text
 from sunspin.philae import touchdown
 from sunspin.philae.study import Study
 from sunspin.philae.threshold import CONFIDENCE
@@ -78,39 +78,12 @@ def score(study: Study) -> list[str]:
 
 
 def conclusions(study: Study) -> list[str]:
-    """What follows from the telemetry; what the printed lines give without any; what differs or could not be computed."""
-    parts, chain = study.parts, study.chain
-    sentences = [parts["carries"].first_line, f"Readings: {study.noise.about}."]
-    if (scanned := parts.get("level_set")) is not None:
-        text = (
-            f"Against the {scanned.rebound.z.size} reconstructed directions of this telemetry between touchdown and collision the "
-            f"smallest EMD is {scanned.smallest:.4f}; {len(scanned.near.points)} grid points lie within "
-            f"{scanned.near.factor} times it, and {scanned.lines_found} of the four printed lines come out of them"
-        )
-        if scanned.truth:
-            text += f". At the true rate behind the synthetic telemetry it is {scanned.truth['emd']:.4f}"
-        if chain is not None and (calibration := chain.calibration) is not None:
-            text += (
-                f". For {100 * calibration.confidence:g} %: {calibration}; that set holds {chain.share:.0%} of the "
-                "scanned box"
-            )
-        sentences.append(f"{text}.")
-    if chain is not None:
-        sentences += touchdown.sentences(chain)
-    # what the printed lines give, which no telemetry changes
-    lowest = next(row for row in study.rows if row.id == "rate_at_touchdown_min_lines")
-    sentences.append(
-        f"Without telemetry: motions on the four printed lines turn at {number_text(lowest.ours)} rad/s or faster after the first "
-        f"touchdown (published: {number_text(lowest.published)}; {number_text(lowest.low, 4)} to "
-        f"{number_text(lowest.high, 4)} with the first sample's time and the wheel's speed uncertain)."
-    )
-    clean = parts["published_lines"].clean
-    if distances := [deviation["mean"] for deviation in clean.deviation]:
-        sentences.append(
-            f"Against those lines' own distribution of r_z the scan finds four lines that are {min(distances):.3f} to "
-            f"{max(distances):.3f} rad/s from the printed ones on average (grid step "
-            f"{study.case.published['scan_step'].value} rad/s)."
-        )
+    """What the headline rests on, a sentence each; what differs from the paper or could not be computed."""
+    sentences = [study.parts["carries"].first_line, f"Readings: {study.noise.about}."]
+    if (chain := study.chain) is not None:
+        if chain.calibration is not None:
+            sentences.append(f"The confidence set: EMD below {chain.calibration}.")
+        sentences += touchdown.sentences(chain)[1:]
     differ = [row for row in study.rows if row.agrees is False]
     texts = [f"{row.what} ({row.source.removeprefix('paper, ')})" for row in differ]
     if texts:

@@ -121,7 +121,7 @@ def valleys_crossed(values: np.ndarray) -> list[float]:
 
 def sensitivity_rows(r: Sensitivity) -> list[Row]:
     """What the paper says of E and EMD in section 2.3, in numbers."""
-    case, motions, twin = r.case, r.motions, "synthetic telemetry; " if r.synthetic else ""
+    case, motions = r.case, r.motions
     paper = {key: figure.value for key, figure in case.published.items()}
     box, omega = np.mean(paper["E_study_box"], axis=1), np.array(paper["E_study_omega"])
 
@@ -129,7 +129,7 @@ def sensitivity_rows(r: Sensitivity) -> list[Row]:
         ours = [float(error.min()), float(error.max()), *valleys_crossed(error.values)]
         away = [np.cross(start - point, along) for point, along in rb.published_lines(case)]
         apart = min(float(np.linalg.norm(each)) for each in away)
-        return row(case, name, ours, twin=twin, apart=apart, **texts)
+        return row(case, name, ours, apart=apart, **texts)
 
     first, quoted = rb.first_sun(case), np.array(paper["first_sun_E_study"])
     cosine = first @ quoted / np.linalg.norm(first) / np.linalg.norm(quoted)
@@ -194,15 +194,12 @@ def maps_figure(result: Sensitivity) -> Figure:
 
 
 def growth_figure(result: Sensitivity) -> Figure:
-    """Why the direct fit fails: errors grow with the window, the valley of E narrows, and EMD does not follow."""
-    figure = Figure(figsize=(9.5, 9.0), layout="constrained")
-    (grow, valley), (changes, width) = figure.subplots(2, 2)
-    motions, published = result.motions, result.case.published
-    emd_min, step = published["emd_min"].value, published["scan_step"].value
+    """Why the direct fit fails: errors grow with the window, and EMD does not follow E."""
+    figure = Figure(figsize=(9.5, 5.2), layout="constrained")
+    grow, changes = figure.subplots(1, 2)
+    motions, emd_min = result.motions, result.case.published["emd_min"].value
     names, inputs = (motions[dim].values.tolist() for dim in ("motion", "input"))
-    minutes = motions["time"].values[1:] / 60
-
-    drawn = motions.isel(motion=0)
+    minutes, drawn = motions["time"].values[1:] / 60, motions.isel(motion=0)
     for k, name in enumerate(inputs):
         error = gr.ONE_PERCENT * drawn["error_rad"].sel(input=name).values[1:]
         style = "-" if name in gr.RATES else "--" if name.startswith("theta") else ":"
@@ -217,25 +214,11 @@ def growth_figure(result: Sensitivity) -> Figure:
     grow.legend(fontsize=9, ncols=2, frameon=False, **below)
     grow.set_title(f"growth of errors, rates of {names[0]}", fontsize=10)
 
-    windows, change = result.valley["window"].values / 60, 1e3 * result.valley["change"].values
-    for k, (window, error) in enumerate(zip(windows, result.valley.values, strict=True)):
-        style = {"lw": 1.6 - 0.45 * k, "color": COLOURS[(5, 1, 6)[k % 3]], "zorder": 3 - k}
-        valley.plot(change, error, label=f"{window:g} min", **style)
-    valley.set(xlabel=r"change of $\omega_x$ (mrad/s)", ylabel="E")
-    valley.set_ylim(0, 1.25 * float(result.valley.max()))
-    inside: dict[str, Any] = {"title": "window", "title_fontsize": 9, "loc": "upper center"}
-    valley.legend(fontsize=9, ncols=3, frameon=False, **inside)
-    valley.set_title("E against the motion's own\ndirections, every 2 min", fontsize=10)
-
-    # of a rate: one radian over the growth of the error, both ways
-    steepest = motions["error_rad"].sel(input=list(gr.RATES)).max("input").isel(time=slice(1, None))
-    narrow = (2 / (steepest / motions["angular_speed"])).transpose("motion", "time").values
     for k, name in enumerate(names):
         place = np.arange(len(inputs)) + (k - (len(names) - 1) / 2) * 0.15
         in_E, in_emd = (motions[of].values[k] for of in ("E", "emd"))
         changes.semilogy(place, in_E, "o", ms=5, color=COLOURS[k], label=name)
         changes.semilogy(place, in_emd, "^", ms=5, mfc="none", color=COLOURS[k])
-        width.loglog(minutes, narrow[k], lw=1.2, color=COLOURS[k], label=name)
     changes.set_xticks(np.arange(len(inputs)), [symbol(name) for name in inputs])
     changes.axhline(emd_min, ls="--", lw=1, color=COLOURS[7])
     text = "smallest EMD of the paper's scan"
@@ -243,14 +226,6 @@ def growth_figure(result: Sensitivity) -> Figure:
     changes.set(xlabel="input changed by 1 %", ylabel="E (filled), EMD (open)", ylim=(5e-4, 2.5))
     changes.legend(fontsize=9, ncols=len(names), loc="upper center")
     changes.set_title("E and EMD between a motion\nand the changed one, 45 min", fontsize=10)
-
-    width.axhline(step, ls="--", lw=1, color=COLOURS[7])
-    at: dict[str, Any] = {"ha": "right", "transform": width.get_yaxis_transform()}
-    width.text(0.98, 1.12 * step, "step of the paper's scan", fontsize=9, **at)
-    width.set(xlabel="length of the window (min)", xlim=(0.5, 50), ylim=(5e-4, 1))
-    width.set_ylabel("width of one radian in a rate (rad/s)")
-    width.legend(fontsize=9)
-    width.set_title("how near a rate must be\nto fit the whole window", fontsize=10)
     title = "Why a direct fit fails after the touchdown (simulated motions only)"
     figure.suptitle(title, fontsize=11)
     return figure
@@ -363,14 +338,13 @@ def scan_telemetry(case: Case, sun: xr.Dataset, options: rb.Options) -> Telemetr
 def scan_rows(result: TelemetryScan) -> list[Row]:
     """Figures of section 2.3 that need telemetry, compared with ours."""
     rebound, near = result.rebound, result.near
-    case, synthetic = rebound.case, rebound.samples.attrs.get("synthetic")
+    case = rebound.case
     points = f"{len(near.points)} grid points below {near.factor} times the smallest"
     if result.truth:
         points += f"; at the true rate of the synthetic telemetry it is {result.truth['emd']:.4f}"
     apart = ", ".join(f"L{k} {apart['mean']:.3f}" for k, apart in enumerate(near.deviation, 1))
     each = f"mean distances of the fitted lines (rad/s): {apart}"
     texts: dict[str, Any] = {
-        "whose": "synthetic telemetry" if synthetic else "this telemetry",
         "near": points,
         "each": each if apart else "too few points in the set for four lines",
         "within": NEAR_RAD_S,

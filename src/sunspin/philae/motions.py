@@ -7,7 +7,7 @@ in which direction, is drawn once (`twin.collide`) and the same for all, so that
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,8 +20,6 @@ from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
-from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import case_scenario
 from sunspin.output.figures import COLOURS, titled
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
@@ -34,18 +32,11 @@ from sunspin.vehicle.response.panels import panel_power
 SPREAD_MOTIONS = 150
 """Motions drawn from the confidence region, beside those of least and most speed and momentum, which are its edges."""
 
-COLLISIONS = 2000
 
-
-class Motions(NamedTuple):
-    """`candidates`: name -> Dataset as of `propagate`, with panel signals; `speed`: see :func:`speeds`."""
-
-    candidates: dict[str, xr.Dataset]
-    speed: xr.Dataset
-
-
-def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None = None) -> Motions:
-    """From the results of the steps before: `level_set`, `candidates`, and where there is one `descent`."""
+def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dataset]:
+    """Motions by their names, Datasets as of `propagate` with panel signals, from the results of the steps before: `level_set`,
+    `candidates`, and where there is one `descent`.
+    """
     scan: TelemetryScan = done["level_set"]
     chain: Chain = done["candidates"]
     descent: Descent | None = done.get("descent")
@@ -65,7 +56,7 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0, workers: int | None
         runs[f"{name} candidate"] = landing(rebound, start, about, seed)
     if descent is not None:
         runs["Descent"] = descent_motion(case, descent)
-    return Motions(runs, speeds(chain, descent, seed, workers))
+    return runs
 
 
 def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
@@ -153,54 +144,40 @@ def _with_panels(
     return run
 
 
-def speeds(
-    chain: Chain, descent: Descent | None, seed: int, workers: int | None = None
-) -> xr.Dataset:
-    """Angular speed against time for sets of motions: slowest, median and fastest of each set; and after the collision.
-
-    Sets: "candidates", those from which everything follows; "recipe", the paper's own set of this telemetry. Each motion of a set
-    counts as much as another. After the collision: quantiles 0.025, 0.5, 0.975 over simulated collisions of the set.
+def speeds(chain: Chain, known: xr.Dataset, descent: Descent | None, seed: int) -> xr.Dataset:
+    """Angular speed against time: slowest, median and fastest of the candidates, each of which counts as much as another; after the
+    collision quantiles 0.025, 0.5, 0.975 over the simulated collisions `known` of them.
     """
     case, rebound, timeline = chain.case, chain.rebound, chain.case.require_timeline()
-    vehicle, scenario = case.vehicle, case_scenario(case, rebound)
+    vehicle, states = case.vehicle, chain.chosen.states
+    # some of the states (n), and those of least and most angular speed and momentum
+    momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
+    sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
+    edges = [end(size) for size in sizes for end in (np.argmin, np.argmax)]
+    some = min(SPREAD_MOTIONS, len(states))
+    pick = generator(seed, 4).choice(len(states), some, replace=False)
+    states = states.take(np.unique([*edges, *pick]))
     t = np.append(np.arange(0.0, rebound.window_s, 30.0), rebound.window_s)
-    before, after, count = [], [], []
-    for candidates in (chain.chosen, chain.recipe):
-        # some of the states (n), and those of least and most angular speed and momentum
-        states = candidates.states
-        momentum = gyrostat.total_momentum(vehicle, states.omega_B, states.wheel_speed_rad_s)
-        sizes = np.linalg.norm(states.omega_B, axis=1), np.linalg.norm(momentum, axis=1)
-        edges = [end(size) for size in sizes for end in (np.argmin, np.argmax)]
-        some = min(SPREAD_MOTIONS, len(states))
-        pick = generator(seed, 4).choice(len(states), some, replace=False)
-        states = states.take(np.unique([*edges, *pick]))
-        run = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
-        speed = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
-        before.append(np.quantile(speed, [0.0, 0.5, 1.0], axis=0))
-        count.append(len(states))
-        starts = candidates.dataset()
-        hit = outcomes(vehicle, starts, "off", COLLISIONS, seed, scenario=scenario, workers=workers)
-        speed = np.linalg.norm(hit["omega_after_B"].values, axis=1)
-        after.append(np.nanquantile(speed, [0.025, 0.5, 0.975]))
+    run = run_rows(vehicle, states, t[1:], direction_error=1e-4).omega_B
+    before = np.linalg.norm(np.concatenate([states.omega_B[:, None], run], axis=1), axis=2)
+    after = np.linalg.norm(known["omega_after_B"].values, axis=1)
+    levels = np.nanquantile(after, [0.025, 0.5, 0.975])
     rate, first = {"units": "rad s-1"}, timeline.event("collision").t_s - rebound.window_s
     data = xr.Dataset(
         {
-            "speed": (("set", "level", "time"), np.array(before), rate),
-            "speed_after_collision": (("set", "level"), np.array(after), rate),
-            "motions": ("set", count, {"units": "1"}),
+            "speed": (("level", "time"), np.quantile(before, [0.0, 0.5, 1.0], axis=0), rate),
+            "speed_after_collision": ("level", levels, rate),
         },
         coords={
-            "set": ["candidates", "recipe"],
             "level": ["low", "middle", "high"],
             "time": ("time", t + first, {"units": "s"}),
         },
         attrs={
             "epoch_utc": timeline.epoch_utc,
-            "seed": seed,
-            "collisions": COLLISIONS,
+            "motions": len(states),
+            "collisions": known.sizes["run"],
             "chain": chain.name,
-            "about_candidates": chain.chosen.about,
-            "about_recipe": chain.recipe.about,
+            "about": chain.chosen.about,
         },
     )
     if descent is None:
@@ -213,7 +190,7 @@ def speeds(
 
 
 def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
-    """Angular speed against time: the descent's fit, bands of the candidates and of the paper's recipe, the magnetometer.
+    """Angular speed against time: the descent's fit, the band of the candidates, the magnetometer.
 
     Parameters
     ----------
@@ -238,15 +215,8 @@ def speed_figure(case: Case, speed: xr.Dataset, synthetic: bool) -> Figure:
     ]
     label = "all candidates: slowest to fastest"
     for t, band in bands:
-        low, _, high = band.sel(set="candidates").values
+        low, _, high = band.values
         right.fill_between(t, low, high, color=COLOURS[0], alpha=0.25, lw=0, label=label)
-        label = None
-    label = "the paper's recipe on this telemetry, and its median"
-    for t, band in bands:
-        low, middle, high = band.sel(set="recipe").values
-        right.plot(t, low, "--", color=COLOURS[1], lw=1.2, label=label)
-        right.plot(t, high, "--", color=COLOURS[1], lw=1.2)
-        right.plot(t, middle, color=COLOURS[1], lw=1.6)
         label = None
     marks: dict[str, Any] = {"marker": "D", "ls": "", "ms": 7, "color": COLOURS[6]}
     middle_s = (at["separation"] + at["first_touchdown"]) / 2

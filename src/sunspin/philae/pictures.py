@@ -22,7 +22,7 @@ from sunspin.philae.study import Study
 
 def _signals(s: Study, r: Any) -> Figure:
     shown = ("Truth", "Best fit", "Descent")
-    runs = [(title, run) for title, run in r.candidates.items() if title in shown]
+    runs = [(title, run) for title, run in r.items() if title in shown]
     return panel_signals_figure(s.case.telemetry, runs, s.case.vehicle)
 
 
@@ -62,7 +62,7 @@ def _lines_scan(s: Study, r: Any) -> Figure:
 
 
 PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
-    "speed": ("motions", lambda s, r: speed_figure(s.case, r.speed, s.synthetic)),
+    "speed": ("speeds", lambda s, r: speed_figure(s.case, r, s.synthetic)),
     "signals": ("motions", _signals),
     "fig03_measured": ("phases", _figure_3),
     "fig04_phases": ("phases", lambda _, r: sun_directions.figure_4(r)),
@@ -74,13 +74,11 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
     "fig09_telemetry": ("level_set published_lines", _scan),
     "distributions": ("level_set published_lines", _distributions),
     "fig10_11_descent": ("descent", lambda _, r: descent.draw(r)),
-    "precession": ("precession", lambda _, r: mechanics.draw_precession(r)),
     "fig12_touchdown": ("touchdown", lambda s, r: touchdown.figure(r, s.synthetic)),
     "fig13_after_collision": ("collision", lambda _, r: sun_height_figure(r.runs["chosen"])),
     "collision": ("collision", lambda _, r: collision.collision_figure(r.known)),
     "strategies": ("strategies", lambda _, r: strategies.strategies_figure(r.table)),
     "fig09_lines": ("published_lines", _lines_scan),
-    "thresholds": ("published_lines", lambda _, r: published_lines.thresholds_figure(r)),
     "fig12_lines": ("published_lines", lambda _, r: published_lines.touchdown_figure(r)),
     "fig13_lines": ("published_lines", lambda _, r: sun_height_figure(r.runs)),
     "health": ("phases", lambda _, r: sun_directions.draw(r)),
@@ -89,9 +87,8 @@ PICTURES: dict[str, tuple[str, Callable[[Study, Any], Figure]]] = {
 
 TEXTS = """
 speed: Angular speed against time: the descent as a line, then a band of rates to the collision and another after it.
-How fast Philae turned. Band: {r.speed.attrs[about_candidates]}, slowest to fastest{meaning}. Dashed: \
-{r.speed.attrs[about_recipe]}; it has no stated confidence. After the collision: 95 % of simulated collisions of the same motions. \
-Diamonds: the magnetometer, which was not used.{synthetic}
+How fast Philae turned. Band: {r.attrs[about]}, slowest to fastest{meaning}. After the collision: 95 % of simulated \
+collisions of the same motions. Diamonds: the magnetometer, which was not used.{synthetic}
 
 signals: Power of each panel against time in two motions: samples as dots, the motion's prediction as a line.
 Panel powers: dots are samples, lines the prediction of a motion in the first 15 minutes after the touchdown, with one common \
@@ -116,9 +113,8 @@ Distribution of the z component in those simulations (paper, Fig. 7).
 fig08_maps: Two maps of E with many slanted valleys.
 E over initial rates and over parameters (paper, Fig. 8), with the direction at the start as the paper quotes it.{synthetic}
 
-growth: Growth of direction errors, valleys of E in three windows, E and EMD under changes of one percent, width of the valley.
-Why a direct fit fails: errors grow with the window, the valley of E narrows below the scan's step, EMD hardly moves. Simulated \
-motions only.
+growth: Growth of direction errors with the window; E and EMD under changes of one percent.
+Why a direct fit fails: errors grow with the window, and a change of 1 % changes E much and EMD hardly. Simulated motions only.
 
 fig09_telemetry: Near-minimum points in rate space for the telemetry.
 The paper's recipe on this telemetry (paper, Fig. 9): {r.near.points.shape[0]} points, smallest EMD {r.smallest:.4f}; \
@@ -128,13 +124,9 @@ distributions: Cumulative distributions of the z component.
 z components of the telemetry's directions, and motions begun on the printed lines: these four are nearly one distribution (EMD \
 to their mean at most {spread:.4f}), which is why a line cannot be narrowed to a point.{synthetic}
 
-fig10_11_descent: The telemetry's directions and the fitted ones, the fitted rate, E against the rate.
+fig10_11_descent: The telemetry's directions and the fitted ones, E against the rate.
 The descent: directions of the telemetry and fitted ones (paper, Fig. 10), E against the rate (Fig. 11), here over all aliases \
 of the sampling too.{synthetic}
-
-precession: Height of the Sun, nutation angle and swing of the z axis along the four published lines.
-What section 3.2 says of the amplitude of precession: the Sun's height ranges as published, the z axis swings further than that \
-on L1 and L2.
 
 fig12_touchdown: Angular speed after the first touchdown and the angles of the momentum, over the candidates and the scanned box.
 What this telemetry leaves (paper, Fig. 12): angular speed just after the touchdown, and the two angles that the distribution of \
@@ -155,10 +147,6 @@ No telemetry: near-minimum set against the printed lines' own distribution (pape
 {r.clean.factor:g} times the smallest EMD. The factor is ours: the paper's 1.1 would leave a handful of points, the minimum \
 against so clean a target being {smallest:.4f}.
 
-thresholds: Size of the near-minimum set and distance of its lines against the factor.
-What the factor does: points in the set, and how far its four lines are from the printed ones. Dashed: the factor used above. \
-Fewer points than four lines need have no line.
-
 fig12_lines: Body rates at the first touchdown of motions on the printed lines.
 No telemetry: rates at the first touchdown by running the printed lines, and the set above, backward (paper, Fig. 12).
 
@@ -166,8 +154,8 @@ fig13_lines: Densities of the z component after the collision for motions on the
 No telemetry: the Sun's height after the collision (paper, Fig. 13), {r.runs[off].sizes[run]} simulated collisions of motions on \
 the printed lines; each area is 1.
 
-health: Lit panels sample by sample and the probability of forbidden patterns.
-Which panels are lit, which patterns the Sun alone cannot make, and how improbable noise makes them (paper, section 4).{synthetic}
+health: Lit panels sample by sample.
+Which panels are lit, and which patterns the Sun alone cannot make (paper, section 4).{synthetic}
 """
 """Of each picture its name and what a reader who cannot see it is told; then its caption, with fields of the study `s`, of the
 result `r` that is drawn, and of `_fields`."""

@@ -91,7 +91,7 @@ def compute(
     pooled = [np.concatenate([simulated_z(case, omega) for omega in line]) for line in starts]
     everything = np.concatenate(pooled)
     volume = table.volume(everything, workers=worker_count(options.workers))
-    factors = (1.1, 1.5, 2.0, 3.0, FACTOR, 6.0, 8.0)
+    factors = (1.1, 1.5, 2.0, 3.0, FACTOR, 6.0)
     sets = {each: near_minimum_set(case, volume, each, options.seed) for each in factors}
     thresholds = [
         {
@@ -179,26 +179,6 @@ def rows(r: PublishedLines) -> list[Row]:
         given |= {"never": NEVER, "rarely": RARELY}
         every.append(row(case, "rz_held", list(ours), **texts, **given))
     return every
-
-
-def thresholds_figure(r: PublishedLines) -> Figure:
-    """Points of the near-minimum set, and distance of its lines from the published ones, against the factor."""
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
-    figure.suptitle("Near-minimum set of the published lines' distribution", fontsize=10)
-    left, right = figure.subplots(1, 2)
-    factors, points = ([each[key] for each in r.thresholds] for key in ("factor", "points"))
-    left.semilogy(factors, np.maximum(points, 1), "o-", color=COLOURS[0])
-    left.set_ylabel("points in the set")
-    distances = [each["mean_distance"] or [np.nan] * 4 for each in r.thresholds]
-    for k, distance in enumerate(zip(*distances, strict=True)):
-        right.plot(factors, distance, "o-", ms=4, color=COLOURS[k], label=f"L{k + 1}")
-    right.set_yscale("log")
-    right.set_ylabel("mean distance from the paper's line (rad/s)", fontsize=9)
-    right.legend(fontsize=8)
-    for axes in (left, right):
-        axes.axvline(r.clean.factor, lw=0.8, ls="--", color=COLOURS[7])
-        axes.set_xlabel("factor on the smallest EMD")
-    return figure
 
 
 def touchdown_figure(r: PublishedLines) -> Figure:

@@ -23,6 +23,7 @@ from sunspin.estimate.scan.end_rates import RATE_DIRECTION_ERROR, end_rates
 from sunspin.estimate.scan.lines import Line, point_at
 from sunspin.estimate.scan.mask import reconstructible_mask
 from sunspin.estimate.scan.window import target_weights
+from sunspin.landing.scenario import Scenario, case_scenario, paper_scenario
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_seconds
@@ -213,6 +214,12 @@ class Rebound:
     def states(self, omega_B: np.ndarray) -> Rows:
         """Initial states of motions with these rates (n, 3) in rad/s at the candidates' instant."""
         return start_states(self.case, omega_B, self.sun_B)
+
+    def scenarios(self) -> tuple[Scenario, Scenario]:
+        """What follows in section 3.3 of the paper, and by the case's timeline and kernel, from the candidates' instant."""
+        here: dict[str, Any] = {"sun_B": tuple(self.sun_B), "before_s": self.window_s}
+        real = replace(case_scenario(self.case), lead_s=self.lead_s, **here)
+        return replace(paper_scenario(self.case), **here), real
 
 
 def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:

@@ -296,10 +296,10 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
         files |= {f"outcomes-{name}": each for name, each in runs.items()}
     if "strategies" in parts:
         files["strategies"] = parts["strategies"].table
-    if "motions" in parts:
-        for name, run in parts["motions"].candidates.items():
-            files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
-        files["speed"] = parts["motions"].speed
+    for name, run in parts.get("motions", {}).items():
+        files[f"motion-{name.lower().replace(' ', '-')}"] = run.assign_attrs(title=name)
+    if "speeds" in parts:
+        files["speed"] = parts["speeds"]
     attrs = {"synthetic": int(study.synthetic), "seed": study.options.seed}
     attrs["sunspin_version"] = version()
     return {name: data.assign_attrs(attrs) for name, data in files.items()}

@@ -80,6 +80,11 @@ def settled(row: Row, put_in: bool = False) -> Row:
     return replace(row, kind=kind, agrees=None, holds=holds)
 
 
+def labelled(row: Row) -> Row:
+    """The row with the words that it is of synthetic telemetry."""
+    return replace(row, note="; ".join(filter(None, ["synthetic telemetry", row.note])))
+
+
 def counts(rows: list[Row]) -> dict[str, int]:
     """How many rows agree, differ, are uninformative tests, and how many there are of each other kind."""
     tests = [row for row in rows if row.kind == "test"]
@@ -122,7 +127,7 @@ def row(case: Case, name: str, ours: Any, **given: Any) -> Row:
         "ours": ours,
         "published": about.get("published", about.get("value")),
         "tolerance": about.get("tolerance", about.get("at_most")),
-        "unit": about["unit"],
+        "unit": about.get("unit", "1"),
         "kind": about.get("kind", "test"),
         "chain": about.get("chain", "none" if about.get("kind") == "arithmetic" else ""),
     }

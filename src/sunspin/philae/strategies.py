@@ -12,7 +12,7 @@ import xarray as xr
 from sunspin.cases import Case
 from sunspin.landing import strategies as st
 from sunspin.landing.outcomes import outcomes
-from sunspin.landing.scenario import Scenario, case_scenario
+from sunspin.landing.scenario import Scenario
 from sunspin.landing.tally import Estimate, tally
 from sunspin.philae.candidates import Chain
 from sunspin.philae.row import Row, row, share_of_candidates
@@ -37,7 +37,7 @@ class Strategies(NamedTuple):
 
 def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> Strategies:
     """Compare the strategies on `n` runs each; each delay and each alternative gets half as many; `options` of `outcomes`."""
-    vehicle, real = case.vehicle, case_scenario(case, chain.rebound)
+    vehicle, (_, real) = case.vehicle, chain.rebound.scenarios()
     motions, half = chain.chosen.dataset(), max(n // 2, 1)
     table, runs = st.compare(vehicle, motions, st.STRATEGIES, n, seed, real, **options)
     table.attrs["synthetic"] = case.telemetry.attrs.get("synthetic", 0)
@@ -74,11 +74,9 @@ def rows(strategies: Strategies) -> list[Row]:
     ways = st.settling(case.vehicle, paper["gravity"])
     rest = next(way for way in ways if way["way"] == "off")
     shares = strategies.alternatives.items()
-    texts = {"about": chain.chosen.about, "off": chosen, "held": held, "rest": rest}
-    spread = (f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)
-    texts["spread"] = ", ".join(spread)
-    texts["speed"] = case.vehicle.wheels[0].speed_rad_s
-    row_of = partial(row, case, **texts)
+    spread = ", ".join(f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)
+    texts = {"off": chosen, "held": held, "rest": rest, "spread": spread}
+    row_of = partial(row, case, speed=case.vehicle.wheels[0].speed_rad_s, **texts)
 
     def share(id: str, quantity: str) -> Row:
         box, recipe = off["box"][quantity], off["recipe"][quantity]

@@ -37,7 +37,7 @@ from sunspin.philae import (
 )
 from sunspin.philae import rebound as rb
 from sunspin.philae.rebound import Options
-from sunspin.philae.row import Row, counts, settled, tables
+from sunspin.philae.row import Row, counts, labelled, settled, tables
 from sunspin.telemetry import sun as telemetry_sun
 from sunspin.vehicle import Vehicle
 
@@ -161,10 +161,21 @@ def _touchdown(s: Study) -> Any:
     return s.chain
 
 
+@step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
+def _motions(s: Study) -> Any:
+    return motions.compute(s.case, s.parts, s.options.seed)
+
+
 @step("Section 3.3: after the collision", collision.rows, needs=("candidates",))
 def _collision(s: Study) -> Any:
     chain, o = s.parts["candidates"], s.options
     return collision.compute(s.case, chain, s.runs, o.seed, workers=o.workers)
+
+
+@step("How fast it turned", needs=("collision",), uses=("descent",))
+def _speeds(s: Study) -> Any:
+    known, seed = s.parts["collision"].known, s.options.seed
+    return motions.speeds(s.parts["candidates"], known, s.parts.get("descent"), seed)
 
 
 @step("Section 4: wheel strategies", strategies.rows, needs=("candidates",))
@@ -176,11 +187,6 @@ def _strategies(s: Study) -> Any:
 @step("Section 2.3: why a direct fit fails", metrics.sensitivity_rows, section="no_telemetry")
 def _sensitivity(s: Study) -> Any:
     return metrics.sensitivity(s.case, s.sun, s.options)
-
-
-@step("The motion to look at", needs=("candidates", "level_set"), uses=("descent",))
-def _motions(s: Study) -> Any:
-    return motions.compute(s.case, s.parts, s.options.seed, s.options.workers)
 
 
 @step("Section 2.2: wheel and example motions", mechanics.rows, section="no_telemetry", needed=True)
@@ -259,20 +265,18 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
         stopped.set()  # after an interrupt no further step begins
         pool.shutdown(wait=False)
 
-    rows = dict(study.rows_by_part)
-    if study.chain is None and "level_set" in rows:
+    if study.chain is None and (rows := study.rows_by_part.get("level_set")):
         # nothing is concluded from these readings, nor judged by them
-        rows["level_set"] = [
-            replace(row, kind=row.kind.replace("test", "not_comparable"), agrees=None)
-            for row in rows["level_set"]
+        kinds = [row.kind.replace("test", "not_comparable") for row in rows]
+        rows[:] = [
+            replace(row, kind=kind, agrees=None) for row, kind in zip(rows, kinds, strict=True)
         ]
-
-    def ordered(entries: dict[str, Any]) -> dict[str, Any]:
-        """In the order of `STEPS`, whichever ended first."""
-        return {step.name: entries[step.name] for step in STEPS if step.name in entries}
-
-    parts, missing = ordered(study.parts), ordered(study.missing)
-    return replace(study, parts=parts, rows_by_part=ordered(rows), missing=missing)
+    every: list[Any] = [study.parts, study.rows_by_part, study.missing]
+    for entries in every:  # in the order of `STEPS`, whichever ended first
+        order = [(step.name, entries[step.name]) for step in STEPS if step.name in entries]
+        entries.clear()
+        entries.update(order)
+    return study
 
 
 def _run(step: Step, study: Study) -> None:
@@ -294,6 +298,9 @@ def _run(step: Step, study: Study) -> None:
     whenever = ("always", "synthetic") if study.synthetic else ("always",)
     rows = [replace(row, chain=row.chain or chain) for row in rows]
     rows = [settled(row, about.get(row.id, {}).get("put_in") in whenever) for row in rows]
+    if study.synthetic:
+        without = "none", "published"
+        rows = [row if row.chain in without else labelled(row) for row in rows]
     if rows:
         study.rows_by_part[step.name] = rows
 

@@ -20,7 +20,7 @@ from sunspin.cases import Case
 from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
 from sunspin.philae.rebound import case_seconds, with_telemetry
 from sunspin.philae.row import Row, interval, row
-from sunspin.telemetry.health import PanelHealth, explanations, noise_alone, panel_health
+from sunspin.telemetry.health import PanelHealth, explanations, panel_health
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
@@ -139,8 +139,8 @@ def whole_panels(case: Case, data: xr.Dataset) -> np.ndarray:
 class Phases(NamedTuple):
     """Sun directions (`sun_directions`) and lit panels (`panel_health`) of a whole landing.
 
-    `phases`: name -> which samples (n_time) lie in it, for every phase that has samples; `log10_probability` (n_time): bound on
-    the probability that noise alone made a sample, NaN unless no Sun makes its pattern (`impossible`).
+    `phases`: name -> which samples (n_time) lie in it, for every phase that has samples; `impossible` (n_time): whether no Sun
+    makes their pattern.
     """
 
     case: Case
@@ -148,7 +148,6 @@ class Phases(NamedTuple):
     health: PanelHealth
     phases: dict[str, np.ndarray]
     impossible: np.ndarray
-    log10_probability: np.ndarray
 
 
 def compute(case: Case) -> Phases:
@@ -157,12 +156,7 @@ def compute(case: Case) -> Phases:
     sun, health = sun_directions(vehicle, data), panel_health(vehicle, data)
     phases = {name: inside for name, inside in samples_by_phase(case, sun).items() if inside.any()}
     impossible = sun["status"].values == SunStatus.IMPOSSIBLE
-    log10 = np.full(sun.sizes["time"], np.nan)
-    if health["noise"]:
-        noise = sun["noise"].values, sun["lit_threshold"].values
-        by_noise = noise_alone(vehicle, signals(data)[impossible], *noise)
-        log10[impossible] = by_noise.log_probability / np.log(10)
-    return Phases(case, sun, health, phases, impossible, log10)
+    return Phases(case, sun, health, phases, impossible)
 
 
 def rows(r: Phases) -> list[Row]:
@@ -171,9 +165,7 @@ def rows(r: Phases) -> list[Row]:
     status, delta, n_lit = (r.sun[name].values for name in ("status", "delta", "n_lit"))
     time, seen = r.sun["time"].values, is_reconstructed(status)
     paper = {key: figure.value for key, figure in case.published.items()}
-    synthetic = bool(r.sun.attrs.get("synthetic"))
-    row_of = partial(row, case, twin="synthetic telemetry; " * synthetic, attrs=r.sun.attrs)
-    result = []
+    row_of, result = partial(row, case, attrs=r.sun.attrs), []
 
     # Delta outside the shadowed phases
     kept = seen & whole_panels(case, r.sun)
@@ -181,21 +173,18 @@ def rows(r: Phases) -> list[Row]:
     if directions:
         mean, error = float(delta[kept].mean()), float(delta[kept].std() / np.sqrt(directions))
         low, high = interval(mean, error)
-        chosen = "the telemetry is synthetic: its noise was chosen for this figure; " * synthetic
-        of_three = directions - checked.size
-        texts = {"chosen": chosen, "directions": directions, "of_three": of_three}
+        texts = {"directions": directions, "of_three": directions - checked.size}
         result.append(row_of("delta_mean", mean, low=low, high=high, **texts))
-        judged: dict[str, Any] = {"least": np.nan, "most": np.nan}
-        if checked.size:
-            # 5 and 95 % of the largest of as many absolute values of a Gaussian with this mean
-            ends = np.array([0.05, 0.95]) ** (1 / checked.size)
-            gauss = float(checked.mean()) * np.sqrt(np.pi / 2)
-            low, high = (gauss * ndtri((1 + ends) / 2)).tolist()
-            inside = bool(low <= paper["delta_max"] <= high)
-            judged = {"tolerance": high - low, "agrees": inside, "low": low, "high": high}
-            judged |= {"least": low, "most": high}
-        largest = float(delta[kept].max())
-        result.append(row_of("delta_max", largest, checked=checked.size, **judged))
+    if checked.size:
+        # 5 and 95 % of the largest of as many absolute values of a Gaussian with this mean
+        ends = np.array([0.05, 0.95]) ** (1 / checked.size)
+        gauss = float(checked.mean()) * np.sqrt(np.pi / 2)
+        low, high = (gauss * ndtri((1 + ends) / 2)).tolist()
+        judged = {"tolerance": high - low, "agrees": bool(low <= paper["delta_max"] <= high)}
+        largest = float(checked.max())
+        result.append(
+            row_of("delta_max", largest, low=low, high=high, checked=checked.size, **judged)
+        )
 
     # in the shadowed phases; a direction and a scale fit any two panels: with three an impossible pattern leaves a misfit
     fits = (status == SunStatus.OK) | (r.impossible & (n_lit >= 3))
@@ -237,10 +226,8 @@ def rows(r: Phases) -> list[Row]:
     noise = float(sum(v.log10_together for v in verdicts.values())) if verdicts else None
     at_rest = sorted(sorted(map(str, pattern)) for pattern in paper["lit_patterns_at_rest"])
     missed = {*map(frozenset, at_rest)} - {*map(frozenset, impossible)}
-    origin = "synthetic telemetry, made with panel 1 in shadow at rest" * synthetic
     # whether turning panel 1 to the Sun was a risk: samples that only its loss explains
     panel_1 = sum(n for p, n in impossible.items() if explanations(vehicle, [p]) == [("1",)])
-    and_origin = f"; {origin}" if origin else ""
     patterns: dict[str, Any] = {"published": at_rest, "agrees": not missed}
     lost: dict[str, Any] = {"published": [["1"]], "agrees": explained == [["1"]]}
     result += [
@@ -248,9 +235,9 @@ def rows(r: Phases) -> list[Row]:
         row_of("lit_patterns_before", np.count_nonzero(r.impossible & early), **before),
         row_of("shadowed_panel_alternatives", ", ".join(others) or "none"),
         row_of("lit_patterns_noise", noise, each=by_pattern),
-        row_of("lit_patterns_at_rest", sorted(map(sorted, impossible)), origin=origin, **patterns),
-        row_of("shadowed_panel", explained, origin=origin, **lost),
-        row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0, origin=and_origin),
+        row_of("lit_patterns_at_rest", sorted(map(sorted, impossible)), **patterns),
+        row_of("shadowed_panel", explained, **lost),
+        row_of("panel_1_rotation", panel_1, agrees=panel_1 > 0),
     ]
 
     # how often the file samples
@@ -258,12 +245,11 @@ def rows(r: Phases) -> list[Row]:
     flight = time[(time >= case_seconds(case, r.sun, "first_touchdown")) & (time < blow)]
     step = float(np.median(np.diff(flight))) / 60 if flight.size > 1 else None
     unjudged: dict[str, Any] = {"tolerance": None} if step is None else {}
-    whose = "synthetic telemetry, made so" if synthetic else "the telemetry"
     after = int(np.count_nonzero((time >= blow) & (time < second)))
     return [
         *result,
-        row_of("sampling_interval", step, whose=whose, **unjudged),
-        row_of("samples_after_collision", after, whose=whose),
+        row_of("sampling_interval", step, **unjudged),
+        row_of("samples_after_collision", after),
     ]
 
 
@@ -318,47 +304,30 @@ def sphere(figure: Any, columns: int, k: int) -> Any:
 
 
 def draw(r: Phases) -> Figure:
-    """Lit panels sample by sample, and the probability of the forbidden samples under noise (paper, section 4)."""
-    figure = Figure(figsize=(9, 7.4), layout="constrained")
-    upper, lower = figure.subplots(2, 1, height_ratios=(1, 1.15), sharex=True)
-    lit, names = r.sun["lit"].values, r.sun["panel"].values
+    """Lit panels sample by sample, those of forbidden patterns in another colour (paper, section 4)."""
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    axes, lit, names = figure.subplots(), r.sun["lit"].values, r.sun["panel"].values
     number = np.arange(1, len(lit) + 1)
     for colour, label, chosen in (
         (COLOURS[0], "allowed", ~r.impossible),
         (COLOURS[1], "forbidden", r.impossible),
     ):
         sample, panel = np.nonzero(lit & chosen[:, None])
-        upper.plot(number[sample], panel, "|", ms=9, mew=1.6, color=colour)
-        upper.plot([], [], "s", color=colour, label=label)
-    upper.set_yticks(range(len(names)), [str(name) for name in names])
-    upper.set(ylabel="panel lit", ylim=(-0.6, len(names) + 0.6))
-    upper.legend(ncols=2, fontsize=9, **ABOVE)
-    explained = " or ".join("-".join(panels) for panels in r.health["explanations"]) or "none"
-    what = "smallest set of panels in shadow or dead that explains every forbidden pattern"
-    upper.set_title(f"{what}: {explained}", fontsize=10, pad=20)
-
-    log10 = r.log10_probability
-    bottom = max(-20.0, float(np.nanmin(log10, initial=-1.0)))  # what is less probable stands there
-    for k, pattern in enumerate(r.health["impossible"]):
-        at = np.isfinite(log10) & np.all(lit == np.isin(names, pattern), axis=1)
-        if at.any():
-            style: dict[str, Any] = {"ms": 5, "mfc": "none", "color": COLOURS[k % 8]}
-            style["label"] = f"({'-'.join(pattern)})"
-            lower.plot(number[at], np.maximum(log10[at], bottom), "os^Dv"[k % 5], **style)
-    lower.set(xlabel="number of the sample", ylabel="log10 of the probability, at most")
-    lower.set(ylim=(bottom - 1, 2.5))
-    what = "probability that noise alone made the readings of a forbidden sample, by lit panels"
-    lower.set_title(what, fontsize=10, pad=20)
-    if r.health["noise"]:
-        lower.legend(fontsize=9, ncols=5, columnspacing=0.8, handletextpad=0.2, **ABOVE)
+        axes.plot(number[sample], panel, "|", ms=9, mew=1.6, color=colour)
+        axes.plot([], [], "s", color=colour, label=label)
+    axes.set_yticks(range(len(names)), [str(name) for name in names])
+    axes.set(xlabel="number of the sample", ylabel="panel lit", ylim=(-0.6, len(names) + 0.6))
+    axes.legend(ncols=2, fontsize=9, **ABOVE)
     edge = 0.5
-    for k, (name, inside) in enumerate(r.phases.items()):
-        for axes in (upper, lower) if k else ():
-            axes.axvline(edge, lw=0.8, color=COLOURS[7])
-        middle, height = edge + inside.sum() / 2, 0.6 + k % 2
-        edge += inside.sum()
+    for name, inside in r.phases.items():
+        axes.axvline(edge, lw=0.8, color=COLOURS[7])
         if inside.sum() > 8:
-            style = {"ha": "center", "fontsize": 8, "color": "#555555", "bbox": ON_PAPER}
-            lower.text(middle, height, name.replace("_", " "), **style)
-    figure.suptitle(titled("Health of the panels", r.sun.attrs.get("synthetic")), fontsize=11)
+            style: dict[str, Any] = {"ha": "center", "fontsize": 8, "color": "#555555"}
+            at = edge + inside.sum() / 2, len(names) - 0.2
+            axes.text(*at, name.replace("_", " "), bbox=ON_PAPER, **style)
+        edge += inside.sum()
+    explained = " or ".join("-".join(panels) for panels in r.health["explanations"]) or "none"
+    what = "Smallest set of panels in shadow or dead that explains every forbidden pattern"
+    title = titled(f"{what}: {explained}", r.sun.attrs.get("synthetic"))
+    figure.suptitle(title, fontsize=11)
     return figure

@@ -42,7 +42,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import version
-from sunspin.cases import Case, case_names, load_case
+from sunspin.cases import Case, load_case
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
@@ -408,39 +408,24 @@ def _on_the_ground(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Write the synthetic telemetry of a built-in case and, beside it, its truth."""
+    """Write the synthetic telemetry of Philae's landing and, beside it, its truth."""
     parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
     add = parser.add_argument
     add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml there")
-    add("--seed", type=int, required=True)
-    tilt = "sigma of each panel's normal to each side, degrees; default: vehicle file's"
-    add("--tilt", type=float, help=tilt)
-    turn = "sigma of one turn of all panels about each axis, degrees; default: the same"
-    add("--turn", type=float, help=turn)
-    seen = "the first samples at rest give a direction (default)"
-    add("--rest-seen", action=argparse.BooleanOptionalAction, default=True, help=seen)
-    add("--case", default="philae", choices=case_names())
+    add("--seed", type=int, required=True, help="of all that is drawn")
     add("--force", action="store_true", help="replace existing files")
     given = parser.parse_args(arguments)
-    options: dict[str, Any] = {"rest_seen": given.rest_seen}
-    command = f"python -m sunspin.philae.twin --case {given.case} --seed {given.seed}"
-    for name, option in (("tilt", "tilt_rad"), ("turn", "turned_rad")):
-        if (degrees := getattr(given, name)) is not None:
-            options[option] = float(np.radians(degrees))
-            command += f" --{name} {degrees:g}"
-    command += " --no-rest-seen" * (not given.rest_seen)
     name, truth = given.out.name, given.out.parent / "twin_truth.toml"
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
-        f"synthetic: {command} {name}",
+        f"synthetic: python -m sunspin.philae.twin --seed {given.seed} {name}",
     ]
     behind_them = "the truth behind them is in twin_truth.toml"
     scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
     about = f"The truth behind {name}; see sunspin.philae.twin for how each part was chosen."
     try:
-        case = load_case(given.case)
-        telemetry = twin(case, seed=given.seed, **options)
-        write_new(given.out, csv_text(case.vehicle, telemetry, [*comments, scale]), given.force)
+        telemetry, vehicle = philae_twin(given.seed), load_case("philae").vehicle
+        write_new(given.out, csv_text(vehicle, telemetry, [*comments, scale]), given.force)
         write_new(truth, truth_text(telemetry, [*comments, about]), given.force)
     except SunspinError as error:
         print(error, file=sys.stderr)

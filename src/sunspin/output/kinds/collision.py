@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -57,15 +55,7 @@ def collision_figure(runs: Any) -> Any:
     x, y = "change of velocity at the collision (m/s)", "speed after the collision (m/s)"
     left.set(xlabel=x, ylabel=y)
     left.legend(loc="lower left", frameon=True)
-    impacts = "Impacts"
-    with suppress(ValueError):  # a scenario that cannot be read
-        scenario = json.loads(str(runs.attrs.get("scenario", "{}")))
-        # without restitution and damper the point that hits is taken to stick
-        if isinstance(scenario, dict) and not (
-            scenario.get("restitution") or scenario.get("damper")
-        ):
-            impacts = "Sticking impacts"
-    left.set_title(f"{impacts} at {facts['speed_before']:.3f} m/s and what the trajectory shows")
+    left.set_title(f"Impacts at {facts['speed_before']:.3f} m/s and what the trajectory shows")
     rate = np.degrees(np.linalg.norm(runs["omega_after_B"].values, axis=1))
     known, edges = np.isfinite(rate), np.linspace(0, 60, 61)
     for k, text in enumerate(("as drawn", "weighted by the kernel's speeds")):

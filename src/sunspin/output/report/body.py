@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import SunspinError
 from sunspin.output.figures import COLOURS
 from sunspin.output.report.read import Results
-from sunspin.output.report.views import GREY, INK, Motions, View, line, places, styled
+from sunspin.output.report.views import GREY, INK, Motions, View, line, styled
 from sunspin.output.text import capital, clock_text
 from sunspin.vehicle import Vehicle
 
@@ -38,24 +38,26 @@ def body_in_motion(results: Results, motions: Motions) -> Iterator[View]:
     if vehicle is None:
         return
     for k, (title, run) in enumerate(motions):
-        figure = _motion(vehicle, run)
-        if figure is None:
+        drawn = _motion(vehicle, run)
+        if drawn is None:
             continue
         about = capital(str(run.attrs.get("about", "")))
         shape = "The vehicle's file gives no shape: panels are plates of equal size."
         yield View(
             f"motion-{k}",
             title,
-            figure,
+            drawn[0],
             "The vehicle in three dimensions as it turns; the line under it states time, angular speed and wheel speeds.",
             (f"{about}. " if about else "")
             + "Gold: direction to the Sun. Blue: angular momentum, or the first axis of rotation if the momentum is not known. "
             f"A panel is the brighter the more sunlight it gets.{'' if vehicle.hull else f' {shape}'}",
+            drawn[1],
         )
 
 
-def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
-    """Frames of a motion; None if its attitude is not known at two instants, or at none between which a path could be seen."""
+def _motion(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[str, Any]]] | None:
+    """The figure of a motion and its frames; None if its attitude is not known at two instants, or at none so near that a path
+    could be seen between them."""
     t = np.asarray(run["time"].values, dtype=float)
     order = np.argsort(t)
     both = np.concatenate([run["B_from_N"].values, run["omega_B"].values], axis=1)[order]
@@ -90,20 +92,24 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
         _arrow(to_scene[0].apply(axis), reach, COLOURS[0], name),
     ]
 
-    def moving(k: int) -> list[Any]:
-        turned = to_scene[k].apply(vertices)
+    def moving(k: int) -> list[dict[str, Any]]:
+        """What changes of the body and of its legs."""
         colours = [_light(light[k, panel]) if panel >= 0 else "#9aa2a9" for panel in owner]
-        mesh = go.Mesh3d(
-            places(turned) | dict(zip("ijk", faces.T, strict=True)),
-            facecolor=colours,
-            flatshading=True,
-            hoverinfo="skip",
-            lighting={"ambient": 0.85, "diffuse": 0.3},
-        )
         tips = to_scene[k].apply(lines) if len(lines) else lines
-        return [mesh, line(tips, INK, 5)]
+        body, ends = (
+            {axis: each.round(6).tolist() for axis, each in zip("xyz", points.T, strict=True)}
+            for points in (to_scene[k].apply(vertices), tips)
+        )
+        return [body | {"facecolor": colours}, ends]
 
-    figure = go.Figure([*moving(0), *still])
+    body, ends = moving(0)
+    mesh = go.Mesh3d(
+        body | dict(zip("ijk", faces.T, strict=True)),
+        flatshading=True,
+        hoverinfo="skip",
+        lighting={"ambient": 0.85, "diffuse": 0.3},
+    )
+    figure = go.Figure([mesh, line(lines, INK, 5).update(ends), *still])
     texts = []
     for frame, speeds in zip(frames, wheels, strict=True):
         words = [_clock(run, float(t[frame])), f"{np.degrees(speed[frame]):.3g} deg/s"]
@@ -112,9 +118,8 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
                 f"{wheel.name} {f'{spin:.0f} rad/s' if np.isfinite(spin) else 'not known'}"
             )
         texts.append(", ".join(words))
-    figure.frames = [
-        go.Frame(data=moving(k), traces=[0, 1], name=str(k)) for k in range(len(frames))
-    ]
+    # as plotly's script takes them: an object for each trace of each frame would take it ten seconds
+    poses = [{"name": str(k), "traces": [0, 1], "data": moving(k)} for k in range(len(frames))]
     axes = {f"{a}axis": {"range": [-reach, reach], "visible": False} for a in "xyz"}
     figure.update_layout(
         scene=axes, scene_aspectmode="cube", scene_camera_eye={"x": 0.5, "y": -1.3, "z": 0.4}
@@ -137,7 +142,7 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> go.Figure | None:
     bare = {"ticklen": 0, "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}
     slider = {"currentvalue": shown_now, "pad": {"t": 50}, **bare, "steps": steps}
     figure.update_layout(updatemenus=[menu], sliders=[slider])
-    return styled(figure)
+    return styled(figure), poses
 
 
 def _scene(attitude: Rotation, sun_B: np.ndarray, up_B: np.ndarray) -> Rotation:

@@ -14,7 +14,6 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from sunspin.base.errors import OutputError
 from sunspin.output.folder import CITE, plain, write_whole
 from sunspin.output.report import rows
 from sunspin.output.report.read import PageTable, Results, read_results
@@ -22,9 +21,6 @@ from sunspin.output.text import number_text
 
 FIRST_SENTENCES = 5
 """Sentences of the first screen; the others are closed."""
-
-MAX_PICTURES = 12_000_000
-"""Bytes of figures in a page; what is beyond stays in the folder and is named."""
 
 HIDDEN = (
     *("figures", "sentences", "headline", "score", "conclusions"),
@@ -56,18 +52,16 @@ def _page(results: Results) -> str:
     views = results.attempt("the views", lambda: _views(results)) or {}
     every = [str(line) for key in ("headline", "score") for line in _list(summary, key)]
     every += [str(line) for line in _list(summary, "conclusions" if every else "sentences")]
-    figures, left_out, size = [], [], 0
+    figures = []
     for figure in results.figures:
-        size += len(figure.content)
-        if size > MAX_PICTURES:
-            left_out.append(figure.name)
-            continue
         kind = "svg+xml" if figure.name.endswith(".svg") else "png"
         data = f"data:image/{kind};base64,{base64.b64encode(figure.content).decode('ascii')}"
         figures.append(figure._asdict() | {"data": data})
     first = len(_list(summary, "headline")) + len(_list(summary, "score")) or FIRST_SENTENCES
     shown = [view for part in views.values() for view in part]
-    plotted = {view.id: json.loads(view.figure.to_json()) for view in shown}
+    plotted = {
+        view.id: json.loads(view.figure.to_json()) | {"frames": view.frames} for view in shown
+    }
     scripts = [*([_plotly()] if plotted else []), _asset("page.js")]
     return _template().render(
         title=str(summary.get("title") or _title(results)),
@@ -78,7 +72,6 @@ def _page(results: Results) -> str:
         more=every[first:],
         views=views,
         figures=figures,
-        left_out=left_out,
         tables=results.tables + _events(results),
         rows=results.attempt("the comparison", lambda: rows.comparison(summary)),
         numbers=_numbers(summary),
@@ -157,8 +150,8 @@ def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
 def _provenance(results: Results) -> list[tuple[str, str]]:
     """Version, seed, inputs with hashes, what is synthetic, how to cite."""
     summary = results.summary
-    version = summary.get("version", "of unknown version")
-    facts = [("computed by", f"sunspin {version}, command {results.command}")]
+    maker = f"sunspin {summary.get('version', 'of unknown version')}, command {results.command}"
+    facts = [("computed by", maker)]
     facts += [(key, str(summary[key])) for key in ("seed", "seconds") if key in summary]
     origin = "computed, not measured" if results.synthetic else "no file calls itself synthetic"
     facts.append(("synthetic data", origin))
@@ -166,8 +159,7 @@ def _provenance(results: Results) -> list[tuple[str, str]]:
         if isinstance(entry, dict):
             words = f"{entry.get('file', '')}, SHA-256 {entry.get('sha256', '')}"
             facts.append((str(entry.get("what", "input")), words))
-    cite = f"{summary.get('cite', CITE)}; and sunspin with its version"
-    return [*facts, ("please cite", cite)]
+    return [*facts, ("please cite", f"{summary.get('cite', CITE)}; and sunspin with its version")]
 
 
 @cache
@@ -194,11 +186,8 @@ def _script(text: str) -> str:
 
 def _plotly() -> str:
     """The drawing library, as its package brings it."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        what = "plotly, which draws the report, is not installed"
-        raise OutputError(what, do="pip install plotly") from None
+    from plotly.offline import get_plotlyjs
+
     return get_plotlyjs()
 
 

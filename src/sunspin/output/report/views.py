@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,13 +31,14 @@ FIRST = ("Truth", "Best fit", "Slowest candidate", "Middle candidate", "Fastest 
 
 
 class View(NamedTuple):
-    """A figure for the browser: its heading, the plotly figure, what it shows in words, its caption."""
+    """A figure for the browser: its heading, the plotly figure, what it shows in words, its caption, the frames of a motion."""
 
     id: str
     title: str
     figure: go.Figure
     alt: str
     caption: str
+    frames: Sequence[dict[str, Any]] = ()
 
 
 Motions = list[tuple[str, xr.Dataset]]
