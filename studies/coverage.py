@@ -28,8 +28,8 @@ from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import near_minimum_set, run_grid
+from sunspin.philae.telemetry import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
-from sunspin.philae.twin import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
 from validation.campaign import command, kept, rows_folder
 

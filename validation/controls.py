@@ -20,7 +20,7 @@ from sunspin.philae import candidates, data_check, descent, metrics, touchdown
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, settled
 from sunspin.philae.sun_directions import with_own_noise
-from sunspin.philae.twin import CELL_W, noisy_readings
+from sunspin.philae.telemetry import CELL_W, noisy_readings
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.synthetic import generator
 

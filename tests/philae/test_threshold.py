@@ -15,7 +15,7 @@ from sunspin.estimate.scan.table import Table, make_table
 from sunspin.philae import rebound as rb
 from sunspin.philae import threshold as th
 from sunspin.philae.sun_directions import dark_sigma, with_own_noise
-from sunspin.philae.twin import CELL_W
+from sunspin.philae.telemetry import CELL_W
 from sunspin.telemetry.sun import sun_directions
 
 CASE, NOISE = with_own_noise(ss.load_case("philae"))

@@ -193,7 +193,7 @@ def draw(r: Descent) -> Figure:
             sphere.plot(fitted[chosen], fitted_z[chosen], marker, ms=size, **style)
     sphere.set(xlim=(-185, 185), ylim=(0.4, 0.8), xticks=range(-180, 181, 90))
     sphere.set(xlabel="azimuth of the Sun about z (deg)", ylabel="$z$ component")
-    sphere.legend(fontsize=8, loc="upper left", ncols=2)
+    sphere.legend(fontsize=8, loc="upper left")
 
     label = "scan, least over drifts of the rate"
     wide.semilogy(1e3 * r.fit.scan_rate, r.fit.scan_E, lw=0.6, color=COLOURS[7], label=label)
@@ -202,7 +202,7 @@ def draw(r: Descent) -> Figure:
     wide.plot(1e3 * mean_rate[1:4], E[1:4], "v", ms=6, color=COLOURS[1], label=label)
     wide.plot(1e3 * mean_rate[0], E[0], "o", ms=6, color=COLOURS[0], label="smallest E")
     wide.axhline(flown_E, ls=":", lw=1, color=COLOURS[6], label="published E (flight data)")
-    wide.set(xlabel="mean rate about z (mrad/s)", ylabel="E")
+    wide.set(xlabel="mean rate about z (mrad/s)", ylabel="E", ylim=(E.min() / 20, None))
 
     omega_0, E = figure_11(r)
     near.plot(1e3 * omega_0, E, lw=1, color=COLOURS[0])

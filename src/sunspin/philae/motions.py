@@ -1,7 +1,7 @@
 """Philae's motion to look at: whole candidate motions from touchdown to touchdown, and the angular speed with its spread.
 
 Nothing here is compared with the paper; the report draws it. A candidate after the collision is one of many: which leg hit, and
-in which direction, is drawn once (`twin.collide`) and the same for all, so that their difference is the motion's.
+in which direction, is drawn once (`telemetry.collide`) and the same for all, so that their difference is the motion's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
-from sunspin.philae.twin import State, collide
+from sunspin.philae.telemetry import State, collide
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
 

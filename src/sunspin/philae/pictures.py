@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -186,32 +185,20 @@ def drawing(s: Study, name: str) -> Drawing | None:
     return Drawing(name, lambda: make(s, r), alt, caption.format_map(_fields(s, name, r)))
 
 
-class Gallery:
-    """The figures, drawn by a thread of its own as soon as their steps are there, and written at the end.
+Drawn = dict[str, tuple[Drawing, dict[str, bytes]]]
+"""Name of each picture -> what the report says of it, and its files by their suffix."""
 
-    Drawing holds Python's lock, which the kernels of the other steps hardly need.
-    """
 
-    def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="figures")
-        self._files: dict[str, Future] = {}
+def draw(study: Study, drawn: Drawn) -> None:
+    """Add to `drawn` the pictures that can be drawn by now, while the other steps of the study go on."""
+    for name in PICTURES:
+        if name not in drawn and (sheet := drawing(study, name)):
+            drawn[name] = sheet, figures.drawn(sheet.make())
 
-    def close(self) -> None:
-        """Draw nothing more."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def begin(self, study: Study) -> list[Drawing]:
-        """Draw what can be drawn by now."""
-        sheets = [sheet for name in PICTURES if (sheet := drawing(study, name))]
-        for sheet in sheets:
-            if sheet.name not in self._files:
-                files = self._pool.submit(lambda make: figures.drawn(make()), sheet.make)
-                self._files[sheet.name] = files
-        return sheets
-
-    def write(self, study: Study, folder: Path) -> list[Drawing]:
-        """Write all figures of the steps that were computed, as PNG and SVG."""
-        sheets = self.begin(study)
-        for sheet in sheets:
-            figures.write(self._files[sheet.name].result(), folder, sheet.name)
-        return sheets
+def write(drawn: Drawn, folder: Path) -> list[Drawing]:
+    """Write the pictures as PNG and SVG, in the paper's order."""
+    names = [name for name in PICTURES if name in drawn]
+    for name in names:
+        figures.write(drawn[name][1], folder, name)
+    return [drawn[name][0] for name in names]

@@ -7,7 +7,6 @@ import json
 import re
 import shlex
 import time
-from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,9 +21,9 @@ from sunspin.output.folder import CITE, Contents, results_folder, write_contents
 from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
+from sunspin.philae import pictures
 from sunspin.philae import rebound as rb
 from sunspin.philae.headline import conclusions, headline, score
-from sunspin.philae.pictures import Gallery
 from sunspin.philae.row import Row
 from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
 from sunspin.telemetry.reader import read_telemetry
@@ -53,16 +52,9 @@ class Written(NamedTuple):
     def lines(self) -> list[str]:
         """What is printed of it."""
         summary = self.summary
-        synthetic = summary["synthetic_telemetry"]
-        origin = "synthetic (made from published facts)" if synthetic else "measured"
         lines = [f"Changed for this run: {change}" for change in summary["changes"]]
-        lines += [f"Data check: {summary['carries']}", f"Telemetry: {origin}"]
-        for row in summary["figures"]:
-            if row["id"] in ("delta_mean", "wheel_stop", "emd_min"):
-                unit = "" if row["unit"] == "1" else f" {row['unit']}"
-                ours = "none" if row["ours"] is None else f"{row['ours']:.4g}{unit}"
-                lines.append(f"  {row['what']}: {ours} (published {row['published']:.4g})")
-        lines += [*summary["headline"], *summary["score"], *summary["missing"].values()]
+        lines += [f"Data check: {summary['carries']}", *summary["headline"], *summary["score"]]
+        lines += summary["missing"].values()
         return [*lines, f"Report: {self.report} (in {summary['seconds']:.0f} s)"]
 
 
@@ -114,10 +106,11 @@ def reproduce(
         what = "the telemetry lies in the results folder, which is replaced"
         raise InputError(what, do="copy it to another place first", where=str(telemetry))
     folder = results_folder(out, "reproduce")
-    options = {"source": candidates, "twins": calibrate, "seed": seed, "coarser": coarser}
-    with closing(Gallery()) as gallery:
-        study = compute(case, gallery.begin, workers=workers, progress=progress, **options)
-        pictures = gallery.write(study, folder)
+    options: dict[str, Any] = {"source": candidates, "twins": calibrate, "seed": seed}
+    drawn: pictures.Drawn = {}
+    options |= {"coarser": coarser, "workers": workers, "progress": progress}
+    study = compute(case, lambda so_far: pictures.draw(so_far, drawn), **options)
+    sheets = pictures.write(drawn, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())
     copy = folder / f"telemetry{source.suffix or '.csv'}"
     write_whole(copy, lambda part: part.write_bytes(source.read_bytes()))
@@ -128,14 +121,14 @@ def reproduce(
     words += [word for name, x in chosen.items() if x is not None for word in (f"--{name}", str(x))]
     words += [word for change in asked for word in ("--set", str(change))]
     words += [] if coarser == 1 else ["--coarser", str(coarser)]
-    summary = summary_of(study, pictures, time.perf_counter() - began)
+    summary = summary_of(study, sheets, time.perf_counter() - began)
     summary["changes"] = [str(change) for change in case.changes]
     summary |= {"command": shlex.join(words), "inputs": _inputs(case, vehicle)}
     vehicle_text = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
     unchanged = telemetry is None and vehicle is None and not asked
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
-    contents = Contents(datasets(study), pictures, tables, vehicle_text, *samples)
+    contents = Contents(datasets(study), sheets, tables, vehicle_text, *samples)
     write_contents(folder, summary, contents)
     return Written(folder, write_report(folder), summary)
 
@@ -170,7 +163,7 @@ def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
     return inputs
 
 
-def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[str, Any]:
+def summary_of(study: Study, sheets: list[Drawing], seconds: float) -> dict[str, Any]:
     """What `summary.json` says of the results."""
     counts, chain, missing = study.counts(), study.chain, study.missing
     stop = ""
@@ -181,7 +174,7 @@ def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[st
         why = (reasons or texts)[0].rstrip(".")
         stop = f"Nothing follows from this telemetry about the motion after the first touchdown: {why}."
     sections = [(step.title, step.section, study.rows_by_part.get(step.name, [])) for step in STEPS]
-    sections.append(("The figures of the paper", "paper", figure_rows(pictures)))
+    sections.append(("The figures of the paper", "paper", figure_rows(sheets)))
     rows = [
         asdict(row) | {"part": title, "section": SECTIONS[section]}
         for title, section, of_section in sections
@@ -209,11 +202,11 @@ def summary_of(study: Study, pictures: list[Drawing], seconds: float) -> dict[st
     }
 
 
-def figure_rows(pictures: list[Drawing]) -> list[Row]:
+def figure_rows(sheets: list[Drawing]) -> list[Row]:
     """One row for each numbered figure of the paper: what it shows, the files that show it here."""
     rows = []
     for number, shows in enumerate(SHOWN_BY_THE_PAPER, 1):
-        mine = [p for p in pictures if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
+        mine = [p for p in sheets if re.match(rf"fig(\d\d_)*{number:02d}_", p.name)]
         absent = "not drawn" if number > 2 else "not drawn: a picture of the lander"
         row = Row(
             id=f"figure_{number}",

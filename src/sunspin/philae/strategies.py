@@ -16,7 +16,6 @@ from sunspin.landing.scenario import Scenario
 from sunspin.landing.tally import Estimate, tally
 from sunspin.philae.candidates import Chain
 from sunspin.philae.row import Row, row, share_of_candidates
-from sunspin.vehicle import HullPart, Vehicle
 
 
 class Strategies(NamedTuple):
@@ -42,24 +41,17 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     table, runs = st.compare(vehicle, motions, st.STRATEGIES, n, seed, real, **options)
     table.attrs["synthetic"] = case.telemetry.attrs.get("synthetic", 0)
 
-    def off(
-        craft: Vehicle, starts: xr.Dataset, count: int, scenario: Scenario
-    ) -> dict[str, Estimate]:
-        return tally(outcomes(craft, starts, "off", count, seed, scenario=scenario, **options))
+    def off(starts: xr.Dataset, count: int, scenario: Scenario) -> dict[str, Estimate]:
+        return tally(outcomes(vehicle, starts, "off", count, seed, scenario=scenario, **options))
 
     others = {"box": chain.box, "recipe": chain.recipe}
-    by_set = {name: off(vehicle, each.dataset(), n, real) for name, each in others.items()}
+    by_set = {name: off(each.dataset(), n, real) for name, each in others.items()}
     by_set["chosen"] = tally(runs["off"])
     delay = st.best_delay(vehicle, motions, n=half, seed=seed, scenario=real, **options)
-    assumed = {}
-    for word, dz_m in (("lower", -0.1), ("higher", 0.1)):  # the uncertainty of Philae's hull
-        hull = tuple(HullPart(p.name, p.points_B_m + [0, 0, dz_m], p.panel) for p in vehicle.hull)
-        assumed[f"body 0.1 m {word}"] = replace(vehicle, hull=hull), real
-    assumed["any vertical"] = vehicle, replace(real, vertical="any")
-    cone = replace(real, vertical=float(np.radians(30.0)))
-    assumed["vertical within 30 degrees of upright"] = vehicle, cone
+    # the vertical is the least known of what is assumed
     alternatives = {
-        about: off(craft, motions, half, scenario) for about, (craft, scenario) in assumed.items()
+        about: off(motions, half, replace(real, vertical=vertical))
+        for about, vertical in (("any vertical", "any"), ("within 30 degrees", np.radians(30.0)))
     }
     return Strategies(chain, table, runs, by_set, delay, alternatives)
 

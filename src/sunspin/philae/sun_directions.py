@@ -316,14 +316,14 @@ def draw(r: Phases) -> Figure:
         axes.plot(number[sample], panel, "|", ms=9, mew=1.6, color=colour)
         axes.plot([], [], "s", color=colour, label=label)
     axes.set_yticks(range(len(names)), [str(name) for name in names])
-    axes.set(xlabel="number of the sample", ylabel="panel lit", ylim=(-0.6, len(names) + 0.6))
+    axes.set(xlabel="number of the sample", ylabel="panel lit", ylim=(-0.6, len(names) + 0.3))
     axes.legend(ncols=2, fontsize=9, **ABOVE)
     edge = 0.5
-    for name, inside in r.phases.items():
+    for k, (name, inside) in enumerate(r.phases.items()):
         axes.axvline(edge, lw=0.8, color=COLOURS[7])
         if inside.sum() > 8:
             style: dict[str, Any] = {"ha": "center", "fontsize": 8, "color": "#555555"}
-            at = edge + inside.sum() / 2, len(names) - 0.2
+            at = edge + inside.sum() / 2, len(names) - 0.5 + 0.4 * (k % 2)
             axes.text(*at, name.replace("_", " "), bbox=ON_PAPER, **style)
         edge += inside.sum()
     explained = " or ".join("-".join(panels) for panels in r.health["explanations"]) or "none"

@@ -30,7 +30,7 @@ from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.estimate.scan.window import target_weights
 from sunspin.philae import rebound as rb
-from sunspin.philae.twin import drawn_panels
+from sunspin.philae.telemetry import drawn_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle.response.panels import brightness, stated_sigma
 

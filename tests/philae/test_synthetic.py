@@ -8,7 +8,7 @@ import pytest
 
 import sunspin as ss
 from philae_sun import AS_DRAWN, FORMER, FORMER_TRUTH, SUN_AS_DRAWN
-from sunspin.philae.twin import main, philae_twin
+from sunspin.philae.telemetry import main, philae_twin
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
 
@@ -77,7 +77,7 @@ def test_the_committed_file_says_that_it_is_synthetic_and_how_it_was_made():
     assert committed.attrs["synthetic"] == 1
     assert all(comment.startswith("synthetic:") for comment in comments)
     assert re.search(r"sunspin \d+\.\d+\.\d+", comments[0])
-    assert f"python -m sunspin.philae.twin --seed {truth['seed']} " in comments[1]
+    assert f"python -m sunspin.philae.telemetry --seed {truth['seed']} " in comments[1]
 
 
 def test_the_first_direction_after_the_touchdown_is_the_published_one(sun):

@@ -1,7 +1,7 @@
 """Synthetic telemetry with known truth: of a vehicle that moves as told, or of the whole landing of Philae.
 
 The measured panel powers are not public, so the landing stands in for them, made from published facts;
-``python -m sunspin.philae.twin --seed N OUT.csv`` writes it as a telemetry file. What the facts leave open is drawn from the
+``python -m sunspin.philae.telemetry --seed N OUT.csv`` writes it as a telemetry file. What the facts leave open is drawn from the
 seed or chosen here, and said where it is:
 
 - scale: `CELL_W` watts per cell, so that the lander makes some 8 W, about right at 2.99 AU; no result depends on it;
@@ -97,13 +97,13 @@ def twin(
     Parameters
     ----------
     source : Case, Vehicle or name of a case
-        ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.twin.philae_twin`.
+        ``"philae"`` without `truth` gives the whole landing, see :func:`sunspin.philae.telemetry.philae_twin`.
     truth : Truth, or a mapping with its fields
     seed : int
         Of the noise and of what else is drawn. The same seed gives the same data.
     landing
         Of the whole landing: `noise`, `tilt_rad`, `turned_rad`, `rest_seen` of
-        :func:`sunspin.philae.twin.philae_twin`.
+        :func:`sunspin.philae.telemetry.philae_twin`.
 
     Returns
     -------
@@ -409,7 +409,9 @@ def _on_the_ground(
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the synthetic telemetry of Philae's landing and, beside it, its truth."""
-    parser = argparse.ArgumentParser(prog="python -m sunspin.philae.twin", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m sunspin.philae.telemetry", description=main.__doc__
+    )
     add = parser.add_argument
     add("out", type=Path, help="CSV file to write; the truth goes to twin_truth.toml there")
     add("--seed", type=int, required=True, help="of all that is drawn")
@@ -418,11 +420,11 @@ def main(arguments: list[str] | None = None) -> int:
     name, truth = given.out.name, given.out.parent / "twin_truth.toml"
     comments = [
         f"synthetic: not measured; made by sunspin {version()} from published facts",
-        f"synthetic: python -m sunspin.philae.twin --seed {given.seed} {name}",
+        f"synthetic: python -m sunspin.philae.telemetry --seed {given.seed} {name}",
     ]
     behind_them = "the truth behind them is in twin_truth.toml"
     scale = f"synthetic: powers in W on an arbitrary scale; {behind_them}"
-    about = f"The truth behind {name}; see sunspin.philae.twin for how each part was chosen."
+    about = f"The truth behind {name}; see sunspin.philae.telemetry for how each part was chosen."
     try:
         telemetry, vehicle = philae_twin(given.seed), load_case("philae").vehicle
         write_new(given.out, csv_text(vehicle, telemetry, [*comments, scale]), given.force)
