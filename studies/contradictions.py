@@ -46,11 +46,11 @@ def statements(case: Case, lines: Lines) -> list[dict[str, Any]]:
     each = []
     for name, table in tables.items():
         published, ours = value(table["published"]), value(table["ours"])
-        row = {"id": name, "published": published, "ours": ours, "holds": None, "weak": False}
+        row = {"id": name, "published": published, "ours": ours, "holds": None}
         if (tolerance := value(table.get("tolerance"))) is not None:
             row["holds"] = bool(np.all(np.abs(np.subtract(ours, published)) <= tolerance))
-        fields, texts = numbers | {"paper": paper}, table.keys() - row - {"tolerance"}
-        row["weak"] = table.get("weak", False)
+        row["weak"], fields = table.get("weak", False), numbers | {"paper": paper}
+        texts = [key for key in table if key not in {*row, "tolerance"}]
         each.append(row | {key: table[key].format_map(fields) for key in texts})
     return each
 

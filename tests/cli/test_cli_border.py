@@ -77,6 +77,10 @@ def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
     refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
 
 
+BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+"""As users have it: what is printed is written at the end."""
+
+
 @pytest.mark.parametrize(
     ("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)]
 )
@@ -86,9 +90,8 @@ def test_output_that_is_closed_or_full(tmp_path, closed, said):
         (f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0),
         (f"check nowhere.toml {closed}", 2),
     ):
-        done = subprocess.run(
-            ["/bin/sh", "-c", f"{shell} {words}"], capture_output=True, text=True, timeout=60
-        )
+        command = ["/bin/sh", "-c", f"{shell} {words}"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=BUFFERED)
         assert done.returncode == code and bool(done.stdout) is (code == 0 and closed == "2>&-")
         assert "Traceback" not in done.stderr and "defect" not in done.stderr
         assert (done.stderr.count("\n") == 1) is (said and code == 2)
@@ -100,12 +103,8 @@ def test_an_error_that_cannot_be_written_leaves_its_exit_code():
         ("check nowhere.toml", "2>/dev/full", 2),
         ("--version", ">/dev/full 2>/dev/full", 2),
     ):
-        done = subprocess.run(
-            ["/bin/sh", "-c", f"{shell} {words} {full}"],
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
+        command = ["/bin/sh", "-c", f"{shell} {words} {full}"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=BUFFERED)
         assert done.returncode == code and not done.stderr
 
 

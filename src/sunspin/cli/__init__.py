@@ -67,13 +67,10 @@ def main() -> None:
         context = getattr(error, "ctx", None)
         text += f"; see `{context.command_path} --help`" if context is not None else ""
         text, code = f"error: {text}", 2
-    except BrokenPipeError:
-        # the reader of our output has gone; keep Python from complaining about it at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+    except BrokenPipeError:  # the reader of our output has gone
+        text, code = "", 0
     except MemoryError:
-        text = "error: not enough memory for this input; use a coarser grid or a shorter file"
-        code = 2
+        text, code = "error: not enough memory; use a coarser grid or a shorter file", 2
     except OSError as error:  # what files and folders answer where no better sentence was found
         what = error.filename or "a file or the output"
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
@@ -88,10 +85,12 @@ def main() -> None:
             text, code = f"defect: this is {what}; {do}", 1
     text = printable(text)
     text = text if len(text) <= 1200 else f"{text[:600]} ... {text[-600:]}"  # names may be long
-    try:
-        print(f"sunspin: {text}", file=sys.stderr, flush=True)
-    except OSError:  # nobody can read it, as where the disk is full; the exit code still says it
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")
+    for stream, words in ((sys.stderr, f"sunspin: {text}\n" if text else ""), (sys.stdout, "")):
+        try:
+            stream.write(words)
+            stream.flush()
+        except OSError:  # as where the disk is full; Python would try again at exit, and complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
 
 

@@ -38,7 +38,7 @@ def compare(
     Parameters
     ----------
     options
-        Of :func:`sunspin.landing.outcomes.outcomes`; a `store` gets a folder in it for each strategy.
+        Of :func:`sunspin.landing.outcomes.outcomes`; a `store` gets a folder in it for each schedule.
 
     Returns
     -------

@@ -191,11 +191,13 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
     cell = float(np.linalg.norm(steps)) / 2
 
     fine = np.flatnonzero(np.isfinite(scan.emd))
-    emd, speed = scan.emd[fine], at_touchdown(rebound, start.take(fine))
+    emd = scan.emd[fine]
+    speed = None if source == "posterior" else at_touchdown(rebound, start.take(fine))
 
     def below(level: float, chain: str, about: str) -> Candidates:
-        of, labels = fine[emd < level], {"chain": chain, "about": about, "cell_rad_s": cell}
-        return describe(rebound, start.take(of), options.seed, speed[emd < level], **labels)
+        inside, labels = emd < level, {"chain": chain, "about": about, "cell_rad_s": cell}
+        known = None if speed is None else speed[inside]
+        return describe(rebound, start.take(fine[inside]), options.seed, known, **labels)
 
     factor, share = case.assumptions.study.near_minimum_factor, float("nan")
     about = f"the paper's recipe on this telemetry: EMD below {factor:g} times the smallest"

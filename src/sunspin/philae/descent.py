@@ -112,8 +112,8 @@ def rows(r: Descent) -> list[Row]:
 
     rms, meant = (float(np.degrees(2 * np.sqrt(E))) for E in (fit.E, paper["descent_E"]))
     comes_back = 1 / FACTOR_OF_E <= fit.E / paper["descent_E"] <= FACTOR_OF_E
-    texts = {"rms": rms, "meant": meant, "factor": FACTOR_OF_E}
-    of_E = row(case, "descent_E", fit.E, holds=comes_back if synthetic else None, **texts)
+    given = {"holds": comes_back, "says": ("note", "note_put_in")} if synthetic else {"holds": None}
+    of_E = row_of("descent_E", fit.E, rms=rms, meant=meant, factor=FACTOR_OF_E, **given)
 
     cubic = np.array(paper["descent_rate_cubic"])
     off = fit.coefficients - cubic
@@ -149,7 +149,7 @@ def rows(r: Descent) -> list[Row]:
         result.append(row_of("descent_wheel_speed", share, change=change, nominal=nominal))
     z, agreed = n[seen, 2], float(np.mean(r.in_view == seen))
     dark, lit = int((~seen).sum()), int(seen.sum())
-    rightly = {"dark_right": (~seen & ~r.in_view).sum(), "lit_right": (seen & ~r.in_view).sum()}
+    rightly = {"dark_right": (~seen & ~r.in_view).sum(), "lit_right": (seen & r.in_view).sum()}
     return [
         *result,
         row_of("descent_samples", list(r.number), limit=r.delta_limit),

@@ -182,15 +182,11 @@ def count_peaks(z: np.ndarray) -> int:
 
 
 class Precession(NamedTuple):
-    """Philae between first touchdown and collision: `swing` of the example motions, and of points of each published line.
-
-    `omega_z` (n): rate about z in rad/s at the first sample of the points.
-    """
+    """Philae between first touchdown and collision: `swing` of the example motions, and of points of each published line."""
 
     case: Case
     examples: dict[str, np.ndarray]
     lines: dict[str, np.ndarray]
-    omega_z: np.ndarray
 
 
 def precession(case: Case) -> Precession:
@@ -198,15 +194,14 @@ def precession(case: Case) -> Precession:
     start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
     duration = 60.0 * case.published["example_duration"].value
     examples = swing(case.vehicle, case.published["example_rates"].value, *start, duration)
-    omega_z = np.linspace(*rb.LINE_RANGE, 11)
-    points = rb.on_lines(rb.published_lines(case), omega_z)
+    points = rb.on_lines(rb.published_lines(case), np.linspace(*rb.LINE_RANGE, 11))
     lines = swing(case.vehicle, points, *start, rb.window_s(case))
-    return Precession(case, examples, lines, omega_z)
+    return Precession(case, examples, lines)
 
 
 def precession_rows(result: Precession) -> list[Row]:
     """Statements of sections 2.2, 2.3 and 3.2 on the amplitude of precession beside ours."""
-    case, examples, lines, _ = result
+    case, examples, lines = result
     low, high = case.published["sun_height_range"].value
     height, widest = lines["height"], lines["axis_swing"].mean(axis=1)
     typical = height.mean(axis=(0, 1)).tolist()

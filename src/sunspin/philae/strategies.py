@@ -51,7 +51,10 @@ def compute(case: Case, chain: Chain, n: int, seed: int = 0, **options: Any) -> 
     # the vertical is the least known of what is assumed
     alternatives = {
         about: off(motions, half, replace(real, vertical=vertical))
-        for about, vertical in (("any vertical", "any"), ("within 30 degrees", np.radians(30.0)))
+        for about, vertical in (
+            ("any vertical", "any"),
+            ("within 30 degrees of upright", np.radians(30.0)),
+        )
     }
     return Strategies(chain, table, runs, by_set, delay, alternatives)
 

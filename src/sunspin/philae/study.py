@@ -228,7 +228,7 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
         With the telemetry to use (`rebound.with_telemetry` to put another file in its place). It must hold samples between the
         first touchdown and the collision; what else it does not hold is left out and named in `missing`.
     seen : callable, optional
-        Given what there is so far each time that a step is computed.
+        Given what there is so far each time that a step is computed, in the caller's thread, while other steps go on.
     options
         Of :class:`sunspin.philae.rebound.Options`.
     """
@@ -282,7 +282,7 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
 def _run(step: Step, study: Study) -> None:
     """Compute one step and put its result and rows, or why there are none, where the others find them."""
     if not study.parts.keys() >= {*step.needs}:
-        study.missing[step.name] = f"{step.title}: nothing is concluded"
+        study.missing[step.name] = f"{step.title}: not computed, as it rests on what is missing"
         return
     try:
         result = step.compute(study)

@@ -40,18 +40,18 @@ def scan_summary(scan: Any) -> Summary:
     """The smallest misfit, where it is, how many motions come near it, the lines fitted to them."""
     volume, (points, chosen) = misfit(scan), near(scan)
     at = {name: xr.DataArray(points[:, k], dims="point") for k, name in enumerate(DIMS)}
-    values = volume.sel(at, method="nearest").values
     numbers: dict[str, Any] = {
         "metric": str(volume.name),
         "rows": int(volume.size),
         "minimum": float(volume.min()),
-        "best_omega_B": points[np.argmin(values)].tolist(),
+        "best_omega_B": points[np.argmin(volume.sel(at, method="nearest").values)].tolist(),
         "near_minimum_points": len(points),
     }
     directions = volume.attrs.get("directions")
     against = f" against {directions} directions" if directions is not None else ""
     best = f"{numbers['minimum']:.4f} at {rate_text(numbers['best_omega_B'])}"
-    text = f"{volume.size} motions{against}: smallest {volume.name} {best}; {counted(len(points), 'point')} {chosen}"
+    metric = "EMD" if volume.name == "emd" else "E"
+    text = f"{volume.size} motions{against}: smallest {metric} {best}; {counted(len(points), 'point')} {chosen}"
     if isinstance(scan, xr.Dataset) and "point" in scan:
         lines = lines_summary(scan)
         return Summary(numbers | lines, [text, *lines.lines])

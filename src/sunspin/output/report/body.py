@@ -118,7 +118,7 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[str
                 f"{wheel.name} {f'{spin:.0f} rad/s' if np.isfinite(spin) else 'not known'}"
             )
         texts.append(", ".join(words))
-    # as plotly's script takes them: an object for each trace of each frame would take it ten seconds
+    # plain data, as plotly.js takes it: the classes of plotly check each trace and would need ten seconds
     poses = [{"name": str(k), "traces": [0, 1], "data": moving(k)} for k in range(len(frames))]
     axes = {f"{a}axis": {"range": [-reach, reach], "visible": False} for a in "xyz"}
     figure.update_layout(
