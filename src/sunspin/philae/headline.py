@@ -31,7 +31,7 @@ def headline(study: Study) -> list[str]:
     origin = synthetic if study.synthetic else measured
     if chain is None:
         missing = study.missing
-        failed = missing.get("candidates", missing.get("level_set", "no motion was found"))
+        failed = missing.get("level_set", missing.get("candidates", "no motion was found"))
         reason = failed.split(" as ", 1)[-1].split(";")[0].rstrip(".")
         why = "; ".join(check.reasons) or reason
         motion = f"After the first touchdown: the motion cannot be concluded, as {why}."
