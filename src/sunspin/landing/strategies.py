@@ -49,13 +49,13 @@ def compare(
         The runs of each strategy by its name.
     """
     runs, store = dict[str, xr.Dataset](), options.pop("store", None)
-    flown = dict[Any, xr.Dataset]()  # two strategies may fly alike and differ on the ground
-    for strategy in strategies:
-        name, schedule = (plan := strategy_of(vehicle, strategy)).name, plan.schedule
+    flown = dict[str, xr.Dataset]()  # by schedule: two strategies may differ on the ground only
+    for strategy in [strategy_of(vehicle, each) for each in strategies]:
+        name, schedule = strategy.name, repr(strategy.schedule)
         if schedule not in flown:
             own = None if store is None else Path(store) / name.replace(":", "-")
             about: dict[str, Any] = {"scenario": scenario, "store": own, **options}
-            flown[schedule] = outcomes(vehicle, candidates, plan, n, seed, **about)
+            flown[schedule] = outcomes(vehicle, candidates, strategy, n, seed, **about)
         runs[name] = flown[schedule].assign_attrs(strategy=name)
         outcome = runs[name]["outcome"].values
         if np.all(outcome != 0):

@@ -104,7 +104,7 @@ class Candidates:
         )
 
 
-def at_touchdown(rebound: rb.Rebound, states: Rows) -> np.ndarray:
+def speed_at_touchdown(rebound: rb.Rebound, states: Rows) -> np.ndarray:
     """Angular speed (n) in rad/s of motions just after the first touchdown."""
     back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
     return np.linalg.norm(back, axis=1)
@@ -115,10 +115,10 @@ def describe(
 ) -> Candidates:
     """Candidates with what is asked of them; runs to the collision are made for even draws only.
 
-    `speed` (n): of :func:`at_touchdown`, if known; `labels`: `chain`, `about`, `cell_rad_s` and `probable` of :class:`Candidates`.
+    `speed` (n): of :func:`speed_at_touchdown`, if known; `labels`: `chain`, `about`, `cell_rad_s`, `probable` of `Candidates`.
     """
     vehicle, draws = rebound.case.vehicle, states
-    speed = at_touchdown(rebound, states) if speed is None else speed
+    speed = speed_at_touchdown(rebound, states) if speed is None else speed
     if len(states) > DRAWS:
         draws = states.take(generator(seed, 10).choice(len(states), DRAWS, replace=False))
     at_collision = end_rates(vehicle, draws, rebound.window_s, DIRECTION_ERROR)
@@ -192,7 +192,7 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
 
     fine = np.flatnonzero(np.isfinite(scan.emd))
     emd = scan.emd[fine]
-    speed = None if source == "posterior" else at_touchdown(rebound, start.take(fine))
+    speed = None if source == "posterior" else speed_at_touchdown(rebound, start.take(fine))
 
     def below(level: float, chain: str, about: str) -> Candidates:
         inside, labels = emd < level, {"chain": chain, "about": about, "cell_rad_s": cell}

@@ -107,8 +107,8 @@ def reproduce(
         raise InputError(what, do="copy it to another place first", where=str(telemetry))
     folder = results_folder(out, "reproduce")
     options: dict[str, Any] = {"source": candidates, "twins": calibrate, "seed": seed}
-    drawn: pictures.Drawn = {}
     options |= {"coarser": coarser, "workers": workers, "progress": progress}
+    drawn: pictures.Drawn = {}
     study = compute(case, lambda so_far: pictures.draw(so_far, drawn), **options)
     sheets = pictures.write(drawn, folder)
     write_whole(folder / "timeline.toml", (case.folder / "timeline.toml").read_bytes())

@@ -20,9 +20,10 @@ LEAST = 1e-6
 
 
 def misfit(scan: Any) -> xr.DataArray:
-    """The volume of E or EMD over the three rates, of a scan as returned or as stored."""
+    """The volume of E or EMD over the three rates, of a scan as returned or as stored; `metric`: which of them, for people."""
     volume = scan if isinstance(scan, xr.DataArray) else scan["emd" if "emd" in scan else "E"]
-    return volume.transpose(*DIMS).assign_attrs(scan.attrs)
+    metric = "EMD" if volume.name == "emd" else "E"
+    return volume.transpose(*DIMS).assign_attrs(scan.attrs, metric=metric)
 
 
 def near(scan: Any) -> tuple[np.ndarray, str]:
@@ -50,8 +51,7 @@ def scan_summary(scan: Any) -> Summary:
     directions = volume.attrs.get("directions")
     against = f" against {directions} directions" if directions is not None else ""
     best = f"{numbers['minimum']:.4f} at {rate_text(numbers['best_omega_B'])}"
-    metric = "EMD" if volume.name == "emd" else "E"
-    text = f"{volume.size} motions{against}: smallest {metric} {best}; {counted(len(points), 'point')} {chosen}"
+    text = f"{volume.size} motions{against}: smallest {volume.metric} {best}; {counted(len(points), 'point')} {chosen}"
     if isinstance(scan, xr.Dataset) and "point" in scan:
         lines = lines_summary(scan)
         return Summary(numbers | lines, [text, *lines.lines])
@@ -71,7 +71,7 @@ def lines_summary(lines: Any) -> Summary:
 
 def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
     volume, (points, chosen) = misfit(scan), near(scan)
-    metric = "EMD" if volume.name == "emd" else "E"
+    metric = volume.metric
     yield Drawing(
         "scan",
         lambda: scan_figure(volume, points),
@@ -90,8 +90,7 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
     high = max(np.nanmax(least), 1.001 * np.nanmin(least))
     style = {"shading": "nearest", "cmap": "cividis_r", "rasterized": True}
     image = axes.pcolormesh(rate_x, rate_y, least, norm="log", vmax=high, **style)
-    metric = "EMD" if volume.name == "emd" else "E"
-    figure.colorbar(image, ax=axes, label=f"smallest {metric} over $\\omega_z$")
+    figure.colorbar(image, ax=axes, label=f"smallest {volume.metric} over $\\omega_z$")
     label = "motions that fit nearly as well as the best"
     circles = {"ms": 5, "mfc": "none", "mec": COLOURS[1], "mew": 1.2}
     axes.plot(*np.degrees(points[:, :2]).T, "o", label=label, **circles)
