@@ -15,7 +15,7 @@ CAMPAIGNS = {
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
     "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/records/real-data.md",
     "scoreboard": "what must not get worse: outcomes of cases of every kind, beside an earlier state's",
-    "size": "lines by folder, functions, names: how large the package is, and the ceilings",
+    "size": "lines by folder, functions, names: how large the package is",
 }
 
 

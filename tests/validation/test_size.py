@@ -1,20 +1,6 @@
-"""The ceilings of pyproject.toml, and that the counter counts."""
+"""The counter of lines, functions and names."""
 
 from validation import size
-
-
-def test_nothing_is_above_its_ceiling():
-    assert not size.exceeded()
-
-
-def test_what_is_above_its_ceiling_is_named(monkeypatch):
-    limits = size.ceilings()
-    limits["lines"]["src"]["ceiling"] = 10
-    del limits["package"]["classes"]
-    monkeypatch.setattr(size, "ceilings", lambda: limits)
-    above, missing = size.exceeded()[:2]
-    assert above.startswith("lines: src is ") and "above its ceiling of 10" in above
-    assert "classes has no ceiling" in missing
 
 
 def test_the_counts_of_a_small_package(tmp_path):
