@@ -28,6 +28,7 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.sensors import Magnetometer, Sensors
 from tle_twins import EARTH_KM, EPOCH, field_nT, lines, sun_of_date, turned
+from validation.truths import is_listed, is_wrong
 
 STEP_S, LONGEST_S = 10.0, 700.0
 SPARSE = {"patches": 2000, "every_s": (20.0, 60.0), "power": (0.4, 1.2)}
@@ -201,16 +202,20 @@ def judged(result: xr.Dataset, truth: xr.Dataset, k: int) -> dict[str, Any]:
     t = result["time"].values[result["pass_of"].values == k]
     true = truth.sel(time=t)
     at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
-    best = np.array([result[f"omega_{axis}"].values[k, 0] for axis in "xyz"])
-    sigma = np.array([result[f"sigma_{axis}"].values[k, 0] for axis in "xyz"])
-    miss = best - true["omega_B"].values[at]
+    omegas, sigmas = (
+        np.stack([result[f"{name}_{axis}"].values[k] for axis in "xyz"], axis=1)
+        for name in ("omega", "sigma")
+    )
+    omega_true, sigma = true["omega_B"].values[at], sigmas[0]
+    miss = omegas[0] - omega_true
     found = {
         "pulls": (miss / sigma).tolist(),
         "miss_deg_s": np.degrees(miss).tolist(),
         "sigma_deg_s": np.degrees(sigma).tolist(),
         "decided": bool(result["decided"].values[k]),
     }
-    found["wrong"] = bool((np.abs(miss) > np.maximum(5 * sigma, np.radians(0.1))).any())
+    found["wrong"] = is_wrong(omegas[0], sigma, omega_true)
+    found["listed"] = is_listed(omegas, sigmas, result["probability"].values[k], omega_true)
     if result.attrs["frame_N"] == "J2000":
         # the twins' N is the true equator of 2021, 0.3 deg from J2000
         ours, theirs = (
@@ -246,5 +251,5 @@ def judge(seed: int, i: int) -> dict[str, Any]:
                 )
                 about[name]["passes"].append(judged(result, truth, 0))
             except SunspinError as error:
-                about[name]["passes"].append({"refused": str(error)})
+                about[name]["passes"].append({"refused": str(error), "listed": False})
     return about

@@ -16,6 +16,7 @@ from sunspin.estimate.inertia import ASSUMED
 from sunspin.estimate.rates.result import DECIDED
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
+from validation.truths import is_listed
 
 SENSORS = {
     "none": Sensors(),
@@ -149,7 +150,7 @@ def judge(seed: int, i: int) -> dict[str, Any]:
     try:
         result = ss.rates(vehicle, data)
     except SunspinError as error:
-        return about | {"word": "refused", "verdict": str(error)}
+        return about | {"word": "refused", "verdict": str(error), "listed": False}
     return about | judged(result, run, 0) | {"verdict": result.attrs["verdict"]}
 
 
@@ -173,6 +174,7 @@ def judged(result: xr.Dataset, run: xr.Dataset, k: int) -> dict[str, Any]:
     word = "fits badly" if bad else "decided" if weight[0] >= DECIDED else "several"
     return {
         "word": word,
+        "listed": is_listed(result["omega_mean_B"].values[k], sigma, weight, truth),
         "best": bool(near[0]),
         "probability": float(weight[near].sum()),
         "pulls": (miss / sigma)[best].tolist(),

@@ -17,6 +17,7 @@ import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.estimate.posterior.model import ASSUMED
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from validation.truths import is_in_solutions
 
 FACES = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -155,7 +156,7 @@ def judge(twin: Twin, workers: int | None) -> dict[str, Any]:
     try:
         tree = ss.posterior(twin.vehicle, twin.telemetry, twin.priors, seed=0, workers=workers)
     except SunspinError as error:
-        return twin.about | {"word": "refused", "verdict": str(error)}
+        return twin.about | {"word": "refused", "verdict": str(error), "listed": False}
     modes = tree["solutions"]
     off = twin.omega_B - modes["omega_B"].values
     spread = modes["omega_cov_B"].values
@@ -164,6 +165,7 @@ def judge(twin: Twin, workers: int | None) -> dict[str, Any]:
     return twin.about | {
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],
+        "listed": is_in_solutions(modes.to_dataset(), twin.omega_B),
         "sigmas": far[nearest],
         "solutions": len(far),
         "probability": float(modes["probability"].values[nearest]),

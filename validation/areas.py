@@ -19,8 +19,8 @@ import numpy as np
 from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
-from validation.passes import WRONG_SIGMAS
 from validation.scoreboard import ROOT, Task
+from validation.truths import WRONG_SIGMAS
 
 sys.path.append(str(ROOT / "tests"))  # where some of the simulated satellites are
 
@@ -46,8 +46,10 @@ def _pass(kind: str, seed: int, i: int) -> Row:
 
     row = judge(kind, seed, i)
     if "pull" not in row:
-        return {"outcome": "open", "says": row["why"]}
-    if row["decided"] and (row["wrong"] or row["empty"]):
+        return {"outcome": "open", "says": row["why"], "listed": False}
+    # where columns are exchanged the mirror image is what the file says
+    wrong = row["wrong"] or row["empty"] or (row["mirrored"] and kind != "columns exchanged")
+    if row["decided"] and wrong:
         outcome = "wrong"
     elif row["mirrored"]:
         outcome = "open"
@@ -59,6 +61,7 @@ def _pass(kind: str, seed: int, i: int) -> Row:
     return {
         "outcome": outcome,
         "says": row["why"],
+        "listed": row["listed"],
         "off": row["off_deg_s"],
         "sigma": row["sigma_deg_s"],
     }
@@ -70,7 +73,7 @@ def _any_vehicle(seed: int, i: int) -> Row:
 
     row = judge(seed, i)
     if row["word"] == "refused":
-        return {"outcome": "open", "says": row["verdict"]}
+        return {"outcome": "open", "says": row["verdict"], "listed": False}
     if row["word"] == "decided":
         outcome = "wrong" if row["probability"] < 1 - DECIDED else "right"
     else:
@@ -79,6 +82,7 @@ def _any_vehicle(seed: int, i: int) -> Row:
     return {
         "outcome": outcome,
         "says": row["verdict"],
+        "listed": row["listed"],
         "off": off.tolist(),
         "sigma": (off / row["pulls"]).tolist(),
     }
@@ -102,8 +106,10 @@ def _orbiting(seed: int, i: int) -> Row:
 
     row = judge(seed, i)
     ways = ("without", "right", "field alone")
-    judged = [each for way in ways if way in row for each in row[way]["passes"] if "pulls" in each]
-    return _of_passes(judged, "miss_deg_s", "sigma_deg_s")
+    passes = [each for way in ways if way in row for each in row[way]["passes"]]
+    judged = [each for each in passes if "pulls" in each]
+    listed = all(each["listed"] for each in passes)
+    return _of_passes(judged, "miss_deg_s", "sigma_deg_s") | {"listed": listed}
 
 
 def _sparse(seed: int, i: int) -> Row:
@@ -128,6 +134,7 @@ def _of_passes(passes: list[Row], off: str, sigma: str) -> Row:
         outcome = "open" if all(each["wrong"] for each in passes) else "undecided"
     return {
         "outcome": outcome,
+        "listed": all(each["listed"] for each in passes),
         "off": [value for each in decided for value in each[off]],
         "sigma": [value for each in decided for value in each[sigma]],
         "measured": {"decided": len(decided), "passes": len(passes)},
@@ -172,12 +179,13 @@ def _torque(kind: str, seed: int, i: int) -> Row:
 
     row = judge(kind, seed, i)
     if row["word"] == "refused":
-        return {"outcome": "defect", "says": row["verdict"]}
+        return {"outcome": "defect", "says": row["verdict"], "listed": False}
     near = min(row["far"]) < WRONG_SIGMAS
     outcome = "wrong" if row["wrong"] else _of_word(row["word"], near)
     return {
         "outcome": outcome,
         "says": row["verdict"],
+        "listed": row["listed"],
         "off": row["error"],
         "sigma": row["sigma"] * np.sqrt(3),
         "level": row["level"],
@@ -216,6 +224,7 @@ def _twin(
     return {
         "outcome": outcome,
         "says": row["verdict"],
+        "listed": row["listed"],
         "off": row["error"],
         "sigma": row["sigma"],
         "level": row["level"],
@@ -228,10 +237,11 @@ def _any_posterior(seed: int, i: int) -> Row:
 
     row = judge(make(seed, i), workers=1)
     if row["word"] == "refused":
-        return {"outcome": "open", "says": row["verdict"]}
+        return {"outcome": "open", "says": row["verdict"], "listed": False}
     return {
         "outcome": _of_word(row["word"], row["sigmas"] < NEAR_SIGMAS),
         "says": row["verdict"],
+        "listed": row["listed"],
         "off": row["error"],
         "sigma": row["sigma"],
         "level": row["level"],
@@ -243,10 +253,11 @@ def _simulated(seed: int, i: int) -> Row:
 
     case = next(case for case in cases(seed) if case.number == i)
     row = limited(case, LIMIT_S)
-    outcome = "open" if row["word"] == "did not end" else _of_word(row["word"], row["listed"])
+    outcome = "open" if row["word"] == "did not end" else _of_word(row["word"], row["recalled"])
     return {
         "outcome": outcome,
         "says": row["verdict"] or row["word"],
+        "listed": row["listed"],
         "processor_s": row["processor_s"],
     }
 

@@ -19,6 +19,7 @@ from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import Model, State, model
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Vehicle
+from validation.truths import is_in_solutions
 
 KINDS = {"known": 0, "unknown": 1, "swapped": 5, "wheel_off": 6, "turned": 8}
 """Kind -> the number that seeds its draws."""
@@ -116,6 +117,7 @@ def judge(
     sigmas = np.sqrt(np.einsum("mi,mij,mj->m", off, np.linalg.inv(spread), off))
     return {
         "level": float(np.mean(density > true)),
+        "listed": is_in_solutions(modes, truth.omega[0]),
         "recalled": bool(sigmas.min() < NEAR_SIGMAS),
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],

@@ -16,7 +16,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.vehicle import TelemetryForm
-from validation.passes import beyond
+from validation.truths import is_wrong
 
 EXCHANGES, SAMPLES = 2, 32
 """Exchanges drawn for each satellite, samples of each file."""
@@ -226,7 +226,7 @@ def _judged(
     at = int(np.argmin(np.abs(made.t_s - t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))])))
     alike = equivalents(made, order)
     motions = [made.omega[at], *(np.linalg.det(m) * m @ made.omega[at] for m in alike)]
-    off = [beyond(np.abs(omega - motion), sigma) for motion in motions]
+    off = [is_wrong(omega, sigma, motion) for motion in motions]
     pulls = [float((np.abs(omega - one) / sigma).max()) for one in motions]
     truth = (
         None

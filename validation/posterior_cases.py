@@ -25,6 +25,7 @@ from scipy.integrate import solve_ivp
 from sunspin.base.errors import SunspinError
 from sunspin.cases import load_case
 from sunspin.estimate.posterior.estimate import posterior
+from validation.truths import is_in_solutions
 
 CASES = 24
 
@@ -176,14 +177,21 @@ def run(case: Case) -> dict[str, Any]:
         tree = posterior(vehicle, telemetry, {"max_rate_rad_s": case.max_rate}, 0, workers=1)
     except SunspinError as error:
         took = time.process_time() - began
-        return {"word": "refused", "verdict": str(error), "listed": False, "processor_s": took}
+        return {
+            "word": "refused",
+            "verdict": str(error),
+            "recalled": False,
+            "listed": False,
+            "processor_s": took,
+        }
     modes = tree["solutions"]
     off, spread = omega - modes["omega_B"].values, modes["omega_cov_B"].values + 1e-14 * np.eye(3)
     far = [np.sqrt(o @ np.linalg.solve(c, o)) for o, c in zip(off, spread, strict=True)]
     return {
         "word": tree.attrs["verdict_word"],
         "verdict": tree.attrs["verdict"],
-        "listed": bool(min(far) < NEAR_SIGMAS),
+        "recalled": bool(min(far) < NEAR_SIGMAS),
+        "listed": is_in_solutions(modes.to_dataset(), omega),
         "processor_s": time.process_time() - began,
     }
 
@@ -203,6 +211,12 @@ def limited(case: Case, limit_s: float) -> dict[str, Any]:
     try:
         row = json.loads(here.recv())
     except EOFError:
-        row = {"word": "did not end", "verdict": "", "listed": False, "processor_s": limit_s}
+        row = {
+            "word": "did not end",
+            "verdict": "",
+            "recalled": False,
+            "listed": False,
+            "processor_s": limit_s,
+        }
     process.join()
     return row

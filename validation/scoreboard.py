@@ -40,8 +40,8 @@ OUTCOMES = ("right", "not run", "open", "undecided", "wrong", "defect")
 @dataclass(frozen=True)
 class Task:
     """One case. `run` gives a row with "outcome", and may give "off" and "sigma" (numbers of one unit, whose ratios are pulls), the
-    part of a posterior that is likelier than the truth ("level") and other figures ("measured"); "processor_s" is
-    added. A run that judges many things at once gives "cases", a row for each."""
+    part of a posterior that is likelier than the truth ("level"), whether the truth is in the list of solutions ("listed") and
+    other figures ("measured"); "processor_s" is added. A run that judges many things at once gives "cases", a row for each."""
 
     area: str
     kind: str
@@ -144,6 +144,9 @@ def figures(rows: Iterable[dict[str, Any]]) -> dict[str, float]:
     levels = np.array([row["level"] for row in rows if "level" in row])
     if levels.size:
         numbers |= {"in_50": float((levels <= 0.5).mean()), "in_90": float((levels <= 0.9).mean())}
+    listed = [row["listed"] for row in rows if "listed" in row]
+    if listed:
+        numbers |= {"listed": sum(listed), "not_listed": len(listed) - sum(listed)}
     numbers["processor_s"] = float(np.median([row["processor_s"] for row in rows]))
     return numbers
 
@@ -163,6 +166,7 @@ def board(
                     key: float(f"{value:.4g}") for key, value in figures(each.values()).items()
                 },
                 "cases": {case: row["outcome"] for case, row in each.items()},
+                "listed": {case: row["listed"] for case, row in each.items() if "listed" in row},
                 "measured": {
                     case: row["measured"] for case, row in each.items() if "measured" in row
                 },
@@ -184,6 +188,16 @@ def flips(before: dict[str, Any], now: dict[str, Any]) -> list[tuple[int, str]]:
     return sorted(found, key=lambda flip: (-flip[0], flip[1]))
 
 
+def truths_lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Return a sentence for each case whose truth is in the list of solutions of the earlier board and not in this one's."""
+    return [
+        f"{name}, case {case}: the truth is no longer listed"
+        for name, each in now["sets"].items()
+        for case, listed in each["listed"].items()
+        if not listed and before["sets"].get(name, {}).get("listed", {}).get(case)
+    ]
+
+
 MOVED = ("contradiction_", "cited_", "last_section", "window_", "trajectory_s", "touchdown_energy_")
 """How the names of cases begin that `studies/contradictions.py` judges now instead of the scoreboard."""
 
@@ -203,7 +217,19 @@ def lost(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
     """A line for each set: counts and figures; of two states counts over the cases of both, the rest over each one's."""
-    heads = ["set", "cases", *OUTCOMES, "in 68", "in 95", "pull", "sigma", "in 50", "in 90", "s"]
+    heads = [
+        "set",
+        "cases",
+        *OUTCOMES,
+        "listed",
+        "in 68",
+        "in 95",
+        "pull",
+        "sigma",
+        "in 50",
+        "in 90",
+        "s",
+    ]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, each in now["sets"].items():
         old = (before or {"sets": {}})["sets"].get(name)
@@ -213,6 +239,7 @@ def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
         for key in OUTCOMES:
             counts = [sum(state["cases"][case] == key for case in both) for state in states]
             cells.append(" / ".join(map(str, counts)))
+        cells.append(" / ".join(_listed(state, both) for state in states))
         for key in ("in_68", "in_95", "rms_pull", "sigma", "in_50", "in_90", "processor_s"):
             cells.append(" / ".join(_shown(state["figures"], key) for state in states))
         lines.append("| " + " | ".join(cells) + " |")
@@ -223,6 +250,13 @@ def table(now: dict[str, Any], before: dict[str, Any] | None = None) -> str:
                     f"| {name}, {case}: {key} | {'' if past is None else f'{past:.4g} / '}{value:.4g} |"
                 )
     return "\n".join(lines)
+
+
+def _listed(each: dict[str, Any], cases: list[str]) -> str:
+    """Return in how many of these cases the truth is listed, of those that have one truth."""
+    of_cases = [each.get("listed", {}).get(case) for case in cases]
+    known = [listed for listed in of_cases if listed is not None]
+    return f"{sum(known)} of {len(known)}" if known else "-"
 
 
 def _shown(numbers: dict[str, float], key: str) -> str:
@@ -317,6 +351,6 @@ def main(options: argparse.Namespace) -> int:
     turned = flips(before, now)
     print(f"{len(turned)} cases differ from {before['state']}")
     print("\n".join(sentence for _, sentence in turned))
-    missing = lost(before, now)
+    missing = lost(before, now) + truths_lost(before, now)
     print("\n".join(missing))
     return int(bool(missing) or any(worse > 0 for worse, _ in turned))

@@ -21,6 +21,7 @@ from sgp4.api import Satrec, jday
 
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
+from validation.truths import is_listed, is_wrong
 
 EARTH_KM, ORBIT_S = 6371.0, 5600.0
 FACES = {
@@ -363,18 +364,18 @@ def run(case: Case, folder: Path, what: str) -> dict[str, Any]:
 def _pass(truth: dict[str, Any], said: dict[str, Any]) -> dict[str, Any]:
     """A pass of `rates` compared with the truth at the instant for which it states its rates, deg/s."""
     true = np.array(truth["rates_deg_s"])[np.abs(np.array(truth["t_s"]) - said["at_s"]).argmin()]
-    best = said["solutions"][0]
+    solutions = said["solutions"]
     omega, sigma = (
-        np.array([best[f"{name}_{axis}_deg_s"] for axis in "xyz"]) for name in ("omega", "sigma")
+        np.array([[one[f"{name}_{axis}_deg_s"] for axis in "xyz"] for one in solutions])
+        for name in ("omega", "sigma")
     )
-    off = omega - true
+    probability = np.array([one["probability"] for one in solutions])
+    off = omega[0] - true
+    rates = np.radians(omega), np.radians(sigma)
     return {
         "decided": said["decided"],
         "off_all": off.tolist(),
-        "sigma_all": sigma.tolist(),
-        "wrong": bool((np.abs(off) > np.maximum(WRONG_SIGMAS * sigma, WRONG_DEG_S)).any()),
+        "sigma_all": sigma[0].tolist(),
+        "wrong": is_wrong(rates[0][0], rates[1][0], np.radians(true)),
+        "listed": is_listed(*rates, probability, np.radians(true)),
     }
-
-
-WRONG_SIGMAS, WRONG_DEG_S = 5.0, 0.1
-"""A rate is wrong if a component is off by more than both."""

@@ -20,7 +20,7 @@ from sunspin.estimate.posterior.model import model
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from validation.calibrate import AS_DRAWN, prior_truth
-from validation.passes import WRONG_SIGMAS
+from validation.truths import WRONG_SIGMAS, is_in_solutions
 
 LEVELS = {
     "0": (0.0, 0.0),
@@ -93,7 +93,7 @@ def judge(level: str, seed: int, i: int) -> dict[str, Any]:
     try:
         tree = posterior(BOX, made.telemetry, made.priors, seed, workers=1)
     except SunspinError as error:
-        return {"word": "refused", "verdict": str(error)}
+        return {"word": "refused", "verdict": str(error), "listed": False}
     modes = tree["solutions"]
     off, spread = made.omega_B - modes["omega_B"].values, modes["omega_cov_B"].values
     far = [float(np.sqrt(o @ np.linalg.solve(c, o))) for o, c in zip(off, spread, strict=True)]
@@ -103,6 +103,7 @@ def judge(level: str, seed: int, i: int) -> dict[str, Any]:
     return {
         "word": word,
         "verdict": tree.attrs["verdict"],
+        "listed": is_in_solutions(modes.to_dataset(), made.omega_B),
         "far": far[:5],
         "level": float(chi2.cdf(min(far) ** 2, 3)),
         "wrong": bool(

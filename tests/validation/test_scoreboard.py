@@ -10,8 +10,18 @@ import numpy as np
 import pytest
 
 from validation import scoreboard
-from validation.areas import AREAS, _of_passes
-from validation.scoreboard import OUTCOMES, Task, board, figures, flips, lost, rows_of, table
+from validation.areas import AREAS, _of_passes, _pass
+from validation.scoreboard import (
+    OUTCOMES,
+    Task,
+    board,
+    figures,
+    flips,
+    lost,
+    rows_of,
+    table,
+    truths_lost,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -95,6 +105,33 @@ def test_a_case_that_is_no_longer_run_is_named_unless_it_moved():
     assert lost(before, now | {"level": "quick"}) == [] == lost(before, now | {"sets": {}})
 
 
+def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
+    def of(*listed):
+        rows = {
+            str(i): {"outcome": "open", "processor_s": 1.0}
+            | ({} if one is None else {"listed": one})
+            for i, one in enumerate(listed)
+        }
+        return json.loads(json.dumps(board({"rates: kind": rows}, "abc", "quick", [0])))
+
+    before, now = of(True, True, False, None), of(True, False, False, None)
+    assert truths_lost(before, now) == ["rates: kind, case 1: the truth is no longer listed"]
+    assert not truths_lost(now, before)
+    assert "| 2 of 3 / 1 of 3 |" in table(now, before)
+
+
+@pytest.mark.parametrize(
+    ("kind", "outcome"), [("right model", "wrong"), ("columns exchanged", "open")]
+)
+def test_a_decided_mirror_image_is_wrong_but_where_columns_are_exchanged(
+    monkeypatch, kind, outcome
+):
+    row = {"decided": True, "wrong": False, "mirrored": True, "empty": False, "leads": True}
+    row |= {"listed": False, "pull": 9.0, "off_deg_s": [1.0], "sigma_deg_s": [0.1], "why": ""}
+    monkeypatch.setattr("validation.passes.judge", lambda *_: row)
+    assert _pass(kind, 0, 0)["outcome"] == outcome
+
+
 def test_the_state_of_a_changed_tree_is_not_that_of_its_commit(monkeypatch):
     clean = {"rev-parse": "abc", "status": ""}
     monkeypatch.setattr(scoreboard, "_git", lambda command, *_: clean[command])
@@ -131,8 +168,12 @@ def test_a_file_of_several_passes_is_wrong_where_a_decided_pass_is():
         "open": [(False, True)],
     }
     for outcome, each in of.items():
-        passes = [{"decided": d, "wrong": w, "off": [0.1], "sigma": [0.2]} for d, w in each]
-        assert _of_passes(passes, "off", "sigma")["outcome"] == outcome
+        passes = [
+            {"decided": d, "wrong": w, "listed": not w, "off": [0.1], "sigma": [0.2]}
+            for d, w in each
+        ]
+        row = _of_passes(passes, "off", "sigma")
+        assert row["outcome"] == outcome and row["listed"] is not any(w for _, w in each)
 
 
 @pytest.mark.parametrize("folder", ["validation", "studies", "bench"])

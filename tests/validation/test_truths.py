@@ -1,0 +1,53 @@
+"""When a rate is wrong, and when the truth is in a list of solutions."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from validation.truths import is_in_solutions, is_listed, is_wrong
+
+FAST, SLOW = np.radians([1.0, 0.0, 0.0]), np.radians([0.2, 0.0, 0.0])
+SHARP = np.radians([0.001, 0.001, 0.001])
+
+
+@pytest.mark.parametrize(
+    ("truth", "off_deg_s", "sigma_deg_s", "wrong"),
+    [
+        (FAST, 0.09, 0.001, False),  # many sigmas, and less than 0.1 deg/s
+        (FAST, 0.11, 0.001, True),
+        (FAST, 0.11, 0.03, False),  # fewer than five sigmas
+        (SLOW, 0.05, 0.001, True),  # more than a fifth of a slow rate
+        (SLOW, 0.03, 0.001, False),
+    ],
+)
+def test_wrong_is_five_sigmas_and_a_tenth_of_a_degree_or_a_fifth_of_a_slow_rate(
+    truth, off_deg_s, sigma_deg_s, wrong
+):
+    omega = truth + np.radians([0.0, off_deg_s, 0.0])
+    assert is_wrong(omega, np.radians(np.full(3, sigma_deg_s)), truth) is wrong
+
+
+def test_a_truth_is_listed_by_any_solution_that_a_user_reads():
+    omega = np.stack([FAST + np.radians([2.0, 0, 0]), FAST, np.full(3, np.nan)])
+    sigma = np.stack([SHARP, SHARP, np.full(3, np.nan)])
+    assert is_listed(omega, sigma, np.array([0.99, 0.01, np.nan]), FAST)
+    assert not is_listed(omega, sigma, np.array([0.9999, 1e-4, np.nan]), FAST)
+    assert not is_listed(omega[:1], sigma[:1], np.ones(1), FAST)
+    # a fifth of the true speed is near enough, whatever the sigma
+    assert is_listed(1.15 * FAST[None], SHARP[None], np.ones(1), FAST)
+    assert not is_listed(1.25 * FAST[None], SHARP[None], np.ones(1), FAST)
+
+
+def test_the_solutions_of_a_posterior_are_judged_by_their_covariance():
+    solutions = xr.Dataset(
+        {
+            "omega_B": (("solution", "axis"), (2 * FAST)[None]),
+            "omega_cov_B": (
+                ("solution", "axis", "axis2"),
+                (np.radians(0.3) ** 2 * np.eye(3))[None],
+            ),
+            "probability": ("solution", np.ones(1)),
+        }
+    )
+    assert is_in_solutions(solutions, FAST)
+    assert not is_in_solutions(solutions.assign(omega_cov_B=solutions["omega_cov_B"] / 9), FAST)
