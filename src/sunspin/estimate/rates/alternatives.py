@@ -18,10 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.estimate.rates.common_errors import Common, again, places_of
+from sunspin.estimate.rates.copies import ALIKE_RAD, Outline
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
-from sunspin.estimate.rates.search import ALIKE_RAD, distinct_index, outline
+from sunspin.estimate.rates.search import distinct_index
 from sunspin.estimate.rates.smooth import TURN_PRIOR, Intervals, cost_limit, log_noise
 from sunspin.estimate.rates.state import Track
 from sunspin.estimate.rates.wandering import about_most, log_evidence
@@ -542,6 +543,11 @@ class Counted(NamedTuple):
     weights: np.ndarray
 
 
+def _outline(trial: Trial) -> Outline:
+    one = trial.hypothesis
+    return Outline.of(trial.fit.seen, one.o.t_s[one.kept], trial.fit.track.covariance)
+
+
 def counted(trials: list[Trial]) -> list[Counted]:
     """The motions that the trials leave, heaviest first, with weights that add to one."""
     weights = pooled(trials)
@@ -549,19 +555,19 @@ def counted(trials: list[Trial]) -> list[Counted]:
     order = order[weights[order] > COUNTED * weights.max()]
     every = [(i, k) for i, trial in enumerate(trials) for k in range(len(trial.log_evidence))]
     every, weights = [every[m] for m in order], weights[order]
-    found: list[tuple[np.ndarray, list[int]]] = []
+    found: list[tuple[Outline, list[int]]] = []
+    outlines = {i: _outline(trials[i]) for i in {i for i, _ in every}}
     for m, (i, k) in enumerate(every):
         one = trials[i].hypothesis
-        place = outline(trials[i].fit.seen, one.o.t_s[one.kept])[k]
         for head, members in found:
             others = all(every[n][0] != i for n in members) or any(
                 term.several() for term in one.o.terms
             )
-            if ((head - place) ** 2).sum(axis=-1).max() <= (BENT_RAD if others else ALIKE_RAD) ** 2:
+            if outlines[i].copies(k, head, BENT_RAD if others else ALIKE_RAD, others)[0]:
                 members.append(m)
                 break
         else:
-            found.append((place, [m]))
+            found.append((outlines[i].take(np.array([k])), [m]))
     groups = [
         Counted([every[m] for m in members], weights[members] / weights.sum())
         for _, members in found

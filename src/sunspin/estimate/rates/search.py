@@ -15,16 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.effort import may_go_on
+from sunspin.estimate.rates.copies import Outline
 from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.smooth import cost_limit, costs, smooth
 from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
+from sunspin.estimate.rates.valley import neighbours
 from sunspin.estimate.terms.known_field import KnownField
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.terms.term import SUN_N, Seen, SunTerm
+from sunspin.estimate.terms.term import SUN_N, SunTerm, facing
 
 WINDOW = 2
 """Samples on either side of the first pair on which the rates are first tried."""
@@ -70,9 +72,6 @@ BLIND_PAIRS = 4
 DIM_PENALTY = 3.0
 """So much longer is a pair of samples reckoned where both are dark."""
 
-SUN_SHARE = 0.35
-"""Directions of the Sun count so much less than turns there: they part mirror images, not what is still on its way to one place."""
-
 MAX_TURNS = 100
 """Whole turns between two samples, at most: where both bound the Sun only, as many would make a million rates to try."""
 
@@ -81,10 +80,6 @@ KEEP_FIRST, KEEP = 120, 32
 
 DROP = 18.0
 """Hypotheses less probable than the best by exp(-18) are dropped."""
-
-ALIKE_RAD = 0.25
-"""Two hypotheses whose turns between neighbours and whose directions of the Sun differ by less everywhere are one: panels on the
-sides alone leave two mirror images, which turn nearly alike where the body spins about the axis that nothing looks along."""
 
 
 def wider(o: Observations, noise: float, index: int, apart_rad: float) -> Observations:
@@ -128,7 +123,7 @@ def first_tracks(
 def _best(o, index, suns, rates, motion, apart, keep) -> Track:
     """The `keep` starts at sample `index` that fit all samples of `o` best, moved to them."""
     loose = wider(o, motion.noise, index, apart)
-    track = carried(o, index, suns, rates, motion)
+    track = carried(o, index, facing(suns), rates, motion)
     parts = np.array_split(np.arange(len(rates)), 1 + len(rates) // 4000)
     cost = np.concatenate([costs(loose, track.take(part)).sum(axis=1) for part in parts])
     cost += (rates**2).sum(axis=1) / (2 * motion.rate_prior**2)
@@ -159,29 +154,22 @@ def distinct_index(
     if not len(order):
         return order
     order = order[track.cost[order] < track.cost[order[0]] + drop]
-    angle = outline(track, times)
+    outline = Outline.of(track, times)
     chosen = np.zeros(0, dtype=int)
     for i in order:
-        apart = ((angle[chosen] - angle[i]) ** 2).sum(axis=-1).max(axis=-1)
-        if not len(chosen) or apart.min() > ALIKE_RAD**2:
+        if not outline.copies(i, outline.take(chosen)).any():
             chosen = np.append(chosen, i)
         if len(chosen) == keep:
             break
     return chosen
 
 
-def outline(track: Seen, times: np.ndarray) -> np.ndarray:
-    """Turns between neighbours and directions of the Sun (K, m, 3) by which hypotheses differ."""
-    turns = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
-    return np.concatenate(
-        [track.omega[:, : len(turns)] * turns, SUN_SHARE * track.sun_B], axis=1
-    ).astype(np.float32)
-
-
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
     """Carry hypotheses of samples low to high - 1 over all samples."""
     while len(track.omega) and (low > 0 or high < len(o)):
-        attitude, omega = track.attitude, track.omega
+        more = neighbours(o.part(low, high), track, motion)
+        attitude = np.concatenate([track.attitude, more.attitude])
+        omega = np.concatenate([track.omega, more.omega])
         for _ in range(max(1, (high - low) // GROW_SHARE)):
             if high < len(o):
                 dt = np.full(len(omega), o.t_s[high] - o.t_s[high - 1])
@@ -205,21 +193,27 @@ def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> 
 
 
 def _freed(o: Observations, track: Track, motion: Motion) -> Track:
-    """Hypotheses that fit badly, in a window so short that no torque has told yet, moved by shooting: the smoother creeps there."""
+    """Return hypotheses with those moved that fit badly in a window so short that the motion is stiff."""
     poor = np.flatnonzero(track.cost > POOR * cost_limit(o))
-    middle = len(o) // 2
-    drift = motion.noise * np.sqrt(np.abs(o.t_s - o.t_s[middle]).max() ** 3 / 3)
-    if not len(poor) or drift > DRIFT_RAD:
+    if not len(poor) or not _stiff(o, motion):
         return track
-    moved = smooth(
-        o,
-        shot(wider(o, motion.noise, middle, 0.0), middle, track.take(poor), motion, 8),
-        motion,
-        steps=4,
-    )
     good = np.setdiff1d(np.arange(len(track.cost)), poor)
-    both = moved if not len(good) else joined([track.take(good), moved])
-    return distinct(both, o.t_s)
+    moved = _shot(o, track.take(poor), motion)
+    return distinct(joined([track.take(good), moved]) if len(good) else moved, o.t_s)
+
+
+def _stiff(o: Observations, motion: Motion) -> bool:
+    """Return whether unknown torques hardly turn the body over the samples: the smoother creeps there, and shooting does not."""
+    half_s = np.abs(o.t_s - o.t_s[len(o) // 2]).max()
+    return bool(motion.noise * np.sqrt(half_s**3 / 3) <= DRIFT_RAD)
+
+
+def _shot(o: Observations, track: Track, motion: Motion) -> Track:
+    """Return hypotheses fitted by shooting from the middle sample, and smoothed."""
+    middle = len(o) // 2
+    return smooth(
+        o, shot(wider(o, motion.noise, middle, 0.0), middle, track, motion, 8), motion, steps=4
+    )
 
 
 def search(o: Observations, motion: Motion, rate_max: float, pairs: int | None = None) -> Track:
@@ -234,14 +228,11 @@ def with_images(o: Observations, track: Track, motion: Motion) -> Track:
     if len(images) == 1:
         return track
     chosen: list[int] = []
+    outline = Outline.of(track, o.t_s)
     for i in range(len(track.cost)):
-        as_seen = outline(joined_images(track.take(np.array([i])), images), o.t_s)
-        apart = (
-            ((as_seen[:, None] - outline(track.take(np.array(chosen, dtype=int)), o.t_s)) ** 2)
-            .sum(axis=-1)
-            .max(axis=-1)
-        )
-        if not chosen or apart.min() > ALIKE_RAD**2:
+        as_seen = Outline.of(joined_images(track.take(np.array([i])), images), o.t_s)
+        others = outline.take(np.array(chosen, dtype=int))
+        if not any(as_seen.steps_alike(m, others).any() for m in range(len(images))):
             chosen.append(i)
         if len(chosen) == FAMILIES:
             break
@@ -298,7 +289,12 @@ def cooled(o: Observations, track: Track, noise: float, motion: Motion) -> Track
     steps = int(np.ceil(abs(np.log(noise / motion.noise)) / COOLING))
     for level in np.geomspace(noise, motion.noise, steps + 1)[1:]:
         track = distinct(smooth(o, track, replace(motion, noise=float(level)), steps=12), o.t_s)
-    return distinct(smooth(o, track, motion, steps=25), o.t_s)
+    track = distinct(smooth(o, track, motion, steps=25), o.t_s)
+    if len(track.cost) > 1 and _stiff(o, motion):
+        # those that still creep along the valley of the best are copies of it, which they are at its end
+        others = _shot(o, track.take(slice(1, None)), motion)
+        track = distinct(joined([track.take(slice(1)), others]), o.t_s)
+    return track
 
 
 def bright_pairs(o: Observations) -> np.ndarray:

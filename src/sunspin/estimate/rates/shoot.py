@@ -11,7 +11,6 @@ import numpy as np
 from sunspin.estimate.rates.motion import step, step_with_answer
 from sunspin.estimate.rates.smooth import followed, free_turn, measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.estimate.terms.term import facing
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import turn
@@ -21,13 +20,13 @@ CROWD = 4000
 
 
 def carried(
-    o: Observations, index: int, suns: np.ndarray, rates: np.ndarray, motion: Motion
+    o: Observations, index: int, attitudes: np.ndarray, rates: np.ndarray, motion: Motion
 ) -> Track:
-    """Starts (K, 3) and (K, 3) at sample `index` moved to all samples of `o` by the equations of motion."""
+    """Return the motions that have these attitudes (K, 3, 3) and rates (K, 3) at sample `index`, at all samples of `o`."""
     attitude, omega = np.empty((len(rates), len(o), 3, 3)), np.empty((len(rates), len(o), 3))
     order = np.argsort((rates**2).sum(axis=1), kind="stable")  # slow ones together need few steps
     for part in np.array_split(order, 1 + len(order) // CROWD):
-        attitude[part, index], omega[part, index] = facing(suns[part]), rates[part]
+        attitude[part, index], omega[part, index] = attitudes[part], rates[part]
         for start, end in _ways(index, len(o)):
             dt = np.full(len(part), o.t_s[end] - o.t_s[start])
             ends = motion.body.seen(o.wheels(start, end), attitude[part, start], o.t_s[start])

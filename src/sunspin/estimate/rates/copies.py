@@ -1,0 +1,86 @@
+"""When two motions that a search of :mod:`sunspin.estimate.rates` holds are copies of one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.estimate.rates.state import Track
+from sunspin.estimate.terms.term import Seen
+
+ALIKE_RAD = 0.25
+"""Copies turn alike between neighbours, and see the Sun alike, to this everywhere: panels on the sides alone leave two mirror
+images, which turn nearly alike where the body spins about the axis that nothing looks along."""
+
+SUN_SHARE = 0.35
+"""Directions of the Sun count so much less than turns there: they part mirror images, not what is still on its way to one place."""
+
+WHOLE_SHARE = 0.7
+"""And turns from the middle of the samples so much: 0.35 rad of them part two motions, as a fit moves no farther. Slow motions turn
+nearly alike between neighbours, and by whole turns otherwise over a pass."""
+
+COPY_SIGMAS = 3.0
+"""Motions that far apart at most, at every sample, lie in one valley of the cost, however long that is, and are copies too."""
+
+
+class Outline(NamedTuple):
+    """What motions (K) are compared by: `steps` (K, m, 3), turns between neighbours and directions of the Sun; turns from
+    the middle, `whole` (K, n - 1, 3); rates `omega` (K, n, 3) and their covariance (K, n, 3, 3), or none (K, 0, 3, 3)."""
+
+    steps: np.ndarray
+    whole: np.ndarray
+    omega: np.ndarray
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, track: Seen, times: np.ndarray, covariance: np.ndarray | None = None) -> Outline:
+        """Return that of motions at `times` (n), s; `covariance` (K, n, 6, 6) of turn and rate, unless that of the track."""
+        if covariance is None:
+            covariance = track.covariance if isinstance(track, Track) else np.zeros(0)
+        count = len(track.omega)
+        rates = covariance[..., 3:, 3:] if covariance.size else np.zeros((count, 0, 3, 3))
+        dt = np.diff(times)[:, None] if len(times) > 1 else np.ones((1, 1))
+        turns = track.omega[:, : len(dt)] * dt
+        whole = np.cumsum(turns, axis=1)
+        whole = WHOLE_SHARE * (whole - whole[:, len(dt) // 2, None])
+        steps = np.concatenate([turns, SUN_SHARE * track.sun_B], axis=1)
+        return cls(steps.astype(np.float32), whole.astype(np.float32), track.omega, rates)
+
+    def take(self, index: np.ndarray) -> Outline:
+        """Return those of the motions `index`."""
+        return Outline(*(part[index] for part in self))
+
+    def steps_alike(self, k: int, others: Outline, apart_rad: float = ALIKE_RAD) -> np.ndarray:
+        """Return which of some motions (K) turn like motion `k` between neighbours and see the Sun where it does."""
+        return ((others.steps - self.steps[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
+
+    def copies(
+        self, k: int, others: Outline, apart_rad: float = ALIKE_RAD, joint: bool = False
+    ) -> np.ndarray:
+        """Return which of some motions (K) are copies of motion `k`.
+
+        They turn alike at every step; and alike over the whole pass, or their rates are within `COPY_SIGMAS` at every sample: in
+        each one's own sigma, as a broad one reaches over narrow minima, or in the `joint` one where two models have them.
+        """
+        same = self.steps_alike(k, others, apart_rad)
+        whole = ((others.whole - self.whole[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
+        doubtful = np.flatnonzero(same & ~whole)
+        same &= whole
+        if len(doubtful) and self.covariance.size and others.covariance.size:
+            own, theirs = self.covariance[k], others.covariance[doubtful]
+            off = others.omega[doubtful] - self.omega[k]
+            spreads = [own + theirs] if joint else [np.broadcast_to(own, theirs.shape), theirs]
+            far = np.max([_squared_sigmas(off, spread) for spread in spreads], axis=0)
+            same[doubtful] = far <= COPY_SIGMAS**2
+        return same
+
+
+def _squared_sigmas(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the largest squared distance (K), over samples, of `off` (K, n, 3) in sigmas of `covariance` (K, n, 3, 3); infinite
+    where that is none."""
+    variance, axes = np.linalg.eigh(np.nan_to_num(covariance))
+    along = np.einsum("knij,kni->knj", axes, off)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        squares = np.where(variance > 0, along**2 / variance, np.inf)
+    return squares.sum(axis=-1).max(axis=-1)

@@ -1,0 +1,113 @@
+"""A body that turns slowly, the Sun alone: the search finds it whatever the largest rate is, and lists what it listed before."""
+
+import numpy as np
+import pytest
+
+import sunspin as ss
+from sunspin.estimate.rates.motion import Body
+from sunspin.estimate.rates.observe import observations
+from sunspin.estimate.rates.search import first_tracks
+from sunspin.estimate.rates.smooth import costs
+from sunspin.estimate.rates.state import Motion
+from sunspin.estimate.rates.valley import BASIN_RAD, neighbours
+from validation.passes import judge, make
+
+KIND = "slow, wide range"
+
+LOST = [(0, 14), (0, 20), (7, 13)]
+"""Passes that a search without neighbours along the valley decided wrongly, or as a mirror image."""
+
+NEARLY, LEAST_SHARE = 3.0, 1e-3
+
+
+def rates_up_to(made, deg_s):
+    return ss.rates(made.vehicle, made.telemetry, max_rate_rad_s=np.radians(deg_s))
+
+
+def solutions(result):
+    """Rates and sigmas (K, 3), rad/s, and probabilities (K) of the first pass."""
+    omega, sigma = (
+        np.stack([result[f"{name}_{axis}"].values[0] for axis in "xyz"], axis=1)
+        for name in ("omega", "sigma")
+    )
+    listed = np.isfinite(omega).all(axis=1)
+    return omega[listed], sigma[listed], result["probability"].values[0][listed]
+
+
+def missing(narrow, wide, widest_rad_s):
+    """Solutions of the list for a smaller largest rate that the list for a larger one ought to hold, and does not.
+
+    Their evidence follows from their probabilities; the prior of the rate is a Gaussian of half the largest rate.
+    """
+    omega, _, probability = solutions(narrow)
+    others, sigma, other_probability = solutions(wide)
+    limits = [result.attrs["max_rate_rad_s"] for result in (narrow, wide)]
+    change = (omega**2).sum(axis=1) / 2 * (4 / limits[0] ** 2 - 4 / limits[1] ** 2)
+    expected = probability * np.exp(change)
+    near = (np.abs(omega[:, None] - others) < np.maximum(NEARLY * sigma, 0.01 * widest_rad_s)).all(
+        -1
+    )
+    held = near.any(axis=1)
+    if not held.any():
+        return omega
+    # the sum is that of the wider list, by the solution that both hold
+    both = int(np.argmax(np.where(held, expected, -1)))
+    scale = other_probability[near[both]].max() / expected[both]
+    return omega[~held & (expected * scale > LEAST_SHARE)]
+
+
+@pytest.mark.parametrize(("seed", "i"), LOST)
+def test_rates_find_a_slow_body_in_a_wide_range(seed, i):
+    found = judge(KIND, seed, i)
+    assert found["listed"] and not found["wrong"] and not found["mirrored"], found
+
+
+def test_rates_keep_their_list_when_max_rate_grows():
+    made = make(KIND, *LOST[0])
+    narrow, wide = rates_up_to(made, 1.0), rates_up_to(made, 8.0)
+    assert not len(missing(narrow, wide, np.radians(0.3)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("i", [3, 8, 14, 20, 31])
+def test_rates_keep_their_list_at_every_larger_max_rate(i):
+    made = make(KIND, 0, i)
+    results = [rates_up_to(made, deg_s) for deg_s in (1.0, 3.0, 8.0, 20.0)]
+    for k, narrow in enumerate(results):
+        for wide in results[k + 1 :]:
+            assert not len(missing(narrow, wide, np.radians(0.3))), wide.attrs["max_rate_rad_s"]
+
+
+@pytest.fixture(scope="module")
+def first_window():
+    """The samples of the first window of a slow pass, the motions fitted to them, and how they move."""
+    made = make(KIND, *LOST[0])
+    o = observations(made.vehicle, made.telemetry)[0]
+    rate_max = np.radians(8.0)
+    motion = Motion(Body.of(made.vehicle), 1e-4, rate_max / 2)
+    track, low, high = first_tracks(o, 0, motion, rate_max)
+    return o.part(low, high), track, motion
+
+
+def test_neighbours_lie_along_the_valley_as_close_as_a_fit_reaches(first_window):
+    o, track, motion = first_window
+    more = neighbours(o, track, motion)
+    assert len(more.omega) >= 4
+    middle, half_s = len(o) // 2, np.ptp(o.t_s) / 2
+    apart = np.linalg.norm(more.omega[:, middle] - track.omega[0, middle], axis=1)
+    steps = np.sort(apart)[::2]
+    assert np.diff(steps, prepend=0.0).max() < 2.5 * BASIN_RAD / half_s
+    # the Sun alone tells hardly anything of the spin about its direction: that is where the valley lies
+    along = np.abs((more.omega[:, middle] - track.omega[0, middle]) @ track.sun_B[0, middle])
+    assert (along > 0.8 * apart).all()
+    nearest = np.argsort(apart)[:2]
+    assert costs(o, more.take(nearest)).sum(axis=1).max() < track.cost[0] + 6
+
+
+def test_neighbours_are_none_where_the_rate_is_known(first_window):
+    o, track, motion = first_window
+    sure = track.covariance.copy()
+    sure[..., 3:, 3:] *= 1e-6
+    known = type(track)(track.attitude, track.omega, track.cost, track.log_weight, sure)
+    assert not len(neighbours(o, known, motion).omega)
+    assert not len(neighbours(o, type(track)(track.attitude, track.omega), motion).omega)
