@@ -17,7 +17,7 @@ from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.quality import IDLE, LATE
+from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, came_late
 from sunspin.vehicle import Vehicle
 
 MAX_PASS_S = 3000.0
@@ -46,7 +46,7 @@ GROWTH = 1.4
 FIELD_ALONE = "used: the field alone; "
 """What is said of a sample without a Sun whose field an orbit makes a direction."""
 
-NOT_SEEN = ("dropped: no panel lit", IDLE, "dropped: no panel has a number", UNREAD)
+NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
 """What is said of samples whose only fault is that they show no Sun."""
 
 
@@ -81,8 +81,9 @@ def observations(
         field = np.logical_or.reduce([np.zeros(len(t), dtype=bool), *known])
         for k in np.flatnonzero(field & np.isin(why, NOT_SEEN)):
             why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
-    late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
-    why[late] = LATE
+    if source != "panels":
+        why[assessment.repeats.frozen] = STALE
+    why[came_late(telemetry)] = LATE
     return Observations(t, np.zeros((len(t), 3)), terms), why, source
 
 
