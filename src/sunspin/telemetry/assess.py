@@ -28,7 +28,8 @@ HEALTH_SAMPLES = 3000
 
 
 OF_SENSOR = dict.fromkeys(
-    ("sun_sensor_cov_B", "sun_sensor_other_B", "sun_sensor_other_cov_B"), "sun_sensor_B"
+    ("sun_sensor_cov_B", "sun_sensor_other_B", "sun_sensor_other_cov_B", "sun_sensor_angle"),
+    "sun_sensor_B",
 )
 """Variables of telemetry that follow from another one."""
 

@@ -227,10 +227,12 @@ def judge_readings(
     beyond = partly[0][good].sum() > MISREAD_SHARE * good.sum()
     below = (bright[lit] >= LIMITED_FRACTION * full).sum() < FULL_SHARE * lit.sum()
     read = np.isfinite(value) & (beyond | ~spike) & ~missed & good[:, None]
-    dim = (idle | limited) & (not below)
     # the Sun may be where no panel looks; if panels look everywhere, a dark sample is in the shadow
-    shadow = dark & (not beyond and wrong is None and sees_everywhere(vehicle))
-    measured = read & ~(dim | shadow)[:, None]
+    shadow = dark & (wrong is None and sees_everywhere(vehicle))
+    # what full Sun gives must be stated: by the file's brighter samples alone a shadowed panel looks like a full battery
+    stated_full = vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]
+    dim = (idle | limited) & (not below)
+    measured = read & ~((dim | shadow) & (stated_full and not beyond))[:, None]
     scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     stated_gains = vehicle.input_gains

@@ -75,13 +75,27 @@ class Repeats:
 
     `frozen` (n): all sensors repeat an earlier sample; `held`: by sensor (`PANELS` or a variable of telemetry) which samples (n)
     repeat its reading while another sensor reads something new; `columns` (n, n_panel): readings of panels that are refreshed less
-    often than the others; `doubtful` (n): samples of stretches with too few distinct values to tell.
+    often than the others; `doubtful` (n): samples of stretches with too few distinct values to tell;
+    `times_each`: how often each reading of those occurs.
     """
 
     frozen: np.ndarray
     held: dict[str, np.ndarray] = field(default_factory=dict)
     columns: np.ndarray | None = None
     doubtful: np.ndarray | None = None
+    times_each: int = 1
+
+    @property
+    def unsure(self) -> np.ndarray:
+        """Samples (n) that may repeat earlier ones, too few values being left to tell."""
+        return np.zeros_like(self.frozen) if self.doubtful is None else self.doubtful
+
+    @property
+    def doubt(self) -> str:
+        """What is said of these samples; empty if there are none."""
+        if not self.unsure.any():
+            return ""
+        return f"each reading is repeated {self.times_each} times: held values?"
 
     def of(self, sensor: str) -> np.ndarray:
         """Return which samples (n) are no new reading of a sensor."""
@@ -126,7 +140,9 @@ def find_repeats(telemetry: xr.Dataset, value: np.ndarray | None, usable: np.nda
         doubtful = doubtful | own.doubtful if name == PANELS else doubtful
     fresh = rest & ~held.get(PANELS, nothing)
     columns = None if value is None else _held_columns(time, value, fresh)
-    return Repeats(whole.repeated, held, columns, doubtful)
+    distinct = len(np.unique(np.where(np.isfinite(every), every, NONE)[doubtful], axis=0))
+    each = round(doubtful.sum() / max(distinct, 1))
+    return Repeats(whole.repeated, held, columns, doubtful, each)
 
 
 def judge(time: np.ndarray, value: np.ndarray, shows: np.ndarray, usable: np.ndarray) -> Judged:

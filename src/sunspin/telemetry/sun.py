@@ -269,15 +269,11 @@ def sun_directions(
 
 def _excluded(quality: xr.Dataset, known: np.ndarray) -> dict[int, str]:
     """Return why samples are excluded, of those `known` (n) to have numbers: a reading that is none, or that follows the battery."""
-    read, measured, alive = (
-        quality[name].values for name in ("reading", "measured", "missed")
-    )
-    shadow = np.isin(quality["why"].values, [IDLE, BELOW_FULL], invert=True)[:, None]
-    sound = (read & (measured | shadow)) | alive
-    reasons = quality["why"].values
-    return {
-        int(k): str(reasons[k]).partition(": ")[2] for k in np.flatnonzero(known & ~sound.all(axis=1))
-    }
+    reasons, measured = quality["why"].values.astype(str), quality["measured"].values
+    whole = quality["reading"].values | quality["missed"].values
+    follows_battery = np.isin(reasons, [IDLE, BELOW_FULL]) & ~measured.any(axis=1)
+    out = known & (~whole.all(axis=1) | follows_battery)
+    return {int(k): reasons[k].partition(": ")[2] for k in np.flatnonzero(out)}
 
 
 def _may_hide(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarray) -> np.ndarray:

@@ -142,6 +142,7 @@ def readings(
     measured = assessment.quality["measured"].values
     index = np.flatnonzero(keep & np.isfinite(times) & measured.any(axis=1))
     remarks += _left_out(assessment.quality, np.isfinite(value), keep)
+    remarks += [assessment.repeats.doubt] if assessment.repeats.unsure[index].any() else []
     if len(index) > MAX_SAMPLES:
         remarks.append(f"{len(index)} samples were thinned to {MAX_SAMPLES}")
         index = index[np.unique(np.linspace(0, len(index) - 1, MAX_SAMPLES).round().astype(int))]

@@ -46,6 +46,9 @@ GROWTH = 1.4
 FIELD_ALONE = "used: the field alone; "
 """What is said of a sample without a Sun whose field an orbit makes a direction."""
 
+ALONE = "dropped: fewer than three samples between gaps (in no pass)"
+NOT_ASKED = "dropped: in another pass than the one asked for"
+
 NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
 """What is said of samples whose only fault is that they show no Sun."""
 
@@ -93,6 +96,16 @@ def usable(o: Observations, why: np.ndarray) -> np.ndarray:
     return np.flatnonzero(
         (o.informed | alone) & np.array([not text.startswith("dropped") for text in why])
     )
+
+
+def in_passes(
+    use: np.ndarray, why: np.ndarray, wholes: list[np.ndarray], every: bool
+) -> np.ndarray:
+    """Return the sentences (n) in which only samples of the passes `wholes` are used, of those that `use` lists; `every` pass of
+    the file is among them."""
+    why = why.copy()
+    why[np.setdiff1d(use, np.concatenate(wholes))] = ALONE if every else NOT_ASKED
+    return why
 
 
 def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list[np.ndarray]:
