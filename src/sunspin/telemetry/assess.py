@@ -54,9 +54,7 @@ class Assessment:
     def quality(self) -> xr.Dataset:
         """Usable or the reason, sigma and brightness factor of each sample; gains, Earth's light, lost panels of the file: the
         Dataset of :func:`panel_quality`."""
-        return judge_readings(
-            self.vehicle, self.telemetry, lambda: self.panel_unit, self.repeats
-        )
+        return judge_readings(self.vehicle, self.telemetry, lambda: self.panel_unit, self.repeats)
 
     @cached_property
     def repeats(self) -> Repeats:
@@ -132,9 +130,7 @@ class Assessment:
         """Impossible lit patterns and the panels whose loss would explain them, of every `health_stride`-th sample."""
         some = self.telemetry.isel(time=slice(None, None, self.health_stride))
         quality = self.quality.isel(time=slice(None, None, self.health_stride))
-        return panel_health(
-            self.vehicle, some, lit_threshold=self.lit_threshold, quality=quality
-        )
+        return panel_health(self.vehicle, some, lit_threshold=self.lit_threshold, quality=quality)
 
     @cached_property
     def still_directions(self) -> list[np.ndarray]:

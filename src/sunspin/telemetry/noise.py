@@ -32,7 +32,7 @@ NEGATIVE_SIGMAS = 5.0
 """Values down to minus this many sigma are noise around zero and not an error: of the stated noise, or of the file's own."""
 
 NEGATIVE_SHARE = 0.05
-"""Without a stated noise, values below zero up to this part of full light show the noise; if few do, none further is taken for it."""
+"""Without a stated noise, values below zero up to this part of full light show the noise; if few do, no lower value is noise."""
 
 ROUNDS = 4
 """Times that the noise widens the limit within which it is looked for: from a third of its size it comes within 5 %."""
@@ -74,7 +74,7 @@ def assumed_noise(values: npt.ArrayLike) -> float:
 
 
 def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
-    """Return the lowest value that is still noise of a dark panel, or of each panel: of the stated noise, or of that of the file."""
+    """Return the lowest value that is still noise of a dark panel (or of each, if noise is stated)."""
     if (noise := vehicle.input_noise) is not None:
         return -NEGATIVE_SIGMAS * noise[: values.shape[1]]
     below = -values[np.isfinite(values) & (values < 0)]
@@ -82,7 +82,9 @@ def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
     lit = largest[largest > 0]
     if not len(below):
         return 0.0
-    full = float(np.quantile(lit[lit <= WILD * np.median(lit)], BRIGHT_QUANTILE)) if len(lit) else 0.0
+    full = (
+        float(np.quantile(lit[lit <= WILD * np.median(lit)], BRIGHT_QUANTILE)) if len(lit) else 0.0
+    )
     limit = NEGATIVE_SHARE * full
     if np.count_nonzero(below <= limit) < LEAST_NEGATIVE:
         return -min(NEGATIVE_SIGMAS * float(np.median(below)) / HALF_NORMAL_MEDIAN, limit)

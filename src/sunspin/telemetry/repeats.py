@@ -3,8 +3,8 @@
 Equal readings alone prove nothing: counts are coarse, and a body at rest repeats itself. What counts is how likely two samples are
 equal by chance. The file tells: from the differences between its own distinct samples, in steps of its own resolution.
 
-Two samples `dt` apart differ by a vector of readings. If distinct samples of the same stretch, about `dt` apart, differ by `e` steps
-in the column that differs most, the chance that all columns agree is about 1 / e^2: a Sun direction has two degrees of freedom.
+Two samples `dt` apart differ by a vector of readings. Let distinct samples of the stretch, about `dt` apart, differ by `e` steps
+in the column that differs most. The chance that all columns agree is then about 1 / e^2: a Sun direction has two degrees of freedom.
 Pairs farther apart than `dt` are scaled down in proportion, which is the least that a rotation changes. Slow or coarse stretches
 have differences of one step, so their chance is near 1 and nothing is accused.
 """
@@ -180,7 +180,7 @@ def judge(time: np.ndarray, value: np.ndarray, shows: np.ndarray, usable: np.nda
     fresh = ~again & ~np.isin(np.arange(len(t)), late)
     for which, chance in _chances(t, rows, stretch, fresh, recurring):
         own = which[pairs.later]
-        expected = SAFETY * chance.at(t[pairs.later[own]] - t[pairs.earlier[own]]).sum()
+        expected = chance.at(t[pairs.later[own]] - t[pairs.earlier[own]]).sum()
         copied[late[which[late]]] = _more_than(expected, int(which[late].sum()))
     repeats, judged = copied.copy(), np.zeros(len(t), dtype=bool)
     for which, chance in _chances(t, rows, stretch, ~again & ~copied, recurring):
@@ -299,7 +299,7 @@ def _more_than(expected: float, count: int) -> bool:
     return (
         count > 0
         and expected <= MOST_RIGHT * count
-        and bool(pdtrc(count - 1, expected) < BY_CHANCE)
+        and bool(pdtrc(count - 1, SAFETY * expected) < BY_CHANCE)
     )
 
 
@@ -317,7 +317,7 @@ def _runs_beyond_chance(
     neighbours = np.flatnonzero(adjacent)
     by_neighbours = chance.at(t[neighbours] - t[neighbours - 1])
     begins = np.flatnonzero(again & ~np.concatenate([[False], again[:-1]])) - 1
-    if _more_than(SAFETY * by_neighbours.sum(), len(begins)):
+    if _more_than(by_neighbours.sum(), len(begins)):
         return again
     ends = np.flatnonzero(again & ~np.concatenate([again[1:], [False]]))
     between = np.minimum(ends - begins - 1, MOST_COUNTED)
@@ -340,14 +340,20 @@ def _held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.
         next_to = np.concatenate([[False], np.diff(np.cumsum(fresh)[at]) == 1])
         again = next_to & np.concatenate([[False], column[1:] == column[:-1]])
         step = resolution(column[:, None])
-        changed = t[~again], column[~again, None] / step
-        usual = float(np.median(np.diff(changed[0]))) if len(changed[0]) > LEAST_PAIRS else 0.0
-        if again.sum() < max(LEAST_HELD, HELD_SHARE * next_to.sum()) or not usual:
+        # differences within one lit stretch; from one to the next they say little
+        lit_stretch = np.cumsum(~next_to)
+        changed = tuple(
+            (t[own], column[own, None] / step)
+            for number in np.unique(lit_stretch)
+            if (own := (lit_stretch == number) & ~again).sum() > 1
+        )
+        few = sum(len(times) - 1 for times, _ in changed) < LEAST_PAIRS
+        if few or again.sum() < max(LEAST_HELD, HELD_SHARE * next_to.sum()):
             continue
-        # one column has one degree of freedom
-        chance = Chance((changed,), _recurrence(t[~again], column[~again], 2 * usual), 1.0)
+        # one column has one degree of freedom, and a rotation brings its values back
+        chance = Chance(changed, 0.0, 1.0)
         places = np.flatnonzero(next_to)
-        if _more_than(SAFETY * chance.at(t[places] - t[places - 1]).sum(), int(again.sum())):
+        if _more_than(chance.at(t[places] - t[places - 1]).sum(), int(again.sum())):
             held[at[again], k] = True
     return held
 

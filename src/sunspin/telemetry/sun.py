@@ -268,7 +268,7 @@ def sun_directions(
 
 
 def _excluded(quality: xr.Dataset, known: np.ndarray) -> dict[int, str]:
-    """Return why samples are excluded, of those `known` (n) to have numbers: a reading that is none, or that follows the battery."""
+    """Return why samples are excluded, of those `known` (n) to have numbers: a reading is none, or follows the battery."""
     reasons, measured = quality["why"].values.astype(str), quality["measured"].values
     whole = quality["reading"].values | quality["missed"].values
     follows_battery = np.isin(reasons, [IDLE, BELOW_FULL]) & ~measured.any(axis=1)

@@ -99,7 +99,9 @@ def rates_summary(result: Any) -> Summary:
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _columns_unseen(result, passes)
     numbers["samples_in_passes"] = result.sizes["time"]
-    if (kept := int(result.attrs.get("samples_searched", result.sizes["time"]))) < result.sizes["time"]:
+    if (kept := int(result.attrs.get("samples_searched", result.sizes["time"]))) < result.sizes[
+        "time"
+    ]:
         numbers["samples_searched"] = kept
         lines.append(
             f"  {result.sizes['time']} samples used in passes; the search keeps {kept} of them, the others refine what it finds"
