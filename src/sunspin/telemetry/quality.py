@@ -145,8 +145,9 @@ def judge_readings(
         where the Earth's light is modelled; `scale` (time), the factor between gain and reading at full Sun, and its relative
         uncertainty `scale_sigma` (time); `use` (time): 0 used, 1 down-weighted, 2 dropped; `why` (time): a sentence;
         `reading` (time, panel): the panel was read, in the light or not; `measured` (time, panel): the reading depends on the Sun
-        direction alone. Of each panel: `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it nevertheless; `weak`, its gain is
-        too low for those of the others; `gain`, `gain_sigma`, `gain_cov`; `noise`, of a reading with its quantisation. attrs:
+        direction alone. Of each panel: `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it
+        nevertheless; `weak`, its gain is too low for those of the others; `gain`, `gain_sigma`, `gain_cov`; `noise`, of a reading
+        with its quantisation. attrs:
         `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of full
         Sun; NaN: not told), `noise` (the median of that over panels), `full_sun_from`, `gains_from`.
     """

@@ -4,7 +4,8 @@ Equal readings alone prove nothing: counts are coarse, and a body at rest repeat
 equal by chance. The file tells: from the differences between its own distinct samples, in steps of its own resolution.
 
 Two samples `dt` apart differ by a vector of readings. Let distinct samples of the stretch, about `dt` apart, differ by `e` steps
-in the column that differs most. The chance that all columns agree is then about 1 / e^2: a Sun direction has two degrees of freedom.
+in the column that differs most. The chance that all columns agree is then
+about 1 / e^2: a Sun direction has two degrees of freedom.
 Pairs farther apart than `dt` are scaled down in proportion, which is the least that a rotation changes. Slow or coarse stretches
 have differences of one step, so their chance is near 1 and nothing is accused.
 """
