@@ -180,7 +180,10 @@ def _left_out(quality: xr.Dataset, number: np.ndarray, keep: np.ndarray) -> list
     whole = keep & ~measured.any(axis=1)
     part = keep & ~whole & (number & ~measured & ~quality["missed"].values).any(axis=1)
     reasons = Counter(str(text) for text in why[whole | part] if not text.startswith("used"))
-    return [f"{count} samples {text}" for text, count in reasons.most_common()]
+    return [
+        f"left out in {count} sample{'s' * (count > 1)}: {text.partition(': ')[2]}"
+        for text, count in reasons.most_common()
+    ]
 
 
 def _window(
