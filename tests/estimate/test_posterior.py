@@ -239,7 +239,7 @@ def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
     assert (
         not data.used[4, 1]
         and np.count_nonzero(~data.used) == 1
-        and "1 readings far beyond full Sun" in remarks[0]
+        and remarks[0].startswith("left out in 1 sample: a reading beyond full Sun")
     )
     assert data.sigma == pytest.approx(0.02, rel=0.4) and data.largest < 1
     found = ss.posterior(silent, wild, SMALL, seed=0, draws=500, workers=2)

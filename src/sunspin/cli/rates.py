@@ -135,9 +135,12 @@ def rates(
         progress=progress,
     )
     # after the search has begun: to import it takes a third of a second
+    from sunspin.output.check.repeats import repeat_lines
     from sunspin.output.check.samples import doubts
 
     about, lines = doubts(used, vehicle)
     doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
-    lines = [*(line for line in lines if "WRONG" in line), *orbit_lines]
-    output.deliver(result, vehicle, samples, also=doubted | orbit_summary, lines=lines)
+    repeated, more = repeat_lines(used)
+    lines = [*(line for line in lines if "WRONG" in line), *more, *orbit_lines]
+    also = doubted | repeated | orbit_summary
+    output.deliver(result, vehicle, samples, also=also, lines=lines)

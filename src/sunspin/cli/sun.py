@@ -38,6 +38,10 @@ def sun(vehicle, telemetry, noise, threshold, output) -> None:
     directions = assessment.sun
     if noise is not None or threshold is not None:
         directions = sun_directions(
-            craft, samples, noise=noise, lit_threshold=threshold or assessment.lit_threshold
+            craft,
+            samples,
+            noise=noise,
+            lit_threshold=threshold or assessment.lit_threshold,
+            quality=assessment.quality,
         )
     output.deliver(directions, vehicle, samples)

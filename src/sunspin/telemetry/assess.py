@@ -9,14 +9,29 @@ import numpy as np
 import xarray as xr
 
 from sunspin.telemetry.health import PanelHealth, panel_health
-from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise, wild
-from sunspin.telemetry.quality import DEAD_SAMPLES, SURELY_LIT, came_late, judge_readings
-from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, signals, sun_directions
+from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
+from sunspin.telemetry.quality import (
+    DEAD_SAMPLES,
+    SURELY_LIT,
+    came_late,
+    judge_readings,
+    known_readings,
+)
+from sunspin.telemetry.repeats import SENSORS, Repeats, find_repeats
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.sun import LIT_SIGMAS, is_reconstructed, sun_directions
 from sunspin.telemetry.units import WrongUnit, panel_unit, wrong_units
 from sunspin.vehicle import Vehicle
 
 HEALTH_SAMPLES = 3000
 """Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
+
+
+OF_SENSOR = dict.fromkeys(
+    ("sun_sensor_cov_B", "sun_sensor_other_B", "sun_sensor_other_cov_B", "sun_sensor_angle"),
+    "sun_sensor_B",
+)
+"""Variables of telemetry that follow from another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +54,26 @@ class Assessment:
     def quality(self) -> xr.Dataset:
         """Usable or the reason, sigma and brightness factor of each sample; gains, Earth's light, lost panels of the file: the
         Dataset of :func:`panel_quality`."""
-        return judge_readings(self.vehicle, self.telemetry, lambda: self.panel_unit)
+        return judge_readings(self.vehicle, self.telemetry, lambda: self.panel_unit, self.repeats)
+
+    @cached_property
+    def repeats(self) -> Repeats:
+        """Samples that repeat earlier ones: frozen telemetry, copies of a frame, held values."""
+        usable, value = ~came_late(self.telemetry), None
+        if self.has_panels:
+            value, _ = known_readings(self.vehicle, signals(self.telemetry))
+            usable &= np.isfinite(value).any(axis=1)
+        return find_repeats(self.telemetry, value, usable)
+
+    @cached_property
+    def sensors(self) -> xr.Dataset:
+        """The telemetry without what sensors other than panels repeat: NaN there."""
+        kept = {}
+        for name in (name for name in (*SENSORS, *OF_SENSOR) if name in self.telemetry):
+            repeated = self.repeats.of(OF_SENSOR.get(name, name))
+            if repeated.any():
+                kept[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))
+        return self.telemetry.assign(kept) if kept else self.telemetry
 
     @cached_property
     def panel_unit(self) -> WrongUnit | None:
@@ -54,7 +88,7 @@ class Assessment:
         stated, value = self.vehicle.input_noise, signals(self.telemetry)
         if stated is not None:
             return stated, "given"
-        value = np.where(wild(self.vehicle, value), np.nan, value)[~came_late(self.telemetry)]
+        value = np.where(self.quality["reading"].values, value, np.nan)
         dark = dark_noise(value)
         sigma = assumed_noise(value) if dark is None else dark
         return np.full(value.shape[1], sigma), ASSUMED_FROM if dark is None else DARK_FROM
@@ -83,6 +117,7 @@ class Assessment:
             self.telemetry,
             lit_threshold=self.lit_threshold,
             wrong_unit=lambda: self.panel_unit,
+            quality=self.quality,
         )
 
     @property
@@ -94,7 +129,8 @@ class Assessment:
     def health(self) -> PanelHealth:
         """Impossible lit patterns and the panels whose loss would explain them, of every `health_stride`-th sample."""
         some = self.telemetry.isel(time=slice(None, None, self.health_stride))
-        return panel_health(self.vehicle, some, lit_threshold=self.lit_threshold)
+        quality = self.quality.isel(time=slice(None, None, self.health_stride))
+        return panel_health(self.vehicle, some, lit_threshold=self.lit_threshold, quality=quality)
 
     @cached_property
     def still_directions(self) -> list[np.ndarray]:
@@ -102,13 +138,13 @@ class Assessment:
         the vehicle file states its noise. NaN where nothing is seen."""
         directions = []
         if "sun_sensor_B" in self.telemetry:
-            directions.append(self.telemetry["sun_sensor_B"].values)
+            directions.append(self.sensors["sun_sensor_B"].values)
         if self.has_panels:
             seen = is_reconstructed(self.sun["status"])
             directions.append(np.where(seen[:, None], self.sun["sun_B"].values, np.nan))
         magnetometer = self.vehicle.sensors.magnetometer
         if "field_B" in self.telemetry and magnetometer is not None and magnetometer.noise:
-            field = self.telemetry["field_B"].values
+            field = self.sensors["field_B"].values
             size = np.linalg.norm(field, axis=1, keepdims=True)
             directions.append(np.where(size > 0, field / np.where(size > 0, size, 1.0), np.nan))
         return directions

@@ -28,6 +28,15 @@ WILD = 20.0
 BRIGHT_QUANTILE = 0.9
 """Of the samples' largest readings: what the panels give in full Sun, spikes apart."""
 
+NEGATIVE_SIGMAS = 5.0
+"""Values down to minus this many sigma are noise around zero and not an error: of the stated noise, or of the file's own."""
+
+NEGATIVE_SHARE = 0.05
+"""Without a stated noise, values below zero up to this part of full light show the noise; if few do, no lower value is noise."""
+
+ROUNDS = 4
+"""Times that the noise widens the limit within which it is looked for: from a third of its size it comes within 5 %."""
+
 
 def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | None:
     """One sigma of a reading, told by those below zero: panels in the dark, whose noise lies on both sides of it.
@@ -64,11 +73,23 @@ def assumed_noise(values: npt.ArrayLike) -> float:
     return ASSUMED_SHARE * float(np.quantile(lit, BRIGHT_QUANTILE)) if len(lit) else float("nan")
 
 
-def wild(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
-    """Readings (n, n_panel) that no light explains."""
-    relative = np.nan_to_num(value / vehicle.input_gains)
-    brightest = relative.max(axis=1, initial=0.0)
-    lit = brightest[brightest > 0]
-    return (
-        relative > WILD * float(np.median(lit)) if len(lit) else np.zeros(value.shape, dtype=bool)
+def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
+    """Return the lowest value that is still noise of a dark panel (or of each, if noise is stated)."""
+    if (noise := vehicle.input_noise) is not None:
+        return -NEGATIVE_SIGMAS * noise[: values.shape[1]]
+    below = -values[np.isfinite(values) & (values < 0)]
+    largest = np.where(np.isfinite(values), values, 0.0).max(axis=1, initial=0.0)
+    lit = largest[largest > 0]
+    if not len(below):
+        return 0.0
+    full = (
+        float(np.quantile(lit[lit <= WILD * np.median(lit)], BRIGHT_QUANTILE)) if len(lit) else 0.0
     )
+    limit = NEGATIVE_SHARE * full
+    if np.count_nonzero(below <= limit) < LEAST_NEGATIVE:
+        return -min(NEGATIVE_SIGMAS * float(np.median(below)) / HALF_NORMAL_MEDIAN, limit)
+    # fill values lie apart: the noise of those within the limit sets the next limit
+    for _ in range(ROUNDS):
+        near = below[below <= limit]
+        limit = NEGATIVE_SIGMAS * float(np.median(near)) / HALF_NORMAL_MEDIAN
+    return -limit

@@ -19,9 +19,10 @@ from sunspin.telemetry.gains import (
     estimate_gains,
     prior_sigmas,
 )
-from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise
+from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise, lowest_reading
+from sunspin.telemetry.repeats import PANELS, Repeats, find_repeats
+from sunspin.telemetry.signals import signals
 from sunspin.telemetry.silent import lost
-from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import UNITS, WrongUnit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, opposite_panels, panel_power
@@ -86,12 +87,26 @@ NOT_INCREASING = 4
 """The bit of `flag` of a time that does not increase (`sunspin.telemetry.reader.FLAGS`)."""
 
 LATE = "dropped: duplicate or out-of-order frame"
+EMPTY = "dropped: no panel has a number"
+NEGATIVE = "dropped: negative readings beyond noise (fill values)"
 STALE = "dropped: identical to the previous sample (stale frame)"
+COPY = "dropped: identical to an earlier sample (copy of a frame)"
+HELD = "dropped: panels repeat their last readings while other sensors change (held values)"
 BELOW_FULL = (
     "down-weighted: signal below full Sun (battery-limited current, or a failed panel is sunlit)"
 )
 IDLE = "dropped: far below full Sun (current set by the battery, not by the Sun)"
 BEYOND_FULL = "down-weighted: a reading beyond full Sun (wrapped count or spike) was excluded"
+BELOW_NOISE = "down-weighted: a negative reading beyond noise (fill value) was excluded"
+PARTLY_HELD = (
+    "down-weighted: a held value was excluded (the panel is read less often than the others)"
+)
+
+MISREAD_SHARE = 0.5
+"""If more than this part of the samples is beyond full Sun, the unit is wrong and no reading is a spike."""
+
+FULL_SHARE = 0.05
+"""If fewer lit samples than this part reach full Sun, the gains are too high and not the battery limits the current."""
 
 ASIDE = "used: signal below full Sun (oblique Sun, or battery-limited; the data cannot distinguish them)"
 
@@ -108,7 +123,10 @@ USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
 
 
 def judge_readings(
-    vehicle: Vehicle, telemetry: xr.Dataset, wrong_unit: Callable[[], WrongUnit | None]
+    vehicle: Vehicle,
+    telemetry: xr.Dataset,
+    wrong_unit: Callable[[], WrongUnit | None],
+    repeats: Repeats | None = None,
 ) -> xr.Dataset:
     """Judge every reading and every sample of panel powers or currents.
 
@@ -117,22 +135,30 @@ def judge_readings(
     telemetry : Dataset of `read_telemetry`
     wrong_unit : callable
         Gives the wrong unit of the readings, which is named where no panel is lit.
+    repeats : Repeats, optional
+        Samples that repeat earlier ones; default: they are looked for.
 
     Returns
     -------
     xarray.Dataset
         `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing, and `sigma_beside_earth`, the same
         where the Earth's light is modelled; `scale` (time), the factor between gain and reading at full Sun, and its relative
-        uncertainty `scale_sigma` (time); `use` (time): 0 used, 1 down-weighted, 2 dropped; `why` (time): a sentence. Of each panel:
-        `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it nevertheless; `weak`, its gain is
-        too low for those of the others; `gain`, `gain_sigma`, `gain_cov`; `noise`, of a reading with its quantisation. attrs:
+        uncertainty `scale_sigma` (time); `use` (time): 0 used, 1 down-weighted, 2 dropped; `why` (time): a sentence;
+        `reading` (time, panel): the panel was read, in the light or not; `measured` (time, panel): the reading depends on the Sun
+        direction alone. Of each panel: `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it
+        nevertheless; `weak`, its gain is too low for those of the others; `gain`, `gain_sigma`, `gain_cov`; `noise`, of a reading
+        with its quantisation. attrs:
         `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of full
         Sun; NaN: not told), `noise` (the median of that over panels), `full_sun_from`, `gains_from`.
     """
-    value = signals(telemetry)
+    value, negative = known_readings(vehicle, signals(telemetry))
     gains = vehicle.input_gains
+    usable = ~came_late(telemetry) & np.isfinite(value).any(axis=1)
+    repeats = find_repeats(telemetry, value, usable) if repeats is None else repeats
+    dropped, why = _unusable(telemetry, value, negative, repeats)
+    held = np.zeros(value.shape, dtype=bool) if repeats.columns is None else repeats.columns
+    value = np.where(held, np.nan, value)
     relative = value / gains
-    dropped, why = _unusable(telemetry, value)
     good = ~dropped
     full, source = _full_sun(vehicle, relative[good])
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
@@ -188,13 +214,26 @@ def judge_readings(
     sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
     wrong = wrong_unit() if dark[good].any() else None
     nothing_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
-    spiked = spike.any(axis=1)
-    use = np.select([dropped | dark | idle, limited | spiked], [DROPPED, DOWNWEIGHTED], USED)
+    partly = spike.any(axis=1), negative.any(axis=1), held.any(axis=1)
+    down = np.logical_or.reduce([limited, *partly])
+    use = np.select([dropped | dark | idle, down], [DROPPED, DOWNWEIGHTED], USED)
     why = np.select(
-        [dropped, dark, idle, limited, spiked, aside],
-        [why, nothing_lit, IDLE, BELOW_FULL, BEYOND_FULL, ASIDE],
+        [dropped, dark, idle, limited, *partly, aside],
+        [why, nothing_lit, IDLE, BELOW_FULL, BEYOND_FULL, BELOW_NOISE, PARTLY_HELD, ASIDE],
         "used",
     )
+    missed |= dead & vehicle.throttled
+    # a file all beyond full Sun, or all below, has other units or gains, which is reported as such: its readings are readings
+    lit = good & ~dark
+    beyond = partly[0][good].sum() > MISREAD_SHARE * good.sum()
+    below = (bright[lit] >= LIMITED_FRACTION * full).sum() < FULL_SHARE * lit.sum()
+    read = np.isfinite(value) & (beyond | ~spike) & ~missed & good[:, None]
+    # the Sun may be where no panel looks; if panels look everywhere, a dark sample is in the shadow
+    shadow = dark & (wrong is None and sees_everywhere(vehicle))
+    # what full Sun gives must be stated: by the file's brighter samples alone a shadowed panel looks like a full battery
+    stated_full = vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]
+    dim = (idle | limited) & (not below)
+    measured = read & ~((dim | shadow) & (stated_full and not beyond))[:, None]
     scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     stated_gains = vehicle.input_gains
@@ -203,6 +242,8 @@ def judge_readings(
     variables: dict[str, Any] = {
         "sigma": (sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
         "sigma_beside_earth": (beside, {"long_name": of_earth}),
+        "reading": (read, {"long_name": "the panel was read"}),
+        "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
         "scale": (scale, {"units": "1"}),
         "scale_sigma": (scale_sigma, {"units": "1"}),
         "use": (use.astype(np.int8), uses),
@@ -215,7 +256,7 @@ def judge_readings(
         "noise": (noise, {}),
         "dead": (dead, {}),
         "weak": (fitted.weak, {}),
-        "missed": (missed | (dead & vehicle.throttled), {}),
+        "missed": (missed, {}),
     }
     return xr.Dataset(
         {name: (("time", "panel")[: v.ndim], v, about) for name, (v, about) in variables.items()}
@@ -239,26 +280,38 @@ def judge_readings(
 
 
 def came_late(telemetry: xr.Dataset) -> np.ndarray:
-    """Which samples (n) are late or repeated frames: their time does not increase."""
-    if "flag" not in telemetry:
-        return np.zeros(telemetry.sizes["time"], dtype=bool)
-    return np.asarray(telemetry["flag"]) & NOT_INCREASING != 0
+    """Return which samples (n) are late or repeated frames: their time does not increase."""
+    time = np.asarray(telemetry["time"], dtype=np.float64)
+    late = np.concatenate([[False], time[1:] <= np.fmax.accumulate(time)[:-1]])[: len(time)]
+    if "flag" in telemetry:
+        late |= np.asarray(telemetry["flag"]) & NOT_INCREASING != 0
+    return late
 
 
-def _unusable(telemetry: xr.Dataset, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples that cannot be used at all (n), and why (n)."""
-    why = np.full(len(value), "", dtype=object)
+def known_readings(vehicle: Vehicle, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings (n, n_panel) without those far below zero, which no panel gives, and which those are (n, n_panel)."""
+    negative = value < lowest_reading(vehicle, value)
+    return np.where(negative | ~np.isfinite(value), np.nan, value), negative
+
+
+def sees_everywhere(vehicle: Vehicle) -> bool:
+    """Return whether each direction of the Sun lights some panel."""
+    return bool((panel_power(vehicle, sphere(DIRECTIONS)) > 0).any(axis=1).all())
+
+
+def _unusable(
+    telemetry: xr.Dataset, value: np.ndarray, negative: np.ndarray, repeats: Repeats
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples that cannot be used at all (n), and why (n)."""
     empty = ~np.isfinite(value).any(axis=1)
-    why[empty] = "dropped: no panel has a number"
     late = came_late(telemetry)
-    why[late] = LATE
-    same = np.zeros(len(value), dtype=bool)
-    same[1:] = np.all(value[1:] == value[:-1], axis=1)
-    if len(value) >= 3 and same[1:].mean() < 0.2:  # else coarse counts, or a body at rest
-        same &= (np.nan_to_num(value) > 0).any(axis=1)
-        why[same & (why == "")] = STALE
-        return empty | late | same, why
-    return empty | late, why
+    repeated = repeats.frozen
+    again = np.zeros(len(value), dtype=bool)
+    again[1:] = np.all((value[1:] == value[:-1]) | np.isnan(value[1:]), axis=1)
+    held = repeats.of(PANELS) & ~repeated
+    reasons = [late, negative.any(axis=1) & empty, empty, repeated & again, repeated, held]
+    why = np.select(reasons, [LATE, NEGATIVE, EMPTY, STALE, COPY, HELD], "").astype(object)
+    return np.logical_or.reduce(reasons), why
 
 
 def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:

@@ -20,7 +20,7 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.noise import dark_noise
+from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
 from sunspin.telemetry.stored import KIND, stored_telemetry
 from sunspin.telemetry.units import UNITS
@@ -31,12 +31,6 @@ from sunspin.vehicle.timeline import instant
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
-
-NEGATIVE_SIGMAS = 5.0
-"""Values down to minus this many sigma are noise around zero and not an error: of the stated noise, or of the file's own."""
-
-NEGATIVE_SHARE = 0.05
-"""Without a stated noise, no value further below zero than this part of full light is taken for noise."""
 
 COLDEST_C, HOTTEST_C = -200.0, 250.0
 """No solar panel in flight is colder or hotter: such a reading is none."""
@@ -196,21 +190,10 @@ def _values(vehicle: Vehicle, table: Table, columns: list[str]) -> tuple[np.ndar
         what = "a voltage is a number, zero or above"
         _refuse(form, what, ~np.isfinite(volts), table, names)
         values = values * volts
-    none, negative = ~np.isfinite(values), values < _floor(vehicle, values)
+    none, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
     _refuse(form, "a finite number is expected", none, table, columns)
     _refuse(form, "a panel cannot give a negative value", negative, table, columns)
     return values, (none.any(axis=1) + 2 * negative.any(axis=1)).astype(np.uint8)
-
-
-def _floor(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
-    """The lowest value that is still noise of a dark panel, or of each: of the stated noise, or of that of the file."""
-    if (noise := vehicle.input_noise) is not None:
-        return -NEGATIVE_SIGMAS * noise[: values.shape[1]]
-    sigma = dark_noise(values, least=1)
-    if sigma is None:
-        return 0.0
-    full = float(np.quantile(np.nanmax(np.where(np.isfinite(values), values, 0.0), axis=1), 0.9))
-    return -min(NEGATIVE_SIGMAS * sigma, NEGATIVE_SHARE * max(full, 0.0))
 
 
 def _at_reference(

@@ -18,6 +18,8 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
+from sunspin.telemetry.quality import BELOW_FULL, IDLE, judge_readings
+from sunspin.telemetry.signals import signals
 from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
@@ -59,6 +61,8 @@ STATUS_TEXT = {
     SunStatus.SEVERAL: "ambiguous: several directions fit equally well",
     SunStatus.MISSING: "the telemetry of this sample is missing or flagged",
 }
+
+HIDDEN = "a panel without signal may be sunlit"
 
 ON_EDGE = 1e-9
 """Share of full Sun below which a panel is not lit: its edge is on the Sun."""
@@ -124,6 +128,7 @@ def sun_directions(
     noise: npt.ArrayLike | None = None,
     lit_threshold: npt.ArrayLike | None = None,
     wrong_unit: Callable[[], WrongUnit | None] | None = None,
+    quality: xr.Dataset | None = None,
 ) -> xr.Dataset:
     """Direction to the Sun for each sample of panel powers.
 
@@ -141,6 +146,8 @@ def sun_directions(
         readings below zero tell more, three sigma of those.
     wrong_unit : callable, optional
         Gives the wrong unit of the readings, which is named where no panel is lit; default: it is looked for.
+    quality : Dataset of `panel_quality`, optional
+        Says which readings of a telemetry Dataset are measured: others give no direction. Default: they are judged.
 
     Returns
     -------
@@ -165,9 +172,14 @@ def sun_directions(
     if lit_threshold is not None:
         be = "lit_threshold must be zero or positive"
         threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
-    finite = np.all(np.isfinite(power), axis=1)
+    finite, excluded, lost = np.all(np.isfinite(power), axis=1), {}, np.zeros(power.shape[1], bool)
     if base is not None and "flag" in base:
         finite &= np.asarray(base["flag"]) == 0
+    if base is not None:
+        unit = wrong_unit or (lambda: panel_unit(vehicle, power))
+        quality = judge_readings(vehicle, base, unit) if quality is None else quality
+        excluded, lost = _excluded(quality, finite), quality["missed"].values
+        finite[list(excluded)] = False
     clean = np.where(finite[:, None], power, 0.0)
     dark = dark_noise(clean) if sigma is None else None
     if threshold is None and sigma is not None:
@@ -181,6 +193,10 @@ def sun_directions(
     status = np.array([code for code, _ in of_pattern], dtype=np.int8)[inverse]
     texts = np.array([text for _, text in of_pattern], dtype=object)[inverse]
     status[~finite], texts[~finite] = SunStatus.MISSING, STATUS_TEXT[SunStatus.MISSING]
+    for sample, reason in excluded.items():
+        texts[sample] = f"{STATUS_TEXT[SunStatus.MISSING]}: {reason}"
+    hides = is_reconstructed(status) & _may_hide(vehicle, patterns, lost)[inverse]
+    status[hides], texts[hides] = SunStatus.MISSING, f"{STATUS_TEXT[SunStatus.MISSING]}: {HIDDEN}"
     if np.any(status == SunStatus.DARK):
         wrong = panel_unit(vehicle, clean) if wrong_unit is None else wrong_unit()
         if wrong is not None:
@@ -251,15 +267,22 @@ def sun_directions(
     )
 
 
-def signals(telemetry: xr.Dataset) -> np.ndarray:
-    """The powers or currents (time, panel) of a telemetry Dataset."""
-    name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
-    if name is None:
-        raise InputError(
-            "the telemetry has no panel powers or currents",
-            do="give a file with a column per panel",
-        )
-    return np.asarray(telemetry[name].transpose("time", "panel"), dtype=np.float64)
+def _excluded(quality: xr.Dataset, known: np.ndarray) -> dict[int, str]:
+    """Return why samples are excluded, of those `known` (n) to have numbers: a reading is none, or follows the battery."""
+    reasons, measured = quality["why"].values.astype(str), quality["measured"].values
+    whole = quality["reading"].values | quality["missed"].values
+    follows_battery = np.isin(reasons, [IDLE, BELOW_FULL]) & ~measured.any(axis=1)
+    out = known & (~whole.all(axis=1) | follows_battery)
+    return {int(k): reasons[k].partition(": ")[2] for k in np.flatnonzero(out)}
+
+
+def _may_hide(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Return the patterns (n) of lit panels (n, n_panel) that a lit panel without signal, `lost` (n_panel), may be missing from."""
+    if not lost.any():
+        return np.zeros(len(patterns), dtype=bool)
+    possible = vehicle.response_in().regions().lit
+    lit = possible[(possible & lost).any(axis=1)] & ~lost
+    return np.array([(lit == pattern).all(axis=1).any() for pattern in patterns & ~lost])
 
 
 def of_panels(

@@ -98,7 +98,7 @@ class Fits(NamedTuple):
 
 def seen_in(assessment: Assessment, most: int = MOST_SAMPLES) -> Seen:
     """At most so many samples of a telemetry file, those that show field and Sun first."""
-    telemetry = assessment.telemetry
+    telemetry = assessment.sensors
     time = telemetry["time"].values
     n, nothing = len(time), np.full((len(time), 3), np.nan)
     reading = telemetry["field_B"].values if "field_B" in telemetry else nothing

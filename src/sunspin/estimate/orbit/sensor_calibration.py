@@ -307,7 +307,7 @@ SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
 
 def readings(assessment: Assessment) -> Readings:
     """Those of a telemetry file that show field or Sun, spread evenly."""
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    vehicle, telemetry = assessment.vehicle, assessment.sensors
     time = telemetry["time"].values
     sun, sun_sigma = _sun_by_panels(assessment)
     n, faces = len(time), len(vehicle.sensors.sun_sensors)
@@ -329,7 +329,7 @@ def readings(assessment: Assessment) -> Readings:
 
 def _sun_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
     """Directions (n, 3) by panels, or Sun vectors as they are given, NaN where none, and sigma (n) rad of each of two angles."""
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    vehicle, telemetry = assessment.vehicle, assessment.sensors
     n = telemetry.sizes["time"]
     sun, sigma = np.full((n, 3), np.nan), np.full(n, np.nan)
     if assessment.has_panels:

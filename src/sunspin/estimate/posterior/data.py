@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,9 +14,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.terms.reading import Reading
 from sunspin.estimate.terms.readings import READINGS
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.noise import wild
-from sunspin.telemetry.quality import came_late
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 
 FREE_PHASE = "first_rebound"
@@ -140,27 +139,15 @@ def readings(
         )
     times = np.asarray(telemetry["time"], dtype=np.float64)
     keep, remarks = _window(telemetry, times, begin_s, end_s, phase)
-    finite = np.isfinite(value) & ~wild(vehicle, value)
-    usable = keep & np.isfinite(times) & ~came_late(telemetry) & finite.any(axis=1)
-    index = np.flatnonzero(usable)
-    index = (
-        index[np.concatenate([[True], np.diff(np.maximum.accumulate(times[index])) > 0])]
-        if len(index)
-        else index
-    )
-    if (np.isfinite(value) & ~finite)[index].any():
-        remarks.append(
-            f"{np.count_nonzero((np.isfinite(value) & ~finite)[index])} readings far beyond full Sun were left out"
-        )
-    if int(keep.sum()) > len(index):
-        remarks.append(
-            f"{int(keep.sum()) - len(index)} samples without readings or in disorder were left out"
-        )
+    measured = assessment.quality["measured"].values
+    index = np.flatnonzero(keep & np.isfinite(times) & measured.any(axis=1))
+    remarks += _left_out(assessment.quality, np.isfinite(value), keep)
+    remarks += [assessment.repeats.doubt] if assessment.repeats.unsure[index].any() else []
     if len(index) > MAX_SAMPLES:
         remarks.append(f"{len(index)} samples were thinned to {MAX_SAMPLES}")
         index = index[np.unique(np.linspace(0, len(index) - 1, MAX_SAMPLES).round().astype(int))]
     threshold = float(vehicle.telemetry.lit_threshold or 0.0)
-    value, used = np.where(finite, value, 0.0)[index], finite[index]
+    value, used = np.where(measured, value, 0.0)[index], measured[index]
     lit = used & (value > threshold)
     if np.count_nonzero(lit.any(axis=1)) < 3:
         raise InputError(
@@ -185,6 +172,18 @@ def readings(
         noise_from,
     )
     return made, start, remarks
+
+
+def _left_out(quality: xr.Dataset, number: np.ndarray, keep: np.ndarray) -> list[str]:
+    """Return remarks on samples `keep` (n) and readings (n, n_panel), all of them `number`, that are left out, with the reasons."""
+    measured, why = quality["measured"].values, quality["why"].values
+    whole = keep & ~measured.any(axis=1)
+    part = keep & ~whole & (number & ~measured & ~quality["missed"].values).any(axis=1)
+    reasons = Counter(str(text) for text in why[whole | part] if not text.startswith("used"))
+    return [
+        f"left out in {count} sample{'s' * (count > 1)}: {text.partition(': ')[2]}"
+        for text, count in reasons.most_common()
+    ]
 
 
 def _window(

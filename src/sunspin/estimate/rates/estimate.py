@@ -50,7 +50,7 @@ from sunspin.estimate.rates.noise import (
     quick_evidence,
     refined,
 )
-from sunspin.estimate.rates.observe import observations, passes, usable
+from sunspin.estimate.rates.observe import in_passes, observations, passes, usable
 from sunspin.estimate.rates.period import weighted, without_periods
 from sunspin.estimate.rates.residuals import panels_as_read
 from sunspin.estimate.rates.result import (
@@ -253,7 +253,10 @@ def rates(
             np.concatenate([momentum[part] for momentum in momenta.values()]),
             np.diff(o.t_s[part]).max(),
         )
-    _begin(body, parts, effort, progress)
+    use = usable(o, why)
+    wholes = [np.intersect1d(use, np.arange(part[0], part[-1] + 1)) for part in parts]
+    why = in_passes(use, why, wholes, pass_id is None)
+    _begin(body, (wholes, parts), effort, progress)
     with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress is True else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
@@ -272,9 +275,6 @@ def rates(
             pool,
         )
         motion = Motion(body, noise, rate_max / 2)
-        wholes = [
-            np.intersect1d(usable(o, why), np.arange(part[0], part[-1] + 1)) for part in parts
-        ]
         tracks, cut = _searched(o, parts, motion, rate_max, spent, pool)
         o, more = _with_magnetic_torque(vehicle, o, noise)
         with spent:
@@ -316,6 +316,7 @@ def rates(
         cut_passes=int(cut.sum()),
         effort=spent.spent / USUAL,
         no_sphere=int(unmet.sum()),
+        samples_searched=sum(map(len, parts)),
     )
     observed = _observed(vehicle, telemetry, wheels, source, isinstance(local, SunAlongZ))
     result = _symmetric_checked(_columns_checked(result, observed, telemetry), observed, telemetry)
@@ -332,7 +333,8 @@ def rates(
                     o, max(bad, key=lambda p: len(p.index)), motion, clock, rate_max, noise
                 )
         result = result.assign_attrs(column_tests_cut=int(tried.close()))
-    return _judged(_wheel_doubted(result, turned, observed, telemetry), assessment)
+    result = _wheel_doubted(result, turned, observed, telemetry)
+    return _judged(_repeats_doubted(result, assessment), assessment)
 
 
 def _observed(
@@ -452,19 +454,39 @@ def _undecided(result: xr.Dataset, what: str) -> xr.Dataset:
     return result.assign(doubted | {"why_not_decided": ("pass_id", why)})
 
 
+def _repeats_doubted(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
+    """Return the result with no pass decided whose samples may be held values, too few different ones being left to tell."""
+    repeats = assessment.repeats
+    times = assessment.telemetry["time"].values[repeats.unsure]
+    of = result["pass_of"].values[np.isin(result["time"].values, times)]
+    unsure = np.isin(np.arange(result.sizes["pass_id"]), of)
+    why = [
+        "; ".join(filter(None, (str(one), repeats.doubt if doubted else "")))
+        for one, doubted in zip(result["why_not_decided"].values, unsure, strict=True)
+    ]
+    return result.assign(
+        decided=("pass_id", result["decided"].values & ~unsure), why_not_decided=("pass_id", why)
+    )
+
+
 def _begin(
-    body: Body, parts: list[np.ndarray], effort: float, progress: bool | Callable[[str], None]
+    body: Body,
+    passes: tuple[list[np.ndarray], list[np.ndarray]],
+    effort: float,
+    progress: bool | Callable[[str], None],
 ) -> None:
     """Load the compiled step of a body, once a function `progress` has been called with what is searched and how long that may
-    take: an effort of one is about a minute and a half of one core."""
+    take: an effort of one is about a minute and a half of one core. `passes`: samples of each, and those that the search keeps."""
     if callable(progress):
         most = 1.5 * allowed(effort) / USUAL * (1 + WIRING_SHARE)
         if np.isinf(most):
             long = "as long as it needs"
         else:
             long = f"up to {most:.2g} minutes of one core" if most > 0.02 else "a second"
-        passes = f"{len(parts)} pass{'es' if len(parts) > 1 else ''}"
-        progress(f"{sum(map(len, parts))} samples in {passes}; the search takes {long}")
+        used, kept = (sum(map(len, each)) for each in passes)
+        thinned = f", thinned to {kept} for the search" if kept < used else ""
+        number = f"{len(passes[0])} pass{'es' if len(passes[0]) > 1 else ''}"
+        progress(f"{used} samples used in {number}{thinned}; the search takes {long}")
     load(body)
 
 

@@ -17,7 +17,7 @@ from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.quality import IDLE, LATE
+from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, came_late
 from sunspin.vehicle import Vehicle
 
 MAX_PASS_S = 3000.0
@@ -46,7 +46,10 @@ GROWTH = 1.4
 FIELD_ALONE = "used: the field alone; "
 """What is said of a sample without a Sun whose field an orbit makes a direction."""
 
-NOT_SEEN = ("dropped: no panel lit", IDLE, "dropped: no panel has a number", UNREAD)
+ALONE = "dropped: fewer than three samples between gaps (in no pass)"
+NOT_ASKED = "dropped: in another pass than the one asked for"
+
+NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
 """What is said of samples whose only fault is that they show no Sun."""
 
 
@@ -81,8 +84,9 @@ def observations(
         field = np.logical_or.reduce([np.zeros(len(t), dtype=bool), *known])
         for k in np.flatnonzero(field & np.isin(why, NOT_SEEN)):
             why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
-    late = np.concatenate([[False], t[1:] <= np.maximum.accumulate(t)[:-1]])
-    why[late] = LATE
+    if source != "panels":
+        why[assessment.repeats.frozen] = STALE
+    why[came_late(telemetry)] = LATE
     return Observations(t, np.zeros((len(t), 3)), terms), why, source
 
 
@@ -92,6 +96,16 @@ def usable(o: Observations, why: np.ndarray) -> np.ndarray:
     return np.flatnonzero(
         (o.informed | alone) & np.array([not text.startswith("dropped") for text in why])
     )
+
+
+def in_passes(
+    use: np.ndarray, why: np.ndarray, wholes: list[np.ndarray], every: bool
+) -> np.ndarray:
+    """Return the sentences (n) in which only samples of the passes `wholes` are used, of those that `use` lists; `every` pass of
+    the file is among them."""
+    why = why.copy()
+    why[np.setdiff1d(use, np.concatenate(wholes))] = ALONE if every else NOT_ASKED
+    return why
 
 
 def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list[np.ndarray]:

@@ -6,7 +6,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.telemetry.sun import is_reconstructed, sun_directions
+from sunspin.telemetry.assess import Assessment, assess
+from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Vehicle
 
 
@@ -19,7 +20,10 @@ def target_weights(rule: str, t_s: np.ndarray) -> np.ndarray | None:
 
 
 def directions_within(
-    vehicle: Vehicle, telemetry: xr.Dataset, begin_s: float | None, end_s: float | None
+    vehicle: Vehicle,
+    telemetry: xr.Dataset | Assessment,
+    begin_s: float | None,
+    end_s: float | None,
 ) -> xr.Dataset:
     """`sun_B (time, axis)` of the samples from `begin_s` to `end_s` (s of the file's clock; None: no bound) that give one.
 
@@ -30,7 +34,8 @@ def directions_within(
     InputError
         Fewer than two samples of the window give a direction.
     """
-    sun = sun_directions(vehicle, telemetry)
+    assessment = assess(vehicle, telemetry)
+    sun = assessment.sun
     time = sun["time"].values
     low, high = -np.inf if begin_s is None else begin_s, np.inf if end_s is None else end_s
     use = is_reconstructed(sun["status"]) & (time >= low) & (time <= high)
@@ -39,7 +44,7 @@ def directions_within(
             "fewer than two samples in this window give a direction of the Sun",
             got=f"{int(use.sum())} of {int(((time >= low) & (time <= high)).sum())} samples",
             do="widen --from and --to; `sunspin sun` says why samples give none",
-            where=str(telemetry.attrs.get("file", "")),
+            where=str(assessment.telemetry.attrs.get("file", "")),
         )
     track = sun[["sun_B"]].isel(time=np.flatnonzero(use))
     return track.assign_coords(time=track["time"] - track["time"].values[0])

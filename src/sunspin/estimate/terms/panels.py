@@ -20,8 +20,8 @@ from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
 from sunspin.solve.rotations import cross_matrix, seen_turned
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
-from sunspin.telemetry.quality import LATE, LIMITED_SCALE, STALE
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.quality import LIMITED_SCALE
+from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.planes import sphere
@@ -42,8 +42,6 @@ UNTOLD_SHARE = 0.09
 """Earth's light in full Suns on a panel that looks there, if an orbit says where it comes from and the file does not tell how much
 it is: what :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` of panels that face away from the Sun means."""
 
-UNUSABLE = ("dropped: no panel has a number", LATE, STALE)
-"""What `panel_quality` says of samples that say nothing, in the shadow either."""
 AVERAGED = np.polynomial.legendre.leggauss(3)
 """Instants, from -1 to 1, and weights for a mean over time: exact to fifth powers."""
 
@@ -125,11 +123,7 @@ class Panels(SunTerm):
         dark_sigma = np.hypot(
             quality["noise"].values, DARK * quality.attrs["full_sun"] * quality["gain"].values
         )
-        shown = (
-            np.isfinite(power)
-            & ~quality["dead"].values
-            & ~np.isin(quality["why"].values, UNUSABLE)[:, None]
-        )
+        shown = quality["reading"].values & ~quality["dead"].values
         made = cls(
             power,
             quality["sigma"].values,

@@ -58,7 +58,7 @@ def read_terms(
     calibration: FieldCalibration | None = None,
 ) -> tuple[tuple[Term, ...], np.ndarray]:
     """All that telemetry has, the Sun first, and a sentence for each sample (n); `calibration` of the magnetometer, by an orbit."""
-    vehicle, telemetry = assessment.vehicle, assessment.telemetry
+    vehicle, telemetry = assessment.vehicle, assessment.sensors
     part = vehicle.sensors.magnetometer
     if source == FIELD and calibration is None and part is not None:
         field, why = FieldDirection.alone(part, telemetry)

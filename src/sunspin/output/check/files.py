@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.output.check.repeats import repeat_lines
 from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
 from sunspin.output.kinds.panels import health_lines, health_summary
 from sunspin.output.kinds.telemetry import status_counts, status_lines
@@ -102,8 +103,8 @@ def about_telemetry(
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
-    about, more = doubts(assessment, vehicle)
-    summary, lines = summary | about, lines + more
+    for about, more in (repeat_lines(assessment), doubts(assessment, vehicle)):
+        summary, lines = summary | about, lines + more
     if assessment.has_panels:
         about, more = _about_panels(assessment)
         lines += [NOT_READ] if summary["panels_misread"] else more

@@ -88,7 +88,7 @@ def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any]
         summary["sensors"] = there
         others = ", ".join(f"{label} ({n} samples)" for label, n in there.items())
         lines.append(f"  other sensors: {others}")
-    about, more = _sampling(samples)
+    about, more = _sampling(assessment)
     return summary | about, lines + more
 
 
@@ -98,7 +98,8 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     names = quality["panel"].values.astype(str)
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()
-    faces = np.bincount(_lit(craft, assessment.telemetry, quality))
+    whole = _whole(assessment)
+    faces = np.bincount(_lit(craft, assessment.telemetry, quality)[whole])
     summary: dict[str, Any] = {
         "worth": why,
         "dead_panels": dead,
@@ -141,6 +142,11 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     )
     counted = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
+    if not whole.any():
+        lines.append(
+            "  no sample has a reading of every panel, so none gives a Sun direction; put the rows of one frame into one row"
+        )
+        return summary, lines
     lines.append(
         f"  {lit} lit: {counted}; three determine the direction; `sunspin rates` also uses samples with one or two"
     )
@@ -166,8 +172,20 @@ def intervals(samples: xr.Dataset) -> np.ndarray:
     return np.diff(latest)
 
 
-def _sampling(samples: xr.Dataset) -> tuple[dict[str, Any], list[str]]:
-    gaps = intervals(samples)
+def _whole(assessment: Assessment) -> np.ndarray:
+    """Return the samples (n) in which every panel was read that works."""
+    quality = assessment.quality
+    return np.asarray((quality["reading"].values | quality["missed"].values).all(axis=1))
+
+
+def _sampling(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+    """Return what the intervals between readings determine: copies, frozen samples and parts of a frame are none."""
+    read = ~assessment.repeats.frozen
+    if assessment.has_panels:
+        read = _whole(assessment)
+        if not read.any():
+            return {}, []
+    gaps = intervals(assessment.telemetry.isel(time=np.flatnonzero(read)))
     if len(gaps) < 2:
         return {}, ["  too few samples to estimate a rate"]
     usual = float(np.median(gaps))

@@ -98,6 +98,14 @@ def rates_summary(result: Any) -> Summary:
         size = number_text(numbers["noise"], 3)
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _columns_unseen(result, passes)
+    numbers["samples_in_passes"] = result.sizes["time"]
+    if (kept := int(result.attrs.get("samples_searched", result.sizes["time"]))) < result.sizes[
+        "time"
+    ]:
+        numbers["samples_searched"] = kept
+        lines.append(
+            f"  {result.sizes['time']} samples used in passes; the search keeps {kept} of them, the others refine what it finds"
+        )
     lines += [f"  {count:6d} samples  {text}" for text, count in numbers["samples"].items()]
     return Summary(numbers, lines, table=table, in_words=in_words)
 

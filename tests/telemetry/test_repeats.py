@@ -1,0 +1,307 @@
+"""Frozen telemetry, copies of a frame, held values; and that no command takes for measured what is no reading."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+import sunspin as ss
+from sunspin.estimate.posterior.data import readings
+from sunspin.estimate.rates.observe import ALONE, observations, passes
+from sunspin.estimate.scan.window import directions_within
+from sunspin.output.check.repeats import repeat_lines
+from sunspin.output.check.samples import worth
+from sunspin.telemetry.assess import assess
+from sunspin.telemetry.sun import is_reconstructed
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+
+NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+CUBE = Vehicle(
+    "cube",
+    gain_unit="A",
+    panels=[Panel(f"p{k}", NORMALS[k], 0.5) for k in range(6)],
+    telemetry=TelemetryForm(quantity="current_A", noise=0.002),
+)
+COUNT = 0.5 / 255
+"""Step of 8 bits, A."""
+
+
+def tumbling(n, seed=0, apart=20.0, rate=3.0, noise=0.002, step=0.001):
+    """Times (n), s, and currents (n, 6) of a cube that rotates about a fixed axis, deg/s."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(apart * rng.uniform(0.9, 1.1, n))
+    axis, sun = rng.normal(size=(2, 3))
+    turn = Rotation.from_rotvec(np.radians(rate) * t[:, None] * axis / np.linalg.norm(axis))
+    power = ss.panel_power(CUBE, turn.apply(sun / np.linalg.norm(sun)))
+    return t, np.round((power + noise * rng.normal(size=(n, 6))) / step) * step
+
+
+def file(t, value, **more):
+    """A telemetry Dataset of panel currents and other variables (n, 3)."""
+    others = {name: (("time", "axis"), each) for name, each in more.items()}
+    attrs = {"unused_columns": "", "missing_sensors": "", "epoch_utc": "2026-01-01T00:00:00Z"}
+    return xr.Dataset(
+        {
+            "current_A": (("time", "panel"), value),
+            "flag": ("time", np.zeros(len(t), np.uint8)),
+            **others,
+        },
+        {"time": t, "panel": list(CUBE.panel_names), "axis": list("xyz")},
+        attrs,
+    )
+
+
+def brightest(value):
+    """The panel that is lit most often."""
+    return int((value > 0.1).sum(axis=0).argmax())
+
+
+def looked_at(t, value, vehicle=CUBE, **more):
+    return assess(vehicle, file(t, value, **more))
+
+
+def with_copies(t, value, late_s, every):
+    """The file with a copy of every so many samples, later by `late_s`, in the order of time; and which are copies."""
+    times = np.concatenate([t, t[::every] + late_s])
+    order = np.argsort(times)
+    copies = np.arange(len(times)) >= len(t)
+    return times[order], np.concatenate([value, value[::every]])[order], copies[order]
+
+
+@pytest.mark.parametrize("count", [7, 26, 80])
+def test_a_frozen_end_is_left_out_and_named_however_long(count):
+    t, value = tumbling(40)
+    t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, count + 1)])
+    frozen = looked_at(t, np.concatenate([value, np.tile(value[-1], (count, 1))]))
+    assert np.flatnonzero(frozen.repeats.frozen).tolist() == list(range(40, 40 + count))
+    summary, lines = repeat_lines(frozen)
+    assert summary["frozen"] == [[t[40], t[-1]]] and "FROZEN from 2026-01-01T00:1" in lines[0]
+    assert all("stale" in text for text in frozen.quality["why"].values[40:])
+
+
+def test_a_frozen_stretch_parts_the_pass_and_holds_no_middle():
+    t, value = tumbling(80)
+    value[30:50] = value[29]
+    o, why, _ = observations(CUBE, looked_at(t, value))
+    first, second = passes(o, why)
+    assert first[-1] == 29 and second[0] == 50
+
+
+@pytest.mark.parametrize(
+    ("late_s", "every"),
+    [(2.0, 1), (3.0, 3), (25.0, 1), (45.0, 2)],
+    ids="next third after far".split(),
+)
+def test_copies_of_a_frame_are_left_out_whatever_their_share(late_s, every):
+    t, value, copies = with_copies(*tumbling(40), late_s, every)
+    found = looked_at(t, value)
+    assert np.array_equal(found.repeats.frozen, copies)
+    own, every_own = looked_at(t[~copies], value[~copies]), worth(found)[0]
+    assert every_own["clear_rate_deg_s"] == worth(own)[0]["clear_rate_deg_s"]
+    assert every_own["samples_by_lit_faces"] == worth(own)[0]["samples_by_lit_faces"]
+
+
+def test_copies_are_left_out_in_many_short_passes_too():
+    t, value = tumbling(48, step=COUNT)
+    t = t + 5000.0 * (np.arange(48) // 4)
+    t, value, copies = with_copies(t, value, 2.0, 1)
+    assert np.array_equal(looked_at(t, value).repeats.frozen, copies)
+
+
+@pytest.mark.parametrize("times", [2, 3, 5])
+def test_held_samples_are_left_out_and_their_number_is_reported(times):
+    t, value = tumbling(40, apart=10.0, step=COUNT)
+    each = (t[:, None] + 10.0 / times * np.arange(times)).ravel()
+    found = looked_at(np.sort(each), np.repeat(value, times, axis=0))
+    assert np.array_equal(found.repeats.frozen, np.arange(40 * times) % times > 0)
+    assert repeat_lines(found)[0]["repeated_each"] == times
+
+
+def test_with_too_few_readings_left_to_tell_the_repeats_are_doubted_and_kept():
+    t, value = tumbling(3, apart=200.0)
+    each = (t[:, None] + 20.0 * np.arange(9)).ravel()
+    found = looked_at(each, np.repeat(value, 9, axis=0))
+    assert not found.repeats.frozen.any() and found.repeats.unsure.all()
+    assert repeat_lines(found)[1][0].startswith("  each reading is repeated 9 times: held values?")
+
+
+def test_rates_decide_no_pass_of_readings_that_may_be_held():
+    t, value = tumbling(3, apart=200.0)
+    each = (t[:, None] + 20.0 * np.arange(9)).ravel()
+    result = ss.rates(CUBE, looked_at(each, np.repeat(value, 9, axis=0)), effort=0.02)
+    assert not result["decided"].any()
+    assert "each reading is repeated 9 times: held values?" in str(
+        result["why_not_decided"].values[0]
+    )
+
+
+def test_samples_used_are_those_of_the_passes():
+    t, value = tumbling(120)
+    t[118:] += 10_000.0  # two samples alone
+    said: list[str] = []
+    result = ss.rates(CUBE, looked_at(t, value), effort=0.02, progress=said.append)
+    used = np.char.startswith(result["why"].values.astype(str), "used")
+    assert used.sum() == result["samples"].values.sum() == 118
+    assert result["why"].values[-1] == ALONE
+    kept = result.attrs["samples_searched"]
+    assert said[0].startswith(f"118 samples used in 1 pass, thinned to {kept} for the search")
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        {"rate": 0.05, "apart": 1.0, "noise": 0.0, "step": COUNT},
+        {"rate": 0.3, "apart": 1.0, "noise": 0.0, "step": COUNT},
+        {"rate": 3.0, "apart": 1.0, "noise": 0.0, "step": 4 * COUNT},
+        {"rate": 1e-4, "apart": 10.0, "noise": COUNT / 3, "step": COUNT},
+        {"rate": 1e-4, "apart": 10.0, "noise": COUNT, "step": COUNT},
+    ],
+    ids="slow usual coarse rest noisy".split(),
+)
+def test_coarse_counts_and_bodies_at_rest_are_not_accused(made):
+    for seed in range(10):
+        repeats = looked_at(*tumbling(300, seed, **made)).repeats
+        assert not repeats.frozen.any() and not repeats.columns.any()
+
+
+def test_zeros_in_the_shadow_are_no_repeats():
+    t, value = tumbling(60)
+    value[20:45] = 0.0
+    found = looked_at(t, value)
+    assert not found.repeats.frozen.any() and not found.repeats.unsure.any()
+    assert (found.quality["why"].values[20:45] == "dropped: no panel lit").all()
+
+
+def test_a_spinner_that_meets_its_samples_is_not_accused():
+    """Without noise, 12 deg/s every 20 s show the same three directions again and again."""
+    t = 20.0 * np.arange(60)
+    turn = Rotation.from_rotvec(np.radians(12.0) * t[:, None] * np.array([0.6, 0.0, 0.8]))
+    value = np.round(ss.panel_power(CUBE, turn.apply([0.36, 0.48, 0.8])), 3)
+    assert not looked_at(t, value).repeats.frozen.any()
+
+
+def test_panels_that_repeat_while_the_gyro_changes_are_held_and_not_frozen():
+    t, value = tumbling(120)
+    value[60:100] = value[59]
+    gyro = 0.05 + 0.001 * np.random.default_rng(1).normal(size=(120, 3))
+    repeats = looked_at(t, value, gyro_B=gyro).repeats
+    assert not repeats.frozen.any()
+    assert np.flatnonzero(repeats.held["panels"]).tolist() == list(range(60, 100))
+    assert not repeats.held["gyro_B"].any()
+
+
+def test_a_gyro_that_repeats_while_panels_change_is_left_out_there():
+    t, value = tumbling(120)
+    gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
+    found = looked_at(t, value, gyro_B=gyro)
+    assert not found.repeats.of("panels").any()
+    read = np.isfinite(found.sensors["gyro_B"].values).all(axis=1)
+    assert np.flatnonzero(read).tolist() == list(range(0, 120, 5))
+    assert "gyro repeat the last reading in 96 samples" in repeat_lines(found)[1][0]
+
+
+def test_a_panel_that_is_read_less_often_is_named_and_its_held_values_left_out():
+    t, value = tumbling(120, apart=5.0)
+    k = brightest(value)
+    value[:, k] = np.repeat(value[::4, k], 4)
+    found = looked_at(t, value)
+    assert np.flatnonzero(found.repeats.columns.any(axis=0)).tolist() == [k]
+    assert f"p{k} in" in repeat_lines(found)[1][0]
+    lit, late = value[:, k] > 0.1, np.arange(120) % 4 > 0
+    assert not found.quality["reading"].values[lit & late, k].any()
+    assert found.quality["reading"].values[~late, k].all()
+    assert not is_reconstructed(found.sun["status"].values[lit & late]).any()
+
+
+def dimmed(share):
+    def spoil(t, value):
+        value[20:26] *= share
+        return np.arange(20, 26), slice(None)
+
+    return spoil
+
+
+def cell(number):
+    def spoil(t, value):
+        value[[20, 31, 40], [0, 3, 5]] = number
+        return np.array([20, 31, 40]), np.array([0, 3, 5])
+
+    return spoil
+
+
+def row(number):
+    def spoil(t, value):
+        value[[20, 31]] = number
+        return np.array([20, 31]), slice(None)
+
+    return spoil
+
+
+def repeated(t, value):
+    value[20:30] = value[19]
+    return np.arange(20, 30), slice(None)
+
+
+def late(t, value):
+    t[20] = t[18]
+    return np.array([20]), slice(None)
+
+
+def dead(t, value):
+    k = brightest(value)
+    lit = np.flatnonzero(value[:, k] > 0.1)
+    value[:, k] = 0.0
+    return lit, k
+
+
+FAULTS = {
+    "-999": cell(-999.0),
+    "-1": cell(-1.0),
+    "999": cell(999.0),
+    "65535": cell(65535.0),
+    "0x7FFF": cell(float(0x7FFF)),
+    "not a number": cell(np.nan),
+    "row of -999": row(-999.0),
+    "row of 65535": row(65535.0),
+    "row without numbers": row(np.nan),
+    "frozen": repeated,
+    "late": late,
+    "battery-limited": dimmed(0.6),
+    "idle": dimmed(0.2),
+    "nothing lit": dimmed(0.0),
+    "dead panel": dead,
+}
+
+
+@pytest.mark.parametrize("noise", [0.002, None], ids=["noise stated", "not stated"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_no_reading_is_measured_for_no_command(fault, noise):
+    t, value = tumbling(60)
+    rows, panel = FAULTS[fault](t, value)
+    vehicle = replace(CUBE, telemetry=replace(CUBE.telemetry, noise=noise))
+    found = looked_at(t, value, vehicle)
+    assert not found.quality["measured"].values[rows, panel].any()
+    # sun, check
+    status = ss.sun_directions(vehicle, found.telemetry)["status"].values
+    assert np.array_equal(status, found.sun["status"].values)
+    assert not is_reconstructed(status[rows]).any() and is_reconstructed(status).sum() > 5
+    # scan
+    seen = is_reconstructed(found.sun["status"]).sum()
+    assert directions_within(vehicle, found, None, None).sizes["time"] == seen
+    # posterior
+    data, start, _ = readings(vehicle, found)
+    place = np.searchsorted(data.t_s + start, t[rows])
+    there = np.isin(np.round(t[rows], 9), np.round(data.t_s + start, 9))
+    used = data.used[np.minimum(place, len(data) - 1), panel].reshape(len(rows), -1).any(axis=1)
+    assert not (there & used).any() or fault == "late"
+    # rates
+    o, why, _ = observations(vehicle, found)
+    sigma = o.terms[0].sigma[rows, panel]
+    largest = value[rows].max(axis=1) if fault == "battery-limited" else np.full(len(rows), np.inf)
+    assert (sigma.reshape(len(rows), -1).min(axis=1) >= 0.49 * largest).all()
+    # of these two the other readings of the sample are used as they are
+    assert "used" not in why[rows] or fault in ("not a number", "dead panel")
