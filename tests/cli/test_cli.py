@@ -51,7 +51,7 @@ def test_what_init_writes_works_at_once(start):
     assert {"sun.csv", "sun.nc", "sun.png", "sun.svg"} <= {
         path.name for path in (start / "out").iterdir()
     }
-    assert (start / "out" / "sun.csv").read_text().startswith("# synthetic")
+    assert "\n# synthetic telemetry\n" in (start / "out" / "sun.csv").read_text()
     with xr.open_dataset(start / "out" / "sun.nc", engine="h5netcdf") as data:
         assert data["sun_B"].sizes == {"time": 40, "axis": 3}
 

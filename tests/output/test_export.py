@@ -213,7 +213,7 @@ def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
     assert len(attitude_of(bare, step_s=5.0).t_s) == 22  # 37 degrees apart
     coarse = bare.isel(time=slice(None, None, 3)).drop_vars("pass_of")
     for data, step_s, words in (
-        (coarse, 5.0, "turns by up to 11[12] degrees between the instants"),
+        (coarse, 5.0, "rotates by up to 11[12] degrees between the instants"),
         (sparse, 1e-9, "more than 1000000 attitudes"),
         (sparse.drop_vars("curve_B_from_N"), 1.0, "no curve_B_from_N"),
     ):

@@ -109,6 +109,36 @@ def test_a_users_run_with_a_hostile_name_moves(browser, user_runs, name):
     browser.until(f"{eye} !== {json.dumps(seen)}", 5)
 
 
+def contrast(a: str, b: str) -> float:
+    """Contrast of two colours "rgb(r, g, b)" by WCAG 2: 1 to 21."""
+    levels = []
+    for colour in (a, b):
+        part = np.array([float(x) for x in colour[4:-1].split(",")[:3]]) / 255
+        part = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+        levels.append(part @ [0.2126, 0.7152, 0.0722] + 0.05)
+    return max(levels) / min(levels)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_the_time_of_the_moving_body_is_legible_in_both_themes(browser, user_runs, dark):
+    browser.open(user_runs["simulate"] / "report.html", 640, 480, dark)
+    browser.show(MOTION)
+    label = f'getComputedStyle(document.querySelector("{MOTION} .slider-label"))'
+    paper = "getComputedStyle(document.body).backgroundColor"
+
+    def measured() -> float:
+        assert browser.js(f"{label}.fillOpacity") == "1"
+        return contrast(browser.js(f"{label}.fill"), browser.js(paper))
+
+    assert measured() > 4.5
+    browser.js(
+        f"Plotly.animate(document.querySelector(\"{MOTION}\"), ['5'], {{frame: {{duration: 0}}}})"
+    )
+    assert measured() > 4.5
+    browser.js("document.getElementById('theme').click()")
+    assert measured() > 4.5
+
+
 def test_a_request_would_be_noticed(browser, tmp_path):
     """A negative control of the tests above."""
     path = tmp_path / "bad.html"

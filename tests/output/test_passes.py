@@ -40,7 +40,7 @@ def test_every_motion_is_a_row_with_the_columns_that_scripts_read(found, tmp_pat
     contents = Contents(tables=[passes_table(found)], synthetic=True)
     write_contents(tmp_path, {}, contents)
     text = (tmp_path / "passes.csv").read_text("utf-8")
-    assert text.startswith("# synthetic telemetry\n")
+    assert text.endswith("\n# synthetic telemetry\n")
     rows = pd.read_csv(tmp_path / "passes.csv", comment="#")
     assert list(rows)[: len(COLUMNS)] == COLUMNS
     assert rows["pass_id"].tolist() == [3, 3, 4] and rows["solution"].tolist() == [0, 1, 0]

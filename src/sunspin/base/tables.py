@@ -127,7 +127,8 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     """Cells and comments. Rows are checked before pandas reads them: it fills short ones up."""
     lines = text.splitlines()
     begin = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), len(lines))
-    comments = [words for line in lines[:begin] if (words := line.lstrip("# ").strip())]
+    remarks = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
+    comments = [words for line in remarks if (words := line.lstrip("# ").strip())]
     first = lines[begin] if begin < len(lines) else ""
     mark, header = max(DELIMITERS, key=first.count), {}
     if RAW_FRAME.fullmatch(first.strip()):
@@ -135,7 +136,7 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     rows = header | {
         number: line
         for number, line in enumerate(lines[begin:], begin + 1)
-        if line.strip(f' {mark}\t"')
+        if line.strip(f' {mark}\t"') and line[0] != "#"
     }
     width = 0
     for number, line in rows.items():

@@ -25,7 +25,8 @@ from sunspin.cli.common import PATH, POSITIVE, shared
 @click.option(
     "--step",
     type=POSITIVE,
-    help="Interval of the attitudes in s, interpolated along the motion. Default: at the samples.",
+    help="Interval of the attitudes in s, along the motion. Default: at the samples, and for aem and ck also between them if the "
+    "body rotates by more than 6 degrees from one to the next.",
 )
 @shared(out="export")
 def export(folder, form, frame, epoch, step, output) -> None:
@@ -38,6 +39,8 @@ def export(folder, form, frame, epoch, step, output) -> None:
       sunspin simulate philae --omega-deg-s 6,0,0 --sun 0,0,1 --duration 600 --out run
       sunspin export run --format netcdf --epoch 2014-11-12T15:35:00Z --out attitude
     """
+    import numpy as np
+
     from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
     from sunspin.output.export.aem import write_aem
     from sunspin.output.export.ck import write_ck
@@ -45,7 +48,8 @@ def export(folder, form, frame, epoch, step, output) -> None:
     from sunspin.output.text import counted
 
     data, source = read_results(folder)
-    attitude = attitude_of(data, frame, epoch, step)
+    tables = form in ("netcdf", "parquet")
+    attitude = attitude_of(data, frame, epoch, step, dense=not tables)
     target = results_folder(output.folder, "export")
     if form == "ck":
         paths = write_ck(target, attitude)
@@ -59,6 +63,7 @@ def export(folder, form, frame, epoch, step, output) -> None:
     samples, segments = len(attitude.t_s), len(attitude.passes())
     files = [str(path) for path in paths]
     about = {"from": str(source), "frame": attitude.frame, "samples": samples}
+    about["largest_rotation_deg"] = np.degrees(attitude.largest_rotation())
     frame = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
     line = f"{counted(samples, 'attitude')} in {counted(segments, 'segment')}, frame {frame}"
     summary = about | {"segments": segments, "files": files}

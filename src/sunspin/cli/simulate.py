@@ -30,12 +30,13 @@ from sunspin.cli.values import BODY_RATE, VECTOR
 def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, output, **run) -> None:
     """Propagate one motion: body rates, Sun direction, attitude, wheel speeds and when wheels stop.
 
-    With --out, writes trajectory.nc.
+    With --out, writes trajectory.nc: the motion at the output times and, if the body rotates far in a step, between them.
 
     \b
     Example:
       sunspin simulate philae --omega-deg-s 6,0,0 --sun 0.1959,0.5690,0.7986 --duration 2760 --out run
     """
+    from sunspin.dynamics.curve import with_curve
     from sunspin.dynamics.extent import check_work, output_times
     from sunspin.dynamics.propagate import propagate
 
@@ -45,5 +46,11 @@ def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, outp
     t = output_times(duration, step)
     check_work(craft, omega_B, speeds, duration)
     output.claim()
-    result = propagate(craft, omega_B, sun_B, speeds or None, t, **run)
+
+    def motion(at):
+        return propagate(craft, omega_B, sun_B, speeds or None, at, **run)
+
+    result = motion(t)
+    if output.folder is not None:
+        result = with_curve(result, craft.require_inertia(), motion)
     output.deliver(result, opening.file, main="trajectory.nc")

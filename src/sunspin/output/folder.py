@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base import atomic_write
+from sunspin.base.cells import plain_cell
 from sunspin.base.errors import InputError, OutputError
 from sunspin.base.provenance import described
 from sunspin.base.untrusted import is_own, read_bytes
@@ -147,10 +148,7 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     for name, dataset in data.items():
         write_netcdf(folder / f"{name}.nc", dataset)
     for table in contents.tables:
-        label = "# synthetic telemetry\n" if contents.synthetic else ""
-        head = label + (f"# {table.comment}\n" if table.comment else "")
-        text = table.frame.to_csv(index=False, float_format="%.9g")
-        write_whole(folder / f"{table.name}.csv", head + text)
+        write_whole(folder / f"{table.name}.csv", table_text(table, contents.synthetic))
     if contents.vehicle is not None:
         write_whole(folder / "vehicle.toml", vehicle_text(contents.vehicle))
     manifest = {
@@ -172,6 +170,16 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
         what = f"a file of the results folder cannot be read back ({error.strerror or error})"
         raise OutputError(what, do="choose another --out", where=str(folder)) from None
     write_json(folder / MANIFEST, manifest | {"sha256": digests})
+
+
+def table_text(table: Table, synthetic: bool) -> str:
+    """Return a table as CSV, its header first and comments last, as `numpy.genfromtxt` and `pandas.read_csv` read it."""
+    comments = ["synthetic telemetry"] if synthetic else []
+    comments += [table.comment] if table.comment else []
+    texts = table.frame.select_dtypes(exclude="number")
+    plain_texts = {} if table.prose else {name: texts[name].map(plain_cell) for name in texts}
+    text = table.frame.assign(**plain_texts).to_csv(index=False, float_format="%.9g")
+    return text + "".join(f"# {comment}\n" for comment in comments)
 
 
 def _shown(folder: Path, name: str) -> str:

@@ -67,7 +67,7 @@ class Table(NamedTuple):
     """A table to write as CSV.
 
     `frame`: the pandas DataFrame; `shown`: its columns on the page, with their headings there (none: the file only);
-    `comment`: a first line of the file.
+    `comment`: a last line of the file; `prose`: sentences, whose commas are kept between quotation marks.
     """
 
     name: str
@@ -75,6 +75,7 @@ class Table(NamedTuple):
     title: str = ""
     shown: Mapping[str, str] = {}
     comment: str = ""
+    prose: bool = False
 
 
 class Context(NamedTuple):

@@ -239,7 +239,7 @@ def _contradictions(case: Case) -> Table:
         "Where the paper contradicts itself (it judges the paper and not this run; weak: a matter of wording, or nearly explained "
         f"by the other reading). Computed on {study['made']} by {study['command']}"
     )
-    return Table("contradictions", pd.DataFrame(rows), title, shown)
+    return Table("contradictions", pd.DataFrame(rows), title, shown, prose=True)
 
 
 # ---- NetCDF files ------------------------------------------------------------------------------------------------------------

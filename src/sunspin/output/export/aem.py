@@ -2,6 +2,8 @@
 
 The standard's quaternion rotates the axes of frame A into those of frame B, so that a vector's components in B are R(q)^T times
 those in A, with R the rotation of vectors that SciPy calls by the same q: the numbers written are the conjugate of `B_from_N`.
+
+No method of interpolation is stated. Readers choose one, so that the attitudes must be dense (`attitude_of` with `dense`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """SPICE C-kernel with the clock and frame kernels that it needs.
 
-The clock kernel makes one tick a microsecond from the epoch of the result; the frame kernel names the body's frame, which the
-C-kernel orients, and the local frame N, which is not related to any other: SPICE refuses to go from it to J2000, as it should.
+The clock kernel makes one tick a microsecond, from a second before the epoch of the result; the frame kernel names the body's
+frame, which the C-kernel orients, and the local frame N, which is not related to any other: SPICE refuses to go from it to J2000,
+as it should.
 """
 
 from __future__ import annotations
@@ -51,14 +52,18 @@ def spice() -> Any:
 
 
 def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
-    """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into `folder`; one interpolation interval per pass."""
+    """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into `folder`; one interpolation interval per pass.
+
+    Between two records SPICE takes the shorter way: give attitudes of :func:`sunspin.output.export.attitude_of` with `dense`.
+    """
     from scipy.spatial.transform import Rotation
 
     sp = spice()
     if not str(folder).isprintable():
         what, do = "SPICE takes no such folder name", "give one of plain letters"
         raise OutputError(what, got=str(folder), do=do)
-    first_s = min(0.0, float(attitude.t_s[0]))  # tick 0: the epoch, or an earlier first sample
+    # tick 0: a second before the epoch or an earlier first sample, whose time SPICE may round down
+    first_s = min(0.0, float(attitude.t_s[0])) - 1.0
     ticks = np.round((attitude.t_s - first_s) * TICKS_PER_S)
     if np.any(np.diff(ticks) <= 0):
         raise InputError("a C-kernel needs times that increase by a microsecond or more")

@@ -138,7 +138,10 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[str
     ]
     corner = {"x": 0, "y": 0, "xanchor": "left", "yanchor": "top", "pad": {"t": 8}}
     menu = {"type": "buttons", "direction": "right", **corner, "buttons": buttons}
-    shown_now = {"prefix": "", "font": {"size": 13, "color": GREY}}
+    shown_now = {
+        "prefix": "",
+        "font": {"size": 13, "color": GREY},
+    }  # page.css sets the theme's colour
     bare = {"ticklen": 0, "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}
     slider = {"currentvalue": shown_now, "pad": {"t": 50}, **bare, "steps": steps}
     figure.update_layout(updatemenus=[menu], sliders=[slider])

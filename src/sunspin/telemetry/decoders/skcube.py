@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sunspin.base.cells import plain_cell
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.base.untrusted import is_plain
@@ -154,7 +155,8 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["unix_s_rx", "station", *(KINDS[kind][1] if kind in KINDS else ("frame",))])
     writer.writerows(
-        [f"{time:.12g}", station, *fields] for time, station, fields in beacons.rows[kind]
+        [f"{time:.12g}", plain_cell(station), *fields]
+        for time, station, fields in beacons.rows[kind]
     )
     return text.getvalue()
 

@@ -1,0 +1,241 @@
+"""Exports between their records: what SPICE, and a reader that interpolates, make of them is the motion that was propagated."""
+
+import contextlib
+import json
+from datetime import datetime
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation, Slerp
+
+import sunspin as ss
+from sunspin.dynamics import curve
+from sunspin.dynamics.curve import with_curve
+from sunspin.output.export import LOCAL_FRAME, attitude_of
+from sunspin.output.export.aem import write_aem
+from sunspin.output.export.ck import ephemeris_time, write_ck
+from sunspin.vehicle import Friction, Vehicle, Wheel
+from validation import border
+
+EPOCH = "2026-01-01T00:00:00Z"
+TRIAXIAL = Vehicle("made up", inertia_kg_m2=np.diag([0.02, 0.05, 0.06]))
+SLOWING = Wheel(
+    "wheel", axis_B=[0, 0, 1], inertia_kg_m2=2e-4, speed_rad_s=300.0, friction=Friction(1e-4, 1e-7)
+)
+WHEELED = Vehicle("made up", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]), wheels=[SLOWING])
+
+MOTIONS = {
+    **{
+        f"{speed:g} deg/s every {step} s": (TRIAXIAL, [0, 0, speed], step, "coast")
+        for speed in (0.1, 12, 60)
+        for step in (1, 20, 120)
+    },
+    "tumbling about the middle axis": (TRIAXIAL, [0.05, 12, 0.02], 20, "coast"),
+    "tumbling fast, far apart": (TRIAXIAL, [40, 20, -30], 120, "coast"),
+    "a wheel runs down and stops": (WHEELED, [1, 0.5, -2], 20, "coast"),
+    "nutation about a wheel": (WHEELED, [1, 0.5, -2], 120, "hold"),
+}
+LARGEST_ERROR_DEG = 0.1
+
+
+def propagated(vehicle, omega_deg_s, mode):
+    speeds = [wheel.speed_rad_s for wheel in vehicle.wheels] or None
+    return lambda t: ss.propagate(vehicle, np.radians(omega_deg_s), [1, 0, 0], speeds, t, mode)
+
+
+def simulated(name):
+    """What `simulate` stores, and the motion at any times between (n) in order."""
+    vehicle, omega, step, mode = MOTIONS[name]
+    motion = propagated(vehicle, omega, mode)
+    run = with_curve(motion(np.arange(0, 601, step)), vehicle.inertia_kg_m2, motion)
+    between = np.sort(np.random.default_rng(1).uniform(0.1, 599.9, 200))
+    return run, between, motion(np.append(0.0, between)).isel(time=slice(1, None))
+
+
+def by_spice(kernels, epoch, t_s, local=LOCAL_FRAME):
+    """Attitudes and rates (n, 3), body axes, of kernels at times (n)."""
+    sp = pytest.importorskip("spiceypy")
+    et = ephemeris_time(np.datetime64(epoch.rstrip("Z"), "us") + np.round(t_s * 1e6).astype(int))
+    kernels = [str(path) for path in kernels]
+    sp.furnsh(kernels)
+    try:
+        states = [sp.xf2rav(sp.sxform(local, "SUNSPIN_BODY", t)) for t in et]
+    finally:
+        sp.unload(kernels)
+    return Rotation.from_matrix([m for m, _ in states]), np.array([m @ rate for m, rate in states])
+
+
+def degrees_off(attitude, truth):
+    turn = attitude * Rotation.from_quat(truth["B_from_N"].values).inv()
+    return np.degrees(turn.magnitude()).max()
+
+
+@pytest.mark.evidence("export", "validated", "NAIF's SPICE between the records of the kernels")
+@pytest.mark.parametrize("name", MOTIONS)
+def test_kernels_follow_the_motion_between_their_records(name, tmp_path, reached):
+    run, between, truth = simulated(name)
+    attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
+    found, rates = by_spice(write_ck(tmp_path, attitude), EPOCH, between)
+    reached("largest error of the attitude", degrees_off(found, truth), "deg", LARGEST_ERROR_DEG)
+    assert degrees_off(found, truth) < LARGEST_ERROR_DEG
+    omega = truth["omega_B"].values
+    assert np.abs(rates - omega).max() < 0.03 * np.linalg.norm(omega, axis=1).max()
+    assert attitude.largest_rotation() < np.radians(30)
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+@pytest.mark.parametrize("name", ["12 deg/s every 20 s", "tumbling fast, far apart"])
+def test_a_reader_of_the_message_that_interpolates_follows_the_motion(name, form, tmp_path):
+    ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
+    run, between, truth = simulated(name)
+    path = write_aem(tmp_path / "a", attitude_of(run, epoch_utc=EPOCH, dense=True), form)
+    (segment,) = ndm_io.NdmIo().from_path(path).body.segment
+    assert segment.metadata.interpolation_method is None  # nothing is promised
+    each = [
+        s.quaternion_state if form == "kvn" else s.quaternion_ephemeris for s in states(segment)
+    ]
+    start = datetime.fromisoformat(EPOCH.rstrip("Z"))
+    t = [(datetime.fromisoformat(one.epoch) - start).total_seconds() for one in each]
+    q = [[getattr(one.quaternion, k) for k in ("q1", "q2", "q3", "qc")] for one in each]
+    # the message rotates axes, SciPy vectors: each is the other's inverse
+    assert degrees_off(Slerp(t, Rotation.from_quat(q))(between).inv(), truth) < LARGEST_ERROR_DEG
+
+
+def states(segment):
+    return segment.data.attitude_state
+
+
+@pytest.mark.parametrize("duration", [600, -600])
+def test_the_commands_give_a_kernel_of_the_motion(duration, tmp_path, undrawn):
+    """240 degrees from one output to the next, of which every reader goes 120 degrees back."""
+    sunspin(tmp_path, "init", "sat")
+    start = "--omega-deg-s=0,0,12", "--sun=1,0,0", f"--duration={duration}", "--step=20"
+    stopped = ("--wheel-mode=hold",)
+    sunspin(tmp_path, "simulate", "sat/vehicle.toml", *start, *stopped, "--out=sim")
+    made = ("export", "sim", "--format=ck", f"--epoch={EPOCH}", "--json")
+    summary = json.loads(sunspin(tmp_path, *made, "--out=kernels").out)
+    assert summary["largest_rotation_deg"] < 6
+    stepped = json.loads(sunspin(tmp_path, *made, "--step=1", "--out=stepped").out)
+    assert stepped["samples"] == 601 and 11 < stepped["largest_rotation_deg"] < 13
+    vehicle = ss.load_vehicle(tmp_path / "sat" / "vehicle.toml")
+    between = np.linspace(0.5, 599.5, 100) * np.sign(duration)
+    truth = propagated(vehicle, [0, 0, 12], "hold")(np.append(0.0, between))
+    for each in (summary, stepped):
+        kernels = [tmp_path / file for file in each["files"]]
+        found, rates = by_spice(kernels, EPOCH, between)
+        assert degrees_off(found, truth.isel(time=slice(1, None))) < 1.0
+        assert np.abs(np.degrees(rates) - [0, 0, 12]).max() < 0.3
+    compared = sunspin(
+        tmp_path,
+        "compare",
+        "sim",
+        *summary["files"],
+        f"--epoch={EPOCH}",
+        "--frame=SUNSPIN_BODY",
+        f"--base={LOCAL_FRAME}",
+        "--json",
+    )
+    compared = json.loads(compared.out)
+    assert compared["covered"] >= 30 and max(compared["rms_deg_s"]) < 1e-4
+
+
+def test_a_step_across_half_a_revolution_is_refused_and_the_advice_holds(tmp_path, undrawn):
+    sunspin(tmp_path, "init", "sat")
+    start = "--omega-deg-s=0,0,12", "--sun=1,0,0", "--duration=600", "--step=20"
+    sunspin(tmp_path, "simulate", "sat/vehicle.toml", *start, "--wheel-mode=hold", "--out=sim")
+    for form in ("ck", "aem", "aem-xml"):
+        made = ("export", "sim", f"--format={form}", f"--epoch={EPOCH}", "--out=out")
+        said = sunspin(tmp_path, *made, "--step=20", code=2).err
+        assert (
+            "rotates by up to 240 degrees in this --step" in said and "--step 2.4 or less" in said
+        )
+        assert not (tmp_path / "out").exists()
+        sunspin(tmp_path, *made[:-1], "--step=2.4", f"--out={form}")
+    sunspin(tmp_path, "export", "sim", "--format=netcdf", f"--epoch={EPOCH}", "--step=20")
+
+
+def sunspin(folder, *arguments, code=0):
+    with contextlib.chdir(folder):
+        told = border.sunspin(*map(str, arguments))
+    assert told.code == code and not told.escaped, told
+    return told
+
+
+def test_a_trajectory_too_coarse_to_interpolate_names_the_step_that_is_not():
+    motion = propagated(TRIAXIAL, [0, 0, 12], "coast")
+    with pytest.raises(ss.InputError, match=r"up to 240 degrees between.*again with --step 2\.3"):
+        attitude_of(motion(np.arange(0, 601, 20.0)), epoch_utc=EPOCH, dense=True)
+    fine = attitude_of(motion(np.arange(0, 601, 2.3)), epoch_utc=EPOCH, dense=True)
+    assert fine.largest_rotation() < 0.11
+
+
+def test_a_motion_longer_than_a_curve_may_be_is_simulated_in_parts(monkeypatch):
+    monkeypatch.setattr(curve, "MOST_INSTANTS", 100)
+    monkeypatch.setattr("sunspin.output.export.MOST_INSTANTS", 100)
+    motion = propagated(TRIAXIAL, [0, 0, 12], "coast")
+
+    def exported(duration):
+        run = motion(np.arange(0, duration + 1, 20.0))
+        run = with_curve(run, TRIAXIAL.inertia_kg_m2, motion)
+        return attitude_of(run, epoch_utc=EPOCH, dense=True)
+
+    with pytest.raises(ss.InputError, match="in parts, with a --duration of 110"):
+        exported(600)
+    assert exported(110).largest_rotation() < 0.11
+
+
+def test_an_attitude_is_not_interpolated_across_a_gap(tmp_path):
+    """Two passes of 12 deg/s with a curve each, 20 s between samples, 70 s between the passes."""
+    motion = propagated(TRIAXIAL, [1, 2, 12], "coast")
+    passes = [np.arange(0, 201, 20.0), np.arange(270, 501, 20.0)]
+    fine = [np.linspace(t[0], t[-1], 10 * len(t)) for t in passes]
+    run, between = motion(np.concatenate(passes)), motion(np.concatenate(fine))
+    run = run.assign(
+        pass_of=("time", np.repeat([0, 1], [len(t) for t in passes])),
+        curve_B_from_N=(("curve_time", "quaternion"), between["B_from_N"].values),
+        curve_omega_B=(("curve_time", "axis"), between["omega_B"].values),
+        curve_pass_of=("curve_time", np.repeat([0, 1], [len(t) for t in fine])),
+    ).assign_coords(curve_time=between["time"].values)
+    run.attrs["kind"] = "rates"
+    attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
+    kernels = write_ck(tmp_path, attitude)
+    at = np.array([7.0, 133.0, 199.0, 271.0, 391.0])
+    found, _ = by_spice(kernels, EPOCH, at)
+    truth = motion(np.append(0.0, at)).isel(time=slice(1, None))
+    assert degrees_off(found, truth) < LARGEST_ERROR_DEG
+    sp = pytest.importorskip("spiceypy")
+    with pytest.raises(sp.exceptions.SpiceyError):
+        by_spice(kernels, EPOCH, np.array([235.0]))
+    lone = run.drop_dims("curve_time")
+    with pytest.raises(
+        ss.InputError, match="a shorter stretch of time: `sunspin rates --from --to`"
+    ):
+        attitude_of(lone, epoch_utc=EPOCH, dense=True)
+
+
+def test_samples_that_a_uniform_rotation_follows_are_exported_as_they_are():
+    motion = propagated(TRIAXIAL, [0.2, 0.1, 2], "coast")
+    run = motion(np.arange(0, 601, 2.0))
+    attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
+    assert np.array_equal(attitude.t_s, run["time"].values)
+    assert "curve_time" not in with_curve(run, TRIAXIAL.inertia_kg_m2, motion)
+
+
+def test_a_curve_has_the_kinks_where_a_wheel_stops():
+    run, _, _ = simulated("a wheel runs down and stops")
+    assert run.sizes["event"] == 1 and run["event_time_s"].values[0] in run["curve_time"].values
+
+
+@pytest.mark.parametrize("step", ["inf", "nan", "1e-9"])
+def test_a_step_that_is_no_time_is_a_sentence(step):
+    run = propagated(TRIAXIAL, [0, 0, 1], "coast")(np.arange(0, 61, 2.0))
+    with pytest.raises(ss.InputError, match="--step"):
+        attitude_of(run, epoch_utc=EPOCH, step_s=float(step), dense=True)
+
+
+def test_what_simulate_stores_has_units(tmp_path, undrawn):
+    run, _, _ = simulated("12 deg/s every 20 s")
+    data = xr.load_dataset(run.sunspin.save(tmp_path / "run") / "trajectory.nc", engine="h5netcdf")
+    for name in ("curve_time", "curve_omega_B", "curve_B_from_N"):
+        assert data[name].attrs["units"] and data[name].attrs["long_name"]
