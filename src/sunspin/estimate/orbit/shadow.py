@@ -24,19 +24,20 @@ CLEAR_SHARE, CLEAR_SIGMAS = 0.4, 8.0
 """A panel has clear Sun above this share of full Sun and this many sigma of noise. The Earth gives a panel 0.25 at reflectivity
 0.3; the brightest panel of a cube has 0.58 or more."""
 
-MISFIT, ALIKE, SCATTER = 0.35, 0.9, 0.3
+MISFIT, ALIKE, SCATTER = 0.35, 0.6, 0.3
 """A sample is of sunlight if its misfit Delta to the best direction is smaller than the first: light of the Earth up to 30 % of
-full Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the second
-share of the bright samples must be so, and the brightness of those scatter by less than the third: 0.25 in sunlight, 0.34 to 0.43
-in noise alone, on simulated cubes with three to six panels."""
+full Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the
+second share of the bright samples must be so, and their brightness scatter by less than the third. On simulated cubes with three
+to six panels it scatters by 0.25 in sunlight and by 0.34 to 0.43 in noise alone."""
 
-DEPTH_M = 50e3
-"""The full shadow is that of an Earth so much smaller. The air bends sunlight by 1.2 degrees, 52 km over the 2,500 km from the
-horizon to a low orbit. A satellite at 500 km that crosses the edge steeply is so deep after 18 s: a clock may be off by seconds."""
+DEPTH_M, LEEWAY_S = 20e3, 10.0
+"""The full shadow is that of an Earth so much smaller, and the prior of the offset is so much wider on both sides. Sunlight that
+the air bends reaches a low orbit 20 km deep from rays 5 km high, where it is spread over five times the area and mostly absorbed:
+less than `CLEAR_SHARE`. A clock may be off by seconds: a satellite at 500 km crosses the 20 km in 7 s or more."""
 
-FEW, TIMES_CHANCE = 3, 3.0
-"""More samples with clear Sun in the shadow than the first, and than the second times what `SEEN_IN_SHADOW` makes by chance,
-contradict the orbit."""
+FEW, CHANCE_SIGMAS = 3, 2.0
+"""More samples with clear Sun in the shadow than the first contradict the orbit, if they are also more than `SEEN_IN_SHADOW` makes
+by chance: its mean and so many sigma."""
 
 MOST_SAMPLES = 600
 """Samples of the file that are compared, spread evenly."""
@@ -81,19 +82,23 @@ def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInS
         """Samples with clear Sun in the shadow (K), all there (K), and whether they contradict the orbit (K)."""
         dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
         seen, whole = (dark & clear).sum(axis=1), dark.sum(axis=1)
-        return seen, whole, seen > np.maximum(FEW, TIMES_CHANCE * SEEN_IN_SHADOW * whole)
+        chance = SEEN_IN_SHADOW * whole
+        return seen, whole, seen > np.maximum(FEW, chance + CHANCE_SIGMAS * np.sqrt(chance))
 
     if not counted(np.zeros(1))[2][0]:
         return SunInShadow()
     half = orbit.elements[0].period_s / 2
-    reach = min(sigmas * float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s)), half)
+    prior = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+    reach = min(sigmas * prior + LEEWAY_S, half)
     seen, whole, against = counted(np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1))
     if not against.all():
         return SunInShadow()
     wide = COARSE_S * np.arange(-int(half / COARSE_S), int(half / COARSE_S) + 1)
     beyond = np.abs(wide[~counted(wide)[2]]).min(initial=np.inf)
     k = int(seen.argmin())
-    return SunInShadow(int(seen[k]), int(whole[k]), beyond if np.isfinite(beyond) else np.nan)
+    return SunInShadow(
+        int(seen[k]), int(whole[k]), float(beyond) if np.isfinite(beyond) else np.nan
+    )
 
 
 def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
