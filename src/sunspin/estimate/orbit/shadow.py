@@ -116,7 +116,7 @@ def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
         known = np.isfinite(value).any(axis=1) & ~(repeated & bright)
     elif "sun_sensor_B" in telemetry and sensors.sun_vector is None:
         if all(sensor.light_column for sensor in sensors.sun_sensors):
-            clear = np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1)
+            clear = np.asarray(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
             known = np.ones_like(clear)
     use = np.flatnonzero(known & ~came_late(telemetry))
     if len(use) > MOST_SAMPLES:
@@ -141,7 +141,7 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
         )
         if clear.sum() < ALIKE * usable.sum() or top - low > 2 * SCATTER * middle:
             clear = np.zeros_like(clear)
-    return high.any(axis=1), clear
+    return np.asarray(high.any(axis=1)), np.asarray(clear)
 
 
 def _in_full_shadow(
