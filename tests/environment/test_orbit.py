@@ -438,7 +438,11 @@ def test_an_epoch_by_the_day_of_the_year_or_with_nanoseconds_is_read():
         ("REF_FRAME", "TOD", "REF_FRAME of the OMM is not TEME"),
         ("CENTER_NAME", "MOON", "CENTER_NAME of the OMM is not EARTH .found MOON."),
         ("TIME_SYSTEM", "SCLK", "TIME_SYSTEM of the OMM cannot be converted to UTC .found SCLK."),
-        ("TIME_SYSTEM", "UT1", ".* give EPOCH and TIME_SYSTEM in one of UTC, TAI, TT, TDT, TDB, GPS"),
+        (
+            "TIME_SYSTEM",
+            "UT1",
+            ".* give EPOCH and TIME_SYSTEM in one of UTC, TAI, TT, TDT, TDB, GPS",
+        ),
         ("EPHEMERIS_TYPE", 4, "the ephemeris type .* not for SGP4 .found 4 .SGP4-XP.."),
         ("EPHEMERIS_TYPE", 6, "the ephemeris type .* not for SGP4 .found 6."),
         ("MEAN_ELEMENT_THEORY", "SGP4-XP", "the OMM's elements are not for SGP4 .found SGP4-XP."),
