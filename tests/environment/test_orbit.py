@@ -391,6 +391,142 @@ def test_an_OMM_is_read_in_each_of_its_forms(text, tmp_path):
     assert np.linalg.norm(place) == pytest.approx(6.79e6, rel=3e-3)
 
 
+FORMS = {
+    "json": lambda fields: json.dumps([fields]),
+    "csv": lambda fields: ",".join(fields) + "\n" + ",".join(map(str, fields.values())) + "\n",
+    "kvn": _kvn,
+    "xml": _xml,
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("scale", "ahead_s"), [("TAI", 37.0), ("TT", 69.184), ("GPS", 18.0), ("tai", 37.0)]
+)
+def test_an_epoch_of_another_time_system_becomes_the_same_UTC(scale, ahead_s, form):
+    """Since 2017 TAI is 37 s ahead of UTC, TT 32.184 s ahead of TAI, and GPS 19 s behind TAI."""
+    (utc,) = parse_elements(FORMS[form](ISS), "case")
+    late = datetime.fromisoformat(ISS["EPOCH"]) + timedelta(seconds=ahead_s)
+    (other,) = parse_elements(
+        FORMS[form](ISS | {"EPOCH": late.isoformat(), "TIME_SYSTEM": scale}), "case"
+    )
+    assert other.epoch_jd == utc.epoch_jd and other.given == utc.given
+
+
+def test_an_epoch_next_to_a_leap_second_has_the_leap_seconds_of_its_UTC():
+    """The leap second at the end of 2016: TAI is 36 s ahead before, 37 s after."""
+    for tai, utc in (("00:00:10", "2016-12-31T23:59:34"), ("00:00:40", "2017-01-01T00:00:03")):
+        fields = ISS | {"EPOCH": f"2017-01-01T{tai}", "TIME_SYSTEM": "TAI"}
+        (elements,) = parse_elements(json.dumps(fields), "case")
+        assert dict(elements.given)["EPOCH"] == f"{utc}.000000"
+
+
+def test_an_epoch_by_the_day_of_the_year_or_with_nanoseconds_is_read():
+    for epoch in ("2024-061T12:00:00Z", "2024-03-01T12:00:00.000000123", "2024-03-01T12:00:00"):
+        (elements,) = parse_elements(json.dumps(ISS | {"EPOCH": epoch}), "case")
+        assert sum(elements.epoch_jd) == pytest.approx(2460371.0, abs=1e-9)
+    for epoch in ("2023-366T12:00:00", "2024-13-01T12:00:00", "0001-01-01T00:00:00"):
+        with pytest.raises(ss.InputError, match="EPOCH must be a UTC time such as"):
+            parse_elements(json.dumps(ISS | {"EPOCH": epoch, "TIME_SYSTEM": "TAI"}), "case")
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("REF_FRAME", "EME2000", "REF_FRAME of the OMM is not TEME, the frame of SGP4 .found EME2"),
+        ("REF_FRAME", "TOD", "REF_FRAME of the OMM is not TEME"),
+        ("CENTER_NAME", "MOON", "CENTER_NAME of the OMM is not EARTH .found MOON."),
+        ("TIME_SYSTEM", "SCLK", "TIME_SYSTEM of the OMM cannot be converted to UTC .found SCLK."),
+        (
+            "TIME_SYSTEM",
+            "UT1",
+            ".* give EPOCH and TIME_SYSTEM in one of UTC, TAI, TT, TDT, TDB, GPS",
+        ),
+        ("EPHEMERIS_TYPE", 4, "the ephemeris type .* not for SGP4 .found 4 .SGP4-XP.."),
+        ("EPHEMERIS_TYPE", 6, "the ephemeris type .* not for SGP4 .found 6."),
+        ("MEAN_ELEMENT_THEORY", "SGP4-XP", "the OMM's elements are not for SGP4 .found SGP4-XP."),
+        ("NORAD_CAT_ID", "I5544", "the catalogue number .* cannot be read .found I5544."),
+        ("NORAD_CAT_ID", "1234567890", "the catalogue number .* cannot be read"),
+        ("NORAD_CAT_ID", -5, "the catalogue number .* cannot be read"),
+    ],
+)
+def test_an_OMM_that_says_what_SGP4_is_not_is_refused(key, value, message, form):
+    with pytest.raises(ss.InputError, match=f"case: {message}"):
+        parse_elements(FORMS[form](ISS | {key: value}), "case")
+
+
+def test_an_OMM_for_SGP4_XP_is_refused_for_its_theory_though_it_has_no_BSTAR():
+    fields = {key: value for key, value in ISS.items() if key != "BSTAR"}
+    with pytest.raises(ss.InputError, match="not for SGP4"):
+        parse_elements(json.dumps(fields | {"EPHEMERIS_TYPE": 4, "BTERM": 0.02}), "case")
+
+
+PUBLISHED = {
+    "COMMENT": "GENERATED VIA A PUBLIC API",
+    "CREATION_DATE": "2024-03-01T18:00:00",
+    "ORIGINATOR": "SOMEBODY",
+    "CENTER_NAME": "EARTH",
+    "REF_FRAME": "TEME",
+    "TIME_SYSTEM": "UTC",
+    "MEAN_ELEMENT_THEORY": "SGP4",
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_published_OMMs_are_read_with_the_keys_that_say_what_SGP4_is_and_without(form):
+    (plain,) = parse_elements(FORMS[form](ISS), "case")
+    for more in (
+        PUBLISHED,
+        {"EPHEMERIS_TYPE": 2, "MEAN_ELEMENT_THEORY": "SGP/SGP4"},
+        {"REF_FRAME": "TEME of Date", "CENTER_NAME": "Earth"},
+        {"EPHEMERIS_TYPE": "", "TIME_SYSTEM": "", "REV_AT_EPOCH": ""},
+        {"ELEMENT_SET_NO": "", "CLASSIFICATION_TYPE": "", "OBJECT_ID": "1998-067ABCDEFGH"},
+    ):
+        (elements,) = parse_elements(FORMS[form](ISS | more), "case")
+        assert replace(elements, where="", given=()) == replace(plain, where="", given=())
+        assert dict(elements.given) == dict(plain.given)
+
+
+def test_an_OMM_of_nine_digits_is_read_and_its_orbit_is_that_of_five():
+    for number in (999999999, 799500123, "000025544", " 25544 ", 25544.0, "A5544", 340000):
+        (elements,) = parse_elements(json.dumps(ISS | {"NORAD_CAT_ID": number}), "case")
+        assert elements.number == {"A5544": 105544}.get(number, int(float(str(number).strip("A"))))
+        place, _ = elements.states(*(np.array([part]) for part in elements.epoch_jd))
+        assert np.linalg.norm(place) == pytest.approx(6.79e6, rel=3e-3)
+
+
+def test_numbers_padded_by_blanks_or_zeros_are_of_one_satellite():
+    for first, second in (("00005", "    5"), ("    5", "00005"), ("5    ", "    5")):
+        lines = VANGUARD.splitlines()
+        text = f"{lines[0][:2]}{first}{lines[0][7:]}\n{lines[1][:2]}{second}{lines[1][7:]}"
+        (elements,) = parse_elements(text, "case")
+        (plain,) = parse_elements(VANGUARD, "case")
+        assert elements.number == 5 and elements.given == plain.given
+    both = json.dumps([ISS, ISS | {"NORAD_CAT_ID": "00025544", "EPOCH": "2024-03-02T12:00:00"}])
+    assert [one.number for one in parse_elements(both, "case")] == [25544, 25544]
+
+
+def test_the_message_of_several_that_is_wrong_is_named():
+    with pytest.raises(ss.InputError, match="^case, message 2: REF_FRAME of the OMM"):
+        parse_elements(json.dumps([ISS, ISS | {"REF_FRAME": "GCRF"}]), "case")
+
+
+def test_a_namespace_or_remarks_do_not_hide_or_part_an_OMM():
+    text = _xml(ISS).replace("<ndm>", '<n:ndm xmlns:n="urn:ccsds:schema:ndmxml">')
+    text = text.replace("</ndm>", "</n:ndm>").replace("omm>", "n:omm>")
+    remarks = _kvn(ISS).replace("EPOCH", "COMMENT a = 1\nCOMMENT a = 1\nEPOCH", 1)
+    for each in (text, remarks):
+        (elements,) = parse_elements(each, "case")
+        assert elements.number == 25544
+
+
+def _of_type(digit: str) -> str:
+    """The two lines with this digit in column 63 of the first."""
+    lines = VANGUARD.splitlines()
+    return _line(f"{lines[0][:62]}{digit}{lines[0][63:]}\n{lines[1]}", "", "")
+
+
 SWAPPED = "\n".join([VANGUARD.splitlines()[1], VANGUARD.splitlines()[0]])
 
 
@@ -422,6 +558,18 @@ SWAPPED = "\n".join([VANGUARD.splitlines()[1], VANGUARD.splitlines()[0]])
         (
             VANGUARD + VZLUSAT,
             "the file has elements of 2 satellites .found 5, 42790.; keep those of yours",
+        ),
+        (
+            _of_type("4"),
+            "case, line 1: the ephemeris type says that the elements are not for SGP4 .found 4 .SGP4-XP..",
+        ),
+        (
+            VANGUARD.replace(" 00005", " I0005"),
+            "the catalogue number of the satellite cannot be read .found I0005.",
+        ),
+        (
+            VANGUARD.replace(" 00005", " O0005"),
+            "the catalogue number of the satellite cannot be read .found O0005.",
         ),
         ("", "no orbital elements here; give two lines that begin with 1 and 2, or an OMM"),
         ("{", "this is not valid JSON"),

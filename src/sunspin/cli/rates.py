@@ -122,6 +122,8 @@ def rates(
             announce(f"{samples.sizes['time']} samples; the elements are checked first")
         used_orbit = orbit_used(file, elements, shift_sigma)
         orbit, calibration, orbit_summary, orbit_lines = used_orbit
+        if orbit is None and orbit_summary and progress is announce:
+            announce("the elements do not fit the telemetry; continuing without the orbit")
     result = run(
         craft,
         used,

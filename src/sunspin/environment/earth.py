@@ -28,6 +28,11 @@ NODES_DAYS = 0.25
 
 DAY_S = 86400.0
 
+TT_AHEAD_OF_TAI_S, TAI_AHEAD_OF_GPS_S = 32.184, 19.0
+
+TIME_SCALES = ("UTC", "UT1", "TAI", "TT", "TDT", "TDB", "GPS")
+"""Time scales whose times can be converted to UTC. UT1 is taken for UTC here."""
+
 
 class Instants(NamedTuple):
     """UTC Julian dates: a day `jd` (n) and its `fraction` (n), and how far TT is ahead (days)."""
@@ -50,7 +55,9 @@ class Instants(NamedTuple):
             warnings.simplefilter("ignore", erfa.ErfaWarning)
             tai_ahead = float(erfa.dat(moment.year, moment.month, moment.day, fraction))
         later = fraction + np.asarray(t_s, dtype=np.float64) / DAY_S
-        return cls(day + np.floor(later), later - np.floor(later), (tai_ahead + 32.184) / DAY_S)
+        return cls(
+            day + np.floor(later), later - np.floor(later), (tai_ahead + TT_AHEAD_OF_TAI_S) / DAY_S
+        )
 
     def later(self, seconds: Any) -> Instants:
         return self._replace(fraction=self.fraction + np.asarray(seconds) / DAY_S)
@@ -87,6 +94,17 @@ def _remembered(function: Callable[[Instants], np.ndarray]) -> Callable[[Instant
         return rotation(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
 
     return remembered
+
+
+def ahead_of_utc_s(scale: str, when: Instants) -> float:
+    """Return by how many seconds one of `TIME_SCALES` is ahead of UTC at these instants."""
+    if scale in ("UTC", "UT1"):
+        return 0.0
+    tt = when.tt_ahead * DAY_S
+    if scale == "TDB":  # Astronomical Almanac, page B7
+        return tt + 1.657e-3 * float(np.sin(6.24 + 0.017202 * (when.middle - 2451545.0)))
+    tai = tt - TT_AHEAD_OF_TAI_S
+    return {"TAI": tai, "GPS": tai - TAI_AHEAD_OF_GPS_S}.get(scale, tt)
 
 
 @_remembered

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from functools import lru_cache
 from string import digits as DIGITS
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import plain_number
+from sunspin.environment.earth import TIME_SCALES, Instants, ahead_of_utc_s
 
 OLD_DAYS = 10.0
 """Elements farther than this from the telemetry are warned about: the place along the track is no longer known to a few seconds."""
@@ -36,30 +38,61 @@ LINE_2 = re.compile(
 )
 """Columns of the two lines, checksum included."""
 
-KEYS = (
-    "EPOCH",
+EPHEMERIS_COLUMN = 62
+"""Index in line 1 of the ephemeris type, which says for which propagator the elements are."""
+
+FOR_SGP4 = ("0", "1", "2")
+"""Ephemeris types of elements for SGP4: 0 in all published ones, 1 (SGP) and 2 (SGP4) in a few. 4 is SGP4-XP, whose elements
+SGP4 propagates to wrong places without an error."""
+
+NUMBERS = (
     "MEAN_MOTION",
     "ECCENTRICITY",
     "INCLINATION",
     "RA_OF_ASC_NODE",
     "ARG_OF_PERICENTER",
     "MEAN_ANOMALY",
-    "NORAD_CAT_ID",
     "BSTAR",
     "MEAN_MOTION_DOT",
     "MEAN_MOTION_DDOT",
 )
-"""What SGP4 needs of an OMM."""
+"""Numbers of an OMM that SGP4 needs."""
+
+KEYS = ("EPOCH", *NUMBERS[:6], "NORAD_CAT_ID", *NUMBERS[6:])
+"""Keys that an OMM must have."""
 
 ASSUMED = {
+    "CENTER_NAME": "EARTH",
+    "REF_FRAME": "TEME",
+    "TIME_SYSTEM": "UTC",
+    "MEAN_ELEMENT_THEORY": "SGP4",
+    "EPHEMERIS_TYPE": "0",
+    "OBJECT_NAME": "",
+    "MEAN_MOTION_DDOT": "0",
+}
+"""What an OMM means that leaves a key out: the first four are those of all published ones for SGP4."""
+
+THEORIES = {"SGP", "SGP4", "SGPSGP4"}
+TEME = {"TEME", "TEMEOFDATE"} | {
+    f"TRUEEQUATOR{link}MEANEQUINOX{date}" for link in ("", "AND") for date in ("", "OFDATE")
+}
+"""Names of theory and frame, in capitals, of letters and digits alone."""
+
+FIRST_YEAR = 1957
+"""Of a satellite."""
+
+NOT_USED = {
+    "NORAD_CAT_ID": "0",
     "EPHEMERIS_TYPE": "0",
     "CLASSIFICATION_TYPE": "U",
     "ELEMENT_SET_NO": "0",
     "REV_AT_EPOCH": "0",
     "OBJECT_ID": "",
-    "OBJECT_NAME": "",
-    "MEAN_MOTION_DDOT": "0",
 }
+"""What the reader of the library `sgp4` asks for and no orbit depends on. It holds no number above 339999."""
+
+ALPHA_5 = "0123456789ABCDEFGHJKLMNPQRSTUVWXYZ"
+"""Tens of thousands of a catalogue number in one character: Alpha-5 leaves out I and O."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +165,11 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
     if messages is None:
         sets = list(_lines(text, where))
     else:
-        sets = [_from_omm(fields, where) for fields in messages]
+        listed = list(messages)
+        sets = [
+            _from_omm(fields, where if len(listed) == 1 else f"{where}, message {k}")
+            for k, fields in enumerate(listed, 1)
+        ]
     if not sets:
         do = "give two lines that begin with 1 and 2, or an OMM"
         raise InputError("no orbital elements here", do=do, where=where)
@@ -163,18 +200,23 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
                 what = "line 2 of the elements comes before line 1"
                 raise InputError(what, do="exchange the two lines", where=at)
             first = _checked(line, LINE_1, at)
+            _require_SGP4(first[EPHEMERIS_COLUMN].replace(" ", "0"), at)
         elif first is not None:
             if not line.startswith("2 "):
                 what = "line 2 of the elements must follow their line 1"
                 raise InputError(what, got=line, where=at)
             second = _checked(line, LINE_2, at)
-            if first[2:7] != second[2:7]:
+            satellites = [_catalogue_number(each[2:7], at) for each in (first, second)]
+            if satellites[0] != satellites[1]:
                 what, got = "the two lines are of different satellites", (first[2:7], second[2:7])
                 raise InputError(what, got=" and ".join(got), do="keep those of yours", where=at)
             if not 1 <= float(first[20:32]) < 367:
                 what = "the epoch's day of the year must be from 1 to 366"
                 raise InputError(what, got=first[20:32], where=at)
-            yield _elements((first, second), name, at)
+            given = tuple(
+                f"{each[:2]}{each[2:7].strip():0>5}{each[7:]}" for each in (first, second)
+            )
+            yield _elements(given, satellites[0], name, at)
             name, first = "", None
         else:
             name = line.removeprefix("0 ").strip()[:100]
@@ -196,7 +238,28 @@ def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     return line
 
 
-def _elements(given: tuple, name: str, at: str) -> Elements:
+def _catalogue_number(text: str, at: str) -> int:
+    """Return the number of a satellite: digits, padded by blanks or zeros or not, or Alpha-5."""
+    text = text.strip()
+    if digits := re.fullmatch(r"0*(\d{1,9})(\.0*)?", text, re.ASCII):
+        return int(digits[1])
+    if re.fullmatch(r"[A-Z]\d{4}", text, re.ASCII) and text[0] in ALPHA_5:
+        return ALPHA_5.index(text[0]) * 10_000 + int(text[1:])
+    what = "the catalogue number of the satellite cannot be read"
+    do = "write up to nine digits, or in Alpha-5 a letter other than I and O and four digits"
+    raise InputError(what, got=text, do=do, where=at)
+
+
+def _require_SGP4(ephemeris_type: str, at: str) -> None:
+    """Refuse elements that are for another propagator by their ephemeris type."""
+    if ephemeris_type not in FOR_SGP4:
+        xp = " (SGP4-XP)" if ephemeris_type == "4" else ""
+        what = "the ephemeris type says that the elements are not for SGP4"
+        do = "get elements for SGP4, of ephemeris type 0 or 2"
+        raise InputError(what, got=f"{ephemeris_type}{xp}", do=do, where=at)
+
+
+def _elements(given: tuple, number: int, name: str, at: str) -> Elements:
     try:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
@@ -206,35 +269,71 @@ def _elements(given: tuple, name: str, at: str) -> Elements:
         what, do = "the elements are those of no orbit", "check mean motion and eccentricity"
         raise InputError(what, do=do, where=at)
     epoch_jd = satellite.jdsatepoch, satellite.jdsatepochF
-    return Elements(given, int(satellite.satnum), name, epoch_jd, at)
+    return Elements(given, number, name, epoch_jd, at)
 
 
 # ------------------------------------------------------------------------------------------------------------------------- OMM
 
 
 def _from_omm(fields: dict[str, Any], where: str) -> Elements:
+    """Return the elements of one message. What it says of its theory, frame, centre and time system is obeyed or refused."""
     known = ASSUMED | {
-        str(key).strip(): str(value).strip()
+        str(key).strip(): text
         for key, value in fields.items()
-        if key and value not in (None, "")
+        if key and value is not None and (text := str(value).strip())
     }
+    if _letters(known["MEAN_ELEMENT_THEORY"]) not in THEORIES:
+        what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
+        raise InputError(what, got=known["MEAN_ELEMENT_THEORY"], do=do, where=where)
+    _require_SGP4(known["EPHEMERIS_TYPE"].removesuffix(".0").lstrip("0") or "0", where)
+    if known["CENTER_NAME"].upper() != "EARTH":
+        what, do = "CENTER_NAME of the OMM is not EARTH", "give elements about the Earth"
+        raise InputError(what, got=known["CENTER_NAME"], do=do, where=where)
+    if _letters(known["REF_FRAME"]) not in TEME:
+        what = "REF_FRAME of the OMM is not TEME, the frame of SGP4"
+        do = "get SGP4 elements, whose frame is TEME: a changed label would turn the orbit"
+        raise InputError(what, got=known["REF_FRAME"], do=do, where=where)
     if missing := [key for key in KEYS if key not in known]:
         do = "give the whole message"
         raise InputError("the OMM lacks a key", got=missing[0], do=do, where=where)
-    theory = known.get("MEAN_ELEMENT_THEORY", "SGP4")
-    if theory.upper().replace("/", "") not in ("SGP4", "SGP", "SGPSGP4"):
-        what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
-        raise InputError(what, got=theory, do=do, where=where)
-    for key in KEYS[1:]:
+    for key in NUMBERS:
         if np.isnan(plain_number(known[key])):
             raise InputError(f"{key} must be a number", got=known[key], where=where)
-    epoch = known["EPOCH"].rstrip("Z")
-    if not re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?", epoch, re.ASCII):
+    number = _catalogue_number(known["NORAD_CAT_ID"], where)
+    epoch = _utc(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(timespec="microseconds")
+    given = NOT_USED | {key: known[key] for key in NUMBERS} | {"EPOCH": epoch}
+    return _elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
+
+
+def _letters(name: str) -> str:
+    """Return a name in capitals, without what is neither letter nor digit."""
+    return re.sub(r"[^A-Z0-9]", "", name.upper())
+
+
+def _utc(epoch: str, scale: str, where: str) -> datetime:
+    """Return the UTC of an epoch in a time scale: of the calendar, or of a day of the year."""
+    form = re.fullmatch(r"(\d{4}-(?:\d\d-\d\d|(\d{3}))T\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII)
+    try:
+        if form is None:
+            raise ValueError
+        date = "%Y-%j" if form[2] else "%Y-%m-%d"
+        given = datetime.strptime(form[1], f"{date}T%H:%M:%S")
+        if given.year < FIRST_YEAR or given.year != int(form[1][:4]):  # day 366 of a common year
+            raise ValueError
+    except ValueError:
         what = "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0"
-        raise InputError(what, got=known["EPOCH"], where=where)
-    known["EPOCH"] = epoch if "." in epoch else epoch + ".0"
-    wanted = {key: known[key] for key in (*KEYS, *ASSUMED)}
-    return _elements(tuple(sorted(wanted.items())), known["OBJECT_NAME"][:100], where)
+        raise InputError(what, got=epoch, where=where) from None
+    given += timedelta(seconds=float(form[3] or 0))
+    exact = [each for each in TIME_SCALES if each != "UT1"]  # known to 0.9 s only, 7 km of flight
+    if scale.upper() not in exact:
+        what = "TIME_SYSTEM of the OMM cannot be converted to UTC"
+        do = f"give EPOCH and TIME_SYSTEM in one of {', '.join(exact)}"
+        raise InputError(what, got=scale, do=do, where=where)
+    utc = given
+    for _ in range(2):  # the leap seconds are those of the UTC, which the first round finds
+        when = Instants.of(utc.isoformat(), np.zeros(1))
+        utc = given - timedelta(seconds=ahead_of_utc_s(scale.upper(), when))
+    return utc
 
 
 def _kvn(text: str) -> Iterator[dict[str, str]]:
@@ -243,7 +342,7 @@ def _kvn(text: str) -> Iterator[dict[str, str]]:
     for line in text.splitlines():
         key, equals, value = line.partition("=")
         key = key.strip()
-        if not equals:
+        if not equals or key.startswith("COMMENT"):
             continue
         if key in fields:
             yield fields
@@ -278,5 +377,11 @@ def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
 
 def _xml(text: str, where: str) -> Iterator[dict[str, str]]:
     root = xml_root(text, "OMM", where)
-    for message in root.iter("omm"):
-        yield {leaf.tag: leaf.text or "" for leaf in message.iter() if not len(leaf)}
+    for message in root.iter():
+        if _plain_tag(message) == "omm":
+            yield {_plain_tag(leaf): leaf.text or "" for leaf in message.iter() if not len(leaf)}
+
+
+def _plain_tag(element: ElementTree.Element) -> str:
+    """Return the name of an element without its namespace; nothing for a comment."""
+    return str(element.tag).rpartition("}")[2]

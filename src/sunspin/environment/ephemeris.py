@@ -29,8 +29,10 @@ from sunspin.environment.earth import (
     DAY_S,
     EQUATOR_M,
     MU_M3_S2,
+    TIME_SCALES,
     Instants,
     J2000_from_TEME,
+    ahead_of_utc_s,
     earth_from_J2000,
 )
 from sunspin.environment.elements import Elements, parse_elements, xml_root
@@ -69,8 +71,6 @@ TIME = re.compile(r"(\d{4})-(?:(\d{3})|\d\d-\d\d)(T\d\d(?::\d\d(?::\d\d(?:\.\d*)
 
 FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
 """Names of frames: that of J2000, and those that turn with the Earth."""
-
-TAI_AHEAD_OF_GPS_S = 19.0
 
 
 @dataclass(frozen=True)
@@ -277,18 +277,11 @@ def _instants(table: _Table, where: str) -> Instants:
     except ValueError:
         what = "this is not a time such as 2026-01-31T12:00:00"
         raise InputError(what, got=table.epoch, where=where) from None
-    tt = when.tt_ahead * DAY_S
-    tai, days = tt - 32.184, when.middle - 2451545.0
-    tdb = tt + 1.657e-3 * np.sin(6.24 + 0.017202 * days)  # Astronomical Almanac, page B7
-    ahead = {"UTC": 0.0, "UT1": 0.0, "TAI": tai, "TT": tt, "TDT": tt, "TDB": tdb}
-    ahead["GPS"] = tai - TAI_AHEAD_OF_GPS_S
-    if table.scale not in ahead:
-        what, do = (
-            "the time system of the ephemeris is not known",
-            f"give one of {', '.join(ahead)}",
-        )
+    if table.scale not in TIME_SCALES:
+        what = "the time system of the ephemeris is not known"
+        do = f"give one of {', '.join(TIME_SCALES)}"
         raise InputError(what, got=table.scale, do=do, where=where)
-    return when.later(-ahead[table.scale])
+    return when.later(-ahead_of_utc_s(table.scale, when))
 
 
 def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:

@@ -200,7 +200,10 @@ def _in_orbit(
     check = check_orbit(orbit, vehicle, assessment)
     if check.verdict is Verdict.REFUSED:
         do = "give the right elements, or calibrate without any"
-        got = f"{check.better} of {check.copies} orbits at random predict better"
+        got = (
+            str(check.sun_in_shadow)
+            or f"{check.better} of {check.copies} orbits at random predict better"
+        )
         raise InputError(
             "the elements do not fit the telemetry, which cannot be calibrated with them",
             got=got,

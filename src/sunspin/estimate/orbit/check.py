@@ -5,6 +5,7 @@ and whether the Sun is up. The orbit predicts all three up to its shift along th
 (scale, soft iron, axes) are fitted with the shift, so that a badly calibrated sensor is no reason to refuse an orbit. The same is
 fitted to copies of the orbit, its node and phase turned at random. Elements that are right predict better than nearly all copies;
 the rank among them is the answer, and how clearly the copies differ from the orbit in these data says whether there is one.
+Elements are refused without that rank if samples with clear Sun lie in the Earth's shadow (:mod:`sunspin.estimate.orbit.shadow`).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from sunspin.estimate.orbit.invariants import (
     turned_axes,
 )
 from sunspin.estimate.orbit.sensor_calibration import Calibration, Start, by_sun_sensors
+from sunspin.estimate.orbit.shadow import SunInShadow, sun_in_shadow
 from sunspin.estimate.wiring import axes_matrix
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
@@ -112,6 +114,8 @@ class OrbitCheck:
     drift_s_day: float = 0.0
     drift_sigma_s_day: float = 0.0
     made: Calibration | None = None
+    sun_in_shadow: SunInShadow = SunInShadow()
+    """Samples with clear Sun that contradict the orbit at every offset within the prior."""
 
 
 def check_orbit(
@@ -163,10 +167,14 @@ def check_orbit(
     k = int(own.cost.argmin())
     against = verdict is Verdict.FITS and contradicted(seen, here.take([k]), own.calibration[k])
     verdict = verdict if enough and mistaken <= MISTAKEN and not against else Verdict.UNDECIDED
+    contradiction = sun_in_shadow(orbit, assessment, SPAN)
+    if contradiction.samples:  # no other orbit need fit better: this one is wrong, or the clock is
+        verdict = Verdict.REFUSED
     lowest = float((best if verdict is Verdict.REFUSED else own).cost.min())
     answer = _answer(
         orbit, seen, grid, here, own, verdict, (int(better), mistaken), (turn, times), lowest
     )
+    answer = replace(answer, sun_in_shadow=contradiction)
     if 0 < both < FEWEST and answer.matrix is not None:
         answer = _with_few_angles(answer, shown, here.take([k]), grid.prior[[k]])
     if way is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:

@@ -99,11 +99,13 @@ def judged_orbit(
     sign += f"; {found.turned_axes}" if found.turned_axes else ""
     if found.verdict is Verdict.REFUSED:
         why = found.verdict.value.split(";")[0]
-        clock = f"; {off}" if (off := clock_off(found)) else ""
+        reasons = "".join(
+            f"; {text}" for text in (str(found.sun_in_shadow), clock_off(found)) if text
+        )
         return (
             None,
             found,
-            f"the orbit is NOT USED: {why}{clock} (`sunspin check` with the same elements says more)",
+            f"the orbit is NOT USED: {why}{reasons}; the result is without it (`sunspin check` says more)",
         )
     if found.verdict is Verdict.UNDECIDED:
         sigma = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))

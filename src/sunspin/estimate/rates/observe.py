@@ -14,6 +14,7 @@ from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.estimate.rates.state import Observations
 from sunspin.estimate.terms.field_direction import reads_directions
 from sunspin.estimate.terms.magnetometer import Magnetometer
+from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.assess import Assessment, assess
@@ -112,9 +113,19 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
     use = usable(o, why)
     if len(use) < 3:
-        lost = Counter(
-            text.removeprefix("dropped: ") for text in why if text.startswith("dropped")
-        ).most_common(1)
+        dropped = np.array([text.startswith("dropped") for text in why], dtype=bool)
+        lost = Counter(text.removeprefix("dropped: ") for text in why[dropped]).most_common(1)
+        shadowed = sum(
+            np.count_nonzero(~dropped & (term.lit == 0))
+            for term in o.terms
+            if isinstance(term, Panels)
+        )
+        if shadowed:  # lit panels say nothing where an orbit has the Sun down
+            raise InputError(
+                "the orbit leaves fewer than three samples with the Sun",
+                got=f"{shadowed} of {len(o)} in the Earth's shadow although panels are lit",
+                do="check the elements and the clock, or leave the orbit out",
+            )
         raise InputError(
             "fewer than three samples say where the Sun is",
             got=f"{len(use)} of {len(o)}",

@@ -84,6 +84,8 @@ def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
         "clock_behind_s": fit.clock_behind_s,
         "in_shadow": fit.eclipse[1],
         "in_shadow_with_sun": fit.eclipse[0],
+        "contradicted_by_sun": fit.sun_in_shadow.samples,
+        "contradicted_by_s": fit.sun_in_shadow.beyond_s,
         "notes": orbit.notes(time),
     }
     if fit.matrix is not None and fit.zero is not None:
@@ -94,8 +96,7 @@ def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
 def _lines(summary: dict[str, Any], fit: Any) -> list[str]:
     lines = [f"Orbit of {_named(summary)}: {fit.verdict.value}"]
     lines += [f"  {note}" for note in summary["notes"]]
-    if off := clock_off(fit):
-        lines.append(f"  {off}")
+    lines += [f"  {text}" for text in (str(fit.sun_in_shadow), clock_off(fit)) if text]
     if fit.sign_turned:
         turned = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
         lines.append(f"  {turned}")

@@ -1,0 +1,163 @@
+"""Clear Sun where elements put the Earth's shadow: then the elements or the times of the telemetry are wrong.
+
+In the full shadow there is neither sunlight nor light from the Earth, so that a bright panel there contradicts the orbit at any
+attitude and without a magnetometer. The place along the track is open within the prior; the edge of the shadow is left out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sunspin.environment.earth import EQUATOR_M, sun_J2000_m
+from sunspin.environment.light import lit
+from sunspin.environment.orbit import Orbit
+from sunspin.estimate.orbit.invariants import SEEN_IN_SHADOW
+from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.quality import DROPPED, SPIKE_FACTOR, came_late
+from sunspin.telemetry.sun import signals
+from sunspin.telemetry.units import UNITS
+from sunspin.vehicle.response.panels import brightness
+
+CLEAR_SHARE, CLEAR_SIGMAS = 0.4, 8.0
+"""A panel has clear Sun above this share of full Sun and this many sigma of noise. The Earth gives a panel 0.25 at reflectivity
+0.3; the brightest panel of a cube has 0.58 or more."""
+
+MISFIT, ALIKE, SCATTER = 0.35, 0.6, 0.3
+"""A sample is of sunlight if its misfit Delta to the best direction is smaller than the first: light of the Earth up to 30 % of
+full Sun leaves 0.32, equal readings of all panels (an offset) 0.44 to 0.7. If full Sun itself is estimated from the file, the
+second share of the bright samples must be so, and their brightness scatter by less than the third. On simulated cubes with three
+to six panels it scatters by 0.25 in sunlight and by 0.34 to 0.43 in noise alone."""
+
+DEPTH_M, LEEWAY_S = 20e3, 10.0
+"""The full shadow is that of an Earth so much smaller, and the prior of the offset is so much wider on both sides. Sunlight that
+the air bends reaches a low orbit 20 km deep from rays 5 km high, where it is spread over five times the area and mostly absorbed:
+less than `CLEAR_SHARE`. A clock may be off by seconds: a satellite at 500 km crosses the 20 km in 7 s or more."""
+
+FEW, CHANCE_SIGMAS = 3, 2.0
+"""More samples with clear Sun in the shadow than the first contradict the orbit, if they are also more than `SEEN_IN_SHADOW` makes
+by chance: its mean and so many sigma."""
+
+MOST_SAMPLES = 600
+"""Samples of the file that are compared, spread evenly."""
+
+STEP_S, COARSE_S, SIDE_S = 10.0, 30.0, 600.0
+"""Steps of the along-track offset: within the prior, beyond it, and of the drift at one sample; a shadow lasts longer."""
+
+
+class SunInShadow(NamedTuple):
+    """Samples with clear Sun in the full shadow, at the offset within the prior that leaves fewest, and all samples there.
+    `beyond_s`: the smallest offset (s) without a contradiction, NaN if there is none. All are 0 without a contradiction."""
+
+    samples: int = 0
+    of: int = 0
+    beyond_s: float = 0.0
+
+    def __str__(self) -> str:
+        """Return the contradiction in words; empty if there is none."""
+        if not self.samples:
+            return ""
+        size = self.beyond_s, "s"
+        if self.beyond_s >= 120:
+            size = self.beyond_s / 60, "min"
+        off = (
+            "no clock error explains it, so the orbit is another one"
+            if np.isnan(self.beyond_s)
+            else f"the elements or the telemetry's clock are off by {size[0]:.0f} {size[1]} or more"
+        )
+        return (
+            f"the elements do not fit: {self.samples} of {self.of} samples deep in the Earth's shadow "
+            f"have clear Sun; {off}"
+        )
+
+
+def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInShadow:
+    """Return how the light contradicts an orbit at every along-track offset within so many `sigmas` of its prior."""
+    t_s, clear = clear_sun(assessment)
+    if clear.sum() <= FEW:
+        return SunInShadow()
+
+    def counted(offsets_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Samples with clear Sun in the shadow (K), all there (K), and whether they contradict the orbit (K)."""
+        dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
+        seen, whole = (dark & clear).sum(axis=1), dark.sum(axis=1)
+        chance = SEEN_IN_SHADOW * whole
+        return seen, whole, seen > np.maximum(FEW, chance + CHANCE_SIGMAS * np.sqrt(chance))
+
+    if not counted(np.zeros(1))[2][0]:
+        return SunInShadow()
+    half = orbit.elements[0].period_s / 2
+    prior = float(np.hypot(orbit.shift_sigma_s, orbit.clock_sigma_s))
+    reach = min(sigmas * prior + LEEWAY_S, half)
+    seen, whole, against = counted(np.linspace(-reach, reach, 2 * int(np.ceil(reach / STEP_S)) + 1))
+    if not against.all():
+        return SunInShadow()
+    wide = COARSE_S * np.arange(-int(half / COARSE_S), int(half / COARSE_S) + 1)
+    beyond = np.abs(wide[~counted(wide)[2]]).min(initial=np.inf)
+    k = int(seen.argmin())
+    return SunInShadow(
+        int(seen[k]), int(whole[k]), float(beyond) if np.isfinite(beyond) else np.nan
+    )
+
+
+def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times (n) in s of samples that say whether the Sun is up, and in which (n) only sunlight makes the readings.
+
+    Panels say it, or Sun sensors with a column for their light: a direction alone may be computed or left over. A bright sample
+    that repeats the one before it may be a frozen reading and says nothing.
+    """
+    telemetry, sensors = assessment.telemetry, assessment.vehicle.sensors
+    known = clear = np.zeros(telemetry.sizes["time"], dtype=bool)
+    if assessment.has_panels:
+        bright, clear = _sunlit_by_panels(assessment)
+        value = signals(telemetry)
+        repeated = np.append(False, (value[1:] == value[:-1]).all(axis=1))
+        known = np.isfinite(value).any(axis=1) & ~(repeated & bright)
+    elif "sun_sensor_B" in telemetry and sensors.sun_vector is None:
+        if all(sensor.light_column for sensor in sensors.sun_sensors):
+            clear = np.asarray(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
+            known = np.ones_like(clear)
+    use = np.flatnonzero(known & ~came_late(telemetry))
+    if len(use) > MOST_SAMPLES:
+        use = use[np.linspace(0, len(use) - 1, MOST_SAMPLES).astype(int)]
+    return telemetry["time"].values[use], clear[use]
+
+
+def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
+    """Return which samples (n) have a bright panel, and which of them (n) only sunlight makes."""
+    vehicle, quality = assessment.vehicle, assessment.quality
+    value = signals(assessment.telemetry)
+    full = quality.attrs["full_sun"] * vehicle.input_gains
+    noise = np.maximum(np.nan_to_num(assessment.noise[0]), quality["noise"].values)
+    high = (value > CLEAR_SHARE * full) & (value > CLEAR_SIGMAS * noise)
+    usable = (high & (value <= SPIKE_FACTOR * full)).any(axis=1)
+    usable &= quality["use"].values != DROPPED
+    clear = usable & (assessment.sun["delta"].values < MISFIT)
+    if clear.any() and vehicle.gain_unit != UNITS[vehicle.telemetry.quantity]:
+        # full Sun is what the brighter samples of the file give, be it noise
+        low, middle, top = np.quantile(
+            brightness(vehicle, np.nan_to_num(value[usable])), [0.16, 0.5, 0.84]
+        )
+        if clear.sum() < ALIKE * usable.sum() or top - low > 2 * SCATTER * middle:
+            clear = np.zeros_like(clear)
+    return np.asarray(high.any(axis=1)), np.asarray(clear)
+
+
+def _in_full_shadow(
+    orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
+) -> np.ndarray:
+    """Return whether samples (K, n) are in the full shadow at along-track offsets (K) in s from the orbit's own, with any drift
+    within so many `sigmas`."""
+    when = orbit.instants(t_s)
+    sun, ahead = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
+    drift = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))
+    drift = np.minimum(drift, orbit.elements[0].period_s / 2)
+    sides = int(np.ceil(drift.max() / SIDE_S)) if drift.max() > 1.0 else 0
+    dark = np.ones(ahead.shape, dtype=bool)
+    for side in np.linspace(-1, 1, 2 * sides + 1) if sides else (0.0,):
+        place, _ = orbit.states(when, ahead + side * drift)
+        # a place farther out sees the Earth as a smaller one is seen
+        outward = place * EQUATOR_M / (EQUATOR_M - DEPTH_M)
+        dark &= lit(outward, np.broadcast_to(sun, place.shape)) == 0
+    return dark

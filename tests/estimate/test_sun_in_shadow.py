@@ -1,0 +1,238 @@
+"""Clear Sun in the Earth's shadow refuses elements or clock; right orbits, noise, frozen readings and an offset do not.
+
+Telemetry of panels alone, in orbits of `tests/tle_twins.py`, whose SGP4, Sun and cylinder of shadow are not the package's.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+from sgp4.api import Satrec, jday
+
+import sunspin as ss
+from strange_twins import FACES, unit
+from sunspin.cli import cli
+from sunspin.environment.elements import parse_elements
+from sunspin.environment.orbit import in_orbit
+from sunspin.estimate.orbit import check as orbit_check
+from sunspin.estimate.orbit.check import SPAN, Verdict, check_orbit
+from sunspin.estimate.orbit.judged import judged_orbit
+from sunspin.estimate.orbit.shadow import FEW, clear_sun, sun_in_shadow
+from sunspin.telemetry.assess import assess
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from tle_twins import EARTH_KM, EPOCH, lines, sun_of_date
+
+PERIOD_S = 5700.0
+SEEDS = (0, 1, 5)
+"""Orbits whose shadows last 10, 35 and 15 minutes."""
+
+CUBE = Vehicle(
+    "cube",
+    gain_unit="W",
+    panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
+    telemetry=TelemetryForm(noise=0.01),
+)
+RELATIVE = Vehicle("cube", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)])
+
+
+class Flight:
+    """An orbit drawn at random, and what a tumbling cube reads along it, at s from its epoch."""
+
+    def __init__(self, seed: int, span_s: float = PERIOD_S, step_s: float = 30.0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.given = lines(self.rng)
+        self.t = np.arange(0.0, span_s, step_s)
+
+    def sky(self, late_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Direction to the Sun (n, 3), whether it is up (n) and the ground below lit (n), so many s later than the times."""
+        day, fraction = jday(EPOCH.year, EPOCH.month, EPOCH.day, EPOCH.hour, 0, 0)
+        fraction = fraction + (self.t + late_s) / 86400
+        _, place, _ = Satrec.twoline2rv(*self.given).sgp4_array(np.full(len(self.t), day), fraction)
+        sun = sun_of_date(day - 2451545.0 + fraction)
+        along = (place * sun).sum(axis=1)
+        away = np.linalg.norm(place - along[:, None] * sun, axis=1)
+        return sun, (along > 0) | (away > EARTH_KM), along > 0
+
+    def telemetry(self, late_s: float = 0.0, albedo: float = 0.1) -> xr.Dataset:
+        """Readings whose times are behind the true ones by `late_s`."""
+        sun, self.lit, day = self.sky(late_s)
+        spin = np.radians(3.0) * unit(self.rng)
+        first = Rotation.random(random_state=int(self.rng.integers(2**31)))
+        sun_B = (Rotation.from_rotvec(self.t[:, None] * spin) * first).apply(sun)
+        power = np.maximum(sun_B @ FACES.T, 0) * self.lit[:, None]
+        power += albedo * self.rng.uniform(size=power.shape) * day[:, None]
+        return self.dataset(power + 0.01 * self.rng.normal(size=power.shape))
+
+    def dataset(self, power: np.ndarray) -> xr.Dataset:
+        variables = {
+            "power_W": (("time", "panel"), np.maximum(power, 0)),
+            "flag": ("time", np.zeros(len(power), dtype=np.uint8)),
+        }
+        attrs = {"epoch_utc": EPOCH.isoformat() + "Z", "synthetic": 1}
+        return xr.Dataset(
+            variables, {"time": self.t[: len(power)], "panel": list(CUBE.panel_names)}, attrs
+        )
+
+    def orbit(self, **options):
+        elements = parse_elements("\n".join(self.given), "flight")
+        return in_orbit(elements, EPOCH.isoformat() + "Z", self.t, **options)
+
+    def against(self, data: xr.Dataset, vehicle: Vehicle = CUBE, **options):
+        return sun_in_shadow(self.orbit(**options), assess(vehicle, data), SPAN)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 10.0, -10.0])
+def test_right_elements_with_a_clock_off_by_seconds_do_not_contradict_the_light(late_s):
+    for seed in range(3):
+        flight = Flight(seed, step_s=5.0 if seed % 2 else 20.0)
+        data = flight.telemetry(late_s, albedo=0.3)
+        assert not flight.against(data).samples
+        assert clear_sun(assess(CUBE, data))[1].sum() > 100
+
+
+@pytest.mark.parametrize("late_s", [-1500.0, -400.0, 400.0, 1500.0])
+def test_a_clock_off_by_minutes_puts_the_sun_into_the_shadow(late_s):
+    for seed in SEEDS:
+        flight = Flight(seed)
+        data = flight.telemetry(late_s)
+        found = flight.against(data)
+        shadow = ~flight.sky(0.0)[1]
+        there = int((shadow & flight.lit).sum())
+        assert FEW < found.samples <= min(there, found.of)
+        assert 0 < abs(late_s) - found.beyond_s < 250
+        assert "or the telemetry's clock are off by" in str(found)
+
+
+def test_an_offset_within_the_prior_is_no_contradiction():
+    flight = Flight(1)
+    data = flight.telemetry(400.0)
+    assert flight.against(data).samples
+    assert not flight.against(data, shift_sigma_s=400.0 / SPAN).samples
+    assert not flight.against(data, clock_s=400.0).samples
+    assert not flight.against(data, shift_s=400.0).samples
+    orbit = replace(flight.orbit(), middle_jd=flight.orbit().middle_jd - 20, drift_sigma_s_day=10.0)
+    assert not sun_in_shadow(orbit, assess(CUBE, data), SPAN).samples
+
+
+def test_three_samples_are_not_enough_and_four_are():
+    flight = Flight(1)
+    power = flight.telemetry(0.0)["power_W"].values
+    dark = np.flatnonzero(~flight.lit)
+    bright = power[np.flatnonzero(flight.lit)]
+    middle = len(dark) // 2
+    for count in (FEW, FEW + 1):
+        changed = power.copy()
+        changed[dark[middle : middle + count]] = bright[:count]
+        assert flight.against(flight.dataset(changed)).samples == (count if count > FEW else 0)
+
+
+def test_what_is_not_sunlight_in_the_shadow_is_no_contradiction():
+    flight = Flight(1)
+    day = flight.telemetry(0.0)["power_W"].values
+    dark, n = np.flatnonzero(~flight.lit), len(FACES)
+    last = day[flight.lit][-1]
+
+    def night(values) -> xr.Dataset:
+        changed = day.copy()
+        changed[dark] = values
+        return flight.dataset(changed)
+
+    weak = 0.3 * day[flight.lit][: len(dark)]
+    for values in (last, np.full(n, 0.6), weak, np.eye(n)[0] * 5.0):
+        assert not flight.against(night(values)).samples
+
+
+def test_a_file_of_the_night_alone_is_no_contradiction_whatever_full_sun_is():
+    flight = Flight(1)
+    flight.telemetry(0.0)
+    dark = ~flight.lit
+    noise = np.abs(flight.rng.normal(size=(dark.sum(), len(FACES))))
+    for readings in (noise, 0.1 * noise + 1.0, np.maximum(noise - 0.7, 0)):
+        data = flight.dataset(readings)
+        data = data.assign_coords(time=flight.t[dark])
+        assert not flight.against(data, RELATIVE).samples
+    sunny = flight.dataset(flight.telemetry(0.0)["power_W"].values[flight.lit][: dark.sum()])
+    assert flight.against(sunny.assign_coords(time=flight.t[dark]), RELATIVE).samples > 20
+
+
+def test_the_check_and_the_calibration_name_the_samples_and_the_orbit_is_left_out(monkeypatch):
+    monkeypatch.setattr(orbit_check, "COPIES", 5)
+    monkeypatch.setattr(orbit_check, "HOURS", (1,))
+    flight = Flight(1)
+    data, orbit = flight.telemetry(1500.0), flight.orbit()
+    used, found, words = judged_orbit(orbit, CUBE, data)
+    assert used is None and found.verdict is Verdict.REFUSED and found.sun_in_shadow.samples > 20
+    assert (
+        "the elements do not fit" in words and "deep in the Earth's shadow have clear Sun" in words
+    )
+    right = check_orbit(replace(orbit, clock_s=1500.0), CUBE, data)
+    assert right.verdict is not Verdict.REFUSED and not str(right.sun_in_shadow)
+
+
+TLE = """MYCUBE
+1 A5544U 26123A   25365.91234567  .00012345  00000-0  23456-3 0  9998
+2 A5544  97.4437 295.9456 0012835  41.8426 290.0000 15.20921507  946"""
+"""An orbit that is in the Earth's shadow at the times of the example telemetry, which is in the Sun."""
+
+
+@pytest.fixture
+def satellite(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(orbit_check, "COPIES", 5)
+    monkeypatch.setattr(orbit_check, "HOURS", (1,))
+    assert CliRunner().invoke(cli, ["init", "."]).exit_code == 0
+    total = sum(int(c) if c.isdigit() else c == "-" for c in TLE.splitlines()[2]) % 10
+    (tmp_path / "my.tle").write_text(f"{TLE}{total}\n", "utf-8")
+    return tmp_path
+
+
+def run(*words: str):
+    return CliRunner().invoke(cli, list(words), catch_exceptions=False)
+
+
+def test_check_says_that_the_elements_do_not_fit_and_rates_goes_on_without_them(satellite):
+    files = ("vehicle.toml", "telemetry.csv")
+    done = run("check", *files, "--tle", "my.tle")
+    assert "Orbit of MYCUBE (105544): elements not consistent with the telemetry" in done.output
+    assert "the elements do not fit: " in done.output
+    assert "samples deep in the Earth's shadow have clear Sun" in done.output
+    told = json.loads(run("check", *files, "--tle", "my.tle", "--json").stdout)["orbit"]
+    assert told["verdict"] == "refused" and told["contradicted_by_sun"] > 20
+    few = ("--to", "120", "--no-column-tests", "--effort", "0.1")
+    done = run("rates", *files, *few, "--tle", "my.tle", "--json")
+    result = json.loads(done.stdout)
+    assert "continuing without the orbit" in done.stderr
+    assert result["orbit"]["used"] is False and result["passes"]
+
+
+def test_the_advice_to_correct_the_clock_makes_the_elements_usable(satellite):
+    minutes = run("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle").output
+    off_s = 60 * int(minutes.partition(" min or more")[0].rsplit(" ", 1)[1])
+    verdicts = []
+    for clock_s in (off_s + 90, -off_s - 90):
+        text = (satellite / "vehicle.toml").read_text("utf-8")
+        text += f"\n[orbit]\nclock_s = {{ value = {clock_s}, sigma = 1 }}\n"
+        (satellite / "clock.toml").write_text(text, "utf-8")
+        done = run("check", "clock.toml", "telemetry.csv", "--tle", "my.tle", "--json")
+        verdicts.append(json.loads(done.stdout)["orbit"]["verdict"])
+    assert "refused" not in verdicts[:1] or "refused" not in verdicts[1:]
+    wider = run(
+        *("check", "vehicle.toml", "telemetry.csv", "--tle", "my.tle"),
+        *("--tle-shift-sigma", str((off_s + 90) / SPAN), "--json"),
+    )
+    assert json.loads(wider.stdout)["orbit"]["verdict"] != "refused"
+
+
+def test_an_orbit_that_leaves_too_few_samples_with_sun_is_named_as_the_reason():
+    flight = Flight(1)
+    data = flight.telemetry(1500.0)
+    shadow = ~flight.sky(0.0)[1]
+    some = data.isel(time=np.flatnonzero(shadow & flight.lit)[2:20])
+    with pytest.raises(ss.InputError, match="in the Earth's shadow although panels are lit"):
+        ss.rates(CUBE, some, environment=flight.orbit())
