@@ -12,6 +12,8 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.restarts import (
+    STORED_LONG_S,
+    USUAL_DELAY_S,
     Frames,
     Restart,
     boot_epochs,
@@ -44,9 +46,6 @@ pass; by less, frames arrived out of order."""
 
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows that no other row joins within five years were dated by a clock that was reset: no mission pauses for so long."""
-
-STORED_LONG_S = DAY_S
-"""Telemetry that was stored for longer than this is reported: an uptime that started again looks alike."""
 
 NO_ZONE = "times name no zone: taken as UTC"
 NO_ZONE_RECEIVED = "received times name no zone: taken as UTC"
@@ -178,9 +177,15 @@ def _elapsed(
     elif fixed is None:
         raise TelemetryError("elapsed times need telemetry.epoch_utc in the vehicle file")
     else:
-        if form.bad_rows != "sort" and (again := uptime_restart(uptime, frames)):
+        again = None if form.bad_rows == "sort" else uptime_restart(uptime, frames)
+        if again is not None and again.sure:
             raise _starts_again(form, table, again)
-        time, epoch, notes = uptime, fixed, _long_fall(uptime, table)
+        time, epoch, notes = uptime, fixed, []
+        if again is not None:
+            notes = [
+                f"elapsed times fall by {_span(again.back_s)} at line {table.cells.index[again.row]}: taken for rows out of order; "
+                "if the clock was reset there, set receive_time_column under [telemetry]"
+            ]
     if fixed is not None:
         time, words = _leap_seconds(form, time, epoch)
         notes += words
@@ -209,29 +214,22 @@ def _by_received(
             f"the uptime starts again: {len(zeros)} boots, each dated by its received times, from {', '.join(shown)}{more}"
         )
     stored = received - _unix(epoch) - time
+    length = np.diff(zeros, prepend=zeros[0])[boot]  # of the boot before a row's own
+    either = (stored > USUAL_DELAY_S) & (uptime < length)
+    if either.any():
+        notes.append(
+            f"{_rows(either)} stored telemetry of this boot or of the one before: dated by the last boot before reception"
+        )
     if (long := stored > STORED_LONG_S).any():
         notes.append(
-            f"{_rows(long)} dated up to {np.nanmax(stored) / DAY_S:.1f} days before they were received: stored on board, or the uptime "
+            f"{_rows(long)} dated up to {np.nanmax(stored) / DAY_S:.1f} days before reception: stored on board, or the uptime "
             "started again"
         )
     if (early := stored < -STORED_LONG_S).any():
         notes.append(
-            f"{_rows(early)} dated up to {-np.nanmin(stored) / DAY_S:.1f} days after they were received: check epoch_utc under "
-            "[telemetry]"
+            f"{_rows(early)} dated up to {-np.nanmin(stored) / DAY_S:.1f} days after reception: check epoch_utc under [telemetry]"
         )
     return time, epoch, notes
-
-
-def _long_fall(uptime: np.ndarray, table: Table) -> list[str]:
-    """Return a sentence if elapsed times (n) fall by more than telemetry is usually stored, in a file that is not newest first."""
-    steps = np.diff(uptime)
-    if not steps.size or -steps.min() <= STORED_LONG_S or np.median(np.sign(steps)) < 0:
-        return []
-    line, back = table.cells.index[int(np.argmin(steps)) + 1], _span(-float(steps.min()))
-    return [
-        f"elapsed times fall by {back} at line {line}: taken for rows out of order; if the clock was reset there, set "
-        "receive_time_column under [telemetry]"
-    ]
 
 
 def _rows(which: np.ndarray) -> str:
@@ -474,8 +472,8 @@ def _how_to_write(cell: str) -> str:
         return 'if it is Unix time in milliseconds, set time_format = "unix" and time_scale_s = 0.001 under [telemetry]'
     if np.isfinite(size):
         return (
-            'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the vehicle '
-            "file"
+            'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the '
+            "vehicle file"
         )
     if re.search(r":\d\d:60(?!\d)", cell):
         return "leap seconds are not known: write the second before or after, or remove the row"
