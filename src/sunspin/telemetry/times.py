@@ -12,6 +12,7 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.restarts import (
+    FALL_INTERVALS,
     STORED_LONG_S,
     USUAL_DELAY_S,
     Frames,
@@ -39,10 +40,6 @@ from sunspin.vehicle.timeline import instant, utc_after, zone_of
 LATEST_UNIX_S = 1e11
 
 DAY_S = 86_400.0
-
-SET_BACK_US = 450_000_000
-"""Local times that fall by more than half a quarter hour (microseconds) within the hour that a clock shows twice enter its second
-pass; by less, frames arrived out of order."""
 
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows that no other row joins within five years were dated by a clock that was reset: no mission pauses for so long."""
@@ -364,12 +361,14 @@ def _in_zone(
     first, second = np.where(bare, hour, micro)
     rises, falls = (np.count_nonzero(sign * np.diff(micro) > 0) for sign in (1, -1))
     rows = np.arange(len(micro))[:: 1 if rises >= falls else -1]  # newest first: read backward
+    moved = np.abs(np.diff(micro)[np.diff(micro) != 0])
+    disorder = FALL_INTERVALS * float(np.median(moved)) if moved.size else 0.0
     utc, undecided = first.copy(), 0
     twice = second[rows] > first[rows]
     stretches = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(twice)) + 1)
     for part in (part for part in stretches if twice[part[0]]):
         stretch = rows[part]
-        fall = np.flatnonzero(np.diff(first[stretch]) < -SET_BACK_US)
+        fall = np.flatnonzero(np.diff(first[stretch]) < -disorder)
         if fall.size:
             again = stretch[fall[-1] + 1 :]
             utc[again] = second[again]
@@ -378,7 +377,7 @@ def _in_zone(
             np.inf,
             np.inf,
         ]  # to the row before if this is the first pass, to the row after if it is the second
-        if part[0] > 0 and first[stretch[0]] >= utc[rows[part[0] - 1]] - SET_BACK_US:
+        if part[0] > 0 and first[stretch[0]] >= utc[rows[part[0] - 1]] - disorder:
             gaps[0] = first[stretch[0]] - utc[rows[part[0] - 1]]
         if part[-1] + 1 < len(rows):
             gaps[1] = max(first[rows[part[-1] + 1]] - second[stretch[-1]], 0)
