@@ -7,8 +7,10 @@ from datetime import UTC, datetime, timedelta
 import erfa
 import numpy as np
 import pytest
+import xarray as xr
 
 import sunspin as ss
+from sunspin.output.text import starts_text
 from sunspin.telemetry.restarts import Frames, boot_starts, clock_set_back, uptime_restart
 from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
 from sunspin.vehicle.file import parse_vehicle
@@ -411,3 +413,10 @@ def test_gps_weeks_that_are_none_are_refused(tmp_path, times, week, words):
 def test_a_fixed_offset_is_a_zone(tmp_path):
     data = read(tmp_path, ["2026-01-01 05:30:00", "2026-01-01 05:31:00"], 'time_zone = "+05:30"')
     assert utc(data)[0] == START
+
+
+def test_starts_of_passes_have_the_year_if_they_do_not_share_it():
+    data = xr.Dataset(attrs={"epoch_utc": "2025-12-31T23:50:00Z"})
+    assert starts_text(data, [0.0, 60.0]) == ["12-31 23:50", "12-31 23:51"]
+    assert starts_text(data, [0.0, 660.0]) == ["2025-12-31 23:50", "2026-01-01 00:01"]
+    assert starts_text(xr.Dataset(), [0.0, 60.0]) == ["0 s", "60 s"]
