@@ -330,12 +330,24 @@ def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
     assert local.frame_N == "sun_z_local"
 
 
+def test_samples_dated_long_before_the_first_elements_are_counted():
+    far = parse_elements(VZLUSAT, "case")
+    t = np.array([-50.0 * 86400, -20.0 * 86400, 0.0])
+    notes = in_orbit(far, "2017-08-20T00:00:00Z", t).notes(t)
+    assert notes[0].startswith(
+        "2 of 3 samples are dated 2017-07-01 to 2017-07-31, before the first"
+    )
+    t = np.array([0.0, 40.0 * 86400])
+    assert not any("first" in note for note in in_orbit(far, "2017-08-20T00:00:00Z", t).notes(t))
+
+
 def test_old_elements_are_warned_about_and_the_nearest_taken():
     far = parse_elements(VZLUSAT, "case")
     t = np.array([0.0, 6000.0])
     orbit = in_orbit(far, "2017-06-25T00:00:00Z", t)
     assert orbit.notes(t) == [
-        "the elements are 61 days from the telemetry: the place along the track is known to some 50 s"
+        "2 of 2 samples are dated 2017-06-25, before the first elements (2017-08-24): check the clock",
+        "the elements are 61 days from the telemetry: the place along the track is known to some 50 s",
     ]
     (later,) = parse_elements(_line(VZLUSAT, "17236.90928386", "17240.90928386"), "case")
     both = parse_elements(_line(VZLUSAT, "17236.90928386", "17240.90928386") + VZLUSAT, "case")

@@ -7,7 +7,7 @@ from functools import cache
 from importlib import metadata, resources
 from typing import Any
 
-CARRIED = ("epoch_utc", "synthetic", "file", "sha256")
+CARRIED = ("epoch_utc", "synthetic", "file", "sha256", "clock_notes")
 """Attributes of telemetry that results made from it take over."""
 
 
@@ -29,6 +29,11 @@ def described(data: Any) -> Any:
             timed = epoch if name in ("time", "curve_time") else {}
             variable.attrs = vocabulary().get(name, {}) | timed | variable.attrs
     return data
+
+
+def clock_notes(data: Any) -> list[str]:
+    """Return the sentences on the clock of the telemetry that a Dataset or DataTree was made from."""
+    return str(data.attrs.get("clock_notes", "")).splitlines()
 
 
 @cache

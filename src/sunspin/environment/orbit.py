@@ -10,6 +10,7 @@ that is slow: data do not part these either.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import date
 
 import numpy as np
 import numpy.typing as npt
@@ -158,7 +159,23 @@ class Orbit:
     def notes(self, t_s: npt.ArrayLike) -> list[str]:
         """What has to be said of these elements at these times."""
         when = self.instants(t_s)
-        ends = (when.jd + when.fraction)[[0, -1]]
+        jd = when.jd + when.fraction
+        return [*self._before_all(jd), *self._far(jd[[0, -1]])]
+
+    def _before_all(self, jd: np.ndarray) -> list[str]:
+        """Return a sentence on samples (n, UTC Julian dates) dated long before the first elements, as by a wrong clock."""
+        first = min(sum(source.epoch_jd) for source in self.elements)
+        early = jd[jd < first - OLD_DAYS]
+        if not early.size:
+            return []
+        first_day, last_day = _date(early.min()), _date(early.max())
+        days = first_day if first_day == last_day else f"{first_day} to {last_day}"
+        return [
+            f"{early.size} of {jd.size} samples are dated {days}, before the first elements ({_date(first)}): check the clock"
+        ]
+
+    def _far(self, ends: np.ndarray) -> list[str]:
+        """Return a sentence on elements that are old at either end of the telemetry (2, UTC Julian dates)."""
         days = max(min(abs(source.days_to(jd)) for source in self.elements) for jd in ends)
         if days < OLD_DAYS:
             return []
@@ -166,6 +183,11 @@ class Orbit:
         if self.shift_sigma_s > self.elements[0].period_s / 4:
             known = "nothing is known of the place along the track; get elements of the days of the telemetry"
         return [f"the elements are {days:.0f} days from the telemetry: {known}"]
+
+
+def _date(jd: float) -> str:
+    """Return the day of a Julian date as ISO-8601 writes it."""
+    return date.fromordinal(int(np.floor(jd - 1_721_424.5))).isoformat()
 
 
 @dataclass(frozen=True)

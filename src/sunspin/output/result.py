@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from sunspin.base.errors import InputError
+from sunspin.base.provenance import clock_notes
 
 if TYPE_CHECKING:
     from sunspin.output.kind import Kind, Summary
@@ -45,6 +46,10 @@ class Result:
     def summary(self) -> Summary:
         """The main numbers as a dict of plain data; printed, the sentences that the command line prints."""
         summary, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
+        if notes := clock_notes(self._data):
+            summary["clock_notes"] = notes
+            for lines in (summary.lines, summary.sentences):
+                lines += [f"  {note}" for note in notes]
         if changed:
             summary["changes"] = changed.splitlines()
             for lines in (summary.lines, summary.sentences):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,13 @@ def clock_text(data: Any, seconds: float) -> str:
     """A time (s) of a result: UTC, or s if its epoch is not known."""
     epoch = str(data.attrs.get("epoch_utc") or "")
     return utc_after(seconds, epoch) if epoch else f"{seconds:z.0f} s"
+
+
+def starts_text(data: Any, seconds: Sequence[float]) -> list[str]:
+    """Return times (s) of a result as a table shows them: month, day and minute in UTC, with the year if they do not share it."""
+    texts = [clock_text(data, each) for each in seconds]
+    begin = 5 if len({text[:4] for text in texts}) == 1 else 0
+    return [text[begin:16].replace("T", " ") if "T" in text else text for text in texts]
 
 
 def turn_text(rate_rad_s: float) -> str:

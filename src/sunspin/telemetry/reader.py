@@ -7,7 +7,7 @@ rewrite a file to have it read.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -19,23 +19,21 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
-from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
 from sunspin.telemetry.stored import KIND, stored_telemetry
+from sunspin.telemetry.times import Times, read_times, received_times
+from sunspin.telemetry.timescales import UNIX_ZERO
 from sunspin.telemetry.units import UNITS
 from sunspin.vehicle import TelemetryForm, Vehicle
 from sunspin.vehicle.craft import OR_CHANNEL
 from sunspin.vehicle.sensors import unwrapped
-from sunspin.vehicle.timeline import instant
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
 
 COLDEST_C, HOTTEST_C = -200.0, 250.0
 """No solar panel in flight is colder or hotter: such a reading is none."""
-
-UNIX_ZERO, LATEST_UNIX_S = datetime(1970, 1, 1, tzinfo=UTC), 1e11
 
 NEAR = 0.75
 """Likeness of two names, letters and digits only, from which one is taken for the other misspelt."""
@@ -61,8 +59,10 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         `power_W` (or `current_A`) over (time, panel), `flag (time)` (bits, 0 is good), coordinate `time` in s from
         ``attrs["epoch_utc"]``, `phase (time)` and `received_s (time)` where the file has such columns; attrs name the file, its
         hash, whether it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column. With
-        ``bad_rows = "flag"`` rows are sorted by time, and rows of one instant that say the same become one, as where several
-        ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them.
+        ``bad_rows = "flag"`` or "sort" rows are sorted by time, and rows of one instant that say the same become one, as where
+        several ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them, `rows_misdated` those left out
+        because their dates are years from all others. attrs `clock_notes`, if any, has a sentence in each line: what was taken for
+        granted of the clock, and where it started again.
 
     Raises
     ------
@@ -87,15 +87,19 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         raise TelemetryError(what, do=do, where=str(path))
     sensors = read_sensors(vehicle, table)
     columns = _panel_columns(vehicle, table, optional=bool(sensors))
-    received = _received(form, table)
-    time, epoch = _times(form, table, received)
+    _require_clock(form, table)
     unused = _unused_columns(vehicle, table, columns)
-    counts: dict[str, int] = {}
-    if form.bad_rows == "flag":
-        read = header - {form.time_column, form.receive_time_column, *unused}
-        table, time, epoch, counts = _in_order(form, table, time, epoch, read)
+    read = header - {*_clock_columns(form), *unused}
+    times, counts = read_times(form, table, read), {}
+    if form.bad_rows != "refuse":
+        table, times, counts = _in_order(form, table, times, read)
         if counts:
-            sensors, received = read_sensors(vehicle, table), _received(form, table)
+            sensors = read_sensors(vehicle, table)
+    elif times.misdated.any():
+        do = 'correct or remove them, or set bad_rows = "flag" under [telemetry], which leaves them out'
+        where = table.place(int(times.misdated.argmax()), form.time_column)
+        raise TelemetryError(times.notes[-1], do=do, where=where)
+    time, epoch, received = times.time, times.epoch, times.received
     values, flag = _values(vehicle, table, columns)
     values, warmth = _at_reference(vehicle, table, values)
     late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
@@ -138,6 +142,8 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         "unused_columns": ", ".join(unused),
         "missing_sensors": "; ".join(missing),
     }
+    if times.notes:
+        attrs["clock_notes"] = "\n".join(times.notes)
     return xr.Dataset(readings | sensors | warmth, coords, attrs | counts)
 
 
@@ -218,98 +224,32 @@ def _at_reference(
     return values / factor, {"panel_temperature_C": (("time", "panel"), warm, about)}
 
 
-def parse_utc(text: str) -> datetime | None:
-    text = re.sub(r"\s*(UTC|GMT)$", "Z", text.strip()).replace("/", "-")
-    day = re.fullmatch(
-        r"(\d{4})-(\d{3})([T ].*)?", text, re.ASCII
-    )  # year and day of the year, as in CCSDS 301.0-B, ASCII code B
-    try:
-        if day:
-            start = datetime(int(day[1]), 1, 1, tzinfo=UTC) + timedelta(days=int(day[2]) - 1)
-            text = start.date().isoformat() + (day[3] or "")
-    except (ValueError, OverflowError):  # no such year or day
-        return None
-    return instant(text)
+def _clock_columns(form: TelemetryForm) -> list[str]:
+    """Return the columns that hold times."""
+    names = (form.time_column, form.week_column, form.receive_time_column)
+    return [name for name in names if name is not None]
 
 
-def _received(form: TelemetryForm, table: Table) -> np.ndarray | None:
-    """When each row (n) was received, Unix seconds; NaN where it does not say; None if no column says."""
-    if form.receive_time_column is None:
-        return None
-    cells = table.cells[column_of(table, form.receive_time_column, "the time of reception")]
-    if form.receive_time_format == "unix":
-        seconds = np.array([plain_number(cell) for cell in cells])
-        return np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan)
-    moments = [parse_utc(cell) for cell in cells]
-    return np.array([(each - UNIX_ZERO).total_seconds() if each else np.nan for each in moments])
-
-
-def _times(
-    form: TelemetryForm, table: Table, received: np.ndarray | None
-) -> tuple[np.ndarray, datetime]:
-    """Seconds from the epoch, and the epoch: the vehicle's, else by when rows were received, else the first sample."""
-    cells = table.cells[column_of(table, form.time_column, "the time")].tolist()
-    fixed = None if form.epoch_utc is None else parse_utc(form.epoch_utc)
-    if form.epoch_utc is not None and fixed is None:
-        what = "telemetry.epoch_utc of the vehicle is not an ISO-8601 time"
-        raise TelemetryError(what, got=form.epoch_utc)
-
-    def refused(what: str, row: int, do: str) -> TelemetryError:
-        where = table.place(row, form.time_column)
-        return TelemetryError(what, got=cells[row] or "an empty cell", do=do, where=where)
-
-    if form.time_format == "utc":
-        moments = [moment for cell in cells if (moment := parse_utc(cell)) is not None]
-        if len(moments) < len(cells):
-            i = next(k for k, cell in enumerate(cells) if parse_utc(cell) is None)
-            raise refused("an ISO-8601 UTC time is expected", i, _how_to_write(cells[i]))
-        zones = [re.search(r":.*([+-]\d\d:?\d\d|Z|UTC|GMT)$", cell.strip()) for cell in cells]
-        local = any(zone and zone[1].strip("+-:0") not in ("", "Z", "UTC", "GMT") for zone in zones)
-        if local and None in zones:  # nobody knows whether those without a zone are UTC
-            what = "other times of this file have a time zone and this one has none"
-            raise refused(what, zones.index(None), "give each its zone, or Z for UTC")
-        epoch = fixed or moments[0]
-        return np.array([(moment - epoch).total_seconds() for moment in moments]), epoch
-    numbers = np.array([plain_number(cell) for cell in cells]) * form.time_scale_s
-    if (bad := ~(np.abs(numbers) <= LATEST_UNIX_S)).any():
-        kind = "Unix seconds" if form.time_format == "unix" else "seconds"
-        do = "correct it, or set time_format under [telemetry] in the vehicle file"
-        raise refused(f"{kind} is expected", int(bad.argmax()), do)
-    if form.time_format == "elapsed":
-        if fixed is None and received is not None and np.isfinite(received).any():
-            fixed = UNIX_ZERO + timedelta(seconds=round(float(np.nanmedian(received - numbers)), 3))
-        if fixed is None:
-            what = "elapsed times need telemetry.epoch_utc in the vehicle file"
-            raise TelemetryError(what)
-        return numbers, fixed
-    epoch = fixed or UNIX_ZERO + timedelta(seconds=float(numbers[0]))
-    return numbers - (epoch - UNIX_ZERO).total_seconds(), epoch
-
-
-def _how_to_write(cell: str) -> str:
-    """What to do with a cell that is no time in UTC."""
-    size = abs(plain_number(cell))
-    if size > LATEST_UNIX_S:
-        return 'if it is Unix time in milliseconds, set time_format = "unix" and time_scale_s = 0.001 under [telemetry]'
-    if np.isfinite(size):
-        return 'if it is in seconds, set time_format = "unix" (since 1970) or "elapsed" under [telemetry] in the vehicle file'
-    if re.search(r":\d\d:60(?!\d)", cell):
-        return "leap seconds are not known: write the second before or after, or remove the row"
-    return (
-        "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
-    )
+def _require_clock(form: TelemetryForm, table: Table) -> None:
+    """Raise an error if a column with times is missing."""
+    column_of(table, form.time_column, "the time")
+    if form.week_column is not None:
+        column_of(table, form.week_column, "the GPS week")
+    if form.receive_time_column is not None:
+        column_of(table, form.receive_time_column, "the time of reception")
 
 
 def _in_order(
-    form: TelemetryForm, table: Table, time: np.ndarray, epoch: datetime, read: set[str]
-) -> tuple[Table, np.ndarray, datetime, dict[str, int]]:
+    form: TelemetryForm, table: Table, times: Times, read: set[str]
+) -> tuple[Table, Times, dict[str, int]]:
     """Rows sorted by time, those of one instant that do not contradict each other in what is `read` merged (the station's name may
-    differ, and when it heard them); and how many were moved and merged."""
+    differ, and when it heard them), those with the date of a reset clock left out; and how many were moved, merged, left out."""
+    time = times.time
     order = np.argsort(time, kind="stable")
     rows = table.cells.to_numpy(copy=True)
     compared = np.array([name in read for name in table.header])
     kept: list[int] = []
-    for i in order:
+    for i in order[~times.misdated[order]]:
         if kept and time[i] == time[kept[-1]]:
             first, second = rows[kept[-1]], rows[i]
             empty = np.array([not cell.strip() for cell in first])
@@ -318,15 +258,22 @@ def _in_order(
                 rows[kept[-1]] = np.where(empty, second, first)
                 continue
         kept.append(int(i))
-    late = int(np.count_nonzero(time[1:] < np.maximum.accumulate(time)[:-1]))
-    counts = {"rows_sorted": late, "rows_merged": len(time) - len(kept)}
+    dated = time[~times.misdated]
+    counts = {
+        "rows_sorted": int(np.count_nonzero(dated[1:] < np.maximum.accumulate(dated)[:-1])),
+        "rows_merged": len(dated) - len(kept),
+        "rows_misdated": len(time) - len(dated),
+    }
     if not any(counts.values()):
-        return table, time, epoch, {}
-    time = time[kept]
+        return table, times, {}
+    epoch, received, time = times.epoch, times.received, time[kept]
     if form.epoch_utc is None and form.time_format != "elapsed":
         epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
     cells = pd.DataFrame(rows[kept], table.cells.index[kept], table.header)
-    return table._replace(cells=cells), time, epoch, {k: n for k, n in counts.items() if n}
+    table = table._replace(cells=cells)
+    received = None if received is None else received_times(form, table)
+    times = times._replace(time=time, epoch=epoch, received=received)
+    return table, times, {name: n for name, n in counts.items() if n}
 
 
 def column_of(
@@ -358,7 +305,7 @@ def _nearest(name: str, names: list[str]) -> str | None:
 def _unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
     """Columns of the file that nothing reads."""
     form = vehicle.telemetry
-    used = {form.time_column, form.receive_time_column, form.voltage_column, "phase", *columns}
+    used = {*_clock_columns(form), form.voltage_column, "phase", *columns}
     used |= {name for _, _, names in sensor_parts(vehicle) for name in names}
     used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
     return [name for name in table.header if name not in used]

@@ -46,6 +46,7 @@ from sunspin.vehicle.parts import (
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.joined import Input, Joined, full_sun
 from sunspin.vehicle.sensors import Sensors
+from sunspin.vehicle.timeline import zone_of
 
 MAX_PANELS = 32
 """Each cuts the sphere of directions further, n of them into n (n - 1) + 2 cells; satellites have about ten sides."""
@@ -71,6 +72,11 @@ SYMMETRY_TOLERANCE = 1e-9
 """Largest relative difference between mirrored elements of an inertia tensor."""
 
 
+Rollovers = Annotated[
+    Number, must(lambda value: value in range(8), "{path} must be a whole number from 0 to 7")
+]
+
+
 @part
 class TelemetryForm(Part):
     """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
@@ -79,20 +85,26 @@ class TelemetryForm(Part):
     `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
     Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
     `voltage_columns`, or where it has none `voltage_column`. An input is read its entry of `offset_s` later than its row's time,
-    and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept beside its own time.
+    and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept in addition to its own time.
+    `time_zone`: zone of times that name none. `week_column`: GPS weeks, the time column then being seconds of the week; they have
+    begun again `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times count them.
     `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
     """
 
     quantity: Literal["power_W", "current_A"] = "power_W"
     time_column: Name = "time"
-    time_format: Literal["utc", "unix", "elapsed"] = "utc"
+    time_format: Literal["utc", "unix", "gps", "tai", "elapsed"] = "utc"
     epoch_utc: str | None = None
     columns: Text = field(default_factory=no_entries)
     scale: Positive = 1.0
     noise: Positive | None = None
     lit_threshold: Positive | None = None
-    bad_rows: Literal["refuse", "flag"] = "refuse"
+    bad_rows: Literal["refuse", "flag", "sort"] = "refuse"
     time_scale_s: Positive = 1.0
+    time_zone: Name | None = None
+    week_column: Name | None = None
+    gps_rollovers: Rollovers | None = None
+    counts_leap_seconds: StrictBool | None = None
     receive_time_column: Name | None = None
     receive_time_format: Literal["utc", "unix"] = "utc"
     offset_s: Numbers = field(default_factory=no_entries)
@@ -111,9 +123,9 @@ class TelemetryForm(Part):
     throttled: StrictBool = False
 
     def __post_init__(self) -> None:
+        clocks = (self.time_column, self.week_column, self.receive_time_column)
         used = [
-            self.time_column,
-            *([self.receive_time_column] if self.receive_time_column else []),
+            *(name for name in clocks if name is not None),
             *self.columns.values(),
         ]
         if twice := [name for name in used if used.count(name) > 1]:
@@ -129,6 +141,21 @@ class TelemetryForm(Part):
         ):
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
             raise VehicleError(what, do="add the UTC of time zero, or receive_time_column")
+        of_format = {
+            "time_zone": "utc",
+            "week_column": "gps",
+            "gps_rollovers": "gps",
+            "counts_leap_seconds": "elapsed",
+        }
+        for key, needed in of_format.items():
+            if getattr(self, key) is not None and self.time_format != needed:
+                what = f'telemetry.{key} needs time_format = "{needed}"'
+                raise VehicleError(what, got=self.time_format, do="set it, or leave the key out")
+        if self.counts_leap_seconds is not None and self.epoch_utc is None:
+            what = "telemetry.counts_leap_seconds needs epoch_utc"
+            raise VehicleError(what, do="add the UTC of time zero, or leave the key out")
+        if self.time_zone is not None:
+            zone_of(self.time_zone)
 
     @property
     def has_voltages(self) -> bool:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+import re
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
+from zoneinfo import ZoneInfo
 
-from sunspin.base.errors import InputError, SunspinError
+from sunspin.base.errors import InputError, SunspinError, VehicleError
 from sunspin.base.untrusted import read_toml
 from sunspin.vehicle.part import Name, Number, Part, keys_of, part
 
@@ -91,6 +93,30 @@ def instant(text: str) -> datetime | None:
         OverflowError,
     ):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
         return None
+
+
+def zone_of(text: str) -> tzinfo:
+    """Return the time zone of an IANA name, or of an offset from UTC such as +02:00.
+
+    Raises
+    ------
+    VehicleError
+        If no zone has this name.
+    """
+    offset = re.fullmatch(r"([+-])([01]\d|2[0-3]):?([0-5]\d)", text, re.ASCII)
+    if offset:
+        size = timedelta(hours=int(offset[2]), minutes=int(offset[3]))
+        return timezone(size if offset[1] == "+" else -size)
+    try:
+        return ZoneInfo(text)
+    except (
+        KeyError,
+        ValueError,
+        OSError,
+    ):  # ZoneInfo's errors for a name that is not one of its files
+        what = "telemetry.time_zone is not known"
+        do = "give a name such as Europe/Berlin, or an offset such as +02:00"
+        raise VehicleError(what, got=text, do=do) from None
 
 
 def _instant(utc: str) -> datetime:

@@ -795,8 +795,11 @@ def _other_wiring(
 
 
 def _clock_time(epoch_utc: str | None, t_s: float) -> str:
-    """A time (s) as a person says it."""
-    return f"{t_s:.0f} s" if epoch_utc is None else utc_after(t_s, epoch_utc)[11:19]
+    """Return a time (s) in words: the clock on the day of the epoch, date and clock on any other day."""
+    if epoch_utc is None:
+        return f"{t_s:.0f} s"
+    text = utc_after(t_s, epoch_utc)
+    return text[11:19] if text[:10] == utc_after(0.0, epoch_utc)[:10] else text
 
 
 def _asked_for(pass_id: int | None, count: int) -> list[int]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sunspin.base.provenance import clock_notes
 from sunspin.output.check.repeats import repeat_lines
 from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
 from sunspin.output.kinds.panels import health_lines, health_summary
@@ -97,7 +98,14 @@ def about_telemetry(
     if spread:
         apart = "  sampling interval: {:.6g} s min, {:.6g} s median, {:.6g} s max"
         lines.append(apart.format(*spread))
-    order = {"rows_sorted": "rows sorted by time", "rows_merged": "duplicate rows merged"}
+    if notes := clock_notes(samples):
+        summary["clock_notes"] = notes
+        lines += [f"  {note}" for note in notes]
+    order = {
+        "rows_sorted": "rows sorted by time",
+        "rows_merged": "duplicate rows merged",
+        "rows_misdated": "rows left out: dated years from the others",
+    }
     for key, text in order.items():
         if key in samples.attrs:
             summary[key] = int(samples.attrs[key])

@@ -70,7 +70,9 @@ def time_axis(axes: Any, data: xr.Dataset, place: Passes) -> None:
             shown.append(k)
     zero = np.datetime64(str(epoch or "1970-01-01").removesuffix("Z"), "s")
     utc = zero + np.round(3600 * begins[shown]).astype("timedelta64[s]")
-    axes.set_xticks(at[shown], [str(time)[5:16].replace("T", "\n") for time in utc])
+    texts = [str(time)[:16].replace("T", "\n") for time in utc]
+    begin = 5 if len({text[:4] for text in texts}) == 1 else 0  # the year, if they do not share it
+    axes.set_xticks(at[shown], [text[begin:] for text in texts])
     for end, begin in zip(place.places[1:-1:2], place.places[2::2], strict=True):
         axes.axvspan(end, begin, color=COLOURS[7], alpha=0.12, lw=0, zorder=0)
     longest = 60 * float(np.diff(place.hours.reshape(-1, 2), axis=1).max())

@@ -13,15 +13,22 @@ from sunspin.estimate.rates.hypotheses import AS_STATED
 from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
-from sunspin.output.text import clock_text, number_text, rate_text, with_range, with_sigma
+from sunspin.output.text import (
+    clock_text,
+    number_text,
+    rate_text,
+    starts_text,
+    with_range,
+    with_sigma,
+)
 from sunspin.vehicle.timeline import utc_after
 
 MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 RATE = "omega x, y, z at mid-pass, deg/s ± 1 sigma"
-HEADING = f"pass  {'start (UTC)':11}  {'samples':>7}  {'speed (range) deg/s':20}  {RATE:45}  prob  verdict"
-"""Of the table of passes: a line each, at most 110 columns with a decided verdict."""
+HEADING = f"{'samples':>7}  {'speed (range) deg/s':20}  {RATE:45}  prob  verdict"
+"""Of the table of passes behind number and start: a line each, at most 110 columns with a decided verdict, 115 with years."""
 
 PASSES_IN_WORDS = 3
 """Of the first passes a page has a sentence each; its table has all."""
@@ -61,11 +68,16 @@ def rate_at(result: Any, k: int) -> RateAt:
 def rates_summary(result: Any) -> Summary:
     """The verdict, and the solutions of each pass, deg/s."""
     decided, *notes = result.attrs["verdict"].split("\n")
-    passes, lines, table, in_words = [], [decided], [HEADING], []
-    for k in range(result.sizes["pass_id"]):
+    number = result["pass_of"].values
+    begins = [float(result["time"].values[number == k][0]) for k in range(result.sizes["pass_id"])]
+    starts = starts_text(result, begins)
+    width = max(map(len, ["start (UTC)", *starts]))
+    table = [f"pass  {'start (UTC)':{width}}  {HEADING}"]
+    passes, lines, in_words = [], [decided], []
+    for k, start in enumerate(starts):
         numbers, row, sentence = _pass(result, k)
         passes.append(numbers)
-        table.append(row)
+        table.append(f"{numbers['pass_id']:4d}  {start:{width}}  {row}")
         in_words += [sentence] if k < PASSES_IN_WORDS else []
         if numbers.get("model", AS_STATED) != AS_STATED:
             chance = f"{numbers['model_probability']:.2f}"
@@ -148,7 +160,7 @@ def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
 
 
 def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
-    """Numbers of a pass, its row of the console table, and a sentence."""
+    """Numbers of a pass, its row of the console table behind number and start, and a sentence."""
     at = np.flatnonzero(result["pass_of"].values == k)
     t, rate = result["time"].values[at], rate_at(result, k)
     probability = result["probability"].values[k]
@@ -167,13 +179,11 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
     }
     speed = with_range(rate.mean, rate.low, rate.high, float(rate.sigma.max()))
     omega = with_sigma(rate.omega, rate.sigma)
-    start = clock_text(result, float(t[0]))
-    start = start[5:16].replace("T", " ") if "T" in start else start
     verdict = str(numbers["why_not_decided"]).split(" (")[0] or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = COARSE_WORD
     verdict = verdict.replace("several solutions", f"{n} solutions")
-    row = f"{numbers['pass_id']:4d}  {start:11}  {len(at):7d}  {speed:20}  {omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
+    row = f"{len(at):7d}  {speed:20}  {omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
     called = f"pass {numbers['pass_id']} ({len(at)} samples)"
     sentence = f"{called}: {speed} deg/s, body rate {omega} deg/s at mid-pass; {verdict}"
     return numbers, row, sentence

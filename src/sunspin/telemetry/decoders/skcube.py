@@ -21,7 +21,7 @@ from sunspin.base.cells import plain_cell
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import read_table
 from sunspin.base.untrusted import is_plain
-from sunspin.telemetry.reader import parse_utc
+from sunspin.telemetry.times import parse_utc
 
 FACES = ("Xp", "Xm", "Yp", "Ym", "Zp", "Zm")
 SOLAR = ("Yp", "Xp", "Ym", "Xm", "Zp", "Zm")

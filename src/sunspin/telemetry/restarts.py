@@ -1,0 +1,269 @@
+"""Clocks that jump: uptime that starts again after a reset, and local clocks that are set back.
+
+Rows that are merely out of order are told apart by what a reset cannot do, and by what a reset alone does. Late downlinks keep the
+boot they come from; the same frame heard by two stations repeats its readings; stored telemetry fills gaps.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+USUAL_DELAY_S = 60.0
+"""From a sample to its reception by a station that listens; more is telemetry that was stored. SatNOGS and the skCUBE
+collector stamp frames within seconds; the rest is for rounded stamps and for samples taken before the beacon that brings them."""
+
+SAME_RATE = 0.3
+"""While a station listens, uptime and received time advance at one rate. A playback is faster or slower: received minus
+uptime then changes by more than this part of the uptime (a burst: by all of it)."""
+
+MOST_COMPARED = 2000
+"""Rows compared to see at what rate uptime advances."""
+
+FALL_INTERVALS = 3.0
+"""Times that fall back by no more than this many sampling intervals are frames that arrived out of order."""
+
+DENSE = 1.5
+"""Between two samples no farther apart than this many usual intervals, no sample is missing."""
+
+SAME_TIME = 0.05
+"""Samples closer than this part of the usual interval are of one time."""
+
+FEWEST_BETWEEN, SHARE_BETWEEN = 3, 0.5
+"""A stretch ran through known times again if at least so many of its samples, and this part of them, lie where none is
+missing."""
+
+QUARTER_S = 900.0
+"""A quarter hour: local clocks differ by whole multiples of it."""
+
+STORED_LONG_S = 86_400.0
+"""Telemetry is seldom stored for longer than a day. A longer delay that also exceeds the uptime reached so far is a new boot
+even if no row of it was received at once."""
+
+FIRST_UPTIME_S = 6000.0
+"""After a reset in view of a station the first uptime is below one orbit. Rows that run through known times again from a later
+one may be stored telemetry: of 363 simulated right files with playbacks 3 are accused, and 8 if a day is allowed."""
+
+STEPS_IN_QUARTERS = (1, 2, 3, 4, 8, 12)
+"""Steps of a local clock, in quarter hours: daylight saving is one hour (half an hour on Lord Howe Island, two at Troll), and
+somebody may correct a wrong zone. A playback of stored telemetry goes back by any time, which seldom is one of these: with all
+multiples up to three hours 4 of 363 simulated files with playbacks met one, with these 2."""
+
+LONGEST_FALL_S = 3 * 3600.0
+"""A single fall of local times by up to this may be a step with samples missing around it."""
+
+NEXT_PASS = 10.0
+"""The rows after a fall are compared up to a gap of this many usual intervals: what follows may be any later pass."""
+
+ROUNDED_S = 1.0
+"""Times may be rounded to this."""
+
+
+class Restart(NamedTuple):
+    """A row of the file at which times start again, the row before it, by how much they fall (s), and whether that is
+    sure."""
+
+    row: int
+    before: int
+    back_s: float
+    sure: bool = True
+
+
+class Frames(NamedTuple):
+    """What the rows (n) of a file hold besides their times: cells (n, n_column) that are read, as text, stripped."""
+
+    cells: np.ndarray
+
+    def alike(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Whether rows (m) hold nothing that contradicts other rows (m)."""
+        one, other = self.cells[first], self.cells[second]
+        return ((one == other) | (one == "") | (other == "")).all(axis=1)
+
+    def comparable(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Whether rows (m) fill some column that other rows (m) fill too."""
+        return ((self.cells[first] != "") & (self.cells[second] != "")).any(axis=1)
+
+    def repeated(self, time: np.ndarray, order: np.ndarray) -> np.ndarray:
+        """Whether each row (n) has the time and the cells of a row that comes earlier in `order` (n)."""
+        seen: set[tuple] = set()
+        again = np.zeros(len(time), dtype=bool)
+        for i in order.tolist():
+            key = (float(time[i]), *self.cells[i].tolist())
+            again[i] = key in seen
+            seen.add(key)
+        return again
+
+
+def boot_starts(uptime: np.ndarray, received: np.ndarray, frames: Frames) -> np.ndarray:
+    """Return when each boot had uptime zero (s, on the clock of `received`, ascending), by the delays received - uptime.
+
+    A boot cannot begin before the last sample of the boot before it was taken. Hence a new boot begins where the delay grows by at
+    least the uptime reached so far. A late downlink alone would need a delay as long as that. Its uptime would also not advance
+    at the rate of the received time, as that of a boot does while a station listens.
+
+    Parameters
+    ----------
+    uptime, received : array (n)
+        In s; NaN where a row has no received time.
+    """
+    known = np.flatnonzero(np.isfinite(received))
+    delay = (received - uptime)[known]
+    if np.ptp(delay) <= USUAL_DELAY_S:
+        return delay.min(keepdims=True)
+    order = known[np.argsort(received[known], kind="stable")]
+    order = order[~frames.repeated(uptime, order)[order]]
+    delay = (received - uptime)[order]
+    by_delay = np.argsort(delay, kind="stable")
+    up, heard, delay = uptime[order][by_delay], received[order][by_delay], delay[by_delay]
+    ends = np.searchsorted(delay, delay + USUAL_DELAY_S, "right")
+    starts, begin = [0], delay[0]
+    latest = -np.inf  # when the last sample of this boot was taken
+    for k in range(len(delay)):
+        grown = delay[k] - begin > USUAL_DELAY_S and delay[k] >= latest - USUAL_DELAY_S
+        here = slice(k, ends[k])
+        if grown and (
+            delay[k] - begin > STORED_LONG_S
+            or _listened(up, heard, delay, here, slice(starts[-1], k))
+        ):
+            starts.append(k)
+            begin, latest = delay[k], -np.inf
+        latest = max(latest, begin + up[k])
+    return delay[starts]
+
+
+def _listened(
+    uptime: np.ndarray, heard: np.ndarray, delay: np.ndarray, rows: slice, before: slice
+) -> bool:
+    """Whether rows of nearly one delay were received while they were sampled; a single one, if it is the file's last and those
+    before it were."""
+    up, late = uptime[rows][:MOST_COMPARED], delay[rows][:MOST_COMPARED]
+    if len(up) == 1:
+        last = rows.stop == len(delay) and heard[rows.start] == heard.max()
+        usual = np.mean(delay[before] - delay[before.start] <= USUAL_DELAY_S)
+        return bool(last and usual > 0.5)
+    spread = np.var(up)
+    if spread == 0:
+        return False
+    slope = np.mean((up - up.mean()) * (late - late.mean())) / spread
+    return bool(abs(slope) < SAME_RATE)
+
+
+def boots_of(uptime: np.ndarray, received: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Return the number (n) of each row's boot: the last that had begun when it was received with its uptime. A row without a
+    received time belongs to the boot of the row before or after it in the file, whose uptime is nearer."""
+    known = np.flatnonzero(np.isfinite(received))
+    boot = np.zeros(len(uptime), dtype=int)
+    boot[known] = np.maximum(
+        np.searchsorted(starts, (received - uptime)[known] + 1e-6, "right") - 1, 0
+    )
+    for i in np.flatnonzero(~np.isfinite(received)).tolist():
+        k = int(np.searchsorted(known, i))
+        near = known[max(k - 1, 0) : k + 1]
+        boot[i] = boot[near[np.argmin(np.abs(uptime[near] - uptime[i]))]]
+    return boot
+
+
+def boot_epochs(
+    uptime: np.ndarray, received: np.ndarray, boot: np.ndarray, count: int
+) -> np.ndarray:
+    """Return when each boot had uptime zero (count, s): the median of received - uptime over rows received without being stored,
+    or NaN for a boot without a received time."""
+    epochs = np.full(count, np.nan)
+    for k in range(count):
+        delay = (received - uptime)[(boot == k) & np.isfinite(received)]
+        if delay.size:
+            epochs[k] = np.median(delay[delay <= delay.min() + USUAL_DELAY_S])
+    return epochs
+
+
+def uptime_restart(uptime: np.ndarray, frames: Frames) -> Restart | None:
+    """Return the first row from which uptime (n) runs through known values again with other readings; else a row that may be the
+    first after a reset, which is not sure; None without either."""
+    if not np.any(np.diff(uptime) < 0):
+        return None
+    order, usual = _forward(uptime)
+    falls = _falls(uptime[order], usual)
+    for fall, end in pairwise([*falls, len(order)]):
+        if _runs_again(uptime, frames, order[:fall], order[fall:end]):
+            row, before = order[fall], order[fall - 1]
+            back = float(uptime[before] - uptime[row])
+            return Restart(int(row), int(before), back, bool(uptime[row] < FIRST_UPTIME_S))
+    again = frames.repeated(uptime, order)
+    for fall in falls:
+        row, before = order[fall], order[fall - 1]
+        back = float(uptime[before] - uptime[row])
+        if (back > STORED_LONG_S or uptime[row] < FIRST_UPTIME_S) and not again[row]:
+            return Restart(int(row), int(before), back, sure=False)
+    return None
+
+
+def clock_set_back(time: np.ndarray, frames: Frames, local: bool) -> Restart | None:
+    """Return the row from which all later times (n, s) are those of a clock that was set back; None if there is no such row.
+
+    There is one fall in the file. It is a whole number of quarter hours, less one interval between samples. If the times are
+    `local` (no zone), some samples may be missing at the step, or the later rows run through known times again with other
+    readings; any other fall of local times may be a step, but is not sure.
+    """
+    if not np.any(np.diff(time) < 0):
+        return None
+    order, usual = _forward(time)
+    order = order[~frames.repeated(time, order)[order]]
+    t = time[order]
+    falls = _falls(t, usual)
+    if len(falls) != 1 or not 2 <= falls[0] <= len(t) - 2:
+        return None
+    fall = int(falls[0])
+    steps = np.diff(t)
+    steps = steps[(steps > 0) & (steps <= FALL_INTERVALS * usual)]
+    if not steps.size:
+        return None
+    back, spread = t[fall - 1] - t[fall], np.ptp(steps)
+    shortest, longest = max(steps.min() - spread, 0.0), steps.max() + spread
+    if local:  # some samples may be missing at the step
+        longest = max(longest, FALL_INTERVALS * usual)
+    quarters = int((back + longest + ROUNDED_S) // QUARTER_S)
+    whole = QUARTER_S * quarters >= back + shortest - ROUNDED_S
+    whole &= quarters in STEPS_IN_QUARTERS
+    again = local and _runs_again(time, frames, order[:fall], order[fall:])
+    sure = bool(whole or again)
+    if not sure and not (local and back <= LONGEST_FALL_S):
+        return None
+    size = QUARTER_S * quarters if whole else back
+    return Restart(int(order[fall]), int(order[fall - 1]), float(size), sure)
+
+
+def _forward(time: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the rows (n) in the file's order, or against it if most times fall, and the usual interval (s)."""
+    steps = np.diff(time)
+    order = np.arange(len(time))
+    if np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0):
+        order = order[::-1]
+    moved = np.abs(steps[steps != 0])
+    return order, float(np.median(moved)) if moved.size else 0.0
+
+
+def _falls(time: np.ndarray, usual: float) -> np.ndarray:
+    """Return the rows at which times fall back by more than frames that arrive out of order do."""
+    return np.flatnonzero(np.diff(time) < -FALL_INTERVALS * usual) + 1
+
+
+def _runs_again(time: np.ndarray, frames: Frames, known: np.ndarray, later: np.ndarray) -> bool:
+    """Whether `later` rows run through the times of `known` rows with other readings of the same columns, where none is missing."""
+    known = known[np.argsort(time[known], kind="stable")]
+    if len(known) < FEWEST_BETWEEN or len(later) < FEWEST_BETWEEN:
+        return False
+    t, again = time[known], time[later]
+    usual = float(np.median(np.diff(np.unique(t)))) if len(np.unique(t)) > 1 else 0.0
+    later = later[: int(np.argmax(np.append(np.diff(again) > NEXT_PASS * usual, True))) + 1]
+    within = later[(time[later] >= t[0]) & (time[later] <= t[-1])]
+    after = np.clip(np.searchsorted(t, time[within]), 1, len(t) - 1)
+    low, high = known[after - 1], known[after]
+    dense = time[high] - time[low] <= DENSE * usual
+    nearer = np.where(time[within] - time[low] < time[high] - time[within], low, high)
+    one_time = np.abs(time[within] - time[nearer]) <= SAME_TIME * usual
+    other = np.where(one_time, ~frames.alike(within, nearer), dense)
+    other &= frames.comparable(within, nearer)
+    count = int(np.count_nonzero(other))
+    return count >= FEWEST_BETWEEN and count >= SHARE_BETWEEN * len(later)

@@ -1,0 +1,422 @@
+"""Clocks: uptime that starts again, clocks set back, zones, GPS time and TAI, leap seconds, dates of a clock that was reset."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import erfa
+import numpy as np
+import pytest
+import xarray as xr
+
+import sunspin as ss
+from sunspin.output.text import starts_text
+from sunspin.telemetry.restarts import Frames, boot_starts, clock_set_back, uptime_restart
+from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
+from sunspin.vehicle.file import parse_vehicle
+
+VEHICLE = """
+name = "two panels"
+[[panel]]
+name = "a"
+normal_B = [1, 0, 0]
+gain_W = 2
+[[panel]]
+name = "b"
+normal_B = [0, 1, 0]
+gain_W = 2
+[telemetry]
+time_column = "t"
+bad_rows = "{bad_rows}"
+{form}
+[telemetry.columns]
+a = "pa"
+b = "pb"
+"""
+UPTIME = 'time_format = "elapsed"\nreceive_time_column = "rx"\nreceive_time_format = "unix"'
+START = 1_767_225_600.0
+"""1 January 2026."""
+
+
+def craft(form, bad_rows="flag"):
+    return parse_vehicle(VEHICLE.format(form=form, bad_rows=bad_rows), "v.toml")
+
+
+def read(folder, times, form, bad_rows="flag", **columns):
+    """Read a file with these times, other columns, and readings that differ from row to row."""
+    names = ["t", *columns, "pa", "pb"]
+    power = np.random.default_rng(3).uniform(0.1, 2, (len(times), 2)).round(4)
+    cells = zip(times, *columns.values(), *power.T.tolist(), strict=True)
+    path = folder / "t.csv"
+    path.write_text("\n".join([",".join(names), *(",".join(map(str, row)) for row in cells)]))
+    return ss.read_telemetry(path, craft(form, bad_rows))
+
+
+def utc(data):
+    """Return the date of each sample, s from 1970."""
+    return datetime.fromisoformat(data.attrs["epoch_utc"]).timestamp() + data["time"].values
+
+
+def notes(data):
+    return data.attrs.get("clock_notes", "")
+
+
+def frames(n, seed=1):
+    return Frames(np.random.default_rng(seed).uniform(0, 2, (n, 2)).round(3).astype(str))
+
+
+def two_boots(first=260_040.0):
+    """Uptime and received time of rows 20 s apart, with a reset after row 22."""
+    received = START + np.cumsum(np.random.default_rng(5).uniform(15, 25, 40)).round()
+    uptime = received - received[0] + first
+    uptime[22:] = received[22:] - received[22] + 35
+    return uptime, received
+
+
+@pytest.mark.parametrize("first", [40.0, 260_040.0])
+@pytest.mark.parametrize("order", ["as received", "newest first"])
+def test_each_boot_is_dated_by_its_own_received_times(tmp_path, first, order):
+    uptime, received = two_boots(first)
+    way = slice(None, None, -1 if order == "newest first" else 1)
+    data = read(tmp_path, uptime[way].tolist(), UPTIME, rx=received[way].tolist())
+    np.testing.assert_allclose(utc(data), received, atol=0.01)
+    assert "the uptime starts again: 2 boots" in notes(data)
+
+
+def test_a_row_without_a_received_time_belongs_to_the_boot_of_its_neighbours(tmp_path):
+    uptime, received = two_boots()
+    cells = [f"{each:.0f}" for each in received]
+    cells[10] = cells[21] = cells[22] = cells[30] = ""
+    data = read(tmp_path, uptime.tolist(), UPTIME, rx=cells)
+    np.testing.assert_allclose(utc(data), received, atol=0.01)
+
+
+def test_an_epoch_in_the_vehicle_file_is_that_of_the_boot_nearest_to_it(tmp_path):
+    uptime, received = two_boots()
+    epoch = datetime.fromtimestamp(received[0] - 260_040, UTC).isoformat()
+    form = f'{UPTIME}\nepoch_utc = "{epoch}"\ncounts_leap_seconds = false'
+    data = read(tmp_path, uptime.tolist(), form, rx=received.tolist())
+    np.testing.assert_allclose(utc(data), received, atol=0.01)
+
+
+LATE = {
+    "a burst of stored rows": lambda up: np.full(up.size, up.max() + 60.0),
+    "a playback slower than real time": lambda up: up.max() + 40 + 2.5 * (up - up.min()),
+    "newest row first": lambda up: up.max() + 60 + 0.1 * (up.max() - up),
+}
+
+
+@pytest.mark.parametrize("how", LATE)
+@pytest.mark.parametrize("first", [0.0, 500.0, 1e6])
+def test_late_downlinks_are_no_boot(tmp_path, how, first):
+    """Received minus uptime varies by as much as the rows were stored; the least delay dates them."""
+    uptime = first + 20.0 * np.arange(60)
+    sent = LATE[how](uptime - first)
+    received = START + sent
+    order = np.argsort(received, kind="stable")
+    data = read(tmp_path, uptime[order].tolist(), UPTIME, rx=received[order].tolist())
+    assert "boots" not in notes(data)
+    least = (received - uptime).min()
+    np.testing.assert_allclose(utc(data), least + uptime, atol=60.01)
+
+
+def test_live_frames_with_stored_ones_in_between_are_dated_by_the_live_ones():
+    uptime = np.concatenate([5e5 + 20.0 * np.arange(30), 5e5 - 6000 + 20.0 * np.arange(30)])
+    received = START + np.concatenate([20.0 * np.arange(30) + 1, 600 + np.arange(30)])
+    np.testing.assert_allclose(boot_starts(uptime, received, frames(60)), [START - 5e5 + 1])
+
+
+def test_a_playback_at_the_rate_of_real_time_is_no_boot_if_the_uptime_is_longer_than_its_delay():
+    uptime = 1e6 + 20.0 * np.arange(60)
+    received = START + uptime + np.where(np.arange(60) < 30, 3000.0, 0.0)
+    np.testing.assert_allclose(boot_starts(uptime, received, frames(60)), [START])
+
+
+def test_frames_of_a_station_whose_clock_is_an_hour_wrong_are_no_boot():
+    uptime = np.tile(10.0 + 20.0 * np.arange(30), 2)
+    received = START + uptime + np.repeat([0.0, 3600.0], 30)
+    same = Frames(np.tile(frames(30).cells, (2, 1)))
+    assert len(boot_starts(uptime, received, same)) == 1
+    assert len(boot_starts(uptime, received, frames(60))) == 2
+
+
+def test_telemetry_stored_for_days_is_counted(tmp_path):
+    uptime = np.concatenate([1e6 + 20.0 * np.arange(30), 5e5 + 20.0 * np.arange(10)])
+    received = START + np.concatenate([20.0 * np.arange(30), 700 + np.arange(10)])
+    data = read(tmp_path, uptime.tolist(), UPTIME, rx=received.tolist())
+    assert "10 rows are dated up to 5.8 days before reception" in notes(data)
+
+
+def test_boots_that_overlap_are_refused_without_received_times(tmp_path):
+    uptime, received = two_boots(40.0)
+    form = 'time_format = "elapsed"\nepoch_utc = "2026-01-01"'
+    for bad_rows in ("flag", "refuse"):
+        with pytest.raises(ss.TelemetryError, match="line 24.*start again.*receive_time_column"):
+            read(tmp_path, uptime.tolist(), form, bad_rows)
+    with pytest.raises(ss.TelemetryError, match="line 19.*start again"):
+        read(tmp_path, uptime[::-1].tolist(), form)
+    advised = read(tmp_path, uptime.tolist(), UPTIME, rx=received.tolist())
+    np.testing.assert_allclose(utc(advised), received, atol=0.01)
+    for part in (slice(0, 22), slice(22, None)):
+        assert not notes(read(tmp_path, uptime[part].tolist(), form))
+    assert read(tmp_path, uptime.tolist(), form, "sort").attrs["rows_sorted"] == 18
+
+
+def test_elapsed_times_that_fall_without_overlap_are_noted(tmp_path):
+    form = 'time_format = "elapsed"\nepoch_utc = "2026-01-01"'
+    data = read(tmp_path, two_boots()[0].tolist(), form)
+    assert "elapsed times fall by 3.0 days at line 24" in notes(data)
+
+
+def test_stations_and_playbacks_do_not_start_the_uptime_again():
+    live = 3000 + 20.0 * np.arange(40)
+    again = Frames(np.vstack([frames(40).cells, frames(40).cells[::2]]))
+    assert uptime_restart(np.concatenate([live, live[::2]]), again) is None
+    gaps = np.concatenate([np.delete(live, slice(10, 20)), live[10:20]])
+    restart = uptime_restart(gaps, frames(40))
+    assert restart is None or not restart.sure
+    assert uptime_restart(live[::-1], frames(40)) is None
+
+
+def local(start, rows=40, step=20.0, seed=4):
+    """Return UTC instants of rows, irregular."""
+    apart = np.random.default_rng(seed).uniform(0.7, 1.3, rows) * step
+    return [start + timedelta(seconds=int(each)) for each in np.cumsum(apart)]
+
+
+SUMMER_ENDS = datetime(2026, 10, 25, 0, 54, tzinfo=UTC)
+"""In Central Europe clocks go back at 01:00 UTC, from 03:00 to 02:00."""
+
+
+def shown(moments, zone):
+    from zoneinfo import ZoneInfo
+
+    return [f"{each.astimezone(ZoneInfo(zone)):%Y-%m-%d %H:%M:%S}" for each in moments]
+
+
+ZONES = {
+    "Europe/Berlin": SUMMER_ENDS,
+    "America/New_York": datetime(2026, 11, 1, 5, 54, tzinfo=UTC),
+    "Australia/Lord_Howe": datetime(2026, 4, 4, 14, 54, tzinfo=UTC),
+}
+
+
+@pytest.mark.parametrize("zone", ZONES)
+@pytest.mark.parametrize("newest", [False, True])
+@pytest.mark.parametrize("bad_rows", ["flag", "refuse"])
+def test_a_clock_that_was_set_back_is_no_disorder_and_a_zone_dates_it(
+    tmp_path, zone, newest, bad_rows
+):
+    moments = local(ZONES[zone])
+    cells = shown(moments, zone)
+    given = cells[::-1] if newest else cells
+    if newest and bad_rows == "refuse":
+        return
+    with pytest.raises(ss.TelemetryError, match="go back by (1 h|30 min), as a clock.*time_zone"):
+        read(tmp_path, given, "", bad_rows)
+    data = read(tmp_path, given, f'time_zone = "{zone}"', bad_rows)
+    np.testing.assert_allclose(utc(data), [each.timestamp() for each in moments], atol=1e-3)
+    assert notes(data) == f"times without a zone are read in {zone}"
+    assert read(tmp_path, given, "", "sort").attrs["rows_sorted"] > 0
+
+
+def test_a_pass_before_and_one_after_the_clock_was_set_back_are_not_interleaved(tmp_path):
+    before = local(datetime(2026, 10, 25, 0, 10, tzinfo=UTC), 30)
+    after = local(datetime(2026, 10, 25, 1, 13, tzinfo=UTC), 30, seed=8)
+    cells = shown([*before, *after], "Europe/Berlin")
+    with pytest.raises(ss.TelemetryError, match="as a clock that is set back"):
+        read(tmp_path, cells, "")
+    data = read(tmp_path, cells, 'time_zone = "Europe/Berlin"')
+    np.testing.assert_allclose(utc(data), [each.timestamp() for each in [*before, *after]])
+
+
+def test_times_that_name_their_zone_pass_the_end_of_summer_time(tmp_path):
+    from zoneinfo import ZoneInfo
+
+    moments = local(SUMMER_ENDS)
+    cells = [each.astimezone(ZoneInfo("Europe/Berlin")).isoformat() for each in moments]
+    data = read(tmp_path, cells, "", "refuse")
+    np.testing.assert_allclose(utc(data), [each.timestamp() for each in moments])
+    assert not notes(data)
+
+
+def test_unix_times_of_a_clock_that_was_set_back_are_refused(tmp_path):
+    times = START + 20.0 * np.arange(40) - np.repeat([0.0, 3600.0], 20)
+    with pytest.raises(ss.TelemetryError, match="go back by 1 h.*file of their own"):
+        read(tmp_path, times.tolist(), 'time_format = "unix"')
+
+
+def test_disorder_is_no_clock_that_was_set_back():
+    t = 20.0 * np.arange(60)
+    stations = np.concatenate([t, t[::3]])
+    again = Frames(np.vstack([frames(60).cells, frames(60).cells[::3]]))
+    assert clock_set_back(stations, again, local=True) is None
+    assert clock_set_back(t[::-1], frames(60), local=True) is None
+    playback = np.concatenate([t + 2 * 86400, t])
+    assert clock_set_back(playback, frames(120), local=True) is None
+    swapped = t.copy()
+    swapped[[20, 21, 40, 41]] = swapped[[21, 20, 41, 40]]
+    assert clock_set_back(swapped, frames(60), local=True) is None
+    blocks = np.concatenate([t + 3600, t, t + 7200, t + 1800])
+    assert clock_set_back(blocks, frames(240), local=False) is None
+
+
+def test_a_fall_of_local_times_that_may_be_a_clock_is_noted(tmp_path):
+    before = local(datetime(2026, 10, 25, 0, 40, tzinfo=UTC), 10)
+    after = local(datetime(2026, 10, 25, 1, 16, tzinfo=UTC), 10)
+    data = read(tmp_path, shown([*before, *after], "Europe/Berlin"), "")
+    assert "times fall back once, by 27 min at line 12" in notes(data)
+
+
+@pytest.mark.parametrize(
+    ("cells", "words"),
+    [
+        (["2026-01-01 00:00:00", "2026-01-01T00:01:00"], "times name no zone: taken as UTC"),
+        (["2026-001T00:00:00", "2026-001T00:01:00"], "times name no zone: taken as UTC"),
+        (["2026-01-01 00:00:00", "2026-01-01T00:01:00Z"], "1 times name no zone: taken as UTC"),
+        (["2026-01-01 00:00:00Z", "2026-01-01T00:01:00+00:00"], ""),
+        (["20260101T000000Z", "20260101T000100Z"], ""),
+        (["2026-01-01 00:00:00 UTC", "2026-01-01T00:01:00 GMT"], ""),
+    ],
+)
+def test_times_without_a_zone_are_said_to_be_taken_as_utc(tmp_path, cells, words):
+    data = read(tmp_path, cells, "", "refuse")
+    assert notes(data) == words
+    assert data["time"].values.tolist() == [0, 60] and utc(data)[0] == START
+
+
+def test_results_say_what_their_telemetry_took_for_granted(tmp_path):
+    data = read(tmp_path, ["2026-01-01 00:00:00", "2026-01-01T00:01:00"], "")
+    sun = ss.sun_directions(craft(""), data)
+    summary = sun.sunspin.summary()
+    assert summary["clock_notes"] == ["times name no zone: taken as UTC"]
+    assert summary.lines.count("  times name no zone: taken as UTC") == 1
+
+
+GPS_ZERO = datetime(1980, 1, 6, tzinfo=UTC)
+
+
+def gps_of(moment):
+    """Return GPS seconds of a UTC instant by ERFA, not by the code under test."""
+    ahead = erfa.dat(moment.year, moment.month, moment.day, 0.0)
+    return (moment - GPS_ZERO).total_seconds() + ahead - 19
+
+
+@pytest.mark.parametrize(
+    "day", [(1999, 8, 22), (2006, 1, 1), (2012, 6, 30), (2016, 12, 31), (2017, 1, 1), (2026, 3, 4)]
+)
+def test_gps_seconds_and_weeks_are_read_as_erfa_counts_leap_seconds(tmp_path, day):
+    moments = [datetime(*day, tzinfo=UTC) + timedelta(seconds=20 * k) for k in range(5)]
+    seconds = [gps_of(each) for each in moments]
+    expected = [each.timestamp() for each in moments]
+    data = read(tmp_path, seconds, 'time_format = "gps"', "refuse")
+    np.testing.assert_allclose(utc(data), expected, atol=1e-5)
+    assert not notes(data)
+    week = [int(each // 604800) for each in seconds]
+    tow = [1000 * (each % 604800) for each in seconds]
+    form = 'time_format = "gps"\nweek_column = "week"\ntime_scale_s = 0.001'
+    data = read(tmp_path, tow, form, "refuse", week=week)
+    np.testing.assert_allclose(utc(data), expected, atol=1e-5)
+
+
+def test_weeks_that_began_again_are_refused_until_it_is_said_how_often(tmp_path):
+    week, tow = [2399 % 1024] * 3, [345_618.0, 345_638.0, 345_658.0]
+    form = 'time_format = "gps"\nweek_column = "week"'
+    with pytest.raises(ss.TelemetryError, match=r"gps_rollovers .* 2 for 2026-01-01, 1 for"):
+        read(tmp_path, tow, form, week=week)
+    data = read(tmp_path, tow, f"{form}\ngps_rollovers = 2", week=week)
+    np.testing.assert_allclose(utc(data), START + np.array([0, 20, 40]), atol=1e-5)
+    old = read(tmp_path, tow, f"{form}\ngps_rollovers = 0", week=week)
+    assert old.attrs["epoch_utc"].startswith("1986-10-02")
+
+
+def test_tai_is_read_as_seconds_from_1958_or_as_dates(tmp_path):
+    moments = [datetime(2026, 1, 1, 0, 0, 37 + k, tzinfo=UTC) for k in range(3)]
+    form = 'time_format = "tai"'
+    seconds = [(each - datetime(1958, 1, 1, tzinfo=UTC)).total_seconds() for each in moments]
+    for cells in (seconds, [f"{each:%Y-%m-%dT%H:%M:%S}" for each in moments]):
+        data = read(tmp_path, cells, form, "refuse")
+        np.testing.assert_allclose(utc(data), START + np.arange(3), atol=1e-5)
+    with pytest.raises(ss.TelemetryError, match="TAI time without a zone"):
+        read(tmp_path, ["2026-01-01T00:00:37Z", "2026-01-01T00:00:38Z"], form)
+
+
+def test_times_increase_through_a_leap_second():
+    before = (datetime(2016, 12, 31, 23, 59, 50, tzinfo=UTC)).timestamp()
+    tai = before + 36 + np.arange(0, 20, 0.25)
+    utc_s = utc_of_tai(tai)
+    assert np.all(np.diff(utc_s) > 0) and np.diff(utc_s).max() <= 0.25 + 1e-9
+    assert utc_s[0] == before and utc_s[-1] == tai[-1] - 37
+    assert leap_seconds_between(before, before + 20) == 1 and tai_ahead(4e9) >= 37
+
+
+def test_elapsed_times_over_leap_seconds_say_that_they_do_not_count_them(tmp_path):
+    seconds = [gps_of(datetime(2026, 1, 1, 0, 0, k, tzinfo=UTC)) for k in (0, 20, 40)]
+    form = 'time_format = "elapsed"\nepoch_utc = "1980-01-06T00:00:00Z"'
+    data = read(tmp_path, seconds, form)
+    assert "18 leap seconds after epoch_utc not counted" in notes(data)
+    assert 'time_format = "gps"' in notes(data) and utc(data)[0] == START + 18
+    counted = read(tmp_path, seconds, f"{form}\ncounts_leap_seconds = true")
+    np.testing.assert_allclose(utc(counted), START + np.array([0, 20, 40]), atol=1e-5)
+    plain = read(tmp_path, seconds, f"{form}\ncounts_leap_seconds = false")
+    assert utc(plain)[0] == START + 18 and not notes(counted) and not notes(plain)
+    assert not notes(read(tmp_path, [0, 20, 40], form.replace("1980-01-06", "2026-01-01")))
+
+
+@pytest.mark.parametrize("zero", ["1970-01-01T00:00:{:02d}Z", "2000-01-01T00:00:{:02d}Z"])
+def test_rows_dated_decades_from_the_others_are_named_and_left_out(tmp_path, zero):
+    good = [f"2026-01-01T00:{k:02d}:00Z" for k in range(10)]
+    cells = [*good[:5], zero.format(3), zero.format(23), *good[5:]]
+    data = read(tmp_path, cells, "")
+    assert f"2 rows dated {zero.format(3)} to {zero.format(23)}" in notes(data)
+    assert data.attrs["rows_misdated"] == 2 and data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
+    assert data["time"].values.tolist() == (60.0 * np.arange(10)).tolist()
+    with pytest.raises(ss.TelemetryError, match='line 2.*2 rows dated .* bad_rows = "flag"'):
+        read(tmp_path, [zero.format(3), zero.format(23), *good], "", "refuse")
+
+
+def test_passes_of_several_years_are_not_misdated(tmp_path):
+    cells = [f"{year}-01-01T00:0{k}:00Z" for year in (2020, 2023, 2026) for k in range(3)]
+    data = read(tmp_path, cells, "", "refuse")
+    assert not notes(data) and data.sizes["time"] == 9
+
+
+@pytest.mark.parametrize(
+    ("form", "words"),
+    [
+        ('time_zone = "Europe/Nowhere"', "time_zone is not known .*Europe/Berlin"),
+        ('time_zone = "../../etc/passwd"', "time_zone is not known"),
+        ('time_format = "unix"\ntime_zone = "+01:00"', 'time_zone needs time_format = "utc"'),
+        ('week_column = "w"', 'week_column needs time_format = "gps"'),
+        ('time_format = "gps"\ngps_rollovers = 1.5', "gps_rollovers must be a whole number"),
+        ("counts_leap_seconds = true", "counts_leap_seconds needs"),
+        (f"{UPTIME}\ncounts_leap_seconds = true", "counts_leap_seconds needs epoch_utc"),
+    ],
+)
+def test_keys_of_the_clock_that_make_no_sense_are_refused(form, words):
+    with pytest.raises(ss.VehicleError, match=words):
+        craft(form)
+
+
+@pytest.mark.parametrize(
+    ("times", "week", "words"),
+    [
+        ([1.0, 2.0], ["2399", "x"], "line 3, column 'week': a GPS week is a whole number"),
+        ([1.0, 7e5], ["2399", "2399"], "line 3, column 't': seconds of the week are from 0"),
+    ],
+)
+def test_gps_weeks_that_are_none_are_refused(tmp_path, times, week, words):
+    with pytest.raises(ss.TelemetryError, match=words):
+        read(tmp_path, times, 'time_format = "gps"\nweek_column = "week"', week=week)
+
+
+def test_a_fixed_offset_is_a_zone(tmp_path):
+    data = read(tmp_path, ["2026-01-01 05:30:00", "2026-01-01 05:31:00"], 'time_zone = "+05:30"')
+    assert utc(data)[0] == START
+
+
+def test_starts_of_passes_have_the_year_if_they_do_not_share_it():
+    data = xr.Dataset(attrs={"epoch_utc": "2025-12-31T23:50:00Z"})
+    assert starts_text(data, [0.0, 60.0]) == ["12-31 23:50", "12-31 23:51"]
+    assert starts_text(data, [0.0, 660.0]) == ["2025-12-31 23:50", "2026-01-01 00:01"]
+    assert starts_text(xr.Dataset(), [0.0, 60.0]) == ["0 s", "60 s"]
