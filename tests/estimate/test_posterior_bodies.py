@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -107,10 +108,23 @@ def test_the_prior_of_the_inertia_adds_up_to_one_over_bodies():
     assert more == pytest.approx(-unknown.log_truncated)
 
 
-@pytest.mark.parametrize("kind", ["box", "plate", "wheel"])
-@pytest.mark.parametrize(("relative", "products"), [(0.0, 0.0), (0.3, 0.3), (1.0, 0.0), (2.0, 1.0)])
+QUICK = [
+    ("box", 2.0, 1.0, 3.0, 5, 60.0),
+    ("plate", 1.0, 0.0, 60.0, 20, 1.0),
+    ("wheel", 1.0, 0.3, 0.0, 5, 60.0),
+]
+
+EVERY = [
+    (kind, relative, products, *motion)
+    for kind in ("box", "plate", "wheel")
+    for relative, products in ((0.0, 0.0), (0.3, 0.3), (1.0, 0.0), (2.0, 1.0))
+    for motion in ((0.0, 20, 120.0), (3.0, 5, 60.0), (60.0, 60, 1.0))
+]
+
+
 @pytest.mark.parametrize(
-    ("deg_s", "count", "step_s"), [(0.0, 20, 120.0), (3.0, 5, 60.0), (60.0, 60, 1.0)]
+    ("kind", "relative", "products", "deg_s", "count", "step_s"),
+    [*QUICK, *(pytest.param(*case, marks=pytest.mark.long) for case in EVERY)],
 )
 def test_fits_and_weights_stay_among_bodies_without_a_warning(
     kind, relative, products, deg_s, count, step_s
@@ -139,7 +153,9 @@ def test_fits_and_weights_stay_among_bodies_without_a_warning(
 
 def test_one_motion_that_takes_too_long_does_not_end_the_others():
     cube = small_cube()
-    rows = k.Rows(np.array([[0.1, 0.0, 0.0], [1e6, 0.0, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0)))
+    rows = k.Rows(
+        np.array([[0.1, 0.0, 0.0], [1e6, 0.0, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0))
+    )
     with pytest.raises(SunspinError, match="needs"):
         k.run_rows(cube, rows, [100.0])
     run = k.run_rows(cube, rows, [100.0], leave_long=True)
@@ -194,3 +210,62 @@ def test_an_inertia_as_uncertain_as_its_moments_gives_bodies(quick):
         drawn[:, a, b] = drawn[:, b, a] = value
     assert is_body(k.Bodies.rigid(drawn), vehicle).all()
     assert "truncated" in tree.attrs["priors"]
+
+
+def random_case(number: int):
+    """A vehicle with a tensor, a sigma of 0 to 200 % of it and a wheel or none, its telemetry, and priors."""
+    rng = np.random.default_rng([5, number])
+    masses = 0.01 * rng.uniform(0.05, 1.0, 3) * 10 ** rng.uniform(-1, 3)
+    axes = np.linalg.qr(rng.standard_normal((3, 3)))[0] if number % 2 else np.eye(3)
+    tensor = axes @ np.diag(masses.sum() - masses) @ axes.T
+    tensor = (tensor + tensor.T) / 2
+    relative, products = rng.uniform(0.0, 2.0), rng.choice([0.0, rng.uniform(0.0, 1.0)])
+    sigma = np.diag(relative * np.diag(tensor))
+    sigma += relative * products * np.diag(tensor).min() * (1 - np.eye(3))
+    axis = rng.standard_normal(3)
+    axis /= np.linalg.norm(axis)
+    small = 10 ** rng.uniform(-4, -1) / (axis @ np.linalg.solve(tensor, axis))
+    wheel = Wheel("w", axis, small, 10 ** rng.uniform(0, 2.5), Friction(1e-6, 1e-8))
+    vehicle = Vehicle(
+        "random",
+        inertia_kg_m2=tensor,
+        panels=[Panel(name, normal, 1.0) for name, normal in SIDES.items()],
+        wheels=[wheel] if number % 3 == 2 else [],
+        telemetry=TelemetryForm(quantity="current_A", noise=rng.uniform(0.01, 0.1)),
+        facts={"body.inertia_kg_m2": Fact(tensor, sigma=sigma)},
+    )
+    deg_s = rng.choice([0.0, 0.01, 0.3, 3.0, 60.0])
+    step_s = min(rng.choice([1.0, 10.0, 120.0]), 60.0 / max(deg_s, 0.5))
+    _, telemetry = seen(vehicle, deg_s, int(rng.choice([5, 12, 20])), step_s)
+    priors = {"max_rate_rad_s": float(max(1.2 * np.radians(deg_s), 0.3 / step_s / 2))}
+    return vehicle, telemetry, priors | ({} if number % 2 else {"steady_torque": 0.0})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", range(12))
+def test_any_inertia_and_rate_gives_a_posterior_or_advice_that_helps(number, quick):
+    """No other exception and no warning; what a refusal asks for is done, and then there is a result."""
+    vehicle, telemetry, priors = random_case(number)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        for _ in range(4):
+            try:
+                tree = ss.posterior(vehicle, telemetry, priors, draws=100, workers=1)
+                break
+            except SunspinError as refused:
+                asked = re.search(r"give --prior (\w+)=([\d.e+-]+)", str(refused))
+                assert asked is not None, refused
+                priors = priors | {asked[1]: float(asked[2])}
+        else:
+            pytest.fail("advice was followed four times, and there is no result")
+    assert np.isfinite(tree["posterior"]["omega_B"].values).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "relative", "prior"), [("box", 0.0, "max_rate_rad_s=0.2"), ("box", 2.0, "inertia=0.1")]
+)
+def test_where_nothing_can_be_drawn_the_cause_is_named(kind, relative, prior):
+    vehicle = craft(kind, relative, relative / 2)
+    unknown, _ = model(vehicle, {"max_rate_rad_s": 0.1}, 1.0)
+    stated = SimpleNamespace(likelihood=SimpleNamespace(model=unknown))
+    assert f"give --prior {prior}" in str(estimate._nothing_drawn(stated))

@@ -18,14 +18,17 @@ UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
 """The same, of the mean moment, where the file has no inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
 
 LEAST_MOMENT = 0.01
-"""Least principal moment of a variant, of that of the nominal body with free wheels. The rates at given momentum, and so the steps of
-a run, grow with its inverse: below, one draw in 40,000 would take longer than all others. A normal prior with a sigma of 100 % has
-0.2 % of its mass in this range."""
+"""Least principal moment of a variant with free wheels, as a part of the nominal body's. The rates at a given momentum, and so the
+steps of a run, grow with the inverse of the moment: without a bound, few draws would take longer than all others. A normal prior
+with a sigma of 100 % has 0.2 % of its mass below it."""
 
 
 def is_body(bodies: Bodies, nominal: Vehicle | Bodies) -> np.ndarray:
-    """Return which variants (n) of a vehicle's body can exist: largest principal moment at most the sum of the other two, and all
-    moments of the body without the spin of its wheels at least `LEAST_MOMENT` of the nominal ones' least."""
+    """Return which variants (n) of a vehicle's body can exist.
+
+    The largest principal moment is at most the sum of the other two. With all wheels free, the least moment is positive: at least
+    `LEAST_MOMENT` of that of the `nominal` body.
+    """
     moments = extreme_eigenvalues(bodies.inertia_kg_m2)
     others = np.trace(bodies.inertia_kg_m2, axis1=-2, axis2=-1) - moments[1]
     every = np.ones(bodies.n_wheels, dtype=bool)

@@ -199,8 +199,8 @@ def run_rows(
     acting : Acting
         Torques from outside, in an environment in which the rows have their attitudes. They run by series.
     leave_long : bool
-        Leave rows that need more than `MAX_STEPS` steps out, with `Outcome.NOT_FINITE` and a track of NaN, instead of refusing
-        all rows because of one.
+        Return rows that need more than `MAX_STEPS` steps with `Outcome.NOT_FINITE` and a track of NaN, instead of refusing all
+        rows.
 
     Raises
     ------

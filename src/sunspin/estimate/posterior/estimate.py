@@ -284,8 +284,10 @@ def _sampled(
 
 
 def _nothing_drawn(stated: Hypothesis) -> InputError:
-    """Return what to say where no draw about the modes of the model as stated is possible, by what leaves the least of it: sigmas of
-    the inertia with which few bodies can exist, or the largest rate."""
+    """Return the refusal if no draw about the modes of the model as stated is possible.
+
+    The cause is the sigma of the inertia, if few bodies within it can exist, else the largest rate.
+    """
     limit, share = stated.likelihood.model.max_rate, stated.likelihood.model.log_truncated
     if share < np.log(FEW_BODIES):
         return InputError(

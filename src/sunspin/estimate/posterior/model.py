@@ -71,8 +71,7 @@ HALVINGS = 30
 """Bisections that find how far the unknowns of kind `MASS` may be from their centres: to 1e-9 of their distance."""
 
 PRIOR_DRAWS = 20_000
-"""Draws by which the truncated part of the prior is measured: to 0.4 % where half of it is left, to 4 % of 3 %, the least share that
-equal sigmas of the moments leave."""
+"""Draws by which the truncated part of the prior is measured: half of it to 1 %, 3 % of it (moments with wide sigmas) to 4 %."""
 
 COMPUTABLE_ERROR = 1e-7
 """rad: error of the directions in runs by which it is seen whether motions can be computed, that of the finest in fits."""
@@ -235,9 +234,12 @@ class Model:
         )
 
     def possible(self, u: np.ndarray, inside: float = 1.0) -> np.ndarray:
-        """Return unknowns (n, k) with bodies that can exist: where one cannot, its inertias are drawn towards their centres, to the
-        part `inside` of the distance at which it could. The centre can exist, and then all between can: moments are linear in the
-        inertia, and at each part of the way a wheel has at most the inertia of the straight line (exp is convex)."""
+        """Return unknowns (n, k) with bodies that can exist.
+
+        If a body cannot, its inertias are drawn towards their centres, to the part `inside` of the distance at which it could. The
+        nominal body can exist, and so can all on the way: the conditions are convex in the tensor, and on the way a wheel has at
+        most the inertia of the straight line, as exp is convex.
+        """
         mass = [i for kind in MASS for i in self.where(kind)]
         if not mass or not len(u):
             return u
@@ -265,12 +267,15 @@ class Model:
         return float(np.log(max(count, 1) / PRIOR_DRAWS))
 
     def bodies(self, u: np.ndarray) -> k.Bodies:
-        """Return inertia, wheel inertia, friction and steady torques of each hypothesis; where its body cannot exist, of the
-        nearest that can, on the way to the nominal one. So derivatives and trial steps never run one that cannot."""
+        """Return inertia, wheel inertia, friction and steady torques of each hypothesis.
+
+        A body that cannot exist is replaced by the last that can on the way from the nominal one: runs for derivatives, and from
+        starts far out, never have another.
+        """
         return self._bodies(self.possible(u))
 
     def _bodies(self, u: np.ndarray) -> k.Bodies:
-        """The same as the unknowns say, whether or not it can exist."""
+        """Return the bodies that the unknowns describe, also those that cannot exist."""
         wheels = len(self.vehicle.wheels)
         body = k.Bodies.of(self.vehicle, len(u))
         tensor = np.array(body.inertia_kg_m2)
@@ -293,8 +298,8 @@ class Model:
         return replace(body, inertia_kg_m2=tensor, steady_N_m=steady, **factors)
 
     def log_prior(self, state: State) -> np.ndarray:
-        """Return the log density (n) over rad/s cubed, the sphere, and u, which adds up to one over all bodies that can exist; minus
-        infinity where the body cannot, or turns too fast."""
+        """Return the log density (n) over rad/s cubed, the sphere, and u: minus infinity if the body cannot exist or rotates faster
+        than `max_rate`, and normalised over the others."""
         ball = np.log(4 / 3 * np.pi * self.max_rate**3)
         steady = self.where("steady_torque")
         plain = np.delete(state.u, steady, axis=1)
@@ -378,8 +383,10 @@ def model(
 
 
 def require_computable(model_: Model, times_s: np.ndarray, limit_rad_s: float) -> None:
-    """Refuse samples at `times_s` (s from the reference) in which the nominal body and its wheels, at the largest rate, turn too
-    often to be computed; the sentence names a window that would do."""
+    """Refuse samples at `times_s` (s from the reference) over which the nominal body, at the largest rate, needs too many steps.
+
+    A wheel at a speed in the wrong unit does that. The sentence names a window that is short enough.
+    """
     omega = np.full((1, 3), limit_rad_s / np.sqrt(3))
     one = State(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model_.unknowns))))
     rows = model_.rows(one)
@@ -405,7 +412,7 @@ def require_computable(model_: Model, times_s: np.ndarray, limit_rad_s: float) -
     if part < 1.0:
         span, speeds = float(np.ptp(times_s)), np.abs(rows.wheel_speed_rad_s).max(initial=0.0)
         raise InputError(
-            f"the body turns too often in the {span:.6g} s of the samples to be computed",
+            f"the motion over the {span:.6g} s of the samples needs too many steps",
             got=f"rates up to {limit_rad_s:.3g} rad/s, wheels at {speeds:.3g} rad/s",
             do=f"use {part * span:.3g} s of them at most with --from and --to (begin_s, end_s), or check wheel speeds and inertias",
         )

@@ -34,7 +34,7 @@ INERTIAS, DRAWS = 8, 500
 """Inertias drawn, and rates of each mode with each of them."""
 
 MOST_TRIES = 50
-"""Rounds of draws in which inertias that bodies may have are looked for: of sigmas as large as the moments one draw in 20 is such."""
+"""Rounds of draws at most until enough inertias are those of bodies; with sigmas as large as the moments about one in 20 is."""
 
 LEAST_SHARE = 0.05
 """Weight of the motions that have the periods, below which the samples speak against these. Without this bound, half of the true
@@ -163,8 +163,10 @@ def _periods(
 
 
 def _bodies(body: Body, rng: np.random.Generator) -> list[Body]:
-    """Return `INERTIAS` bodies that move freely, with inertias drawn from their errors, those that no body has left out; one of
-    unknown inertia stays a sphere."""
+    """Return `INERTIAS` bodies that move freely, their inertias drawn from the file's errors and cut to those that can exist.
+
+    A body of unknown inertia stays a sphere.
+    """
     free = replace(body, acting=NOTHING, dipole=np.zeros(3))
     nominal, kept = Bodies.rigid(body.inertia), np.zeros((0, 3, 3))
     for _ in range(MOST_TRIES):
