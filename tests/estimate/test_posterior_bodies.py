@@ -242,7 +242,7 @@ def random_case(number: int):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize("number", range(8))
 def test_any_inertia_and_rate_gives_a_posterior_or_advice_that_helps(number, quick):
     """No other exception and no warning; what a refusal asks for is done, and then there is a result."""
     vehicle, telemetry, priors = random_case(number)

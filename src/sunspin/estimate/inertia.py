@@ -31,7 +31,7 @@ def is_body(bodies: Bodies, nominal: Vehicle | Bodies) -> np.ndarray:
     """
     moments = extreme_eigenvalues(bodies.inertia_kg_m2)
     others = np.trace(bodies.inertia_kg_m2, axis1=-2, axis2=-1) - moments[1]
-    every = np.ones(bodies.n_wheels, dtype=bool)
+    every = [True] * bodies.n_wheels
     free = extreme_eigenvalues(gyrostat.free_inertia(bodies, every))[0]
     least = extreme_eigenvalues(gyrostat.free_inertia(Bodies.of(nominal), every))[0]
     allowed = moments[1] <= others * (1 + SYMMETRY_TOLERANCE)

@@ -250,10 +250,10 @@ class Model:
         found = np.array(u)
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            found[np.ix_(out, mass)] = middle[:, None] * u[np.ix_(out, mass)]
+            found[out[:, None], mass] = middle[:, None] * u[out[:, None], mass]
             fine = inertia.is_body(self._bodies(found[out]), self.vehicle)
             low, high = np.where(fine, middle, low), np.where(fine, high, middle)
-        found[np.ix_(out, mass)] = inside * low[:, None] * u[np.ix_(out, mass)]
+        found[out[:, None], mass] = inside * low[:, None] * u[out[:, None], mass]
         return found
 
     @cached_property
