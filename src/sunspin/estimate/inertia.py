@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from sunspin.dynamics import gyrostat
+from sunspin.dynamics.bodies import Bodies
+from sunspin.solve.linear import extreme_eigenvalues
 from sunspin.vehicle import Vehicle
+from sunspin.vehicle.craft import SYMMETRY_TOLERANCE
 
 ASSUMED = 0.01
 """Relative sigma of each moment where the vehicle's file states none: known exactly, they would make any answer too sure; and that
@@ -12,6 +16,26 @@ of each product, in units of the mean moment: principal axes are off the body's 
 
 UNKNOWN_MOMENT, UNKNOWN_PRODUCT = 0.3, 0.1
 """The same, of the mean moment, where the file has no inertia: a 3U CubeSat's moments are 0.7 below and 0.4 above their mean."""
+
+LEAST_MOMENT = 0.01
+"""Least principal moment of a variant with free wheels, as a part of the nominal body's. The rates at a given momentum, and so the
+steps of a run, grow with the inverse of the moment: without a bound, few draws would take longer than all others. A normal prior
+with a sigma of 100 % has 0.2 % of its mass below it."""
+
+
+def is_body(bodies: Bodies, nominal: Vehicle | Bodies) -> np.ndarray:
+    """Return which variants (n) of a vehicle's body can exist.
+
+    The largest principal moment is at most the sum of the other two. With all wheels free, the least moment is positive: at least
+    `LEAST_MOMENT` of that of the `nominal` body.
+    """
+    moments = extreme_eigenvalues(bodies.inertia_kg_m2)
+    others = np.trace(bodies.inertia_kg_m2, axis1=-2, axis2=-1) - moments[1]
+    every = [True] * bodies.n_wheels
+    free = extreme_eigenvalues(gyrostat.free_inertia(bodies, every))[0]
+    least = extreme_eigenvalues(gyrostat.free_inertia(Bodies.of(nominal), every))[0]
+    allowed = moments[1] <= others * (1 + SYMMETRY_TOLERANCE)
+    return np.asarray(allowed & (free >= LEAST_MOMENT * least))
 
 
 def stated_sigma(vehicle: Vehicle) -> np.ndarray | None:

@@ -20,7 +20,14 @@ from sunspin.dynamics.ensemble import principal
 from sunspin.dynamics.ensemble.ahead import compile_ahead, ready_kernel
 from sunspin.dynamics.ensemble.compiled import Outcome
 from sunspin.dynamics.ensemble.rows import Rows, mode_table, work_array
-from sunspin.dynamics.ensemble.steps import SEGMENTS, UNEVEN, Scales, plan, segments
+from sunspin.dynamics.ensemble.steps import (
+    MAX_STEPS,
+    SEGMENTS,
+    UNEVEN,
+    Scales,
+    plan,
+    segments,
+)
 from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import Torque, spun
@@ -172,6 +179,7 @@ def run_rows(
     bins: int = 0,
     min_steps: int = 1,
     acting: Acting = NOTHING,
+    leave_long: bool = False,
 ) -> BlockResult:
     """Run rows through the kernels on the calling thread (the GIL is released inside).
 
@@ -190,12 +198,17 @@ def run_rows(
         At least this many steps over the whole run.
     acting : Acting
         Torques from outside, in an environment in which the rows have their attitudes. They run by series.
+    leave_long : bool
+        Return rows that need more than `MAX_STEPS` steps with `Outcome.NOT_FINITE` and a track of NaN, instead of refusing all
+        rows.
 
     Raises
     ------
     InputError
         Output times that go to and fro, an error that cannot be met, rows without the attitude that
         torques need.
+    MotionError
+        A row that needs too many steps, unless `leave_long`.
     """
     ends = np.atleast_1d(np.asarray(duration_s, dtype=np.float64))
     gaps = np.diff(ends, prepend=0.0)
@@ -225,7 +238,13 @@ def run_rows(
 
     def go(which: np.ndarray, accuracy: Accuracy) -> None:
         scales = Scales(vehicle, rows.take(which), commands, acting)
-        todo = plan(scales, float(ends[-1]), accuracy, bool(bins), min_steps)
+        most = np.inf if leave_long else MAX_STEPS
+        todo = plan(scales, float(ends[-1]), accuracy, bool(bins), min_steps, most)
+        if leave_long and (long := todo.steps > MAX_STEPS).any():
+            result.outcome[which[long]], result.track[which[long]] = Outcome.NOT_FINITE, np.nan
+            if not long.all():
+                go(which[~long], accuracy)
+            return
         result.steps[which], result.method[which] = todo.steps, todo.method
         by_method: dict[str, list[Group]] = {}
         for group, method, steps, ratio in todo.groups():

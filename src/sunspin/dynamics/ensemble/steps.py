@@ -240,9 +240,14 @@ class Plan:
 
 
 def plan(
-    scales: Scales, duration_s: float, accuracy: Accuracy, histogram: bool, min_steps: int
+    scales: Scales,
+    duration_s: float,
+    accuracy: Accuracy,
+    histogram: bool,
+    min_steps: int,
+    most: float = MAX_STEPS,
 ) -> Plan:
-    """The plan of each row, a function of the row alone."""
+    """The plan of each row, a function of the row alone; `MotionError` where a row needs more than `most` steps."""
     least = np.full(len(scales.rows), float(max(min_steps, 1)))
     if histogram:
         typical = 0.5 * sum(scales.turning)
@@ -251,11 +256,14 @@ def plan(
     wanted, ratio = series_steps(scales, duration_s, accuracy)
     ratio = np.maximum(ratio, np.minimum(least / wanted, 1.0))
     profile = len(PROFILES) - np.searchsorted(PROFILES[::-1], ratio * (1 - 1e-12), side="left") - 1
-    steps = on_ladder(np.maximum(wanted, least), scales.rate, duration_s)
+    steps = on_ladder(np.maximum(wanted, least), scales.rate, duration_s, most)
     method = np.full(len(scales.rows), "series")
     if accuracy.distribution_only and histogram and not scales.acting.torques:
         split = on_ladder(
-            np.maximum(split_steps(scales, duration_s, accuracy), least), scales.rate, duration_s
+            np.maximum(split_steps(scales, duration_s, accuracy), least),
+            scales.rate,
+            duration_s,
+            most,
         )
         use = split < SPLIT_ADVANTAGE * steps
         return Plan(
@@ -291,13 +299,16 @@ def segments(
     return counts, np.copysign(gaps, duration) / np.maximum(counts, 1), output
 
 
-def on_ladder(wanted: np.ndarray, rate: np.ndarray, duration_s: float) -> np.ndarray:
-    """Step counts rounded up to the ladder; `MotionError` where they are beyond all measure."""
+def on_ladder(
+    wanted: np.ndarray, rate: np.ndarray, duration_s: float, most: float = MAX_STEPS
+) -> np.ndarray:
+    """Step counts rounded up to the ladder; `MotionError` where they are beyond all measure, more than `most`."""
     steps = np.ceil(LADDER ** np.ceil(np.log(wanted) / np.log(LADDER) - 1e-9))
-    if steps.max(initial=0) > MAX_STEPS:
+    if steps.max(initial=0) > most:
         raise MotionError(
             f"a run of {duration_s:g} s at {rate.max():.3g} rad/s ({np.degrees(rate.max()):.3g} deg/s) needs "
             f"{steps.max():.3g} steps",
             do="shorten the window, or check the unit of the rates: rad/s, not deg/s",
         )
-    return steps.astype(np.int64)
+    steps = np.where(np.isnan(steps), 1.0, steps)  # what begins with no number ends with none
+    return np.minimum(steps, 2.0 * MAX_STEPS).astype(np.int64)

@@ -39,7 +39,7 @@ from sunspin.estimate.posterior.hypotheses import (
 )
 from sunspin.estimate.posterior.importance import Known, resampled, sample
 from sunspin.estimate.posterior.likelihood import Likelihood
-from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, under
+from sunspin.estimate.posterior.model import MOST_TURNED, Model, model, require_computable, under
 from sunspin.estimate.posterior.modes import (
     NO_TORQUES,
     Modes,
@@ -77,6 +77,10 @@ SURELY_LIT = 5.0
 
 EDGE = 0.97
 """Draws beyond this part of the largest rate searched say that the truth may be outside."""
+
+FEW_BODIES, SMALL_SIGMA = 0.2, 0.1
+"""Part of the prior of the inertia that describes bodies, below which it is what leaves no draws; and the relative sigma that is
+advised then, with which nearly all do."""
 
 TAG_CHANCE = 0.05
 """Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
@@ -186,6 +190,7 @@ def posterior(
     chosen = (require_few if (priors or {}).get("max_rate_rad_s") else plan)(unknown, data, scale)
     there, chosen = at_reference(unknown, chosen, data)
     here = data.since(chosen.anchor)
+    require_computable(there, here.t_s, min(chosen.limit, there.max_rate))
     search = Search(workers, None if store is None else Path(store), progress)
     with Effort(MOST_EFFORT):
         modes = within(search.modes(there, here, chosen, scale), there.max_rate)
@@ -274,9 +279,27 @@ def _sampled(
         if draws is not None:
             made.append(Sampled(one, replace(draws, cut=effort.cut)))
         elif one.what == STATED:
-            what = "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within"
-            raise InputError(what, do="raise max_rate_rad_s")
+            raise _nothing_drawn(one)
     return made
+
+
+def _nothing_drawn(stated: Hypothesis) -> InputError:
+    """Return the refusal if no draw about the modes of the model as stated is possible.
+
+    The cause is the sigma of the inertia, if few bodies within it can exist, else the largest rate.
+    """
+    limit, share = stated.likelihood.model.max_rate, stated.likelihood.model.log_truncated
+    if share < np.log(FEW_BODIES):
+        return InputError(
+            "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
+            got=f"{np.exp(share):.2g} of the prior",
+            do=f"give --prior inertia={SMALL_SIGMA:g}, or smaller sigmas with inertia_kg_m2 in the vehicle file",
+        )
+    return InputError(
+        "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within",
+        got=f"max_rate_rad_s {limit:.3g}",
+        do=f"give --prior max_rate_rad_s={2 * limit:.2g}",
+    )
 
 
 def _unsampled(asked: list[Hypothesis], tried: list[Sampled]) -> list[str]:

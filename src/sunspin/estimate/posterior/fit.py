@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,9 @@ FLOOR = 1e-9
 
 FAR = 8.0
 """No unknown is farther from the centre of its prior, in its sigmas."""
+
+INSIDE = 0.95
+"""Part of the distance to bodies that cannot exist up to which fits go: draws about them stay among those that can."""
 
 LARGEST_TURN = 0.5
 """rad by which one step may turn the Sun within the window."""
@@ -201,6 +204,7 @@ class _Search:
     def __init__(
         self, likelihood: Likelihood, state: State, still: bool, free: np.ndarray | None = None
     ) -> None:
+        state = replace(state, u=likelihood.model.possible(state.u, INSIDE))
         self.likelihood, self.state, self.still, self.free = likelihood, state, still, free
         self._moving = [*range(5), *(5 + i for i in likelihood.model.moving if not still)]
         self._prior = np.concatenate([np.zeros(5), likelihood.model.precision])
@@ -341,7 +345,11 @@ class _Search:
         return state[0] + move[:, :3], sun, state[2] + move[:, 5:], *came
 
     def _limited(self, state: _Point) -> _Point:
-        omega, u = shortened(state[0], self.likelihood.model.max_rate), np.clip(state[2], -FAR, FAR)
+        model = self.likelihood.model
+        omega, u = (
+            shortened(state[0], model.max_rate),
+            model.possible(np.clip(state[2], -FAR, FAR), INSIDE),
+        )
         whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(
             axis=1
         )  # of a step cut off nothing is learnt

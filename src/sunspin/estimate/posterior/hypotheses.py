@@ -137,6 +137,7 @@ def log_mass(one: Hypothesis) -> float:
     return (
         float(np.max(-one.modes.objective - 0.5 * np.linalg.slogdet(one.modes.hessian + least)[1]))
         + one.log_prior
+        - one.likelihood.model.log_truncated
     )
 
 

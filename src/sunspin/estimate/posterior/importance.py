@@ -176,6 +176,8 @@ def sample(
         count = int(part * np.clip(WANTED / max(worth.max(), 1e-3), LAST_DRAWS, most))
         last = _round(likelihood, blend, count, seed, len(SOFTS) * ROUNDS, run, chunk)
         trace.append([last.evidence, last.effective / count, last.tail])
+        if not last.effective:  # rounds before had draws, this one has none
+            return None
     label, of_component = regions(last.log_weight, last.parts, last.density)
     of_mode = tracks[0].of_mode
     share = np.bincount(label, weights=np.exp(last.log_weight - logsumexp(last.log_weight)))

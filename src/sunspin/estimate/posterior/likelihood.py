@@ -158,6 +158,9 @@ class Likelihood:
                 parts.append((result.sun_B[:, back], result.omega_B[:, back]))
                 fine &= result.outcome == k.Outcome.FINE
         sun, omega = (np.concatenate(every, axis=1) for every in zip(*parts, strict=True))
+        lost = ~np.isfinite(sun).all(axis=(1, 2)) | ~np.isfinite(omega).all(axis=(1, 2))
+        if lost.any():
+            sun[lost], omega[lost], fine[lost] = np.nan, np.nan, False
         return Prediction(
             sun[:, samples], omega[:, samples], omega[:, others], sun[:, others], fine
         )

@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError
 from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble.steps import MAX_STEPS, Scales, plan
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting, Steady
 from sunspin.dynamics.torques.acting import needed_around
@@ -62,6 +63,18 @@ KEYS = {
 }
 
 MOMENTS = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2)}
+
+MASS = ("inertia", "wheel_inertia")
+"""Kinds of unknowns that may describe a body that cannot exist."""
+
+HALVINGS = 30
+"""Bisections that find how far the unknowns of kind `MASS` may be from their centres: to 1e-9 of their distance."""
+
+PRIOR_DRAWS = 20_000
+"""Draws by which the truncated part of the prior is measured: half of it to 1 %, 3 % of it (moments with wide sigmas) to 4 %."""
+
+COMPUTABLE_ERROR = 1e-7
+"""rad: error of the directions in runs by which it is seen whether motions can be computed, that of the finest in fits."""
 
 STANDING = ("scale", "noise", "gain", *tilt.KINDS)
 """Kinds of unknowns on which readings depend and the motion does not."""
@@ -217,10 +230,52 @@ class Model:
             wheel_mode=self.wheel_mode,
             direction_error=direction_error,
             acting=replace(self.acting, start_s=self.acting.start_s + self.after_s),
+            leave_long=True,  # one draw far out in the priors must not end them all
         )
 
+    def possible(self, u: np.ndarray, inside: float = 1.0) -> np.ndarray:
+        """Return unknowns (n, k) with bodies that can exist.
+
+        If a body cannot, its inertias are drawn towards their centres, to the part `inside` of the distance at which it could. The
+        nominal body can exist, and so can all on the way: the conditions are convex in the tensor, and on the way a wheel has at
+        most the inertia of the straight line, as exp is convex.
+        """
+        mass = [i for kind in MASS for i in self.where(kind)]
+        if not mass or not len(u):
+            return u
+        out = np.flatnonzero(~inertia.is_body(self._bodies(u), self.vehicle))
+        if not len(out):
+            return u
+        low, high = np.zeros(len(out)), np.ones(len(out))
+        found = np.array(u)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            found[out[:, None], mass] = middle[:, None] * u[out[:, None], mass]
+            fine = inertia.is_body(self._bodies(found[out]), self.vehicle)
+            low, high = np.where(fine, middle, low), np.where(fine, high, middle)
+        found[out[:, None], mass] = inside * low[:, None] * u[out[:, None], mass]
+        return found
+
+    @cached_property
+    def log_truncated(self) -> float:
+        """Log of the part of the normal prior that describes bodies that can exist; 0 where all of it does."""
+        if not any(map(self.where, MASS)):
+            return 0.0
+        rng = np.random.default_rng(0)  # the same for all: part of the prior, not of the draws
+        u = rng.standard_normal((PRIOR_DRAWS, len(self.unknowns)))
+        count = np.count_nonzero(inertia.is_body(self._bodies(u), self.vehicle))
+        return float(np.log(max(count, 1) / PRIOR_DRAWS))
+
     def bodies(self, u: np.ndarray) -> k.Bodies:
-        """Inertia, wheel inertia, friction and steady torques of each hypothesis."""
+        """Return inertia, wheel inertia, friction and steady torques of each hypothesis.
+
+        A body that cannot exist is replaced by the last that can on the way from the nominal one: runs for derivatives, and from
+        starts far out, never have another.
+        """
+        return self._bodies(self.possible(u))
+
+    def _bodies(self, u: np.ndarray) -> k.Bodies:
+        """Return the bodies that the unknowns describe, also those that cannot exist."""
         wheels = len(self.vehicle.wheels)
         body = k.Bodies.of(self.vehicle, len(u))
         tensor = np.array(body.inertia_kg_m2)
@@ -243,7 +298,8 @@ class Model:
         return replace(body, inertia_kg_m2=tensor, steady_N_m=steady, **factors)
 
     def log_prior(self, state: State) -> np.ndarray:
-        """Log density (n) over rad/s cubed, the sphere, and u; minus infinity where there is no such body."""
+        """Return the log density (n) over rad/s cubed, the sphere, and u: minus infinity if the body cannot exist or rotates faster
+        than `max_rate`, and normalised over the others."""
         ball = np.log(4 / 3 * np.pi * self.max_rate**3)
         steady = self.where("steady_torque")
         plain = np.delete(state.u, steady, axis=1)
@@ -257,9 +313,9 @@ class Model:
             )
             out += logsumexp(each, axis=0) - np.log(len(share))
         allowed = np.linalg.norm(state.omega, axis=1) <= self.max_rate
-        if self.where("inertia"):
-            moments = np.linalg.eigvalsh(self.bodies(state.u).inertia_kg_m2)
-            allowed &= (moments[:, 0] > 0) & (moments[:, 2] <= moments[:, 0] + moments[:, 1])
+        if any(map(self.where, MASS)):
+            allowed &= inertia.is_body(self._bodies(state.u), self.vehicle)
+            out -= self.log_truncated
         return np.where(allowed, out, -np.inf)
 
 
@@ -313,13 +369,53 @@ def model(
         raise InputError("max_rate_rad_s must be positive", got=limit)
     told["rate"] = f"uniform in a ball of {limit:g} rad/s"
     told["steady_torque"] = _most_turned(priors)
-    return Model(
+    unknown_ = Model(
         vehicle,
         tuple(x for x in made if x.sigma > 0),
         float(limit),
         mode,
         _tags(priors, told),
-    ), told
+    )
+    if unknown_.log_truncated:
+        share = np.exp(unknown_.log_truncated)
+        told["inertia"] += f", truncated to bodies that can exist ({share:.2g} of it)"
+    return unknown_, told
+
+
+def require_computable(model_: Model, times_s: np.ndarray, limit_rad_s: float) -> None:
+    """Refuse samples at `times_s` (s from the reference) over which the nominal body, at the largest rate, needs too many steps.
+
+    A wheel at a speed in the wrong unit does that. The sentence names a window that is short enough.
+    """
+    omega = np.full((1, 3), limit_rad_s / np.sqrt(3))
+    one = State(omega, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, len(model_.unknowns))))
+    rows = model_.rows(one)
+
+    scales = Scales(
+        model_.vehicle,
+        rows,
+        k.check_commands(model_.vehicle, model_.wheel_mode),
+        replace(model_.acting, start_s=model_.acting.start_s + model_.after_s),
+    )
+    wanted = k.accuracy(COMPUTABLE_ERROR, None)
+
+    def fine(part: float) -> bool:
+        ends = part * np.array([times_s.min(), times_s.max()])
+        return all(
+            plan(scales, end, wanted, False, 1, np.inf).steps[0] <= MAX_STEPS
+            for end in ends[ends != 0]
+        )
+
+    part = 1.0
+    while not fine(part):
+        part /= 2
+    if part < 1.0:
+        span, speeds = float(np.ptp(times_s)), np.abs(rows.wheel_speed_rad_s).max(initial=0.0)
+        raise InputError(
+            f"the motion over the {span:.6g} s of the samples needs too many steps",
+            got=f"rates up to {limit_rad_s:.3g} rad/s, wheels at {speeds:.3g} rad/s",
+            do=f"use {part * span:.3g} s of them at most with --from and --to (begin_s, end_s), or check wheel speeds and inertias",
+        )
 
 
 def under(model_: Model, acting: Acting) -> Model:

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.errors import InputError
+from sunspin.dynamics.bodies import Bodies
 from sunspin.dynamics.torques import NOTHING
+from sunspin.estimate.inertia import is_body
 from sunspin.estimate.passes import padded
 from sunspin.estimate.rates.finish import Pass
 from sunspin.estimate.rates.motion import Body, Ends, step
@@ -30,6 +32,9 @@ from sunspin.estimate.terms.period import (
 
 INERTIAS, DRAWS = 8, 500
 """Inertias drawn, and rates of each mode with each of them."""
+
+MOST_TRIES = 50
+"""Rounds of draws at most until enough inertias are those of bodies; with sigmas as large as the moments about one in 20 is."""
 
 LEAST_SHARE = 0.05
 """Weight of the motions that have the periods, below which the samples speak against these. Without this bound, half of the true
@@ -158,14 +163,20 @@ def _periods(
 
 
 def _bodies(body: Body, rng: np.random.Generator) -> list[Body]:
-    """Bodies that move freely, with inertias as they may be; one of unknown inertia stays a sphere."""
+    """Return `INERTIAS` bodies that move freely, their inertias drawn from the file's errors and cut to those that can exist.
+
+    A body of unknown inertia stays a sphere.
+    """
     free = replace(body, acting=NOTHING, dipole=np.zeros(3))
-    drawn = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.spherical)
-    inertias = body.inertia + np.einsum("am,mij->aij", drawn, body.errors)
-    return [
-        replace(free, inertia=one if np.linalg.eigvalsh(one)[0] > 0 else body.inertia)
-        for one in inertias
-    ]
+    nominal, kept = Bodies.rigid(body.inertia), np.zeros((0, 3, 3))
+    for _ in range(MOST_TRIES):
+        drawn = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.spherical)
+        inertias = body.inertia + np.einsum("am,mij->aij", drawn, body.errors)
+        kept = np.concatenate([kept, inertias[is_body(Bodies.rigid(inertias), nominal)]])
+        if len(kept) >= INERTIAS:
+            break
+    kept = np.concatenate([kept, np.tile(body.inertia, (INERTIAS, 1, 1))])[:INERTIAS]
+    return [replace(free, inertia=one) for one in kept]
 
 
 def without_periods(found: list[Pass]) -> dict[str, Any]:
