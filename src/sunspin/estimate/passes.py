@@ -74,6 +74,16 @@ def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray | Non
     return Speed(value, float(np.sqrt(each @ (speed - value) ** 2)), below)
 
 
+def rate_known(result: Any) -> np.ndarray:
+    """Return the passes (n_pass) of a result that are decided, or would be if the error of their speed were smaller."""
+    if "constrained_speed" not in result:
+        return np.asarray(result["decided"].values)
+    checks = ("unique", "fits", "search_complete", *(f"constrained_{axis}" for axis in "xyz"))
+    slow = np.all([result[name].values for name in checks], axis=0)
+    sure = result["columns_checked"].values != DOUBTFUL
+    return np.asarray(result["decided"].values | (slow & sure))
+
+
 def padded(values: Sequence[np.ndarray]) -> np.ndarray:
     """Values (n_solution, ...) of each pass as one array (n_pass, most solutions, ...), NaN where a pass has fewer."""
     out = np.full((len(values), max(map(len, values)), *values[0].shape[1:]), np.nan)

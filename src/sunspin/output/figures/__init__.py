@@ -122,7 +122,8 @@ def named(name: Any, most: int = LONGEST_NAME) -> str:
 
 
 def labels_of(names: Iterable[Any], most: int = LONGEST_LABEL) -> list[str]:
-    """Return labels for names that stand side by side, such as those of panels; those that look alike when shortened get a number."""
+    """Return labels for names that stand side by side, such as those of panels; if two look alike when shortened, they are
+    numbered."""
     labels = [named(name, most) for name in names]
     return [
         f"{label} ({k + 1})" if labels.count(label) > 1 else label for k, label in enumerate(labels)

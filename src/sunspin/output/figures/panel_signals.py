@@ -69,7 +69,8 @@ def panel_signals_figure(
     unit = "W" if "power_W" in telemetry else "A"
     for panel, row in enumerate(grid):
         left = "\nnever lit" if dead[panel] else ""
-        row[0].set_ylabel(f"{names[panel]} ({unit}){left}", fontsize=8)
+        space = " " if len(names[panel]) < 10 else "\n"
+        row[0].set_ylabel(f"{names[panel]}{space}({unit}){left}", fontsize=8)
     return figure
 
 
