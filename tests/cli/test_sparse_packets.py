@@ -123,7 +123,9 @@ def test_table_summary_and_netcdf_agree_on_a_body_at_rest(tmp_path):
     (tmp_path / "vehicle.toml").write_text(text)
     out = tmp_path / "still"
     words = ["rates", str(tmp_path / "vehicle.toml"), str(tmp_path / "still.csv")]
-    done = CliRunner().invoke(cli, [*words, "--no-column-tests", "--acceleration-noise", "1e-5", "--out", str(out)])
+    done = CliRunner().invoke(
+        cli, [*words, "--no-column-tests", "--acceleration-noise", "1e-5", "--out", str(out)]
+    )
     assert done.exit_code == 0, done.exception
     table = pd.read_csv(out / "passes.csv", comment="#").iloc[0]
     numbers = json.loads((out / "summary.json").read_text())["passes"][0]
