@@ -26,7 +26,7 @@ def pass_numbers(result: Any, k: int) -> dict[str, Any]:
     """What a summary says of pass number `k` of a Dataset with the variables of :func:`sunspin.estimate.passes.table`."""
     later = (name for name in (*ADDED, *SPEED) if name in result)
     names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *later)
-    values = {name: result[name].values[k].item() for name in names}
+    values: dict[str, Any] = {name: result[name].values[k].item() for name in names}
     return {"pass_id": int(result["pass_id"].values[k])} | values | in_degrees(values)
 
 
