@@ -1,15 +1,18 @@
 """The files that `sunspin init` writes are the complete example of their form."""
 
 import re
+import tomllib
 from importlib import resources
 from itertools import takewhile
 
 import numpy as np
 import pytest
+import tomlkit
 
 import sunspin as ss
 from sunspin.vehicle.file import VehicleFile, parse_vehicle
 from sunspin.vehicle.part import Part, keys_of, part_in
+from sunspin.vehicle.parts import Fact
 
 TEXT = resources.files("sunspin").joinpath("template", "vehicle.toml").read_text("utf-8")
 
@@ -81,3 +84,42 @@ def test_the_samples_are_those_of_a_twin():
     }
     made = ss.twin(vehicle, truth, seed=1)
     assert np.abs(read.power_W.values - made.power_W.values).max() <= 0.000501
+
+
+def values(table: dict, path: tuple = ()):
+    """Paths of all numbers of a vehicle file, those with a sigma too."""
+    for key, item in table.items():
+        bare = item.get("value", item) if isinstance(item, dict) else item
+        if isinstance(bare, dict):
+            yield from values(bare, (*path, key))
+        elif isinstance(bare, list) and bare and isinstance(bare[0], dict):
+            for k, each in enumerate(bare):
+                yield from values(each, (*path, key, k))
+        elif np.asarray(bare).dtype.kind in "fi" and not isinstance(bare, bool):
+            yield (*path, key)
+
+
+OPENED = re.sub(r"^# (?=\[|[a-zA-Z_]+ = )", "", TEXT, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("sigma", [-1e-9, np.nan])
+def test_no_value_has_a_sigma_that_is_negative_or_not_finite(sigma):
+    places = list(values(tomllib.loads(OPENED)))
+    assert {("panel", 0, "cells"), ("gyro", "zero"), ("body", "mass_kg")} <= set(places)
+    for path in places:
+        table = tomllib.loads(OPENED)
+        at = table
+        for key in path[:-1]:
+            at = at[key]
+        bare = at[path[-1]]
+        bare = bare["value"] if isinstance(bare, dict) else bare
+        at[path[-1]] = {"value": bare, "sigma": sigma}
+        with pytest.raises(ss.VehicleError, match="sigma|finite number"):
+            parse_vehicle(tomlkit.dumps(table), "changed")
+
+
+@pytest.mark.parametrize("sigma", [-0.1, np.nan, (0.1, -0.1, 0.1)])
+def test_a_fact_in_python_has_no_negative_sigma(sigma):
+    with pytest.raises(ss.VehicleError, match="sigma of a value must be finite and not negative"):
+        Fact(7.0, sigma)
+    assert Fact(7.0, 0.0).sigma == 0.0 and Fact(7.0).sigma is None

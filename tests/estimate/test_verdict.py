@@ -4,10 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+import xarray as xr
+from scipy.stats import chi, foldnorm, ncx2, norm
 
-from sunspin.estimate.passes import PassMotions, speeds, table
-from sunspin.estimate.verdict import Misfit, answers, misfit
+from sunspin.estimate.passes import PassMotions, drawn_speeds, rate_known, speed_of, speeds, table
+from sunspin.estimate.verdict import Misfit, Speed, answers, misfit, upper_text
 
 SOUND = {"Sun": Misfit(40, 0.0, 1.0)}
 
@@ -115,3 +116,83 @@ def test_the_table_has_a_row_for_every_motion_and_leaves_out_what_is_not_there()
     assert found["speed_low"][1][0, 0] < 0.1 < found["speed_high"][1][0, 0] and table([one], None)[
         "utc_at"
     ][1] == [""]
+
+
+def judged(omega_deg_s, sigma_deg_s, limit_deg_s, probability=(1.0,)):
+    """Answers for solutions (K, 3) with independent components, searched up to a largest speed."""
+    omega, sigma = np.radians(np.atleast_2d(omega_deg_s)), np.radians(np.atleast_2d(sigma_deg_s))
+    share = np.array(probability)[:, None]
+    spread = np.sqrt((share * (sigma**2 + (omega - omega[0]) ** 2)).sum(axis=0))
+    drawn = drawn_speeds(omega, np.stack([np.diag(one**2) for one in sigma]))
+    said = answers(True, spread, np.radians(limit_deg_s) / 2, SOUND, True, True)
+    return said._replace(speed=speed_of(omega[0], drawn, np.array(probability)))
+
+
+def test_a_rate_smaller_than_its_error_is_an_upper_limit_and_not_decided():
+    said = judged([0.0, -0.1, 0.0], [8.4, 1.6, 8.1], 57.3)
+    assert all(said.constrained) and not said.decided and not said.speed_constrained
+    drawn = np.random.default_rng(7).normal([0.0, -0.1, 0.0], [8.4, 1.6, 8.1], (400_000, 3))
+    limit = np.quantile(np.linalg.norm(drawn, axis=1), 0.95)
+    assert np.degrees(said.speed.below) == pytest.approx(limit, rel=0.02)
+    assert said.why_not == f"speed below {upper_text(np.degrees(said.speed.below))} deg/s (95 %)"
+
+
+def test_a_slow_body_with_a_wide_prior_has_an_upper_limit():
+    said = judged([0.01, 0.0, 0.0], [0.02, 0.02, 0.02], 60.0)
+    exact = 0.02 * np.sqrt(ncx2(3, 0.25).ppf(0.95))
+    assert np.degrees(said.speed.below) == pytest.approx(exact, rel=0.02)
+    assert said.why_not == "speed below 0.058 deg/s (95 %)" and not said.decided
+    axis = judged([0.01, 0.0, 0.0], [0.02, 1e-4, 1e-4], 60.0)  # only the spin about x is open
+    exact = foldnorm(0.5, scale=0.02).ppf(0.95)
+    assert np.degrees(axis.speed.below) == pytest.approx(exact, rel=0.02)
+
+
+def test_a_speed_larger_than_its_error_stays_decided():
+    for omega in ([0.44, 0.0, 0.0], [0.3, 0.3, -0.3]):
+        said = judged(omega, [0.34, 0.1, 0.1], 60.0)
+        assert said.decided and said.speed.sigma < said.speed.value
+
+
+def test_error_and_limit_of_the_speed_are_those_of_draws():
+    """At rest the speed has the Maxwell law; far from rest linear propagation holds; a mixture is sampled."""
+    rest = judged([0.0, 0.0, 0.0], [1.0, 1.0, 1.0], 60.0).speed
+    assert np.degrees(rest.below) == pytest.approx(chi(3).ppf(0.95), rel=0.02)
+    assert np.degrees(rest.sigma) == pytest.approx(np.sqrt(3), rel=0.02)
+    fast = judged([20.0, 0.0, 0.0], [1.0, 0.2, 0.2], 60.0).speed
+    assert np.degrees(fast.sigma) == pytest.approx(1.0, rel=0.03)
+    assert np.degrees(fast.below) == pytest.approx(20 + norm.ppf(0.95), abs=0.05)
+
+    both = judged([[1.0, 0.0, 0.0], [0.0, 9.0, 0.0]], [[0.5] * 3, [0.7] * 3], 60.0, (0.92, 0.08))
+    rng = np.random.default_rng(3)
+    second = rng.random(400_000) < 0.08
+    drawn = np.where(second[:, None], [0.0, 9.0, 0.0], [1.0, 0.0, 0.0])
+    speed = np.linalg.norm(
+        drawn + np.where(second, 0.7, 0.5)[:, None] * rng.normal(size=drawn.shape), axis=1
+    )
+    assert np.degrees(both.speed.below) == pytest.approx(np.quantile(speed, 0.95), rel=0.02)
+    rms = np.sqrt(np.mean((speed - 1.0) ** 2))
+    assert np.degrees(both.speed.sigma) == pytest.approx(rms, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0501, "0.051"), (0.05, "0.05"), (8.41, "8.5"), (119.0, "120"), (1e-4, "0.0001")],
+)
+def test_an_upper_limit_is_never_rounded_down(value, text):
+    assert upper_text(value) == text
+
+
+def test_no_upper_limit_is_given_by_a_poor_fit_or_by_the_prior():
+    slow = Speed(0.01, 0.02, 0.05)
+    wide = np.full(3, 0.9)
+    poor = answers(True, np.full(3, 0.1), 1.0, SOUND, False, True)._replace(speed=slow)
+    prior = answers(True, wide, 1.0, SOUND, True, True)._replace(speed=slow)
+    assert "below" not in poor.why_not + prior.why_not and not (poor.decided or prior.decided)
+
+
+def test_a_pass_with_an_upper_limit_shows_the_zero_of_a_gyro():
+    names = "decided unique fits search_complete constrained_x constrained_y constrained_z"
+    flags = {name: ("pass_id", np.array([name != "decided", False])) for name in names.split()}
+    flags |= {"constrained_speed": ("pass_id", [False, True])}
+    flags |= {"columns_checked": ("pass_id", ["as_stated", "as_stated"])}
+    assert rate_known(xr.Dataset(flags)).tolist() == [True, False]

@@ -1,5 +1,7 @@
 """`passes.csv`: a row for every motion of every pass, with the columns that scripts outside read. The passes are made up."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,9 +9,19 @@ import xarray as xr
 
 from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
+from sunspin.output.figures import drawn, labels_of
 from sunspin.output.folder import Contents, write_contents
+from sunspin.output.kinds.panels import health_lines
 from sunspin.output.kinds.passes import motion_numbers, pass_numbers, passes_table
-from sunspin.output.text import number_text, with_range, with_sigma
+from sunspin.output.kinds.telemetry import signals_figure
+from sunspin.output.text import (
+    number_text,
+    range_text,
+    set_text,
+    size_text,
+    with_range,
+    with_sigma,
+)
 from sunspin.vehicle.timeline import utc_after
 
 COLUMNS = (
@@ -86,5 +98,47 @@ def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
     assert with_sigma(6.4123e-8, 1.94e-9, "T") == "6.41e-08 ± 1.9e-09 T"
     assert with_sigma(1.5, np.nan) == "1.5" and with_sigma(1234.5678, 34.0) == "1235 ± 34"
     assert with_range(3.104, 3.02, 3.21) == "3.104 (3.020 to 3.210)"
-    assert with_range(3.104, 3.02, 3.21, sigma=0.2) == "3.10 (3.02 to 3.21)"
+    assert range_text(3.02, 3.21, sigma=0.2) == "3.02 to 3.21"
     assert with_range(3.0, 3.0, 3.0) == "3.000 (3.000 to 3.000)"
+
+
+def test_a_set_of_names_with_signs_can_be_read():
+    assert set_text(("-X", "+Y", "-Y", "+Z")) == "-X, +Y, -Y, +Z"
+    assert set_text(("2", "3", "6")) == "2-3-6"  # as the paper writes it
+    assert number_text([["+X", "-Z"], ["-Y"]]) == "+X, -Z; -Y"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1083.4, "1080"), (0.02, "0.02"), (12.0, "12"), (2.5e-6, "2.5e-06")]
+)
+def test_the_size_of_an_error_is_printed_without_an_exponent(value, text):
+    assert size_text(value) == text
+
+
+def test_impossible_patterns_are_printed_as_sets():
+    many = {
+        "impossible": {"-X, +Y, -Y": 3, "+X, -X": 1},
+        "explanations": [],
+        "noise_probability": {},
+    }
+    line = health_lines(many)[0]
+    assert "(-X, +Y, -Y) in 3 samples; (+X, -X) in 1 sample;" in line
+    assert "2-3-6 (4)" in health_lines(many | {"impossible": {"2-3-6": 4}})[0]
+
+
+def test_panels_on_pictures_have_short_and_different_names():
+    long = [f"{'solar_panel_' * 8}{k}" for k in range(3)] + ["+X"]
+    labels = labels_of(long)
+    assert max(map(len, labels)) <= 14 and len(set(labels)) == 4 and labels[3] == "+X"
+    alike = labels_of([f"panel_{k}_of_the_solar_array" for k in range(3)])
+    assert len(set(alike)) == 3
+
+
+def test_long_names_of_panels_leave_room_for_the_axes():
+    names = [f"{'x' * 97}{k:03d}" for k in range(8)]
+    data = {"power_W": (("time", "panel"), np.ones((4, 8))), "flag": ("time", np.zeros(4))}
+    attrs = {"kind": "telemetry", "epoch_utc": "2026-01-01T00:00:00Z"}
+    telemetry = xr.Dataset(data, {"time": np.arange(4.0), "panel": names}, attrs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        drawn(signals_figure(telemetry))

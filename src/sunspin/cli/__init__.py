@@ -9,6 +9,7 @@ import re
 import signal
 import sys
 import threading
+import warnings
 
 import click
 
@@ -44,6 +45,9 @@ def main() -> None:
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper):  # a terminal cannot show every name from outside
             stream.reconfigure(errors="backslashreplace")
+    if not (sys.warnoptions or os.environ.get("SUNSPIN_TRACEBACK")):
+        # a library's warnings speak to programmers; those who want them set PYTHONWARNINGS
+        warnings.simplefilter("ignore")
     # to end by a signal without a word would leave the copies computing; under nohup one is ignored, and stays so
     if threading.current_thread() is threading.main_thread():
         for kind in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -71,7 +72,20 @@ class Opened(NamedTuple):
 
 
 class Command(click.Command):
-    """A command whose texts are checked before they are converted, and of which `--set list` needs no other argument."""
+    """A command whose texts are checked before they are converted, and of which `--set list` needs no other argument. If it is
+    refused, it leaves no empty results folder."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        folder = "sunspin.output.folder"  # not imported: without it no folder was claimed
+        try:
+            done = super().invoke(ctx)
+        except BaseException:  # an interruption too
+            if folder in sys.modules:
+                sys.modules[folder].leave_no_empty_folder()
+            raise
+        if folder in sys.modules:
+            sys.modules[folder].keep_folders()
+        return done
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if ctx.resilient_parsing:  # what a shell completes is not whole yet

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sunspin.estimate.verdict import Answers
+from sunspin.estimate.verdict import Answers, Speed
 from sunspin.vehicle.timeline import utc_after
 
 AS_STATED, UNCHECKED, DOUBTFUL = "as_stated", "unchecked", "doubtful"
@@ -19,8 +19,12 @@ GAP_FACTOR = 6.0
 SPEEDS = (0.05, 0.5, 0.95)
 """Quantiles of the angular speed that are reported."""
 
-DRAWS = 2000
-"""Draws behind them, where a motion is known by mean and covariance."""
+DRAWS = 10_000
+"""Draws behind them, where a motion is known by mean and covariance: the 95 % quantile of one normal number is then known to 2 %
+of its sigma."""
+
+UPPER = 0.95
+"""Probability of an upper limit of the speed."""
 
 
 class PassMotions(NamedTuple):
@@ -39,13 +43,45 @@ class PassMotions(NamedTuple):
     columns_checked: str
 
 
-def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Quantiles (K, 3) of the angular speed of rates (K, 3) with covariances (K, 3, 3), from the same draws every time."""
+def drawn_speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return draws (K, `DRAWS`) of the angular speed of rates (K, 3) with covariances (K, 3, 3), the same ones every time."""
     normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
     values, axes = np.linalg.eigh(covariance)
     spread = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    drawn = omega[:, None] + np.einsum("kij,nj->kni", spread, normal)
-    return np.quantile(np.linalg.norm(drawn, axis=-1), SPEEDS, axis=1).T
+    return np.linalg.norm(omega[:, None] + np.einsum("kij,nj->kni", spread, normal), axis=-1)
+
+
+def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the quantiles `SPEEDS` (K, 3) of the angular speed of rates (K, 3) with covariances (K, 3, 3)."""
+    return np.quantile(drawn_speeds(omega, covariance), SPEEDS, axis=1).T
+
+
+def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray | None = None) -> Speed:
+    """Return the speed of the rate `omega` (3), with its error and its upper limit.
+
+    `drawn` (K, n): speeds drawn from each solution; `probability` (K), by which they count; None: all count alike. Near zero the
+    speed is not normally distributed, so its error and limit are computed from draws and not by linear propagation.
+    """
+    value = float(np.linalg.norm(omega))
+    if not (np.isfinite(value) and np.isfinite(drawn).all()):
+        return Speed(value, np.nan, np.nan)
+    weight = np.ones(len(drawn)) if probability is None else np.asarray(probability)
+    each = np.repeat(weight / weight.sum() / drawn.shape[1], drawn.shape[1])
+    speed = drawn.ravel()
+    order = np.argsort(speed)
+    passed = np.searchsorted(np.cumsum(each[order]), UPPER)
+    below = float(speed[order[min(passed, len(order) - 1)]])
+    return Speed(value, float(np.sqrt(each @ (speed - value) ** 2)), below)
+
+
+def rate_known(result: Any) -> np.ndarray:
+    """Return the passes (n_pass) of a result that are decided, or would be if the error of their speed were smaller."""
+    if "constrained_speed" not in result:
+        return np.asarray(result["decided"].values)
+    checks = ("unique", "fits", "search_complete", *(f"constrained_{axis}" for axis in "xyz"))
+    slow = np.all([result[name].values for name in checks], axis=0)
+    sure = result["columns_checked"].values != DOUBTFUL
+    return np.asarray(result["decided"].values | (slow & sure))
 
 
 def padded(values: Sequence[np.ndarray]) -> np.ndarray:
@@ -88,5 +124,9 @@ def table(passes: Sequence[PassMotions], epoch_utc: str | None) -> dict[str, Any
         for k, axis in enumerate("xyz"):
             values = padded([getattr(one, name)[:, k] for one in passes])
             variables[f"{name}_{axis}"] = each, values
+    known = [one.answers.speed or Speed(np.nan, np.nan, np.nan) for one in passes]
+    variables["constrained_speed"] = flags([one.answers.speed_constrained for one in passes])
+    variables["speed_sigma"] = "pass_id", [speed.sigma for speed in known]
+    variables["speed_below"] = "pass_id", [speed.below for speed in known]
     variables["why_not_decided"] = ("pass_id", [one.answers.why_not for one in passes])
     return variables

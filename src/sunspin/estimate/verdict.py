@@ -52,9 +52,40 @@ class Misfit(NamedTuple):
         return not (in_runs or (self.share > MOST_BEYOND and beyond > ONE_SPIKE))
 
 
+class Speed(NamedTuple):
+    """The angular speed of the reported motion, rad/s: `value`, that of the most probable solution; `sigma`, the root mean square
+    of the speed's difference from it; `below`, the 95 % quantile of the speed. The last two count all solutions."""
+
+    value: float
+    sigma: float
+    below: float
+
+    @property
+    def constrained(self) -> bool:
+        """Whether the data give a speed. Otherwise they give an upper limit only, `below`."""
+        return bool(self.sigma <= self.value)
+
+    @property
+    def limit(self) -> str:
+        """The upper limit in words, in deg/s with two digits."""
+        return f"speed below {upper_text(np.degrees(self.below))} deg/s (95 %)"
+
+
+def upper_text(value: float) -> str:
+    """Return a positive number with two significant digits, rounded up, without an exponent: 0.053, 8.4, 120."""
+    if not np.isfinite(value) or value <= 0:
+        return f"{value:g}"
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    # a limit rounded down would not hold; 1e-9 keeps 0.050 from becoming 0.051 by rounding errors
+    return np.format_float_positional(
+        np.ceil(value / unit - 1e-9) * unit, precision=2, fractional=False, trim="-"
+    )
+
+
 class Answers(NamedTuple):
     """The three answers for one pass or posterior, and whether the search left nothing out; `constrained` (3) by component, `wrong`
-    the sensors that do not agree with the motion, `cure` what may have been left out and what would help."""
+    the sensors that do not agree with the motion, `cure` what may have been left out and what would help, `speed` that of the
+    motion, if it was judged."""
 
     unique: bool
     constrained: tuple[bool, bool, bool]
@@ -62,11 +93,18 @@ class Answers(NamedTuple):
     search_complete: bool
     wrong: tuple[str, ...] = ()
     cure: str = ""
+    speed: Speed | None = None
+
+    @property
+    def speed_constrained(self) -> bool:
+        """Whether the error of the speed is not larger than the speed."""
+        return self.speed is None or self.speed.constrained
 
     @property
     def decided(self) -> bool:
         """Whether an operator may act on the motion."""
-        return self.unique and self.fits and all(self.constrained) and self.search_complete
+        constrained = all(self.constrained) and self.speed_constrained
+        return self.unique and self.fits and constrained and self.search_complete
 
     @property
     def why_not(self) -> str:
@@ -83,6 +121,9 @@ class Answers(NamedTuple):
                 if known
                 else "NOT CONSTRAINED (result equals the prior)"
             )
+        # an upper limit needs a model that fits, and data that say more than the prior
+        elif self.speed and not self.speed.constrained and self.fits:
+            reasons.append(self.speed.limit)
         if not self.search_complete:
             reasons.append("search incomplete" + (f" ({self.cure})" if self.cure else ""))
         return "; ".join(reasons)

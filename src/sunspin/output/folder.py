@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +43,7 @@ def results_folder(path: Any, command: str) -> Path:
     folder = Path(path)
     marker, what = folder / MARKER, ""
     try:
+        _CLAIMED.append(_Claim.of(folder))
         atomic_write.make_folder(folder)
         atomic_write.sweep(folder)
         if is_own(marker):
@@ -55,6 +58,41 @@ def results_folder(path: Any, command: str) -> Path:
     if what:
         raise OutputError(what, do="choose another --out", where=str(folder))
     return folder
+
+
+class _Claim(NamedTuple):
+    """A results folder that this process asked for: `missing`, it and the folders above it that did not exist, innermost first;
+    `marked`, whether it had a marker."""
+
+    folder: Path
+    missing: tuple[Path, ...]
+    marked: bool
+
+    @classmethod
+    def of(cls, folder: Path) -> _Claim:
+        every = (folder, *folder.parents)
+        missing = tuple(path for path in every if not os.path.lexists(path))
+        return cls(folder, missing, os.path.lexists(folder / MARKER))
+
+
+_CLAIMED: list[_Claim] = []
+"""Results folders that the running command claimed."""
+
+
+def leave_no_empty_folder() -> None:
+    """Remove each claimed folder that did not exist before and holds nothing but the marker: the command was refused."""
+    while _CLAIMED:
+        claim = _CLAIMED.pop()
+        with suppress(OSError, ValueError):
+            if not claim.marked and {entry.name for entry in claim.folder.iterdir()} == {MARKER}:
+                (claim.folder / MARKER).unlink()
+            for path in claim.missing:  # rmdir refuses a folder that is not empty
+                path.rmdir()
+
+
+def keep_folders() -> None:
+    """Forget which folders were claimed: the command has ended well."""
+    _CLAIMED.clear()
 
 
 def maker(marker: Path) -> str:

@@ -26,13 +26,25 @@ def number_text(value: Any, digits: int = 4) -> str:
             f"{key.replace('_', ' ')} {number_text(item, digits)}" for key, item in value.items()
         )
     elif isinstance(value, list) and value and all(map(_is_names, value)):
-        text = "; ".join("-".join(names) for names in value)
+        text = "; ".join(map(set_text, value))
     elif isinstance(value, list):
         mark = "; " if any(isinstance(item, list | dict) for item in value) else ", "
         text = "(" + mark.join(number_text(item, digits) for item in value) + ")"
     else:
         text = "none" if value is None else str(value)
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+def set_text(names: Sequence[str]) -> str:
+    """Return a set of names on one line: 2-3-6 as in the paper, or -X, +Y, -Z if a name has more than letters and digits."""
+    return ("-" if all(name.isalnum() for name in names) else ", ").join(names)
+
+
+def size_text(value: float, digits: int = 3) -> str:
+    """Return the size of an error with so many digits; without an exponent from 0.0001 on: 1080, 0.02."""
+    if not np.isfinite(value) or 0 < abs(value) < 1e-4:
+        return f"{value:.{digits}g}"
+    return np.format_float_positional(value, precision=digits, fractional=False, trim="-")
 
 
 def _is_names(value: Any) -> bool:
@@ -53,11 +65,18 @@ def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
     return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}{unit}"
 
 
-def with_range(value: float, low: float, high: float, sigma: float = 0.0) -> str:
-    """A number and the ends of its range, to two digits of half the range or of a larger `sigma`: 3.53 (3.49 to 3.57)."""
+def with_range(value: float, low: float, high: float) -> str:
+    """A number and the ends of its range, to two digits of half the range: 3.53 (3.49 to 3.57)."""
+    half = (high - low) / 2
+    decimals = _decimals(half) if np.isfinite(half) and half > 0 else 3
+    return f"{value:z.{decimals}f} ({range_text(low, high)})"
+
+
+def range_text(low: float, high: float, sigma: float = 0.0) -> str:
+    """Return the ends of a range, to two digits of half the range or of a larger `sigma`: 3.49 to 3.57."""
     half = max((high - low) / 2, sigma)
     decimals = _decimals(half) if np.isfinite(half) and half > 0 else 3
-    return f"{value:z.{decimals}f} ({low:z.{decimals}f} to {high:z.{decimals}f})"
+    return f"{low:z.{decimals}f} to {high:z.{decimals}f}"
 
 
 def _decimals(sigma: float) -> int:

@@ -15,6 +15,7 @@ ANCHORS = {
     "poor-fit": ("POOR FIT", "NO SOLUTION FITS", "not explained:", "the other readings fit: look"),
     "check-the-columns": ("CHECK THE COLUMNS", "CHECK THE SIGNS", "columns unchecked"),
     "not-constrained": ("NOT CONSTRAINED", "constrained: ", "not all rate components"),
+    "upper-limit": ("speed below ",),
     "incomplete-search": (
         "SEARCH STOPPED",
         "coarse search",

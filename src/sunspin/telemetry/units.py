@@ -20,6 +20,9 @@ from sunspin.vehicle.sensors import Gyro, Magnetometer
 
 UNITS = {"power_W": "W", "current_A": "A"}
 
+LARGEST = {"W": 2000.0, "A": 100.0}
+"""More than any panel of a spacecraft gives: readings above are counts, although the file states a scale."""
+
 BEYOND = 30.0
 """Full Sun as read over as stated, or its inverse: nothing but a wrong unit or a wrong gain makes it more. At Jupiter it is 27."""
 
@@ -67,6 +70,21 @@ class WrongUnit(NamedTuple):
         return f"{self.what}; {do} under [{self.table}]{line} of the vehicle file"
 
 
+def reading_unit(vehicle: Vehicle, value: np.ndarray) -> str:
+    """Return the unit of panel readings (n, n_panel), "W" or "A"; nothing if the vehicle file does not give it.
+
+    Gains in W or A give the unit. With relative gains a stated scale gives it, unless the readings are too large for the unit:
+    the scale of an example file may have been left as it was.
+    """
+    form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
+    if vehicle.gain_unit == unit or form.has_voltages:
+        return unit
+    largest = np.where(np.isfinite(value), value, 0.0).max(axis=1, initial=0.0)
+    lit = largest[largest > 0]
+    full = float(np.quantile(lit, BRIGHT_QUANTILE)) if lit.size else 0.0
+    return unit if "telemetry.scale" in vehicle.facts and full <= LARGEST[unit] else ""
+
+
 def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
     """The wrong unit of panel readings (n, n_panel): of their scale against the gains, or of the stated noise; None if neither is
     wrong."""
@@ -84,7 +102,11 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
     above = [key for key, limit in limits.items() if limit is not None and full < limit]
     if above and _sunlit(vehicle, value, largest):
         key = above[0]
-        what = f"the brightest samples ({full:.3g} {unit}) show the Sun but do not reach the stated {key} ({limits[key]:g} {unit})"
+        shown = reading_unit(vehicle, value)
+        what = (
+            f"the brightest samples ({f'{full:.3g} {shown}'.strip()}) show the Sun but do not reach the stated {key} "
+            f"({f'{limits[key]:g} {shown}'.strip()})"
+        )
         scales = "scale, voltage_scale" if form.has_voltages else "scale"
         return WrongUnit(f"{what}: {other_unit}", "telemetry", f"{scales} or {key}")
     if noise is not None and full > FINEST * noise:

@@ -46,12 +46,22 @@ GAIN_UNITS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"
 """Key of a panel's gain in a file -> the unit of the signal it predicts (None: relative)."""
 
 
+def _size(sigma: Any) -> Any:
+    """Return the sigma of a value, or raise `VehicleError` if it is negative or not finite."""
+    values = np.asarray(() if sigma is None else sigma, dtype=np.float64)
+    if not (np.isfinite(values) & (values >= 0)).all():
+        raise VehicleError("the sigma of a value must be finite and not negative", got=sigma)
+    return sigma
+
+
 @part
 class Fact(Part):
     """A number's birth certificate: its value, one-sigma uncertainty (same unit as the value) and source."""
 
     value: Annotated[float | tuple[Any, ...], PlainValidator(tuples)]
-    sigma: Annotated[float | tuple[Any, ...] | None, PlainValidator(tuples)] = None
+    sigma: Annotated[
+        float | tuple[Any, ...] | None, PlainValidator(tuples), AfterValidator(_size)
+    ] = None
     source: str | None = None
 
 

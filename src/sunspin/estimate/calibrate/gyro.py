@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.passes import rate_known
 from sunspin.vehicle.sensors import Gyro
 
 SCALE_SIGMA = 0.2
@@ -40,7 +41,8 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, found: xr.Dataset) -> GyroFit | 
     times, first = np.unique(telemetry["time"].values, return_index=True)
     at = first[np.clip(np.searchsorted(times, found["time"].values), 0, len(times) - 1)]
     read = telemetry["gyro_B"].values[at]
-    decided = found["decided"].values[found["pass_of"].values]
+    # a body that hardly rotates, whose speed is only an upper limit, shows the zero of a gyro as well as any
+    decided = rate_known(found)[found["pass_of"].values]
     use = (
         np.isfinite(read).all(axis=1)
         & decided

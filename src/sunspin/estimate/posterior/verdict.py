@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.estimate.passes import SPEEDS, PassMotions, speeds
+from sunspin.estimate.passes import SPEEDS, PassMotions, speed_of, speeds
 from sunspin.estimate.verdict import answers
 
 NOT_EXPLAINED = 0.002
@@ -188,6 +188,9 @@ def believed(
         len(found.doubts) == int(tags_off) and not found.rough
     )  # of the doubts that one is about the fit
     first = about["t_first_s"]
+    judged = answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete)
+    all_speeds = np.linalg.norm(drawn, axis=1)[None]
+    judged = judged._replace(speed=speed_of(modes["omega_B"].values[0], all_speeds))
     return PassMotions(
         about["samples"],
         first,
@@ -197,7 +200,7 @@ def believed(
         modes["omega_B"].values,
         sigmas(modes),
         speed,
-        answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete),
+        judged,
         columns_checked,
     )
 

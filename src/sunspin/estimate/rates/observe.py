@@ -113,24 +113,10 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
     """Indices of the samples of each pass, thinned; gaps longer than `gap_s` (default: six usual intervals) part them."""
     use = usable(o, why)
     if len(use) < 3:
-        dropped = np.array([text.startswith("dropped") for text in why], dtype=bool)
-        lost = Counter(text.removeprefix("dropped: ") for text in why[dropped]).most_common(1)
-        shadowed = sum(
-            np.count_nonzero(~dropped & (term.lit == 0))
-            for term in o.terms
-            if isinstance(term, Panels)
-        )
-        if shadowed:  # lit panels say nothing where an orbit has the Sun down
-            raise InputError(
-                "the orbit leaves fewer than three samples with the Sun",
-                got=f"{shadowed} of {len(o)} in the Earth's shadow although panels are lit",
-                do="check the elements and the clock, or leave the orbit out",
-            )
         raise InputError(
             "fewer than three samples say where the Sun is",
             got=f"{len(use)} of {len(o)}",
-            do=(f"{lost[0][1]} dropped: {lost[0][0]}; " if lost else "")
-            + "`sunspin check` says why samples are dropped",
+            do=_why_unused(o, why),
         )
     times = o.t_s[use]
     gap = GAP_FACTOR * float(np.median(np.diff(times))) if gap_s is None else gap_s
@@ -161,6 +147,26 @@ def passes(o: Observations, why: np.ndarray, gap_s: float | None = None) -> list
             "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
         )
     return found
+
+
+def _why_unused(o: Observations, why: np.ndarray) -> str:
+    """Return why most samples are not used, and what to do."""
+    dropped = np.array([text.startswith("dropped") for text in why])
+    panels = [term for term in o.terms if isinstance(term, Panels)]
+    shadow = ~dropped & np.logical_or.reduce(
+        [np.zeros(len(o), dtype=bool), *(term.present() & (term.lit == 0) for term in panels)]
+    )
+    if shadow.sum() > dropped.sum():
+        return (
+            f"by the orbit {shadow.sum()} are in the Earth's shadow: compare clock and elements with `sunspin check`, "
+            "or leave out the orbit"
+        )
+    if not dropped.any():
+        return "add samples with a Sun direction"
+    reason, count = Counter(text.removeprefix("dropped: ") for text in why[dropped]).most_common(1)[
+        0
+    ]
+    return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
 def _goes_on(read_s: np.ndarray, start_s: float, end_s: float, gap_s: float) -> bool:

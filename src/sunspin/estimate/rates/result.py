@@ -12,7 +12,16 @@ from sunspin.base.errors import printable
 from sunspin.base.provenance import provenance
 from sunspin.environment.frames import FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.passes import AS_STATED, UNCHECKED, PassMotions, padded, speeds, table
+from sunspin.estimate.passes import (
+    AS_STATED,
+    UNCHECKED,
+    PassMotions,
+    drawn_speeds,
+    padded,
+    speed_of,
+    speeds,
+    table,
+)
 from sunspin.estimate.rates.alternatives import TORQUES_STRONGER
 from sunspin.estimate.rates.dense import curve
 from sunspin.estimate.rates.finish import Pass
@@ -237,7 +246,9 @@ def believed(
         one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
         unique = bool(p.weight[one].sum() >= DECIDED)
         spread = _spread(omega, sigma, p.weight)
+        speed = speed_of(omega[0], drawn_speeds(omega, covariance), p.weight)
         said = answers(unique, spread, motion.rate_prior, told, explained, not missed, missed)
+        said = said._replace(speed=speed)
         checked = UNCHECKED if list(told) == ["Sun"] else AS_STATED
         solutions = p.weight, omega, sigma, speeds(omega, covariance)
         rows.append(PassMotions(len(t), t[0], t[-1], t[at], *solutions, said, checked))
@@ -313,7 +324,8 @@ def verdict(result: xr.Dataset) -> str:
     constrained = np.all([result[f"constrained_{axis}"].values for axis in "xyz"], axis=0)
     attrs, effort = result.attrs, more_effort(result.attrs["effort_given"])
     notes = [
-        f"{int(decided.sum())} of {len(decided)} passes decided (unique, all components constrained, fits, search complete)"
+        f"{int(decided.sum())} of {len(decided)} passes decided (unique, all components and the speed constrained, fits, "
+        "search complete)"
     ]
     if count := int((~fits).sum()):
         notes.append(
@@ -323,6 +335,11 @@ def verdict(result: xr.Dataset) -> str:
     if count := int((fits & unique & ~constrained).sum()):
         notes.append(
             f"{passes(count)}: single solution, but not all rate components are constrained"
+        )
+    speed_known = result["constrained_speed"].values
+    if count := int((fits & unique & constrained & ~speed_known).sum()):
+        notes.append(
+            f"{passes(count)}: the error of the speed exceeds the speed, so only an upper limit is given"
         )
     if count := sum(model != AS_READ for model in result["model"].values):
         notes.append(f"{passes(count)}: an alternative model fits better, as named below")

@@ -8,6 +8,7 @@ window grows by a sixth at either end while hypotheses that have become alike or
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -16,11 +17,18 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError
 from sunspin.estimate.effort import may_go_on
 from sunspin.estimate.rates.copies import Outline
-from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images
+from sunspin.estimate.rates.images import FAMILIES, images_of, joined_images, one_of_each
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.smooth import cost_limit, costs, smooth
-from sunspin.estimate.rates.start import blind_axis, gyro_decides, mirrored, starts, steady
+from sunspin.estimate.rates.start import (
+    blind_axis,
+    candidates,
+    gyro_decides,
+    mirrored,
+    starts,
+    steady,
+)
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.rates.valley import neighbours
 from sunspin.estimate.terms.known_field import KnownField
@@ -68,6 +76,10 @@ PAIRS, MORE_PAIRS, BADLY = 3, 2, 0.8
 
 BLIND_PAIRS = 4
 """Pairs to start from where panels lie in one plane, so that a sample limited by the battery looks like a Sun that stands aside."""
+
+WIDE_RAD = 1.0
+"""A sample that allows directions of the Sun farther apart than this gives no direction: one panel alone leaves a ring around its
+normal."""
 
 DIM_PENALTY = 3.0
 """So much longer is a pair of samples reckoned where both are dark."""
@@ -128,6 +140,32 @@ def _best(o, index, suns, rates, motion, apart, keep) -> Track:
     cost = np.concatenate([costs(loose, track.take(part)).sum(axis=1) for part in parts])
     cost += (rates**2).sum(axis=1) / (2 * motion.rate_prior**2)
     return track.take(np.argsort(cost, kind="stable")[:keep])
+
+
+def _require_directions(o: Observations, tried: np.ndarray) -> None:
+    """Raise `InputError` if each pair (i, i + 1) of samples `tried` has one that leaves the direction of the Sun open."""
+    spread = [
+        np.arccos(np.clip((c @ c.T).min(), -1, 1)) for c in map(partial(_one_sun, o), range(len(o)))
+    ]
+    wide = np.array(spread) > WIDE_RAD
+    if not (wide[tried] | wide[tried + 1]).all():
+        return
+    do = "`sunspin check` prints what each sample determines"
+    for panels in (term for term in o.of_sun if isinstance(term, Panels)):
+        read = np.isfinite(panels.sigma)
+        most, count = int(read.sum(axis=1).max()), panels.sigma.shape[1] - len(panels.left_out)
+        if most < count:
+            do = f"a row has readings of {most} of {count} panels at most: write the readings of one time in one row"
+    raise InputError(
+        "too few Sun directions to estimate a rate",
+        got=f"{np.count_nonzero(~wide)} of {len(o)} samples in the pass from {o.t_s[0]:.0f} s give one",
+        do=do,
+    )
+
+
+def _one_sun(o: Observations, index: int) -> np.ndarray:
+    """Return directions (n, 3) that span what the sample `index` allows, of symmetric ones only one."""
+    return one_of_each(o, candidates(o, index))
 
 
 def _thinned(o, index, suns, rates, motion, apart) -> tuple[np.ndarray, np.ndarray]:
@@ -339,6 +377,7 @@ def seeds(o: Observations, motion: Motion, rate_max: float, pairs: int | None = 
         track = grow(o, *first_tracks(o, int(i), motion, rate_max, trust and not tracks), motion)
         tracks += [track] if len(track.omega) else []
     if not tracks:
+        _require_directions(o, order[: pairs + MORE_PAIRS])
         raise InputError(
             "no rate up to the largest allowed takes the Sun from one sample to the next",
             got=f"largest rate {rate_max:.4g} rad/s",

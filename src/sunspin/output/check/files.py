@@ -139,4 +139,4 @@ def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         "made_by": without_loss,
         "health_of_every": assessment.health_stride,
     }
-    return summary, status_lines(sun) + health_lines(summary) + noise_lines(sun)
+    return summary, status_lines(sun) + health_lines(summary) + noise_lines(assessment)

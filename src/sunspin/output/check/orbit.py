@@ -46,7 +46,7 @@ def orbit_used(
     calibration = None if used is None else field_calibration(used, craft, assessment, check.made)
     lines = [f"{words}; {_named(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
-        lines += noise_lines(assessment.sun)
+        lines += noise_lines(assessment)
     return used, calibration, {"orbit": summary}, lines
 
 

@@ -8,17 +8,22 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
-from sunspin.output.text import with_sigma
+from sunspin.output.text import counted, size_text, with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, reasons
-from sunspin.telemetry.sun import LIT_SIGMAS, signals
+from sunspin.telemetry.sun import LIT_SIGMAS, SunStatus, signals
+from sunspin.telemetry.units import reading_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import line_of, vehicle_text
 from sunspin.vehicle.sensors import VARIABLES
 
 SHOWN = 30
 """Columns listed by name."""
+
+MOST_PANELS = 2 / 3
+"""A row without readings of all panels shows the Sun if it has this part of them: five of six bound its direction, two leave it
+open. Rows of one packet among several have a half or a third."""
 
 
 def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
@@ -47,23 +52,24 @@ def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str
     return summary, lines
 
 
-def noise_lines(sun: xr.Dataset) -> list[str]:
-    """What the error of directions from panels rests on, if the vehicle file does not state one noise for all; `sun`: of
-    `sun_directions`."""
+def noise_lines(assessment: Assessment) -> list[str]:
+    """Return what the error of directions from panels rests on; nothing if the vehicle file states one noise for all panels."""
+    sun = assessment.sun
     noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
     own = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
     if not np.isfinite(noise) or (source == "given" and len({*own.values()}) == 1):
         return []
-    unit = {"power_W": "W", "current_A": "A"}[sun.attrs["quantity"]]
+    known = reading_unit(assessment.vehicle, signals(assessment.telemetry))
+    unit = f" {known}" if known else " (in the unit of the readings)"
     if source == "given":
-        each = ", ".join(f"{panel} {sigma:.3g}" for panel, sigma in own.items())
-        return [f"  noise of panel readings, from the vehicle file: {each} {unit}"]
+        each = ", ".join(f"{panel} {size_text(sigma)}" for panel, sigma in own.items())
+        return [f"  noise of panel readings, from the vehicle file: {each}{unit}"]
     if source != ASSUMED_FROM:
-        return [f"  noise of panel readings: {noise:.3g} {unit}, {source}"]
+        return [f"  noise of panel readings: {size_text(noise)}{unit}, {source}"]
     return [
-        f"  NOISE NOT STATED: neither the vehicle file nor the samples give the noise of panel readings; {noise:.3g} {unit}, "
+        f"  NOISE NOT STATED: neither the vehicle file nor the samples give the noise of panel readings; {size_text(noise)}{unit}, "
         f"{ASSUMED_SHARE:.0%} of full Sun, is assumed for directions. Write what you know of it, or "
-        f"`noise = {noise:.3g}`, under [telemetry] of the vehicle file"
+        f"`noise = {size_text(noise)}`, under [telemetry] of the vehicle file"
     ]
 
 
@@ -140,15 +146,12 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     lines.append(
         f"  albedo and stray light on unlit panels: up to {quality.attrs['albedo']:.0%} of full Sun"
     )
-    counted = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
+    often = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
     if not whole.any():
-        lines.append(
-            "  no sample has a reading of every panel, so none gives a Sun direction; put the rows of one frame into one row"
-        )
-        return summary, lines
+        return summary, lines  # of parts of a frame: `_sampling` says so
     lines.append(
-        f"  {lit} lit: {counted}; three determine the direction; `sunspin rates` also uses samples with one or two"
+        f"  {lit} lit: {often}; three determine the direction; `sunspin rates` also uses samples with one or two"
     )
     return summary, lines
 
@@ -178,16 +181,36 @@ def _whole(assessment: Assessment) -> np.ndarray:
     return np.asarray((quality["reading"].values | quality["missed"].values).all(axis=1))
 
 
-def _sampling(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
-    """Return what the intervals between readings determine: copies, frozen samples and parts of a frame are none."""
-    read = ~assessment.repeats.frozen
+def _shows_motion(assessment: Assessment) -> np.ndarray:
+    """Return which samples (n) say something of the motion: panels show the Sun, or a sensor gives a direction or a rate."""
+    samples = assessment.telemetry
+    shows = np.zeros(samples.sizes["time"], dtype=bool)
     if assessment.has_panels:
-        read = _whole(assessment)
-        if not read.any():
-            return {}, []
-    gaps = intervals(assessment.telemetry.isel(time=np.flatnonzero(read)))
+        status, value = assessment.sun["status"].values, signals(samples)
+        read = np.isfinite(value)
+        # of the panels that have a reading anywhere: a column that is always empty hides nothing
+        complete = read.sum(axis=1) >= MOST_PANELS * read.any(axis=0).sum()
+        lit = (np.nan_to_num(value) > 0).any(axis=1)
+        shows |= ~np.isin(status, (SunStatus.DARK, SunStatus.MISSING))
+        shows |= (status == SunStatus.MISSING) & complete & lit
+    for name in ("sun_B", "sun_sensor_B", *VARIABLES.values()):
+        if name in samples:
+            shows |= np.isfinite(samples[name].values).all(axis=1)
+    return shows
+
+
+def _sampling(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+    """Return summary and lines on the rates that the sampling can determine. Rows without a direction are no samples of the
+    motion, so they do not count, and
+    neither do copies and frozen ones."""
+    samples = assessment.telemetry
+    present = _shows_motion(assessment) & ~assessment.repeats.frozen
+    gaps = intervals(samples.isel(time=present))
     if len(gaps) < 2:
-        return {}, ["  too few samples to estimate a rate"]
+        return {"directions": int(present.sum())}, [
+            f"  too few directions to estimate a rate: {present.sum()} of {counted(present.size, 'sample')} give one"
+            f"{_parts_of_panels(samples)}"
+        ]
     usual = float(np.median(gaps))
     clear = 180 / usual
     near = gaps[gaps < 6 * usual]
@@ -197,4 +220,19 @@ def _sampling(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     if jitter < 0.02:
         text = f"rates that differ by {360 / usual:.3g} deg/s are indistinguishable (aliases)"
         lines.append(f"  even sampling: {text}")
-    return {"clear_rate_deg_s": clear, "relative_jitter": jitter}, lines
+    return {
+        "directions": int(present.sum()),
+        "clear_rate_deg_s": clear,
+        "relative_jitter": jitter,
+    }, lines
+
+
+def _parts_of_panels(samples: xr.Dataset) -> str:
+    """Return what to do if no row has a reading of every panel, as in a file with a row for each packet; else nothing."""
+    if "panel" not in samples.coords:
+        return ""
+    read = np.isfinite(signals(samples))
+    most, panels = int(read.sum(axis=1).max(initial=0)), int(read.any(axis=0).sum())
+    if not 0 < most < MOST_PANELS * panels:
+        return ""
+    return f". A row has readings of {most} of {panels} panels at most: write the readings of one time in one row"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,9 @@ ABOVE: dict[str, Any] = {
 """A legend above the axes, where it covers no data."""
 ON_PAPER: dict[str, Any] = {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.5}
 """The ground of a label that stands on lines."""
+LONGEST_NAME, LONGEST_LABEL = 60, 14
+"""Characters of a name in a title, and at an axis or in a legend with up to 32 others: a figure is about 100 wide."""
+
 STYLE: Any = {
     "axes.titlesize": 10,
     "figure.titlesize": 10,
@@ -109,9 +112,22 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     return write(drawn(figure), folder, name)
 
 
-def named(name: Any) -> str:
-    """A name from outside as text and never as a formula."""
-    return str(name).replace("$", r"\$")
+def named(name: Any, most: int = LONGEST_NAME) -> str:
+    """Return a name from outside as text and never as a formula, with at most so many characters: of a longer one begin and end."""
+    text = str(name)
+    if len(text) > most:
+        head = (most - 1) // 2
+        text = f"{text[:head]}…{text[head + 1 - most :]}"
+    return text.replace("$", r"\$")
+
+
+def labels_of(names: Iterable[Any], most: int = LONGEST_LABEL) -> list[str]:
+    """Return labels for names that stand side by side, such as those of panels; if two look alike when shortened, they are
+    numbered."""
+    labels = [named(name, most) for name in names]
+    return [
+        f"{label} ({k + 1})" if labels.count(label) > 1 else label for k, label in enumerate(labels)
+    ]
 
 
 def titled(text: str, synthetic: Any) -> str:

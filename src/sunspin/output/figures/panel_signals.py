@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.figures import COLOURS, axes_grid, labels_of, named, styled
 from sunspin.output.figures.rates import clock_text
 from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
@@ -45,7 +45,7 @@ def panel_signals_figure(
     ends = [run["time"].values[[0, -1]] for _, run in runs]
     inside = [(time >= first) & (time <= last) for first, last in ends]
     shown = sorted(sorted(range(len(runs)), key=lambda k: -int(inside[k].sum()))[:MOST_RUNS])
-    names = [str(name) for name in telemetry["panel"].values]
+    names = labels_of(telemetry["panel"].values)
     size = (max(7.5, 2.6 * len(shown) + 1), 1.05 * len(names) + 1.2)
     title = "Panel signals: samples (dots) and the motion's prediction (lines)"
     layout = {"sharex": "col", "sharey": "row", "squeeze": False}
@@ -69,7 +69,8 @@ def panel_signals_figure(
     unit = "W" if "power_W" in telemetry else "A"
     for panel, row in enumerate(grid):
         left = "\nnever lit" if dead[panel] else ""
-        row[0].set_ylabel(f"{named(names[panel])} ({unit}){left}", fontsize=8)
+        space = " " if len(names[panel]) < 10 else "\n"
+        row[0].set_ylabel(f"{names[panel]}{space}({unit}){left}", fontsize=8)
     return figure
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import ABOVE, COLOURS, axes_grid, named, styled
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, labels_of, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import number_text, rate_text, with_sigma
 
@@ -56,8 +56,9 @@ def trajectory_figure(run: Any) -> Any:
         rates.plot(t, omega[:, k], color=COLOURS[k], ls=dashes, lw=1.2, label=label)
     rates.plot(t, np.linalg.norm(omega, axis=1), color=COLOURS[6], lw=1.6, label=r"$|\omega|$")
     rates.set_ylabel("body rate (deg/s)")
+    known = labels_of(run["wheel"].values) if "wheel" in run.coords else []
     for k in range(wheels):
-        name = named(run["wheel"].values[k]) if "wheel" in run.coords else f"wheel {k + 1}"
+        name = known[k] if known else f"wheel {k + 1}"
         speed = run["wheel_speed_rad_s"].values[:, k]
         speeds.plot(t, speed, color=COLOURS[k % 7], lw=1.4, label=name)
         speeds.set_ylabel("wheel speed (rad/s)")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.landing.tally import Estimate, density, quantity, tally
-from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.figures import COLOURS, axes_grid, labels_of, named, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import counted, with_sigma
 
@@ -168,7 +168,11 @@ def _first_contacts(runs: Any) -> dict[str, Estimate]:
         share = float(np.mean(legs[touched][touched >= 0] == leg))
         error = np.sqrt(share * (1 - share) / runs.sizes["run"])
         contacts[f"leg {leg + 1}"] = Estimate(share, float(error))
-    names = {f"touch_panel_{p}": f"panel {named(p)}" for p in runs["panel"].values}
+    panels = runs["panel"].values
+    names = {
+        f"touch_panel_{p}": f"panel {label}"
+        for p, label in zip(panels, labels_of(panels), strict=True)
+    }
     names["touch_body"] = "bare body"
     return contacts | {text: estimates[name] for name, text in names.items() if name in estimates}
 

@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import ABOVE, COLOURS, axes_grid, named, styled
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, labels_of, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
-from sunspin.output.text import number_text, with_sigma
+from sunspin.output.text import counted, number_text, set_text, with_sigma
 from sunspin.telemetry.health import named_panels
 
 SETS = 8
 """Sets of panels named on the console, the most frequent ones; `--json` has all."""
+
+SIDE_BY_SIDE = 80
+"""Characters of tick labels that fit below an axis of 7 inches."""
 
 HARDLY = 1e-6
 """A probability below this is none to a reader."""
@@ -53,15 +56,22 @@ def gains_figure(quality: Any) -> Any:
     dead = quality["dead"].values.astype(bool)
     axes.errorbar(place, gain, quality["gain_sigma"], fmt="o", color=COLOURS[0], capsize=3)
     axes.plot(place[dead], gain[dead], "x", ms=10, color=COLOURS[1])
-    axes.set_xticks(place, [named(name) for name in quality["panel"].values])
+    _name_panels(axes, place, quality["panel"].values)
     axes.set(xlabel="panel", ylabel="gain (unit of the vehicle's gains)")
     return figure
+
+
+def _name_panels(axes: Any, place: np.ndarray, names: np.ndarray) -> None:
+    """Write the names of panels below an axis, upright if they would not fit side by side."""
+    labels = labels_of(names)
+    upright = sum(map(len, labels)) > SIDE_BY_SIDE
+    axes.set_xticks(place, labels, rotation=90 if upright else 0)
 
 
 def health_summary(health: Any) -> Summary:
     """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
     allowed, impossible = (
-        ["-".join(panels) for panels in named_panels(health, name)]
+        [set_text(panels) for panels in named_panels(health, name)]
         for name in ("allowed_lit", "impossible_lit")
     )
     chance = zip(impossible, health["largest"].values.tolist(), strict=True)
@@ -80,7 +90,11 @@ def health_lines(numbers: Mapping[str, Any]) -> list[str]:
     if not numbers["impossible"]:
         return []
     often = sorted(numbers["impossible"].items(), key=lambda item: -item[1])
-    seen = ", ".join(f"{lit} ({n})" for lit, n in often[:SETS])
+    shown = often[:SETS]
+    if any("," in lit for lit, _ in shown):
+        seen = "; ".join(f"({lit}) in {counted(n, 'sample')}" for lit, n in shown)
+    else:
+        seen = ", ".join(f"{lit} ({n})" for lit, n in shown)
     seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
     head = "  impossible illumination patterns"
     if made_by := numbers.get("made_by"):
@@ -117,7 +131,7 @@ def health_figure(health: Any) -> Any:
         text = None if k else "its loss explains them"
         axes.axvline(place, color=COLOURS[1], lw=1.4, ls="--", label=text)
     axes.set_yticks(range(len(lit)), [f"{n} samples" for n in health["samples"].values])
-    axes.set_xticks(range(lit.shape[1]), [named(name) for name in health["panel"].values])
+    _name_panels(axes, np.arange(lit.shape[1]), health["panel"].values)
     axes.set(xlabel="panel", xlim=(-0.6, lit.shape[1] - 0.4))
     axes.set_ylim((len(lit) - 0.4, -0.6) if len(lit) else (1, 0))
     axes.legend(ncols=2, **ABOVE)

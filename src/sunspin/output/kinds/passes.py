@@ -14,6 +14,8 @@ BELIEVED = tuple(
 )
 ADDED = ("model", "model_probability")
 """Columns of a pass that came later, after all others, as scripts read those by place; `posterior` has no models."""
+SPEED = ("constrained_speed", "speed_sigma", "speed_below")
+"""Check of the speed, its error and its 95 % upper limit (rad/s, all solutions counted), the last columns."""
 OF_A_MOTION = tuple(
     "speed_low speed_median speed_high omega_x omega_y omega_z sigma_x sigma_y sigma_z".split()
 )
@@ -22,9 +24,10 @@ OF_A_MOTION = tuple(
 
 def pass_numbers(result: Any, k: int) -> dict[str, Any]:
     """What a summary says of pass number `k` of a Dataset with the variables of :func:`sunspin.estimate.passes.table`."""
-    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *(name for name in ADDED if name in result))
-    values = {name: result[name].values[k].item() for name in names}
-    return {"pass_id": int(result["pass_id"].values[k])} | values
+    later = (name for name in (*ADDED, *SPEED) if name in result)
+    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *later)
+    values: dict[str, Any] = {name: result[name].values[k].item() for name in names}
+    return {"pass_id": int(result["pass_id"].values[k])} | values | in_degrees(values)
 
 
 def motion_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
@@ -36,7 +39,8 @@ def motion_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
 
 def in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
     """The columns in rad/s, named in deg/s."""
-    rates = [name for name in columns if name.endswith("_rad_s") or name in OF_A_MOTION]
+    named = (*OF_A_MOTION, *SPEED[1:])
+    rates = [name for name in columns if name.endswith("_rad_s") or name in named]
     return {name.removesuffix("_rad_s") + "_deg_s": np.degrees(columns[name]) for name in rates}
 
 
@@ -60,6 +64,7 @@ def passes_table(result: Any) -> Table:
             rows.append(known | motion_numbers(result, k, int(solution)))
     head = ("pass_id", *OF_A_PASS, "solution", "probability", *BELIEVED, *OF_A_MOTION)
     head += (*(f"{name}_deg_s" for name in OF_A_MOTION), *ADDED, "why_not_decided")
+    head += (*SPEED, *(f"{name}_deg_s" for name in SPEED[1:]))
     frame = pd.DataFrame(rows)
     frame = frame[[name for name in head if name in frame]]
     shown = {name: heading for name, heading in SHOWN.items() if name in frame}

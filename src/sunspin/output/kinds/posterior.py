@@ -15,7 +15,7 @@ from sunspin.output.figures import COLOURS, axes_grid, named, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds import predictions as predicted
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
-from sunspin.output.text import number_text, with_sigma
+from sunspin.output.text import number_text, size_text, with_sigma
 
 MOST_SOLUTIONS = 12
 """Solutions that are printed."""
@@ -51,7 +51,7 @@ def posterior_summary(tree: Any) -> Summary:
     )
     numbers |= {name: tree.attrs[name] for name in ("noise", "noise_from") if name in tree.attrs}
     if numbers.get("noise_from", "given") != "given":
-        noise = number_text(numbers["noise"], 3)
+        noise = size_text(numbers["noise"])
         lines.append(f"  noise of panel readings: {noise}, {numbers['noise_from']}")
     priors = ", ".join(f"{key} {text}" for key, text in json.loads(tree.attrs["priors"]).items())
     lines.append(f"  priors (relative 1 sigma): {priors}")

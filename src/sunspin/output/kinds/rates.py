@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -11,14 +12,15 @@ import numpy as np
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.estimate.rates.hypotheses import AS_STATED
 from sunspin.estimate.terms.period import reading_words, unheard
+from sunspin.estimate.verdict import upper_text
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
 from sunspin.output.text import (
     clock_text,
-    number_text,
+    range_text,
     rate_text,
+    size_text,
     starts_text,
-    with_range,
     with_sigma,
 )
 from sunspin.vehicle.timeline import utc_after
@@ -27,8 +29,11 @@ MOST_UNSEEN = 6
 """Changes that look the same as the file as it is written, at most, that are named."""
 
 RATE = "omega x, y, z at mid-pass, deg/s ± 1 sigma"
-HEADING = f"{'samples':>7}  {'speed (range) deg/s':20}  {RATE:45}  prob  verdict"
-"""Of the table of passes behind number and start: a line each, at most 110 columns with a decided verdict, 115 with years."""
+RANGE = "range over the pass"
+"""What the speed's smallest and largest value in a pass are called: they are no error of the speed."""
+
+HEADING = f"{'samples':>7}  {'speed, deg/s':17}  {RANGE:19}  {RATE:45}  prob  verdict"
+"""Of the table of passes behind number and start: a line each. The speed is that at mid-pass with one sigma."""
 
 PASSES_IN_WORDS = 3
 """Of the first passes a page has a sentence each; its table has all."""
@@ -38,8 +43,8 @@ COARSE, COARSE_WORD = 0.1, "decided, coarse"
 
 
 class RateAt(NamedTuple):
-    """The rate of the likeliest solution of a pass, deg/s: least, mean and largest speed; rate (3) and its sigma (3), all solutions
-    counted, at the sample nearest to the middle, `at_s` s from the epoch.
+    """The rate of the likeliest solution of a pass, deg/s: least, mean and largest speed over the pass; rate (3) and its sigma (3),
+    all solutions counted, at the sample nearest to the middle, `at_s` s from the epoch.
 
     The mean rate is neither: of a body that tumbles, x and y average out, and the size of the mean is not the speed.
     """
@@ -107,7 +112,7 @@ def rates_summary(result: Any) -> Summary:
         lines.append(f"  panel {left_out}: {why}")
     numbers |= {key: result.attrs[key] for key in ("noise", "noise_from") if key in result.attrs}
     if numbers.get("noise_from", "given") != "given":
-        size = number_text(numbers["noise"], 3)
+        size = size_text(numbers["noise"])
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _columns_unseen(result, passes)
     numbers["samples_in_passes"] = result.sizes["time"]
@@ -177,16 +182,29 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
         "at_s": rate.at_s,
         "omega_at_deg_s": rate.omega.tolist(),
     }
-    speed = with_range(rate.mean, rate.low, rate.high, float(rate.sigma.max()))
-    omega = with_sigma(rate.omega, rate.sigma)
-    verdict = str(numbers["why_not_decided"]).split(" (")[0] or "decided"
+    speed, omega = _speed(numbers, rate), with_sigma(rate.omega, rate.sigma)
+    over_the_pass = range_text(rate.low, rate.high, float(rate.sigma.max()))
+    # without remedies, which stand in parentheses
+    verdict = re.sub(r" \((?!95 %\)).*", "", str(numbers["why_not_decided"])) or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = COARSE_WORD
     verdict = verdict.replace("several solutions", f"{n} solutions")
-    row = f"{len(at):7d}  {speed:20}  {omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
+    row = f"{len(at):7d}  {speed:17}  {over_the_pass:19}  "
+    row += f"{omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
     called = f"pass {numbers['pass_id']} ({len(at)} samples)"
-    sentence = f"{called}: {speed} deg/s, body rate {omega} deg/s at mid-pass; {verdict}"
+    sentence = (
+        f"{called}: speed {speed} deg/s ({RANGE}: {over_the_pass}), body rate {omega} deg/s at mid-pass; "
+        f"{verdict}"
+    )
     return numbers, row, sentence
+
+
+def _speed(numbers: dict[str, Any], rate: RateAt) -> str:
+    """Return the speed of a pass at mid-pass in deg/s with its sigma, or the upper limit if its sigma exceeds it."""
+    below = numbers.get("speed_below_deg_s", np.nan)
+    if not numbers.get("constrained_speed", True) and np.isfinite(below):
+        return f"below {upper_text(below)} (95 %)"
+    return with_sigma(float(np.linalg.norm(rate.omega)), numbers.get("speed_sigma_deg_s", np.nan))
 
 
 def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, axes_grid, named, styled
+from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, axes_grid, labels_of, styled
 from sunspin.output.figures.time_axis import PAUSE, Passes, long_gaps, passes_together, time_axis
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.text import number_text
+from sunspin.output.text import size_text
 from sunspin.telemetry.sun import STATUS_TEXT, SunStatus, is_reconstructed
 
 MOST_JOINED = 80
@@ -61,12 +61,15 @@ def _signals(axes: Any, telemetry: xr.Dataset, place: Passes) -> None:
     gaps = long_gaps(hours)
     x = np.insert(place.x(hours), gaps, np.nan)
     line = ".:" if hours.size <= MOST_JOINED else "."  # lines between many samples hide them
+    labels = labels_of(telemetry["panel"].values)
     for k, panel in enumerate(telemetry["panel"].values):
         broken = np.insert(telemetry[name].sel(panel=panel).values, gaps, np.nan)
-        text = f"panel {named(panel)}"
+        text = f"panel {labels[k]}"
         axes.plot(x, broken, line, ms=4, lw=0.7, color=COLOURS[k % 8], label=text)
     axes.set_ylabel(known[name])
-    axes.legend(ncols=8, columnspacing=0.8, handletextpad=0.2, **ABOVE)
+    # about 120 characters fit side by side; each entry has a line sample and a space besides its name
+    columns = int(np.clip(120 // (max(map(len, labels), default=1) + 9), 1, 8))
+    axes.legend(ncols=columns, columnspacing=0.8, handletextpad=0.2, **ABOVE)
 
 
 def sun_summary(sun: Any) -> Summary:
@@ -85,7 +88,7 @@ def sun_summary(sun: Any) -> Summary:
     lines = [f"Sun direction determined for {known.sum()} of {known.size} samples"]
     lines += status_lines(sun)
     if numbers["median_sigma_deg"] is not None:
-        size = "" if numbers["noise_from"] == "given" else f"{number_text(numbers['noise'], 3)}, "
+        size = "" if numbers["noise_from"] == "given" else f"{size_text(numbers['noise'])}, "
         noise = f"(noise: {size}{numbers['noise_from']})"
         lines.append(f"  median 1-sigma error {numbers['median_sigma_deg']:.2f} deg {noise}")
     return Summary(numbers, lines)

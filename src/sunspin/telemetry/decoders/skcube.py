@@ -125,8 +125,13 @@ def unescape(frame: bytes) -> bytes:
 
 
 def decode_beacons(path: Any) -> Beacons:
-    """Read all raw frames of a folder, a zip or a SatNOGS export, oldest first; a frame that cannot be read is counted, never
-    fatal."""
+    """Return all raw frames of a folder, a zip or a SatNOGS export, oldest first; a frame that cannot be read is counted.
+
+    Raises
+    ------
+    TelemetryError
+        No frame can be read.
+    """
     rows: dict[str, list[tuple[float, str, tuple[Any, ...]]]] = {}
     unread: Counter[str] = Counter()
     for time, station, content in _frames(Path(path)):
@@ -145,6 +150,14 @@ def decode_beacons(path: Any) -> Beacons:
     if not rows and not unread:
         raise TelemetryError(
             "no raw beacon here", do="give the folder or zip of raw frames", where=str(path)
+        )
+    if not rows:
+        counts = ", ".join(f"{reason} ({n})" for reason, n in unread.most_common())
+        raise TelemetryError(
+            f"none of {unread.total()} frames can be read",
+            got=counts,
+            do="give raw frames in files named <unix receive time>_<station>, or SatNOGS's export of them",
+            where=str(path),
         )
     return Beacons({kind: sorted(rows[kind]) for kind in sorted(rows)}, dict(unread))
 
