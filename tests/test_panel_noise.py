@@ -10,6 +10,7 @@ import sunspin as ss
 from sunspin.estimate.posterior.data import readings
 from sunspin.output.check.samples import noise_lines
 from sunspin.philae.sun_directions import with_own_noise
+from sunspin.telemetry.assess import assess
 from sunspin.telemetry.health import noise_alone
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.response.flat import plain_covariance
@@ -91,7 +92,7 @@ def test_synthetic_data_have_the_noise_of_each_panel():
     assert np.all(np.abs(np.sqrt(np.nanmean(pull**2, axis=0)) - 1) < 0.1)
     assert np.array_equal(samples.attrs["truth_noise"], NOISE)
     line = "  noise of panel readings, from the vehicle file: 0 0.1, 1 0.1, 2 0.01"
-    assert noise_lines(ss.sun_directions(craft(), samples))[0].startswith(line)
+    assert noise_lines(assess(craft(), samples))[0].startswith(line)
     case = ss.load_case("philae")
     shape = np.linspace(1.0, 2.0, len(case.vehicle.panels))
     panels = [replace(x, noise=0.02 * s) for x, s in zip(case.vehicle.panels, shape, strict=True)]

@@ -130,7 +130,7 @@ def test_rates_say_without_a_terminal_that_their_work_has_begun_unless_quiet(sta
     options = "--workers", 1, "--acceleration-noise", 1e-4
     sunspin("rates", *files, *options, code=2)
     assert said == [
-        "sunspin: rates: 40 samples in 1 pass; the search takes up to 2.1 minutes of one core\n"
+        "sunspin: rates: 40 samples used in 1 pass; the search takes up to 2.1 minutes of one core\n"
     ]
     quiet = sunspin("rates", *files, *options, "--quiet", code=2)
     assert quiet.err == "sunspin: error: no further\n"

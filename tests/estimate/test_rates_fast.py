@@ -10,6 +10,7 @@ from sunspin.estimate.rates.observe import observations
 from sunspin.estimate.rates.result import DECIDED
 from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.state import Motion
+from sunspin.estimate.terms.term import facing
 
 
 @pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")
@@ -31,7 +32,7 @@ def test_a_start_is_shot_to_the_truth_from_afar():
     motion = Motion(Body.of(vehicle), 1e-6, 1.0)
     truth = run["omega_B"].values
     start = truth[2] + np.radians([6.0, -6.0, 6.0])
-    track = carried(o, 2, o.of_sun[0].directions(2), start[None], motion)
+    track = carried(o, 2, facing(o.of_sun[0].directions(2)), start[None], motion)
     ended = shot(o, 2, track, motion, 20)
     assert np.abs(track.omega[0] - truth).max() > np.radians(5)
     assert np.abs(ended.omega[0] - truth).max() < np.radians(

@@ -123,13 +123,17 @@ def test_late_downlinks_are_no_boot(tmp_path, how, first):
 def test_live_frames_with_stored_ones_in_between_are_dated_by_the_live_ones():
     uptime = np.concatenate([5e5 + 20.0 * np.arange(30), 5e5 - 6000 + 20.0 * np.arange(30)])
     received = START + np.concatenate([20.0 * np.arange(30) + 1, 600 + np.arange(30)])
-    np.testing.assert_allclose(boot_starts(uptime, received, frames(60)), [START - 5e5 + 1])
+    np.testing.assert_allclose(
+        boot_starts(uptime, received, frames(60)), [START - 5e5 + 1], rtol=0, atol=1e-6
+    )
 
 
 def test_a_playback_at_the_rate_of_real_time_is_no_boot_if_the_uptime_is_longer_than_its_delay():
     uptime = 1e6 + 20.0 * np.arange(60)
     received = START + uptime + np.where(np.arange(60) < 30, 3000.0, 0.0)
-    np.testing.assert_allclose(boot_starts(uptime, received, frames(60)), [START])
+    np.testing.assert_allclose(
+        boot_starts(uptime, received, frames(60)), [START], rtol=0, atol=1e-6
+    )
 
 
 def test_frames_of_a_station_whose_clock_is_an_hour_wrong_are_no_boot():
@@ -227,7 +231,9 @@ def test_a_pass_before_and_one_after_the_clock_was_set_back_are_not_interleaved(
     with pytest.raises(ss.TelemetryError, match="as a clock that is set back"):
         read(tmp_path, cells, "")
     data = read(tmp_path, cells, 'time_zone = "Europe/Berlin"')
-    np.testing.assert_allclose(utc(data), [each.timestamp() for each in [*before, *after]])
+    np.testing.assert_allclose(
+        utc(data), [each.timestamp() for each in [*before, *after]], rtol=0, atol=1e-6
+    )
 
 
 def test_times_that_name_their_zone_pass_the_end_of_summer_time(tmp_path):
@@ -236,7 +242,7 @@ def test_times_that_name_their_zone_pass_the_end_of_summer_time(tmp_path):
     moments = local(SUMMER_ENDS)
     cells = [each.astimezone(ZoneInfo("Europe/Berlin")).isoformat() for each in moments]
     data = read(tmp_path, cells, "", "refuse")
-    np.testing.assert_allclose(utc(data), [each.timestamp() for each in moments])
+    np.testing.assert_allclose(utc(data), [each.timestamp() for each in moments], rtol=0, atol=1e-6)
     assert not notes(data)
 
 

@@ -28,7 +28,7 @@ ANCHORS = {
     "seem-late": ("SEEM LATE",),
     "messages-of-check": (
         *("WRONG UNIT", "WRONG AXES", "WEAK PANEL", "NOISE NOT STATED", "no signal in any sample"),
-        "impossible illumination patterns",
+        *("impossible illumination patterns", "HELD VALUES", "FROZEN from", "held values?"),
     ),
     "orbit": (
         *("elements not consistent", "inconclusive:", "NOT USED", "cannot judge it", "NO ORBIT"),

@@ -48,7 +48,7 @@ class Assessment:
     @property
     def has_panels(self) -> bool:
         """Whether the file has readings of panels."""
-        return "panel" in self.telemetry.coords
+        return "power_W" in self.telemetry or "current_A" in self.telemetry
 
     @cached_property
     def quality(self) -> xr.Dataset:

@@ -60,6 +60,9 @@ HELD_SHARE = 0.3
 LEAST_HELD = 6
 """Repeats of one column from which it may be said to hold its values."""
 
+LONGEST_RUN = 4.0
+"""Times the median run of equal values of such a column; a longer one has another reason."""
+
 MOST_COUNTED = 4
 """Samples inside a run of equal ones that count for its chance."""
 
@@ -340,6 +343,10 @@ def _held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.
         t, column = time[at], value[at, k]
         next_to = np.concatenate([[False], np.diff(np.cumsum(fresh)[at]) == 1])
         again = next_to & np.concatenate([[False], column[1:] == column[:-1]])
+        # a sensor that holds its value repeats each about as often; one at rest in the Sun, as a spinner's on its axis, has one long run
+        runs = np.diff(np.append(np.flatnonzero(~again), len(again)))
+        if not 2 <= np.median(runs) or runs.max() > LONGEST_RUN * np.median(runs):
+            continue
         step = resolution(column[:, None])
         # differences within one lit stretch; from one to the next they say little
         lit_stretch = np.cumsum(~next_to)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.estimate.rates.common_errors import Common, again, places_of
-from sunspin.estimate.rates.copies import ALIKE_RAD, Outline
+from sunspin.estimate.rates.copies import Outline
 from sunspin.estimate.rates.hypotheses import AS_STATED, Hypothesis
 from sunspin.estimate.rates.motion import step
 from sunspin.estimate.rates.noise import falling
@@ -87,10 +87,6 @@ ALIASED = 1.5
 
 COUNTED = 0.01
 """A mode of an alternative that holds less than this part of the weight is left out."""
-
-BENT_RAD = 1.0
-"""Two hypotheses, or two meanings of a reading, may bend one motion apart by so much between two samples; other motions differ by
-more, mostly by whole turns."""
 
 TORQUES_STRONGER, SWINGS_QUICKLY = (
     "unknown torques stronger than in the rest of the file",
@@ -563,7 +559,7 @@ def counted(trials: list[Trial]) -> list[Counted]:
             others = all(every[n][0] != i for n in members) or any(
                 term.several() for term in one.o.terms
             )
-            if outlines[i].copies(k, head, BENT_RAD if others else ALIKE_RAD, others)[0]:
+            if outlines[i].same(k, head, models_differ=others)[0]:
                 members.append(m)
                 break
         else:

@@ -20,6 +20,10 @@ WHOLE_SHARE = 0.7
 """And turns from the middle of the samples so much: 0.35 rad of them part two motions, as a fit moves no farther. Slow motions turn
 nearly alike between neighbours, and by whole turns otherwise over a pass."""
 
+BENT_RAD = 1.0
+"""Two models, or two meanings of a reading, may bend one motion apart by so much between two samples; other motions differ by more,
+mostly by whole turns."""
+
 COPY_SIGMAS = 3.0
 """Motions that far apart at most, at every sample, lie in one valley of the cost, however long that is, and are copies too."""
 
@@ -55,25 +59,40 @@ class Outline(NamedTuple):
         """Return which of some motions (K) turn like motion `k` between neighbours and see the Sun where it does."""
         return ((others.steps - self.steps[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
 
-    def copies(
-        self, k: int, others: Outline, apart_rad: float = ALIKE_RAD, joint: bool = False
-    ) -> np.ndarray:
-        """Return which of some motions (K) are copies of motion `k`.
+    def copies(self, k: int, others: Outline) -> np.ndarray:
+        """Return which of some motions (K), fitted under one model, are copies of motion `k`.
 
-        They turn alike at every step; and alike over the whole pass, or their rates are within `COPY_SIGMAS` at every sample: in
-        each one's own sigma, as a broad one reaches over narrow minima, or in the `joint` one where two models have them.
+        They turn alike at every step; and alike over the whole pass, or their rates are within `COPY_SIGMAS` in each one's own
+        sigma: a broad minimum reaches over narrow ones, which are none of its copies.
         """
-        same = self.steps_alike(k, others, apart_rad)
-        whole = ((others.whole - self.whole[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
-        doubtful = np.flatnonzero(same & ~whole)
-        same &= whole
-        if len(doubtful) and self.covariance.size and others.covariance.size:
-            own, theirs = self.covariance[k], others.covariance[doubtful]
-            off = others.omega[doubtful] - self.omega[k]
+        steps, whole = self.steps_alike(k, others), self._whole_alike(k, others, ALIKE_RAD)
+        return whole & steps | self._within_sigmas(k, others, steps & ~whole, joint=False)
+
+    def same(self, k: int, others: Outline, models_differ: bool) -> np.ndarray:
+        """Return which of some motions (K) are the same as motion `k` for a user.
+
+        Their turns agree as copies do, or to `BENT_RAD` where `models_differ`, or their rates are within `COPY_SIGMAS` of the joint
+        error: minima so near to each other make one motion with a larger error.
+        """
+        apart_rad = BENT_RAD if models_differ else ALIKE_RAD
+        alike = self.steps_alike(k, others, apart_rad) & self._whole_alike(k, others, apart_rad)
+        near = self.steps_alike(k, others, BENT_RAD) & ~alike
+        return alike | self._within_sigmas(k, others, near, joint=True)
+
+    def _whole_alike(self, k: int, others: Outline, apart_rad: float) -> np.ndarray:
+        return ((others.whole - self.whole[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
+
+    def _within_sigmas(self, k: int, others: Outline, asked: np.ndarray, joint: bool) -> np.ndarray:
+        """Return which of the motions `asked` for (K) have rates within `COPY_SIGMAS` of motion `k` at every sample."""
+        within = np.zeros(len(asked), dtype=bool)
+        which = np.flatnonzero(asked)
+        if len(which) and self.covariance.size and others.covariance.size:
+            own, theirs = self.covariance[k], others.covariance[which]
+            off = others.omega[which] - self.omega[k]
             spreads = [own + theirs] if joint else [np.broadcast_to(own, theirs.shape), theirs]
             far = np.max([_squared_sigmas(off, spread) for spread in spreads], axis=0)
-            same[doubtful] = far <= COPY_SIGMAS**2
-        return same
+            within[which] = far <= COPY_SIGMAS**2
+        return within
 
 
 def _squared_sigmas(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -205,7 +205,10 @@ def distinct_index(
 def grow(o: Observations, track: Track, low: int, high: int, motion: Motion) -> Track:
     """Carry hypotheses of samples low to high - 1 over all samples."""
     while len(track.omega) and (low > 0 or high < len(o)):
-        more = neighbours(o.part(low, high), track, motion)
+        part = o.part(low, high)
+        # the covariance of what does not fit says nothing
+        fitting = np.flatnonzero(track.cost < POOR * cost_limit(part))
+        more = neighbours(part, track.take(fitting), motion)
         attitude = np.concatenate([track.attitude, more.attitude])
         omega = np.concatenate([track.omega, more.omega])
         for _ in range(max(1, (high - low) // GROW_SHARE)):

@@ -20,8 +20,11 @@ BASIN_RAD = 0.35
 REACH = 2.5
 """Sigmas along the valley; a motion farther out costs 3 more, and is reached from its own neighbours if it stays."""
 
-MOST_EACH, MOST = 8, 64
-"""Neighbours on either side of one motion, and of all: half a turn of the body over a window on either side is 9."""
+MOST_EACH, MOST = 8, 16
+"""Neighbours on either side of one motion, and of all: 32 found no more slow bodies, and took a tenth longer."""
+
+LEADING = 6.0
+"""Motions that cost more than the best by this have no neighbours."""
 
 
 def neighbours(o: Observations, track: Track, motion: Motion) -> Track:
@@ -35,7 +38,7 @@ def neighbours(o: Observations, track: Track, motion: Motion) -> Track:
     track : Track
         Motions fitted to `o`, with covariance.
     """
-    if not track.covariance.size:
+    if not track.covariance.size or not len(track.cost):
         return track.take(slice(0))
     middle = len(o) // 2
     covariance = np.nan_to_num(track.covariance[:, middle])
@@ -44,6 +47,7 @@ def neighbours(o: Observations, track: Track, motion: Motion) -> Track:
     # an error of the rate turns the body otherwise by that times the time to the farther end of the window
     spacing = 2 * BASIN_RAD / np.abs(o.t_s - o.t_s[middle]).max()
     on_each_side = np.clip(np.ceil(REACH * sigma / spacing - 0.5), 0, MOST_EACH).astype(int)
+    on_each_side[track.cost > track.cost.min() + LEADING] = 0
     # the attitude that goes with a rate, as the covariance has it: the Sun stays where it was seen
     turn_per_rate = np.einsum("kij,kj->ki", covariance[:, :3, 3:], axis)
     turn_per_rate /= np.maximum(variance[:, -1:], np.finfo(float).tiny)
