@@ -343,7 +343,7 @@ def _held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.
         t, column = time[at], value[at, k]
         next_to = np.concatenate([[False], np.diff(np.cumsum(fresh)[at]) == 1])
         again = next_to & np.concatenate([[False], column[1:] == column[:-1]])
-        # a sensor that holds its value repeats each about as often; one at rest in the Sun, as a spinner's on its axis, has one long run
+        # a sensor that holds its values repeats each about as often; a panel on the spin axis has one long run
         runs = np.diff(np.append(np.flatnonzero(~again), len(again)))
         if not 2 <= np.median(runs) or runs.max() > LONGEST_RUN * np.median(runs):
             continue
