@@ -357,7 +357,7 @@ def make(kind: str, seed: int, i: int) -> Made:
 
 def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
     """What is said of a simulated pass, and whether it is true; of one that is not decided, whether its best motion `leads`:
-    holds the weight that is asked for, and fits."""
+    holds the probability that is asked for, fits, and has a speed above its error."""
     made = make(kind, seed, i)
     try:
         result = rates(made.vehicle, made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
@@ -390,9 +390,10 @@ def judged(result: Any, made: Made) -> dict[str, Any]:
         not is_wrong(omega, sigma, (2 * keep - 1) * truth) for keep in np.eye(3)
     )
     fitted = result["cost"].values[0, 0] <= result["cost_limit"].values[0]
+    told = result["constrained_speed"].values[0]  # else an upper limit is the right answer
     return {
         "decided": bool(result["decided"].values[0]),
-        "leads": bool(result["probability"].values[0, 0] >= DECIDED and fitted),
+        "leads": bool(result["probability"].values[0, 0] >= DECIDED and fitted and told),
         "wrong": wrong and not mirrored,
         "mirrored": mirrored,
         "listed": is_listed(omegas, sigmas, result["probability"].values[0], truth),
