@@ -125,7 +125,7 @@ def judged(omega_deg_s, sigma_deg_s, limit_deg_s, probability=(1.0,)):
     spread = np.sqrt((share * (sigma**2 + (omega - omega[0]) ** 2)).sum(axis=0))
     drawn = drawn_speeds(omega, np.stack([np.diag(one**2) for one in sigma]))
     said = answers(True, spread, np.radians(limit_deg_s) / 2, SOUND, True, True)
-    return said._replace(speed=speed_of(omega[0], drawn, np.array(probability)))
+    return said._replace(speed=speed_of(omega[0], [*drawn], np.array(probability)))
 
 
 def test_a_rate_smaller_than_its_error_is_an_upper_limit_and_not_decided():
@@ -170,8 +170,14 @@ def test_error_and_limit_of_the_speed_are_those_of_draws():
         drawn + np.where(second, 0.7, 0.5)[:, None] * rng.normal(size=drawn.shape), axis=1
     )
     assert np.degrees(both.speed.below) == pytest.approx(np.quantile(speed, 0.95), rel=0.02)
-    rms = np.sqrt(np.mean((speed - 1.0) ** 2))
+    rms = np.sqrt(np.mean((speed[~second] - 1.0) ** 2))
     assert np.degrees(both.speed.sigma) == pytest.approx(rms, rel=0.02)
+
+
+def test_an_unlikely_alias_makes_no_upper_limit_of_a_known_speed():
+    said = judged([[0.5, 0, 0], [0, 9.0, 0]], [[0.01] * 3] * 2, 60.0, (0.96, 0.04))
+    assert said.speed_constrained
+    assert np.degrees(said.speed.sigma) == pytest.approx(0.01, rel=0.05)
 
 
 @pytest.mark.parametrize(

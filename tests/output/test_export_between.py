@@ -24,6 +24,10 @@ SLOWING = Wheel(
     "wheel", axis_B=[0, 0, 1], inertia_kg_m2=2e-4, speed_rad_s=300.0, friction=Friction(1e-4, 1e-7)
 )
 WHEELED = Vehicle("made up", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]), wheels=[SLOWING])
+HEAVY = Wheel(
+    "wheel", axis_B=[0, 0, 1], inertia_kg_m2=2e-4, speed_rad_s=500.0, friction=Friction(1e-8, 1e-10)
+)
+SLOW = Vehicle("made up", inertia_kg_m2=np.diag([0.1, 0.12, 0.08]), wheels=[HEAVY])
 
 MOTIONS = {
     **{
@@ -35,6 +39,7 @@ MOTIONS = {
     "tumbling fast, far apart": (TRIAXIAL, [40, 20, -30], 120, "coast"),
     "a wheel runs down and stops": (WHEELED, [1, 0.5, -2], 20, "coast"),
     "nutation about a wheel": (WHEELED, [1, 0.5, -2], 120, "hold"),
+    "a slow body about a wheel": (SLOW, [0.01, 0.01, 0], 120, "hold"),
 }
 LARGEST_ERROR_DEG = 0.1
 
@@ -164,9 +169,9 @@ def sunspin(folder, *arguments, code=0):
 
 def test_a_trajectory_too_coarse_to_interpolate_names_the_step_that_is_not():
     motion = propagated(TRIAXIAL, [0, 0, 12], "coast")
-    with pytest.raises(ss.InputError, match=r"up to 240 degrees between.*again with --step 2\.3"):
+    with pytest.raises(ss.InputError, match=r"up to 240 degrees between.*again with --step 2\.1"):
         attitude_of(motion(np.arange(0, 601, 20.0)), epoch_utc=EPOCH, dense=True)
-    fine = attitude_of(motion(np.arange(0, 601, 2.3)), epoch_utc=EPOCH, dense=True)
+    fine = attitude_of(motion(np.arange(0, 601, 2.1)), epoch_utc=EPOCH, dense=True)
     assert fine.largest_rotation() < 0.11
 
 
@@ -180,9 +185,9 @@ def test_a_motion_longer_than_a_curve_may_be_is_simulated_in_parts(monkeypatch):
         run = with_curve(run, TRIAXIAL.inertia_kg_m2, motion)
         return attitude_of(run, epoch_utc=EPOCH, dense=True)
 
-    with pytest.raises(ss.InputError, match="in parts, with a --duration of 110"):
+    with pytest.raises(ss.InputError, match="in parts, with a --duration of 100"):
         exported(600)
-    assert exported(110).largest_rotation() < 0.11
+    assert exported(100).largest_rotation() < 0.11
 
 
 def test_an_attitude_is_not_interpolated_across_a_gap(tmp_path):

@@ -41,9 +41,9 @@ LINE_2 = re.compile(
 EPHEMERIS_COLUMN = 62
 """Index in line 1 of the ephemeris type, which says for which propagator the elements are."""
 
-FOR_SGP4 = ("0", "1", "2")
-"""Ephemeris types of elements for SGP4: 0 in all published ones, 1 (SGP) and 2 (SGP4) in a few. 4 is SGP4-XP, whose elements
-SGP4 propagates to wrong places without an error."""
+FOR_SGP4 = ("0", "1", "2", "3")
+"""Ephemeris types of elements for SGP4: 0 in all published ones; 1 (SGP), 2 (SGP4) and 3 (SDP4, its part for deep space) in a few.
+4 is SGP4-XP, whose elements SGP4 propagates to wrong places without an error."""
 
 NUMBERS = (
     "MEAN_MOTION",
@@ -72,7 +72,7 @@ ASSUMED = {
 }
 """What an OMM means that leaves a key out: the first four are those of all published ones for SGP4."""
 
-THEORIES = {"SGP", "SGP4", "SGPSGP4"}
+THEORIES = {"SGP", "SGP4", "SGPSGP4", "SDP4", "SGP4SDP4"}
 TEME = {"TEME", "TEMEOFDATE"} | {
     f"TRUEEQUATOR{link}MEANEQUINOX{date}" for link in ("", "AND") for date in ("", "OFDATE")
 }
@@ -255,7 +255,7 @@ def _require_SGP4(ephemeris_type: str, at: str) -> None:
     if ephemeris_type not in FOR_SGP4:
         xp = " (SGP4-XP)" if ephemeris_type == "4" else ""
         what = "the ephemeris type says that the elements are not for SGP4"
-        do = "get elements for SGP4, of ephemeris type 0 or 2"
+        do = "get elements for SGP4, of ephemeris type 0 to 3"
         raise InputError(what, got=f"{ephemeris_type}{xp}", do=do, where=at)
 
 
@@ -286,7 +286,7 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
         what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
         raise InputError(what, got=known["MEAN_ELEMENT_THEORY"], do=do, where=where)
     _require_SGP4(known["EPHEMERIS_TYPE"].removesuffix(".0").lstrip("0") or "0", where)
-    if known["CENTER_NAME"].upper() != "EARTH":
+    if known["CENTER_NAME"].upper() not in ("EARTH", "399"):  # 399 is NAIF's number of the Earth
         what, do = "CENTER_NAME of the OMM is not EARTH", "give elements about the Earth"
         raise InputError(what, got=known["CENTER_NAME"], do=do, where=where)
     if _letters(known["REF_FRAME"]) not in TEME:
@@ -321,7 +321,7 @@ def _utc(epoch: str, scale: str, where: str) -> datetime:
         if given.year < FIRST_YEAR or given.year != int(form[1][:4]):  # day 366 of a common year
             raise ValueError
     except ValueError:
-        what = "EPOCH must be a UTC time such as 2026-01-31T12:00:00.0"
+        what = "EPOCH must be a time such as 2026-01-31T12:00:00.0"
         raise InputError(what, got=epoch, where=where) from None
     given += timedelta(seconds=float(form[3] or 0))
     exact = [each for each in TIME_SCALES if each != "UT1"]  # known to 0.9 s only, 7 km of flight

@@ -56,22 +56,25 @@ def speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.quantile(drawn_speeds(omega, covariance), SPEEDS, axis=1).T
 
 
-def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray | None = None) -> Speed:
+def speed_of(omega: np.ndarray, drawn: list[np.ndarray], probability: np.ndarray) -> Speed:
     """Return the speed of the rate `omega` (3), with its error and its upper limit.
 
-    `drawn` (K, n): speeds drawn from each solution; `probability` (K), by which they count; None: all count alike. Near zero the
-    speed is not normally distributed, so its error and limit are computed from draws and not by linear propagation.
+    `drawn`: speeds drawn from each of K solutions, the first of which has the rate; `probability` (K), by which they count. The
+    error is that of the first: an unlikely alias makes it no larger. The limit counts all. Near zero the speed is not normally
+    distributed, so both are computed from draws and not by linear propagation.
     """
     value = float(np.linalg.norm(omega))
-    if not (np.isfinite(value) and np.isfinite(drawn).all()):
+    speed = np.concatenate(drawn)
+    if not (np.isfinite(value) and np.isfinite(speed).all()):
         return Speed(value, np.nan, np.nan)
-    weight = np.ones(len(drawn)) if probability is None else np.asarray(probability)
-    each = np.repeat(weight / weight.sum() / drawn.shape[1], drawn.shape[1])
-    speed = drawn.ravel()
+    shares = np.asarray(probability) / np.sum(probability)
+    each = np.concatenate(
+        [np.full(len(part), share / len(part)) for part, share in zip(drawn, shares, strict=True)]
+    )
     order = np.argsort(speed)
     passed = np.searchsorted(np.cumsum(each[order]), UPPER)
     below = float(speed[order[min(passed, len(order) - 1)]])
-    return Speed(value, float(np.sqrt(each @ (speed - value) ** 2)), below)
+    return Speed(value, float(np.sqrt(np.mean((drawn[0] - value) ** 2))), below)
 
 
 def rate_known(result: Any) -> np.ndarray:

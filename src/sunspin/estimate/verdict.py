@@ -54,7 +54,7 @@ class Misfit(NamedTuple):
 
 class Speed(NamedTuple):
     """The angular speed of the reported motion, rad/s: `value`, that of the most probable solution; `sigma`, the root mean square
-    of the speed's difference from it; `below`, the 95 % quantile of the speed. The last two count all solutions."""
+    of the speed's difference from it within that solution; `below`, the 95 % quantile of the speed, all solutions counted."""
 
     value: float
     sigma: float

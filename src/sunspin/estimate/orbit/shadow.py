@@ -16,6 +16,7 @@ from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import SEEN_IN_SHADOW
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import DROPPED, SPIKE_FACTOR, came_late
+from sunspin.telemetry.repeats import PANELS
 from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import UNITS
 from sunspin.vehicle.response.panels import brightness
@@ -48,28 +49,45 @@ STEP_S, COARSE_S, SIDE_S = 10.0, 30.0, 600.0
 
 class SunInShadow(NamedTuple):
     """Samples with clear Sun in the full shadow, at the offset within the prior that leaves fewest, and all samples there.
-    `beyond_s`: the smallest offset (s) without a contradiction, NaN if there is none. All are 0 without a contradiction."""
+
+    `behind_s`, `ahead_s`: the least errors (s) of a clock that is behind or ahead of UTC, or of elements that are as far off, that
+    remove the contradiction; NaN if none does. All are 0 without a contradiction.
+    """
 
     samples: int = 0
     of: int = 0
-    beyond_s: float = 0.0
+    behind_s: float = 0.0
+    ahead_s: float = 0.0
+
+    @property
+    def beyond_s(self) -> float:
+        """The smaller of the two errors, s; NaN if no error of the clock removes the contradiction."""
+        known = [each for each in (self.behind_s, self.ahead_s) if np.isfinite(each)]
+        return min(known, default=np.nan)
 
     def __str__(self) -> str:
         """Return the contradiction in words; empty if there is none."""
         if not self.samples:
             return ""
-        size = self.beyond_s, "s"
-        if self.beyond_s >= 120:
-            size = self.beyond_s / 60, "min"
-        off = (
-            "no clock error explains it, so the orbit is another one"
-            if np.isnan(self.beyond_s)
-            else f"the elements or the telemetry's clock are off by {size[0]:.0f} {size[1]} or more"
-        )
+        sides = [
+            f"{_least(each)} or more if it is {word} UTC"
+            for each, word in ((self.behind_s, "behind"), (self.ahead_s, "ahead of"))
+            if np.isfinite(each)
+        ]
+        off = "no clock error explains it, so the orbit is another one"
+        if sides:
+            off = (
+                f"the elements or the telemetry's clock are off: the clock by {', or '.join(sides)}"
+            )
         return (
             f"the elements do not fit: {self.samples} of {self.of} samples deep in the Earth's shadow "
             f"have clear Sun; {off}"
         )
+
+
+def _least(size_s: float) -> str:
+    """Return a time in words, rounded down."""
+    return f"{size_s // 60:.0f} min" if size_s >= 120 else f"{size_s:.0f} s"
 
 
 def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInShadow:
@@ -94,11 +112,14 @@ def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInS
     if not against.all():
         return SunInShadow()
     wide = COARSE_S * np.arange(-int(half / COARSE_S), int(half / COARSE_S) + 1)
-    beyond = np.abs(wide[~counted(wide)[2]]).min(initial=np.inf)
-    k = int(seen.argmin())
-    return SunInShadow(
-        int(seen[k]), int(whole[k]), float(beyond) if np.isfinite(beyond) else np.nan
+    free = wide[~counted(wide)[2]]
+    # a satellite that is ahead of its place has a clock that is behind; the contradiction may end a step of the grid earlier
+    behind, ahead = (
+        float(side.min() - COARSE_S) if side.size else np.nan
+        for side in (free[free > 0], -free[free < 0])
     )
+    k = int(seen.argmin())
+    return SunInShadow(int(seen[k]), int(whole[k]), behind, ahead)
 
 
 def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
@@ -113,11 +134,12 @@ def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
         bright, clear = _sunlit_by_panels(assessment)
         value = signals(telemetry)
         repeated = np.append(False, (value[1:] == value[:-1]).all(axis=1))
+        repeated |= assessment.repeats.of(PANELS)
         known = np.isfinite(value).any(axis=1) & ~(repeated & bright)
     elif "sun_sensor_B" in telemetry and sensors.sun_vector is None:
         if all(sensor.light_column for sensor in sensors.sun_sensors):
-            clear = np.asarray(np.isfinite(telemetry["sun_sensor_B"].values).all(axis=1))
-            known = np.ones_like(clear)
+            clear = np.asarray(np.isfinite(assessment.sensors["sun_sensor_B"].values).all(axis=1))
+            known = ~assessment.repeats.of("sun_sensor_B")
     use = np.flatnonzero(known & ~came_late(telemetry))
     if len(use) > MOST_SAMPLES:
         use = use[np.linspace(0, len(use) - 1, MOST_SAMPLES).astype(int)]

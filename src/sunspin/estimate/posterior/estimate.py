@@ -78,9 +78,11 @@ SURELY_LIT = 5.0
 EDGE = 0.97
 """Draws beyond this part of the largest rate searched say that the truth may be outside."""
 
-FEW_BODIES, SMALL_SIGMA = 0.2, 0.1
-"""Part of the prior of the inertia that describes bodies, below which it is what leaves no draws; and the relative sigma that is
-advised then, with which nearly all do."""
+FEW_BODIES, MOST_BODIES = 0.2, 0.5
+"""Part of the prior of the inertia that describes bodies: below the first it leaves no draws, above the second it is no cause."""
+
+ADVISED_SIGMAS = (0.1, 0.03, 0.01, 3e-3, 1e-3)
+"""Relative sigmas of the inertia that may be advised, the largest first."""
 
 TAG_CHANCE = 0.05
 """Chance with exact time tags below which residuals in step with the powers' rates of change are taken for errors of these."""
@@ -290,10 +292,17 @@ def _nothing_drawn(stated: Hypothesis) -> InputError:
     """
     limit, share = stated.likelihood.model.max_rate, stated.likelihood.model.log_truncated
     if share < np.log(FEW_BODIES):
+        vehicle = stated.likelihood.model.vehicle
+        advised = (
+            sigma
+            for sigma in ADVISED_SIGMAS
+            if model(vehicle, {"inertia": sigma}, 1.0)[0].log_truncated > np.log(MOST_BODIES)
+        )
+        sigma = next(advised, ADVISED_SIGMAS[-1])
         return InputError(
             "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
             got=f"{np.exp(share):.2g} of the prior",
-            do=f"give --prior inertia={SMALL_SIGMA:g}, or smaller sigmas with inertia_kg_m2 in the vehicle file",
+            do=f"give --prior inertia={sigma:g}, or smaller sigmas in the vehicle file",
         )
     return InputError(
         "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within",

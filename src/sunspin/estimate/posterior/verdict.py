@@ -189,8 +189,15 @@ def believed(
     )  # of the doubts that one is about the fit
     first = about["t_first_s"]
     judged = answers(found.is_unique, drawn.std(axis=0), prior_sigma, {}, explained, complete)
-    all_speeds = np.linalg.norm(drawn, axis=1)[None]
-    judged = judged._replace(speed=speed_of(modes["omega_B"].values[0], all_speeds))
+    drawn_speed = np.linalg.norm(drawn, axis=1)
+    best = region == region.min(initial=0)
+    if not best.any():  # no draw fell to it
+        best[:] = True
+    parts = [drawn_speed[best], drawn_speed[~best]]
+    parts = [part for part in parts if len(part)]
+    judged = judged._replace(
+        speed=speed_of(modes["omega_B"].values[0], parts, np.array([len(part) for part in parts]))
+    )
     return PassMotions(
         about["samples"],
         first,

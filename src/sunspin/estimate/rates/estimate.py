@@ -234,9 +234,12 @@ def rates(
         else None
     )
     o, why, source = observations(vehicle, assessment, source, local, calibration)
-    parts = passes(o, why, gap_s)
-    ids = _asked_for(pass_id, len(parts))
-    parts = [parts[k] for k in ids]
+    use, every = usable(o, why), passes(o, why, gap_s)
+    ids = _asked_for(pass_id, len(every))
+    parts = [every[k] for k in ids]
+    # passes hold samples thinned for the search; between their ends lie all that are used
+    wholes = [np.intersect1d(use, np.arange(part[0], part[-1] + 1)) for part in every]
+    why, wholes = in_passes(use, why, wholes, ids), [wholes[k] for k in ids]
     rate_max = _rate_max(
         vehicle.sensors.disturbance.max_rate_rad_s if max_rate_rad_s is None else max_rate_rad_s,
         o,
@@ -253,9 +256,6 @@ def rates(
             np.concatenate([momentum[part] for momentum in momenta.values()]),
             np.diff(o.t_s[part]).max(),
         )
-    use = usable(o, why)
-    wholes = [np.intersect1d(use, np.arange(part[0], part[-1] + 1)) for part in parts]
-    why = in_passes(use, why, wholes, pass_id is None)
     _begin(body, (wholes, parts), effort, progress)
     with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress is True else None)

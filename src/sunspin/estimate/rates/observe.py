@@ -100,12 +100,16 @@ def usable(o: Observations, why: np.ndarray) -> np.ndarray:
 
 
 def in_passes(
-    use: np.ndarray, why: np.ndarray, wholes: list[np.ndarray], every: bool
+    use: np.ndarray, why: np.ndarray, every: list[np.ndarray], asked: list[int]
 ) -> np.ndarray:
-    """Return the sentences (n) in which only samples of the passes `wholes` are used, of those that `use` lists; `every` pass of
-    the file is among them."""
+    """Return the sentences (n) in which only the samples of the passes `asked` for are used.
+
+    `use`: indices of usable samples; `every`: those of each pass of the file, of which some are in none.
+    """
     why = why.copy()
-    why[np.setdiff1d(use, np.concatenate(wholes))] = ALONE if every else NOT_ASKED
+    why[np.setdiff1d(use, np.concatenate(every))] = ALONE
+    for k in set(range(len(every))) - set(asked):
+        why[every[k]] = NOT_ASKED
     return why
 
 

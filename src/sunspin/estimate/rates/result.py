@@ -246,7 +246,7 @@ def believed(
         one = either_side(p.track) if len(images_of(o)) > 1 else np.arange(len(p.weight)) == 0
         unique = bool(p.weight[one].sum() >= DECIDED)
         spread = _spread(omega, sigma, p.weight)
-        speed = speed_of(omega[0], drawn_speeds(omega, covariance), p.weight)
+        speed = speed_of(omega[0], [*drawn_speeds(omega, covariance)], p.weight)
         said = answers(unique, spread, motion.rate_prior, told, explained, not missed, missed)
         said = said._replace(speed=speed)
         checked = UNCHECKED if list(told) == ["Sun"] else AS_STATED
