@@ -52,26 +52,6 @@ COMMANDS = {
 """Name -> heading of --help and line there, in its order. A command's module, of its name, is imported when it is used."""
 
 
-GONE_COMMANDS = {
-    name: f"`sunspin {name}` is a study of the repository now: `python -m studies.coverage OUT`"
-    for name in ("coverage", "worth")
-}
-GONE_OPTIONS: dict[str, str] = {
-    **{
-        f"--{name}": f"--{name} is --{name}-deg-s now, and its rates are in deg/s"
-        for name in ("omega", "omega-x", "omega-y", "omega-z", "rate", "gyro", "max-rate")
-    },
-    "--interpolate": "--interpolate is gone, every motion of a scan is run; leave it out",
-    "--device": "--device is gone, kernels run on processors only; leave it out",
-    "--best-delay": "--best-delay is gone; compare delays by --strategy delay:SECONDS, given several times",
-    "--data": "--data of `sunspin reproduce` is gone, the impulse is a study: `python -m studies.impulse OUT --data FOLDER`",
-    "--noise": "--noise of `sunspin rates` is --acceleration-noise now, in rad/s^1.5",
-    "--no-wirings": "--no-wirings is --no-column-tests now",
-    "--printed-lines": "--printed-lines is gone, these lines are of the paper's body; give --omega-deg-s x,y,z or --scan scan.nc",
-}
-"""What earlier versions accepted and this one does not, and the sentence for each."""
-
-
 class Group(click.Group):
     """A group whose commands are imported on demand, so that --help stays fast."""
 
@@ -105,8 +85,6 @@ class Group(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
-            if args[0] in GONE_COMMANDS:
-                raise click.UsageError(GONE_COMMANDS[args[0]], ctx) from None
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             if not near or "Did you mean" in error.message:
                 raise
