@@ -5,9 +5,9 @@
   in this process (its start would cost more than its work), `cd` changes the folder, everything else goes to a shell.
 - ``toml``, ``csv`` whose first line is ``# file: NAME``: written to that file.
 
-In what is printed, ``...`` stands for anything, within a line or for lines. A block that cannot run here says so in
-a comment of the line above it, which readers do not see: ``<!-- not run: reason -->``. A block below ``<!-- long -->`` or ``<!-- slow -->`` runs with the tests of
-that mark only.
+In what is printed, ``...`` stands for anything, within a line or for lines. A block that cannot run here says so in the line
+above it, in a comment that readers of the page do not see: ``<!-- not run: reason -->``. A block below ``<!-- long -->`` or
+``<!-- slow -->`` runs with the tests of that mark only.
 """
 
 from __future__ import annotations
