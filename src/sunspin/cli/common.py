@@ -39,6 +39,7 @@ COMMANDS = {
     "calibrate-sensors": (YOURS, "Calibrate panels, Sun sensors, magnetometer and gyro in flight."),
     "rates": (YOURS, "Estimate body rates and attitude of each pass."),
     "posterior": (YOURS, "Sample the full posterior of one stretch of free motion."),
+    "explain": (YOURS, "Explain a verdict or a warning."),
     "report": (YOURS, "Make an HTML report from a results folder."),
     "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
     "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),
@@ -119,7 +120,7 @@ class Output:
 
         if labels := explained(self.command, lines):
             summary = {**summary, "explained": [f"{PAGE}#{label}" for label in labels]}
-            lines = [*lines, f"Verdicts explained: {PAGE}#{', #'.join(labels)}"]
+            lines = [*lines, f"For what this means: sunspin explain {' '.join(labels)}"]
         if self.as_json:
             from sunspin.output.folder import plain
 
