@@ -5,9 +5,9 @@
   in this process (its start would cost more than its work), `cd` changes the folder, everything else goes to a shell.
 - ``toml``, ``csv`` whose first line is ``# file: NAME``: written to that file.
 
-In what is printed, ``...`` stands for anything, within a line or for lines. A block that cannot run here says so to its reader, in
-the line above it: ``*Not run by the tests: reason.*`` A block below ``<!-- long -->`` or ``<!-- slow -->`` runs with the tests of
-that mark only.
+In what is printed, ``...`` stands for anything, within a line or for lines. A block that cannot run here says so in the line
+above it, in a comment that readers of the page do not see: ``<!-- not run: reason -->``. A block below ``<!-- long -->`` or
+``<!-- slow -->`` runs with the tests of that mark only.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 WRITTEN = {"believe.md", "cli.md", "examples.md", "variables.md"}
 """Pages that the build of the site writes."""
 
-NOT_RUN = re.compile(r"\*Not run by the tests: .{10,}\.\*")
+NOT_RUN = re.compile(r"<!-- not run: .{10,} -->")
 MARKS = {"<!-- long -->": "long", "<!-- slow -->": "slow"}
 LANGUAGES = {"python", "console", "text", "toml", "csv", "html"}
 

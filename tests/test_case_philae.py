@@ -170,3 +170,25 @@ def test_a_case_without_a_timeline_says_so():
     assert case.require_timeline() is case.timeline
     with pytest.raises(ss.InputError, match="'skcube' has no timeline"):
         ss.load_case("skcube").require_timeline()
+
+
+def test_the_built_in_lander_is_that_of_the_published_tables():
+    """The tables are typed twice: as the vehicle, and as published figures; a slip in either shows here."""
+    case = ss.load_case("philae")
+    table = {key: case.published[key].value for key in ("table_2", "table_3", "cells")}
+    mass, inertia, of_wheel = table["table_2"]
+    vehicle = case.vehicle
+    assert (vehicle.mass_kg, vehicle.wheels[0].inertia_kg_m2) == (mass, of_wheel)
+    np.testing.assert_array_equal(vehicle.inertia_kg_m2, inertia)
+    np.testing.assert_array_equal([leg.tip_B_m for leg in vehicle.legs], table["table_3"])
+    np.testing.assert_array_equal(vehicle.panel_gains, table["cells"])
+
+
+def test_the_published_number_of_runs_is_that_of_the_published_grid():
+    figure = {key: one.value for key, one in ss.load_case("philae").published.items()}
+    step = figure["scan_step"]
+    points = [
+        round((high - low) / step) + 1
+        for low, high in (figure[f"scan_omega_{axis}"] for axis in "xyz")
+    ]
+    assert np.prod(points) == figure["scan_runs"] == 418241

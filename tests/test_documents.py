@@ -70,7 +70,7 @@ def test_the_runner_notices(tmp_path):
         with pytest.raises((AssertionError, ZeroDivisionError, click.ClickException, SystemExit)):
             Reader(page, tmp_path).follow(block)
     (block,) = blocks(
-        "*Not run by the tests: it needs a cluster of machines.*\n\n```console\n$ false\n```\n"
+        "<!-- not run: it needs a cluster of machines -->\n\n```console\n$ false\n```\n"
     )
     assert block.skipped
 

@@ -44,6 +44,8 @@ def test_the_wheel_works_on_its_own(built, tmp_path):
         tmp_path,
     ).split()
     assert where == [str(tmp_path / "sunspin" / "__init__.py"), "251"]
+    page = (ROOT / "docs" / "howto" / "verdicts.md").read_text("utf-8")
+    assert (tmp_path / "sunspin" / "output" / "verdicts.md").read_text("utf-8") == page
     assert (tmp_path / "mine" / "vehicle.toml").is_file() and (
         tmp_path / "sunspin" / "py.typed"
     ).is_file()

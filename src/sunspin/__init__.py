@@ -7,6 +7,7 @@ Public names are loaded on first use, so that ``import sunspin`` and ``sunspin -
 from __future__ import annotations
 
 import sys
+from difflib import get_close_matches
 from importlib import import_module, metadata
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -145,24 +146,13 @@ else:
     sys.meta_path.insert(0, _AfterXarray())
 
 
-_STUDY = "is a study of the repository now: `python -m studies.coverage OUT`"
-
-_GONE = {
-    "coverage": f"ss.coverage {_STUDY}",
-    "worth": f"ss.worth {_STUDY}",
-    "ensemble": "ss.ensemble is gone; ss.scan, ss.outcomes and ss.posterior spread their own rows: give them workers",
-    "Interrupted": "ss.Interrupted is gone; catch KeyboardInterrupt, or ss.SunspinError",
-}
-"""Public name of an earlier version -> what is to be said of it."""
-
-
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return metadata.version("sunspin")
-    if name in _GONE:
-        raise AttributeError(_GONE[name])
     if name not in _HOME:
-        raise AttributeError(f"module 'sunspin' has no attribute {name!r}")
+        near = get_close_matches(name, _HOME, n=1)
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        raise AttributeError(f"module 'sunspin' has no attribute {name!r}{meant}")
     return getattr(import_module(_HOME[name]), name)
 
 

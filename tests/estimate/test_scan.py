@@ -97,9 +97,6 @@ def test_the_near_minimum_set_by_hand():
         coords={"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]},
     )
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
-    earlier = volume.assign_coords(emd_bound=xr.full_like(volume, 1e-3))
-    with pytest.raises(ss.InputError, match="interpolated.*scan again"):
-        near_minimum(earlier, 1.1)
 
 
 def test_rows_that_could_not_be_computed_are_never_near_the_minimum():

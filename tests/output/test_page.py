@@ -227,7 +227,7 @@ def test_only_our_folders_are_taken(tmp_path):
     with pytest.raises(InputError, match="not a results folder"):
         write_report(tmp_path)
     (tmp_path / MARKER).write_text("rates\n", "utf-8")
-    with pytest.raises(InputError, match="earlier version wrote it.*run the command again"):
+    with pytest.raises(InputError, match="the run did not end.*run the command again"):
         write_report(tmp_path)
     assert (tmp_path / "report.html").read_text("utf-8") == "mine"
 

@@ -6,12 +6,14 @@ import json
 import re
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
+from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.estimate.orbit.check import Verdict
 from sunspin.estimate.verdict import Answers
-from sunspin.output.verdicts import ANCHORS, PAGE, explained
+from sunspin.output.verdicts import ANCHORS, PAGE, explained, section
 from sunspin.telemetry.sun import RECONSTRUCTED, STATUS_TEXT
 
 ROOT = Path(__file__).parents[2]
@@ -54,7 +56,25 @@ def test_the_last_line_and_the_summary_name_the_section(tmp_path):
     out = str(tmp_path / "sun")
     for words in (["check", "philae", "philae"], ["sun", "philae", "philae", "--out", out]):
         lines = CliRunner().invoke(cli, words, catch_exceptions=False).output.splitlines()
-        assert lines[-1].startswith("Verdicts explained: ") and "#sun-status" in lines[-1]
+        assert lines[-1].startswith("For what this means: sunspin explain ")
+        assert "sun-status" in lines[-1].split()
     assert (
         PAGE + "#sun-status" in json.loads((tmp_path / "sun/summary.json").read_text())["explained"]
     )
+
+
+def test_explain_prints_the_section_of_the_page(tmp_path):
+    page = (ROOT / PAGE).read_text("utf-8")
+    for label in ANCHORS:
+        done = CliRunner().invoke(cli, ["explain", label], catch_exceptions=False)
+        heading, *body = done.output.splitlines()
+        assert f"({label})=\n## {heading}\n" in page
+        assert any(line in page for line in body if len(line) > 40)
+        assert ")=" not in done.output and "](" not in done.output
+
+
+def test_explain_lists_its_labels_and_names_the_nearest_one():
+    done = CliRunner().invoke(cli, ["explain"], catch_exceptions=False)
+    assert done.output.split() == list(ANCHORS)
+    with pytest.raises(InputError, match="did you mean poor-fit?"):
+        section("poor-fits")

@@ -14,7 +14,7 @@ import warnings
 import click
 
 from sunspin.base.errors import SunspinError, printable
-from sunspin.cli.common import GONE_OPTIONS, Group
+from sunspin.cli.common import Group
 
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
@@ -66,8 +66,6 @@ def main() -> None:
         text = " ".join(error.format_message().split()).rstrip(".")
         text = re.sub("is not a valid float( range)?", "is not a number such as -1.5e-3", text)
         text = re.sub("is not a valid integer( range)?", "is not a whole number", text)
-        if isinstance(error, click.NoSuchOption):
-            text = GONE_OPTIONS.get(error.option_name, text)
         context = getattr(error, "ctx", None)
         text += f"; see `{context.command_path} --help`" if context is not None else ""
         text, code = f"error: {text}", 2

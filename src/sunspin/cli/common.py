@@ -39,6 +39,7 @@ COMMANDS = {
     "calibrate-sensors": (YOURS, "Calibrate panels, Sun sensors, magnetometer and gyro in flight."),
     "rates": (YOURS, "Estimate body rates and attitude of each pass."),
     "posterior": (YOURS, "Sample the full posterior of one stretch of free motion."),
+    "explain": (YOURS, "Explain a verdict or a warning."),
     "report": (YOURS, "Make an HTML report from a results folder."),
     "export": (YOURS, "Export attitude and rates (CCSDS AEM, SPICE CK, NetCDF, Parquet)."),
     "compare": (YOURS, "Compare two results, or rates with a SPICE kernel."),
@@ -50,26 +51,6 @@ COMMANDS = {
     "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
 }
 """Name -> heading of --help and line there, in its order. A command's module, of its name, is imported when it is used."""
-
-
-GONE_COMMANDS = {
-    name: f"`sunspin {name}` is a study of the repository now: `python -m studies.coverage OUT`"
-    for name in ("coverage", "worth")
-}
-GONE_OPTIONS: dict[str, str] = {
-    **{
-        f"--{name}": f"--{name} is --{name}-deg-s now, and its rates are in deg/s"
-        for name in ("omega", "omega-x", "omega-y", "omega-z", "rate", "gyro", "max-rate")
-    },
-    "--interpolate": "--interpolate is gone, every motion of a scan is run; leave it out",
-    "--device": "--device is gone, kernels run on processors only; leave it out",
-    "--best-delay": "--best-delay is gone; compare delays by --strategy delay:SECONDS, given several times",
-    "--data": "--data of `sunspin reproduce` is gone, the impulse is a study: `python -m studies.impulse OUT --data FOLDER`",
-    "--noise": "--noise of `sunspin rates` is --acceleration-noise now, in rad/s^1.5",
-    "--no-wirings": "--no-wirings is --no-column-tests now",
-    "--printed-lines": "--printed-lines is gone, these lines are of the paper's body; give --omega-deg-s x,y,z or --scan scan.nc",
-}
-"""What earlier versions accepted and this one does not, and the sentence for each."""
 
 
 class Group(click.Group):
@@ -105,8 +86,6 @@ class Group(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
-            if args[0] in GONE_COMMANDS:
-                raise click.UsageError(GONE_COMMANDS[args[0]], ctx) from None
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             if not near or "Did you mean" in error.message:
                 raise
@@ -141,7 +120,7 @@ class Output:
 
         if labels := explained(self.command, lines):
             summary = {**summary, "explained": [f"{PAGE}#{label}" for label in labels]}
-            lines = [*lines, f"Verdicts explained: {PAGE}#{', #'.join(labels)}"]
+            lines = [*lines, f"For what this means: sunspin explain {' '.join(labels)}"]
         if self.as_json:
             from sunspin.output.folder import plain
 

@@ -20,7 +20,7 @@ from sunspin.base.cells import plain_cell
 from sunspin.base.errors import InputError, OutputError
 from sunspin.base.provenance import described
 from sunspin.base.untrusted import is_own, read_bytes
-from sunspin.output.kind import Drawing, Table, refuse_former
+from sunspin.output.kind import Drawing, Table
 from sunspin.vehicle.file import vehicle_text
 
 MARKER = ".sunspin-results"
@@ -237,7 +237,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        No such folder, not one of ours, or of a version with other names or whose manifest says less.
+        No such folder, not one of ours, a run that did not end, or a damaged manifest.
     """
     what, do = "", "run the command again"
     manifest: dict[str, Any] = {}
@@ -246,22 +246,16 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
         what, do = what if folder.is_dir() else "there is no such folder", "give a command's --out"
     elif not is_own(folder / MANIFEST):
-        what = f"the folder has no {MANIFEST}: an earlier version wrote it, or the run did not end"
+        what = f"the folder has no {MANIFEST}: the run did not end"
     else:
-        names: list[str] = []
         try:
             content = read_bytes(folder / MANIFEST, MAX_JSON_BYTES, "file", InputError, do)
             manifest = json.loads(content)
             complete = all(isinstance(manifest[key], list) for key in ("data", "figures", "tables"))
-            if "sha256" not in manifest:  # of an earlier version
-                summary = folder / "summary.json"
-                content = read_bytes(summary, MAX_JSON_BYTES, "file", InputError, do)
-                names = [str(name) for row in json.loads(content)["passes"] for name in row]
             complete &= isinstance(manifest["sha256"], dict)
         except (ValueError, LookupError, TypeError, RecursionError, OSError):
             complete = False
-        refuse_former(command, names, str(folder))
-        what = "" if complete else f"its {MANIFEST} is damaged, or of an earlier version"
+        what = "" if complete else f"its {MANIFEST} is damaged"
     if what:
         raise InputError(what, do=do, where=str(folder))
     return manifest

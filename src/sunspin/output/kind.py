@@ -8,28 +8,6 @@ from typing import Any, NamedTuple
 
 import xarray as xr
 
-from sunspin.base.errors import InputError
-
-RENAMED = {
-    "weight": "probability",
-    "mode": "solution",
-    "modes": "solutions",
-    "mode_id": "solution_id",
-    "informed_x": "constrained_x",
-    "wiring": "columns_checked",
-    "model_weight": "model_probability",
-}
-"""Names that results of the former version have -> those of now."""
-
-
-def refuse_former(kind: object, names: Iterable[object], where: str | None = None) -> None:
-    """One sentence on a result of `rates` or `posterior` with names of the former version: which are new."""
-    present = set(names)
-    new = [f"`{name}` is `{now}` now" for name, now in RENAMED.items() if name in present]
-    if new and kind in ("rates", "posterior"):
-        what = f"this result was written by an earlier version: {', '.join(new)}"
-        raise InputError(what, do="run the command again", where=where)
-
 
 class Summary(dict[str, Any]):
     """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know with them.

@@ -29,7 +29,6 @@ class Result:
 
     @property
     def _kind(self) -> Kind:
-        from sunspin.output.kind import refuse_former
         from sunspin.output.kinds import KINDS
 
         name = self._data.attrs.get("kind")
@@ -38,9 +37,6 @@ class Result:
             what = f"this {type(self._data).__name__} is no result of sunspin: {why}"
             do = f"use a result as sunspin returns it, of kind {', '.join(KINDS)}"
             raise InputError(what, do=do)
-        nodes = self._data.subtree if isinstance(self._data, xr.DataTree) else [self._data]
-        names = {name for node in nodes for name in (*node.dims, *getattr(node, "data_vars", ()))}
-        refuse_former(name, names)
         return KINDS[name]
 
     def summary(self) -> Summary:

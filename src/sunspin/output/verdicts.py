@@ -1,8 +1,14 @@
-"""Where the documentation explains a status or a warning that a command prints."""
+"""What a status or a warning that a command prints means, and what to do."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from difflib import get_close_matches
+from importlib import resources
+from pathlib import Path
+
+from sunspin.base.errors import InputError
 
 PAGE = "docs/howto/verdicts.md"
 COMMANDS = ("rates", "posterior", "check", "sun")
@@ -46,3 +52,31 @@ def explained(command: str, lines: Iterable[str]) -> list[str]:
     """Labels of `PAGE` that explain the verdicts and warnings in printed lines; none where all is well."""
     text = "\n".join(lines) if command in COMMANDS else ""
     return [label for label, words in ANCHORS.items() if any(word in text for word in words)]
+
+
+def section(label: str) -> str:
+    """Return the section of `PAGE` that a label names, as plain text.
+
+    Raises
+    ------
+    InputError
+        No section has this label.
+    """
+    if label not in ANCHORS:
+        near = get_close_matches(label, ANCHORS, n=1, cutoff=0.4)
+        do = f"did you mean {near[0]}?" if near else f"known: {', '.join(ANCHORS)}"
+        raise InputError("no verdict or warning has this label", got=label, do=do)
+    begin = re.escape(f"({label})=")
+    found = re.search(rf"^{begin}\n## (.+?)(?=^\([a-z-]+\)=$|\Z)", _page(), re.M | re.S)
+    text = found[1] if found else ""
+    # a link to another section becomes the label to ask for; other links keep their words
+    text = re.sub(r"\[([^]]+)\]\(#([a-z-]+)\)", r"\1 (`sunspin explain \2`)", text)
+    return re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", text).strip()
+
+
+def _page() -> str:
+    """Return the text of `PAGE`: beside this module where the package is installed, else in the repository."""
+    installed = resources.files("sunspin").joinpath("output", "verdicts.md")
+    if installed.is_file():
+        return installed.read_text("utf-8")
+    return (Path(__file__).parents[3] / PAGE).read_text("utf-8")

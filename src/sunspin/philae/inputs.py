@@ -15,7 +15,8 @@ from sunspin.estimate.scan.metrics import direction_error, emd
 from sunspin.landing.scenario import spiral
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row, tables
-from sunspin.vehicle import Vehicle, load_vehicle
+from sunspin.vehicle import Vehicle
+from sunspin.vehicle.part import tuples
 from sunspin.vehicle.timeline import utc_seconds
 
 
@@ -24,28 +25,27 @@ def rows(case: Case) -> list[Row]:
     vehicle, timeline = case.vehicle, case.require_timeline()
     paper = {key: figure.value for key, figure in case.published.items()}
 
-    def taken(name: str, ours: Any, published: Any, **texts: Any) -> Row:
-        """An input, which may not be as published in this run."""
-        if ours != published:
+    def taken(name: str, ours: Any, **texts: Any) -> Row:
+        """Return the row of an input, which may not be as published in this run."""
+        if tuples(ours) != paper[name]:
             texts["note"] = "not as published: this run has another value"
-        return row(case, name, ours, published=published, **texts)
+        return row(case, name, ours, **texts)
 
     # Tables 1 to 3 and the panels' cells
     schedule = [event for event in timeline.events if event.source.startswith("paper, Table 1")]
     times = {event.name: event.utc for event in schedule}
     refined = [abs(utc_seconds(e.utc, e.refined_utc)) for e in schedule if e.refined_utc]
     body, tips, cells = _tables_of(vehicle)
-    published_body, published_tips, published_cells = _tables_of(load_vehicle(case.name))
     moments = np.linalg.eigvalsh(vehicle.require_inertia())
     texts = {
         "moments": ", ".join(f"{moment:.3f}" for moment in moments),
         "unlike": 100 * (moments[1] / moments[0] - 1),
     }
     result = [
-        row(case, "table_1", times, published=times, off=max(refined, default=0.0)),
-        taken("table_2", body, published_body, **texts),
-        taken("table_3", tips, published_tips, middle=np.linalg.norm(np.mean(tips, axis=0)[:2])),
-        taken("cells", cells, published_cells),
+        taken("table_1", times, off=max(refined, default=0.0)),
+        taken("table_2", body, **texts),
+        taken("table_3", tips, middle=np.linalg.norm(np.mean(tips, axis=0)[:2])),
+        taken("cells", cells),
     ]
 
     # sentences that need no computation of their own
@@ -82,7 +82,7 @@ def rows(case: Case) -> list[Row]:
         elif "used" in about:
             note, ours_here = f"used as published; {about['used']}", in_this_run.get(name)
             ours_here = paper[name] if ours_here is None else ours_here
-            result.append(taken(name, ours_here, paper[name], note=note))
+            result.append(taken(name, ours_here, note=note))
     return result
 
 

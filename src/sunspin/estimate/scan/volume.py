@@ -231,7 +231,7 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
     Raises
     ------
     InputError
-        A factor that is not above 1; nothing could be computed; a scan of an earlier version that interpolated motions.
+        A factor that is not above 1; nothing could be computed.
     """
     if not factor > 1:
         raise InputError("the factor of the near-minimum set must exceed 1", got=factor)
@@ -244,17 +244,7 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
 
 
 def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
-    """Grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part.
-
-    Raises
-    ------
-    InputError
-        A scan of an earlier version that interpolated motions.
-    """
-    if "emd_bound" in emd.coords and (emd["emd_bound"] > 0).any():
-        raise InputError(
-            "motions of this scan are interpolated, as earlier versions could", do="scan again"
-        )
+    """Return the grid points (n, 3) in rad/s with EMD below a threshold; rows that could not be computed take no part."""
     chosen = np.nonzero(_computed(emd) < threshold)
     axes = emd["omega_x"], emd["omega_y"], emd["omega_z"]
     return np.stack([axis.values[i] for axis, i in zip(axes, chosen, strict=True)], axis=-1)

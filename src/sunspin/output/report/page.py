@@ -38,7 +38,7 @@ def write_report(folder: str | Path) -> Path:
     Raises
     ------
     InputError
-        Not a results folder, or one of an earlier version.
+        Not a results folder.
     """
     results = read_results(folder)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers

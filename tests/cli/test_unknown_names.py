@@ -1,0 +1,24 @@
+"""A name that does not exist is answered with the nearest one that does."""
+
+import pytest
+from test_cli import sunspin
+
+import sunspin as ss
+
+
+def test_an_unknown_command_is_answered_with_the_nearest_one(tmp_path):
+    assert "did you mean rates" in sunspin("ratse", cwd=tmp_path, code=2).err
+
+
+def test_an_unknown_option_is_answered_with_the_nearest_one(tmp_path):
+    done = sunspin("rates", "v.toml", "t.csv", "--max-rate", "1", cwd=tmp_path, code=2)
+    assert "--max-rate-deg-s" in done.err and done.err.count("\n") == 1
+
+
+def test_an_unknown_name_of_the_package_is_answered_with_the_nearest_one():
+    with pytest.raises(
+        AttributeError, match="no attribute 'posteriors'; did you mean 'posterior'?"
+    ):
+        _ = ss.posteriors
+    with pytest.raises(AttributeError, match="no attribute 'xyzzy'$"):
+        _ = ss.xyzzy
