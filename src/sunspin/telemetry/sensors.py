@@ -17,6 +17,12 @@ RADIAL_SIGMA = 0.02
 ABSURD = 1e12
 """A cell beyond this is no reading in any unit."""
 
+FILLS = (-99, -999, -9999, -32768, -2147483648, 999, 9999, 32767, 65535, 2147483647, 4294967295)
+"""Numbers that programs write where a sensor was not read: the ends of integers, and nines."""
+
+FILL_FACTOR = 3.0
+"""Such a number is no reading if it is so many times larger than all other numbers of its column."""
+
 AGREE = 0.5
 """Sensors that see different Suns cancel: a mean direction shorter than this is none."""
 
@@ -154,8 +160,12 @@ def _sun_pair(prefix: str, sun: np.ndarray, covariance: np.ndarray, name: str) -
 
 
 def _numbers(table: Table, names: Any) -> np.ndarray:
+    """Return the readings (n, n_column) of columns, NaN where a cell holds none."""
     values = table.numbers(names)
-    return np.where(np.abs(values) < ABSURD, values, np.nan)
+    values = np.where(np.abs(values) < ABSURD, values, np.nan)
+    fill = np.isin(values, FILLS)
+    largest = np.max(np.where(fill, 0.0, np.nan_to_num(np.abs(values))), axis=0, initial=0.0)
+    return np.where(fill & (np.abs(values) > FILL_FACTOR * largest), np.nan, values)
 
 
 def _vector(form: SunVector, table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,50 @@
+"""Numbers that stand for "not read" in the columns of a gyro or a magnetometer are no readings."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import sunspin as ss
+from sunspin.vehicle.file import parse_vehicle
+
+VEHICLE = """
+name = "cube"
+[telemetry]
+time_column = "t"
+time_format = "unix"
+[gyro]
+columns = ["gx", "gy", "gz"]
+scale_rad_s = 0.0174533
+noise_rad_s = 1e-3
+[magnetometer]
+columns = ["mx", "my", "mz"]
+noise = 1.0
+"""
+
+
+def read(tmp_path, rates_deg_s, field):
+    columns = {"t": 1.7e9 + 10.0 * np.arange(len(field))}
+    columns |= {f"g{axis}": rates_deg_s[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"m{axis}": field[:, k] for k, axis in enumerate("xyz")}
+    pd.DataFrame(columns).to_csv(tmp_path / "t.csv", index=False)
+    return ss.read_telemetry(tmp_path / "t.csv", parse_vehicle(VEHICLE, "cube"))
+
+
+@pytest.mark.parametrize("fill", [-999, 999, 65535, 32767, -32768])
+@pytest.mark.parametrize("whole_row", [True, False])
+def test_fill_values_of_a_gyro_are_no_readings(tmp_path, fill, whole_row):
+    rng = np.random.default_rng(0)
+    rates, field = rng.normal(0, 3, (40, 3)), rng.normal(0, 30, (40, 3))
+    wrong = [4, 9, 21]
+    rates[wrong, : 3 if whole_row else 1] = fill
+    known = np.isfinite(read(tmp_path, rates, field)["gyro_B"].values)
+    assert not known[wrong, 0].any() and known[wrong, 2].all() is np.bool_(not whole_row)
+    assert np.delete(known, wrong, axis=0).all()
+
+
+def test_readings_as_large_as_a_fill_value_stay(tmp_path):
+    """A field in nT reaches 30,000 and more: 32767 is one of its values."""
+    rng = np.random.default_rng(1)
+    rates, field = rng.normal(0, 3, (40, 3)), np.round(rng.uniform(-45e3, 45e3, (40, 3)))
+    field[5] = [32767, -999, 999]
+    assert np.isfinite(read(tmp_path, rates, field)["field_B"].values).all()
