@@ -57,6 +57,9 @@ LONGEST_FALL_S = 3 * 3600.0
 MOST_STRAGGLERS = 3
 """So many rows that follow each other may be late or early in a file that is otherwise in order."""
 
+MANY_FALLS = 0.1
+"""If times fall at more than this part of the rows, a fall among several says nothing."""
+
 MONTHS_S = 60 * 86_400.0
 """A clock is set back in autumn: twice within this is something else."""
 
@@ -232,6 +235,9 @@ def clock_set_back(time: np.ndarray, frames: Frames, local: bool) -> Restart | N
         return None
     order, usual = _forward(time)
     order = order[~frames.repeated(time, order)[order]]
+    disorder = np.count_nonzero(np.diff(time[order]) < 0)
+    if len(_falls(time[order], usual)) != 1 and disorder > MANY_FALLS * len(order):
+        return None
     order = order[_without_stragglers(time[order], usual)]
     steps = np.diff(time[order])
     steps = steps[(steps > 0) & (steps <= FALL_INTERVALS * usual)]
@@ -252,7 +258,7 @@ def clock_set_back(time: np.ndarray, frames: Frames, local: bool) -> Restart | N
         fits = QUARTER_S * quarters >= back + shortest - ROUNDED_S and quarters in STEPS_IN_QUARTERS
         size = QUARTER_S * quarters if fits else back
         if (fits and _overlap(time[known], time[later])) or (
-            local and _runs_again(time, frames, known, later)
+            local and n_falls == 1 and _runs_again(time, frames, known, later)
         ):
             return Restart(row, before, size)
         if fits:
