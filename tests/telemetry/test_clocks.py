@@ -99,6 +99,31 @@ def test_an_epoch_in_the_vehicle_file_is_that_of_the_boot_nearest_to_it(tmp_path
     np.testing.assert_allclose(utc(data), received, atol=0.01)
 
 
+@pytest.mark.parametrize(("early", "says"), [(43_200, True), (70, True), (30, False), (0, False)])
+def test_an_epoch_that_contradicts_received_times_is_said(tmp_path, early, says):
+    uptime = 100 + 20.0 * np.arange(40)
+    epoch = datetime.fromtimestamp(START - early, UTC).isoformat()
+    form = f'{UPTIME}\nepoch_utc = "{epoch}"\ncounts_leap_seconds = false'
+    data = read(tmp_path, uptime.tolist(), form, rx=(START + uptime).tolist())
+    words = "received times put time zero at 2026-01-01T00:00:00Z; epoch_utc says "
+    assert (words + epoch.replace("+00:00", "Z") in notes(data)) == says
+    stored = START + 50_000 + 0.1 * uptime
+    data = read(tmp_path, uptime.tolist(), form, rx=stored.tolist())
+    assert "received times put" not in notes(data)
+
+
+@pytest.mark.parametrize("counts", ["true", "false"])
+def test_leap_seconds_are_counted_from_the_zero_of_each_boot(tmp_path, counts):
+    """Two of them lie between the boots, none within."""
+    zero = np.repeat([datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2015, 2020)], 30)
+    uptime = np.tile(100 + 20.0 * np.arange(30), 2)
+    form = f'{UPTIME}\nepoch_utc = "2015-01-01T00:00:00Z"\ncounts_leap_seconds = {counts}'
+    data = read(tmp_path, uptime.tolist(), form, rx=(zero + uptime).tolist())
+    np.testing.assert_allclose(utc(data), zero + uptime, atol=1e-3)
+    unsaid = form.rsplit("\n", 1)[0]
+    assert "leap" not in notes(read(tmp_path, uptime.tolist(), unsaid, rx=(zero + uptime).tolist()))
+
+
 LATE = {
     "a burst of stored rows": lambda up: np.full(up.size, up.max() + 60.0),
     "a playback slower than real time": lambda up: up.max() + 40 + 2.5 * (up - up.min()),
@@ -166,6 +191,13 @@ def test_boots_that_overlap_are_refused_without_received_times(tmp_path):
     assert read(tmp_path, uptime.tolist(), form, "sort").attrs["rows_sorted"] == 18
 
 
+@pytest.mark.parametrize(("first", "second"), [(8, 20), (30, 300), (1000, 200)])
+def test_boots_of_any_lengths_that_overlap_are_refused(first, second):
+    uptime = np.concatenate([40 + 20.0 * np.arange(first), 30 + 20.0 * np.arange(second)])
+    restart = uptime_restart(uptime, frames(first + second))
+    assert restart is not None and restart.sure and restart.row == first
+
+
 def test_elapsed_times_that_fall_without_overlap_are_noted(tmp_path):
     form = 'time_format = "elapsed"\nepoch_utc = "2026-01-01"'
     data = read(tmp_path, two_boots()[0].tolist(), form)
@@ -178,7 +210,7 @@ def test_stations_and_playbacks_do_not_start_the_uptime_again():
     assert uptime_restart(np.concatenate([live, live[::2]]), again) is None
     gaps = np.concatenate([np.delete(live, slice(10, 20)), live[10:20]])
     restart = uptime_restart(gaps, frames(40))
-    assert restart is None or not restart.sure
+    assert restart is not None and restart.row == 30 and not restart.sure
     assert uptime_restart(live[::-1], frames(40)) is None
 
 
@@ -214,10 +246,12 @@ def test_a_clock_that_was_set_back_is_no_disorder_and_a_zone_dates_it(
     moments = local(ZONES[zone])
     cells = shown(moments, zone)
     given = cells[::-1] if newest else cells
-    if newest and bad_rows == "refuse":
-        return
     with pytest.raises(ss.TelemetryError, match="go back by (1 h|30 min), as a clock.*time_zone"):
         read(tmp_path, given, "", bad_rows)
+    if newest and bad_rows == "refuse":
+        with pytest.raises(ss.TelemetryError, match="line 3: time does not increase"):
+            read(tmp_path, given, f'time_zone = "{zone}"', bad_rows)
+        return
     data = read(tmp_path, given, f'time_zone = "{zone}"', bad_rows)
     np.testing.assert_allclose(utc(data), [each.timestamp() for each in moments], atol=1e-3)
     assert notes(data) == f"times without a zone are read in {zone}"
@@ -247,9 +281,85 @@ def test_times_that_name_their_zone_pass_the_end_of_summer_time(tmp_path):
 
 
 def test_unix_times_of_a_clock_that_was_set_back_are_refused(tmp_path):
-    times = START + 20.0 * np.arange(40) - np.repeat([0.0, 3600.0], 20)
+    times = START + 20.0 * np.arange(400) - np.repeat([0.0, 3600.0], 200)
     with pytest.raises(ss.TelemetryError, match="go back by 1 h.*file of their own"):
         read(tmp_path, times.tolist(), 'time_format = "unix"')
+
+
+@pytest.mark.parametrize("hours", [(1, 0), (0, 2, 1), (2, 1, 0), (1, 2, 0), (1, 0, 2), (2, 0)])
+@pytest.mark.parametrize("form", ["", 'time_format = "unix"'])
+def test_hours_in_the_wrong_order_are_no_clock_that_was_set_back(tmp_path, hours, form):
+    """Sorted they join without overlap."""
+    times = np.concatenate([START + 3600 * hour + 60.0 * np.arange(60) for hour in hours])
+    cells = times.tolist() if form else [f"{datetime.fromtimestamp(t, UTC)}" for t in times]
+    data = read(tmp_path, cells, form)
+    np.testing.assert_allclose(utc(data), np.sort(times), rtol=0, atol=1e-6)
+    assert ("times fall back once, by" in notes(data)) == (
+        np.count_nonzero(np.diff(hours) < 0) == 1
+    )
+    if notes(data):
+        assert "time_zone" not in notes(data)
+
+
+def row_down(cells):
+    return [*cells[:5], *cells[6:12], cells[5], *cells[12:]]
+
+
+SET_BACK = {
+    "a late row": lambda: (row_down(shown(local(SUMMER_ENDS), "Europe/Berlin")), "02:00:"),
+    "an early row": lambda: (
+        row_down(shown(local(SUMMER_ENDS), "Europe/Berlin")[::-1])[::-1],
+        "02:00:",
+    ),
+    "a row of 1970": lambda: (
+        [*shown(local(SUMMER_ENDS), "Europe/Berlin")[:9], "1970-01-01 00:00:05"]
+        + shown(local(SUMMER_ENDS), "Europe/Berlin")[9:],
+        "02:00:",
+    ),
+    "two autumns": lambda: (
+        shown(local(SUMMER_ENDS - timedelta(days=364)), "Europe/Berlin")
+        + shown(local(SUMMER_ENDS), "Europe/Berlin"),
+        "2025-10-26 02:00:",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", SET_BACK)
+@pytest.mark.parametrize("bad_rows", ["flag", "refuse"])
+def test_a_clock_that_was_set_back_is_refused_with(tmp_path, what, bad_rows):
+    cells, place = SET_BACK[what]()
+    with pytest.raises(ss.TelemetryError, match=f"go back by 1 h, as a clock.*{place}"):
+        read(tmp_path, cells, "", bad_rows)
+
+
+def test_a_late_row_or_two_autumns_do_not_move_the_hour_that_occurs_twice(tmp_path):
+    form = 'time_zone = "Europe/Berlin"'
+    moments = local(SUMMER_ENDS)
+    late = shown(moments, "Europe/Berlin")
+    late = [*late[:30], *late[31:38], late[30], *late[38:]]
+    both = [*local(SUMMER_ENDS - timedelta(days=364)), *moments]
+    for cells, true in ((late, moments), (shown(both, "Europe/Berlin"), both)):
+        data = read(tmp_path, cells, form)
+        np.testing.assert_allclose(utc(data), [each.timestamp() for each in true], atol=1e-3)
+
+
+def test_times_that_do_not_exist_in_the_zone_are_refused(tmp_path):
+    cells = [f"2026-03-29 0{k // 60}:{k % 60:02d}:00" for k in range(110, 210, 10)]
+    words = "line 3.*02:00:00 does not exist in Europe/Berlin on 2026-03-29: the times are not of"
+    for bad_rows in ("flag", "refuse", "sort"):
+        with pytest.raises(ss.TelemetryError, match=words):
+            read(tmp_path, cells, 'time_zone = "Europe/Berlin"', bad_rows)
+    gap = [cells[0], "2026-03-29 03:00:00"]
+    data = read(tmp_path, gap, 'time_zone = "Europe/Berlin"')
+    assert data["time"].values.tolist() == [0, 600]
+
+
+@pytest.mark.parametrize("zone", ["Europe/Berlin", "America/New_York", "Pacific/Auckland"])
+@pytest.mark.parametrize("day", ["0001-01-01 00:00:00", "9999-12-31 23:59:59"])
+def test_ends_of_the_calendar_have_no_zone(tmp_path, zone, day):
+    good = [f"2026-01-01 12:0{k}:00" for k in range(8)]
+    data = read(tmp_path, [day, *good], f'time_zone = "{zone}"')
+    assert data.attrs["rows_misdated"] == 1 and data.sizes["time"] == 8
 
 
 def test_disorder_is_no_clock_that_was_set_back():
@@ -265,6 +375,15 @@ def test_disorder_is_no_clock_that_was_set_back():
     assert clock_set_back(swapped, frames(60), local=True) is None
     blocks = np.concatenate([t + 3600, t, t + 7200, t + 1800])
     assert clock_set_back(blocks, frames(240), local=False) is None
+    stored = [np.r_[t + k * 86400, t + k * 86400 - 1800 - 37 * k] for k in range(1, 6)]
+    assert clock_set_back(np.concatenate(stored), frames(600), local=True) is None
+    pairs = np.concatenate([60.0 * np.arange(60) + 3600 * hour for hour in (1, 0, 3, 2)])
+    assert clock_set_back(pairs, frames(240), local=True) is None
+    for seed in range(5):
+        mixed = np.random.default_rng(seed).permutation(np.r_[t, t + 5000])
+        assert clock_set_back(mixed, frames(120), local=True) is None
+        near = t[np.argsort(t + np.random.default_rng(seed).uniform(0, 200, 60))]
+        assert clock_set_back(near, frames(60), local=True) is None
 
 
 def test_a_fall_of_local_times_that_may_be_a_clock_is_noted(tmp_path):
@@ -279,7 +398,7 @@ def test_a_fall_of_local_times_that_may_be_a_clock_is_noted(tmp_path):
     [
         (["2026-01-01 00:00:00", "2026-01-01T00:01:00"], "times name no zone: taken as UTC"),
         (["2026-001T00:00:00", "2026-001T00:01:00"], "times name no zone: taken as UTC"),
-        (["2026-01-01 00:00:00", "2026-01-01T00:01:00Z"], "1 times name no zone: taken as UTC"),
+        (["2026-01-01 00:00:00", "2026-01-01T00:01:00Z"], "1 time names no zone: taken as UTC"),
         (["2026-01-01 00:00:00Z", "2026-01-01T00:01:00+00:00"], ""),
         (["20260101T000000Z", "20260101T000100Z"], ""),
         (["2026-01-01 00:00:00 UTC", "2026-01-01T00:01:00 GMT"], ""),
@@ -334,6 +453,12 @@ def test_weeks_that_began_again_are_refused_until_it_is_said_how_often(tmp_path)
     np.testing.assert_allclose(utc(data), START + np.array([0, 20, 40]), atol=1e-5)
     old = read(tmp_path, tow, f"{form}\ngps_rollovers = 0", week=week)
     assert old.attrs["epoch_utc"].startswith("1986-10-02")
+    full = 'time_format = "gps"\ngps_rollovers = 2'
+    words = "the GPS week is not of ten bits.* leave gps_rollovers out"
+    with pytest.raises(ss.TelemetryError, match=words):
+        read(tmp_path, tow, f"{form}\ngps_rollovers = 2", week=[2399] * 3)
+    with pytest.raises(ss.TelemetryError, match=words):
+        read(tmp_path, [1451260818.0, 1451260838.0], full)
 
 
 def test_tai_is_read_as_seconds_from_1958_or_as_dates(tmp_path):
@@ -381,6 +506,28 @@ def test_rows_dated_decades_from_the_others_are_named_and_left_out(tmp_path, zer
         read(tmp_path, [zero.format(3), zero.format(23), *good], "", "refuse")
 
 
+def test_a_reset_clock_goes_back_even_with_most_rows(tmp_path):
+    good = [f"2026-01-01T00:{k:02d}:00Z" for k in range(10)]
+    cells = [*(f"2000-01-01T00:{k:02d}:00Z" for k in range(12)), *good]
+    data = read(tmp_path, cells, "")
+    assert "12 rows dated 2000-01-01T00:00:00Z" in notes(data)
+    assert "reset: 55 % of the file, check that" in notes(data)
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data.sizes["time"] == 10
+    data = read(tmp_path, [*good, "2035-01-01T00:00:00Z"], "")  # a damaged row
+    assert data.sizes["time"] == 10 and "9 years after the others" in notes(data)
+    future = [f"2200-01-01T00:{k:02d}:00Z" for k in range(5)]
+    data = read(tmp_path, [*future, *good], "")
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data.sizes["time"] == 10
+
+
+def test_the_line_that_is_named_is_of_the_rows_that_the_sentence_is_about(tmp_path):
+    good = [f"2026-01-01T00:{k:02d}:00Z" for k in range(10)]
+    ends = {"2": "1970-01-01T00:00:03Z", "13": "2038-01-01T00:00:03Z"}
+    for first, last in (("2", "13"), ("13", "2")):
+        with pytest.raises(ss.TelemetryError, match=f"line 2.*1 row dated {ends[first]}"):
+            read(tmp_path, [ends[first], *good, ends[last]], "", "refuse")
+
+
 def test_passes_of_several_years_are_not_misdated(tmp_path):
     cells = [f"{year}-01-01T00:0{k}:00Z" for year in (2020, 2023, 2026) for k in range(3)]
     data = read(tmp_path, cells, "", "refuse")
@@ -419,6 +566,14 @@ def test_gps_weeks_that_are_none_are_refused(tmp_path, times, week, words):
 def test_a_fixed_offset_is_a_zone(tmp_path):
     data = read(tmp_path, ["2026-01-01 05:30:00", "2026-01-01 05:31:00"], 'time_zone = "+05:30"')
     assert utc(data)[0] == START
+    assert notes(data) == "times without a zone are read in +05:30"
+    zoned = read(tmp_path, ["2026-01-01T00:00:00Z", "2026-01-01T00:01:00Z"], 'time_zone = "+05:30"')
+    assert utc(zoned)[0] == START and not notes(zoned)
+
+
+def test_a_cell_that_is_no_number_is_refused_in_words(tmp_path):
+    with pytest.raises(ss.TelemetryError, match="column 't': GPS seconds are expected"):
+        read(tmp_path, ["nan", "1451260838"], 'time_format = "gps"')
 
 
 def test_starts_of_passes_have_the_year_if_they_do_not_share_it():

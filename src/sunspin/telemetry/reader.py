@@ -95,10 +95,6 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         table, times, counts = _in_order(form, table, times, read)
         if counts:
             sensors = read_sensors(vehicle, table)
-    elif times.misdated.any():
-        do = 'correct or remove them, or set bad_rows = "flag" under [telemetry], which leaves them out'
-        where = table.place(int(times.misdated.argmax()), form.time_column)
-        raise TelemetryError(times.notes[-1], do=do, where=where)
     time, epoch, received = times.time, times.epoch, times.received
     values, flag = _values(vehicle, table, columns)
     values, warmth = _at_reference(vehicle, table, values)

@@ -32,8 +32,8 @@ SAME_TIME = 0.05
 """Samples closer than this part of the usual interval are of one time."""
 
 FEWEST_BETWEEN, SHARE_BETWEEN = 3, 0.5
-"""A stretch ran through known times again if at least so many of its samples, and this part of them, lie where none is
-missing."""
+"""A stretch ran through known times again if at least so many of its samples lie where none is missing, and this part of those
+within the known times."""
 
 QUARTER_S = 900.0
 """A quarter hour: local clocks differ by whole multiples of it."""
@@ -53,6 +53,15 @@ multiples up to three hours 4 of 363 simulated files with playbacks met one, wit
 
 LONGEST_FALL_S = 3 * 3600.0
 """A single fall of local times by up to this may be a step with samples missing around it."""
+
+MOST_STRAGGLERS = 3
+"""So many rows that follow each other may be late or early in a file that is otherwise in order."""
+
+MANY_FALLS = 0.1
+"""If times fall at more than this part of the rows, a fall among several says nothing."""
+
+MONTHS_S = 60 * 86_400.0
+"""A clock is set back in autumn: twice within this is something else."""
 
 NEXT_PASS = 10.0
 """The rows after a fall are compared up to a gap of this many usual intervals: what follows may be any later pass."""
@@ -143,11 +152,23 @@ def _listened(
         last = rows.stop == len(delay) and heard[rows.start] == heard.max()
         usual = np.mean(delay[before] - delay[before.start] <= USUAL_DELAY_S)
         return bool(last and usual > 0.5)
-    spread = np.var(up)
+    return _one_rate(up, late)
+
+
+def _one_rate(uptime: np.ndarray, delay: np.ndarray) -> bool:
+    """Whether the delay of rows (m) does not change with uptime as in a playback."""
+    spread = np.var(uptime)
     if spread == 0:
         return False
-    slope = np.mean((up - up.mean()) * (late - late.mean())) / spread
+    slope = np.mean((uptime - uptime.mean()) * (delay - delay.mean())) / spread
     return bool(abs(slope) < SAME_RATE)
+
+
+def received_live(uptime: np.ndarray, received: np.ndarray) -> bool:
+    """Whether the rows (m) of a boot with the least delays were received while they were sampled."""
+    delay = (received - uptime)[np.isfinite(received)]
+    least = delay <= delay.min(initial=np.inf) + USUAL_DELAY_S
+    return bool(least.any()) and _one_rate(uptime[np.isfinite(received)][least], delay[least])
 
 
 def boots_of(uptime: np.ndarray, received: np.ndarray, starts: np.ndarray) -> np.ndarray:
@@ -200,38 +221,92 @@ def uptime_restart(uptime: np.ndarray, frames: Frames) -> Restart | None:
 
 
 def clock_set_back(time: np.ndarray, frames: Frames, local: bool) -> Restart | None:
-    """Return the row from which all later times (n, s) are those of a clock that was set back; None if there is no such row.
+    """Return the row from which later times (n, s) are those of a clock that was set back; None if there is no such row.
 
-    There is one fall in the file. It is a whole number of quarter hours, less one interval between samples. If the times are
-    `local` (no zone), some samples may be missing at the step, or the later rows run through known times again with other
-    readings; any other fall of local times may be a step, but is not sure.
+    A few rows late or early are left out. The file is cut where all rows before are earlier than all rows after, and a fall that is
+    the only one of its part is tested. It is a whole number of quarter hours, less one interval between samples. Times must also
+    occur twice, as blocks out of order do not.
+
+    Of `local` times (no zone) some samples may be missing at the step. They need not occur twice if all falls of the file are alike
+    and months apart. They may also run through known times again with other readings. A different single fall may be a step, but is
+    not sure.
     """
     if not np.any(np.diff(time) < 0):
         return None
     order, usual = _forward(time)
     order = order[~frames.repeated(time, order)[order]]
-    t = time[order]
-    falls = _falls(t, usual)
-    if len(falls) != 1 or not 2 <= falls[0] <= len(t) - 2:
+    disorder = np.count_nonzero(np.diff(time[order]) < 0)
+    if len(_falls(time[order], usual)) != 1 and disorder > MANY_FALLS * len(order):
         return None
-    fall = int(falls[0])
-    steps = np.diff(t)
+    order = order[_without_stragglers(time[order], usual)]
+    steps = np.diff(time[order])
     steps = steps[(steps > 0) & (steps <= FALL_INTERVALS * usual)]
     if not steps.size:
         return None
-    back, spread = t[fall - 1] - t[fall], np.ptp(steps)
-    shortest, longest = max(steps.min() - spread, 0.0), steps.max() + spread
+    shortest, longest = max(steps.min() - np.ptp(steps), 0.0), steps.max() + np.ptp(steps)
     if local:  # some samples may be missing at the step
         longest = max(longest, FALL_INTERVALS * usual)
-    quarters = int((back + longest + ROUNDED_S) // QUARTER_S)
-    whole = QUARTER_S * quarters >= back + shortest - ROUNDED_S
-    whole &= quarters in STEPS_IN_QUARTERS
-    again = local and _runs_again(time, frames, order[:fall], order[fall:])
-    sure = bool(whole or again)
-    if not sure and not (local and back <= LONGEST_FALL_S):
-        return None
-    size = QUARTER_S * quarters if whole else back
-    return Restart(int(order[fall]), int(order[fall - 1]), float(size), sure)
+    n_falls, whole, unsure = len(_falls(time[order], usual)), [], []
+    for part in _parts_in_order(time, order):
+        falls = _falls(time[part], usual)
+        if len(falls) != 1 or not 2 <= falls[0] <= len(part) - 2:
+            continue
+        known, later = part[: falls[0]], part[falls[0] :]
+        row, before = int(later[0]), int(known[-1])
+        back = float(time[before] - time[row])
+        quarters = int((back + longest + ROUNDED_S) // QUARTER_S)
+        fits = QUARTER_S * quarters >= back + shortest - ROUNDED_S and quarters in STEPS_IN_QUARTERS
+        size = QUARTER_S * quarters if fits else back
+        if (fits and _overlap(time[known], time[later])) or (
+            local and n_falls == 1 and _runs_again(time, frames, known, later)
+        ):
+            return Restart(row, before, size)
+        if fits:
+            whole.append(Restart(row, before, size))
+        elif local and back <= LONGEST_FALL_S:
+            unsure.append(Restart(row, before, size, sure=False))
+    apart = np.diff([time[each.row] for each in whole])
+    alike = len({each.back_s for each in whole}) == 1 and (apart > MONTHS_S).all()
+    if local and len(whole) == n_falls and alike:
+        return whole[0]
+    maybe = [each._replace(sure=False) for each in whole] + unsure
+    return maybe[0] if n_falls == 1 and maybe else None
+
+
+def _without_stragglers(time: np.ndarray, usual: float) -> np.ndarray:
+    """Return the rows (n, times in the file's order) without a few that are late or early among others in order."""
+    rows = np.arange(len(time))
+    for count in range(1, MOST_STRAGGLERS + 1):
+        t, drop = time[rows], np.zeros(len(rows), dtype=bool)
+        falls = _falls(t, usual)
+        falls = falls[(falls > count) & (falls + count < len(t))]
+        late = t[falls + count] >= t[falls - 1]
+        early = ~late & (t[falls] >= t[falls - count - 1])
+        for k in range(count):
+            drop[falls[late] + k] = True
+            drop[falls[early] - 1 - k] = True
+        rows = rows[~drop]
+    return rows
+
+
+def _parts_in_order(time: np.ndarray, order: np.ndarray) -> list[np.ndarray]:
+    """Return rows in `order`, cut where all before are earlier than all after."""
+    t = time[order]
+    least_after = np.minimum.accumulate(t[::-1])[::-1]
+    cuts = np.flatnonzero(np.maximum.accumulate(t)[:-1] < least_after[1:]) + 1
+    return np.split(order, cuts)
+
+
+def _overlap(known: np.ndarray, later: np.ndarray) -> bool:
+    """Whether `later` times lie between `known` ones where no sample is missing."""
+    known = np.unique(known)
+    if len(known) < FEWEST_BETWEEN:
+        return False
+    steps = np.diff(known)
+    after = np.searchsorted(known, later)
+    within = after[(after > 0) & (after < len(known))]
+    dense = steps[within - 1] <= DENSE * np.median(steps)
+    return int(np.count_nonzero(dense)) >= FEWEST_BETWEEN
 
 
 def _forward(time: np.ndarray) -> tuple[np.ndarray, float]:
@@ -266,4 +341,4 @@ def _runs_again(time: np.ndarray, frames: Frames, known: np.ndarray, later: np.n
     other = np.where(one_time, ~frames.alike(within, nearer), dense)
     other &= frames.comparable(within, nearer)
     count = int(np.count_nonzero(other))
-    return count >= FEWEST_BETWEEN and count >= SHARE_BETWEEN * len(later)
+    return count >= FEWEST_BETWEEN and count >= SHARE_BETWEEN * len(within)

@@ -21,6 +21,7 @@ from sunspin.telemetry.restarts import (
     boot_starts,
     boots_of,
     clock_set_back,
+    received_live,
     uptime_restart,
 )
 from sunspin.telemetry.timescales import (
@@ -30,7 +31,6 @@ from sunspin.telemetry.timescales import (
     UNIX_ZERO,
     WEEK_S,
     WEEKS_TO_ROLLOVER,
-    leap_seconds_between,
     tai_ahead,
     utc_of_tai,
 )
@@ -43,6 +43,9 @@ DAY_S = 86_400.0
 
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows that no other row joins within five years were dated by a clock that was reset: no mission pauses for so long."""
+
+MANY_MISDATED = 0.2
+"""A group of rows with more than this part of the file is no damage to a few dates."""
 
 NO_ZONE = "times name no zone: taken as UTC"
 NO_ZONE_RECEIVED = "received times name no zone: taken as UTC"
@@ -119,7 +122,8 @@ def read_times(form: TelemetryForm, table: Table, read: set[str]) -> Times:
     Raises
     ------
     TelemetryError
-        For a cell that is no time, and for a clock that was set back or started again if the rows then have no date.
+        For a cell that is no time, and for a clock that was set back or started again if the rows then have no date. With
+        ``bad_rows = "refuse"`` also for rows that are misdated.
     """
     received = received_times(form, table)
     notes = []
@@ -136,8 +140,14 @@ def read_times(form: TelemetryForm, table: Table, read: set[str]) -> Times:
     if form.time_format == "elapsed":
         time, epoch, more = _elapsed(form, table, received, fixed, frames)
         return Times(time, epoch, received, (*notes, *more), np.zeros(len(time), dtype=bool))
-    time, epoch, more = _calendar(form, table, fixed, frames)
+    time, epoch, local, more = _calendar(form, table, fixed)
     misdated, words = _decades_off(time, epoch)
+    if form.bad_rows != "sort":
+        more += _set_back_words(form, table, time, frames, local, ~misdated)
+    if form.bad_rows == "refuse" and misdated.any():
+        do = 'correct or remove them, or set bad_rows = "flag" under [telemetry], which leaves them out'
+        where = table.place(int(misdated.argmax()), form.time_column)
+        raise TelemetryError(words[0], do=do, where=where)
     return Times(time, epoch, received, (*notes, *more, *words), misdated)
 
 
@@ -156,7 +166,7 @@ def _numbers(form: TelemetryForm, table: Table, kind: str) -> np.ndarray:
     numbers = numbers * form.time_scale_s
     if (bad := ~(np.abs(numbers) <= LATEST_UNIX_S)).any():
         do = "correct it, or set time_format under [telemetry] in the vehicle file"
-        raise _refused(table, form.time_column, int(bad.argmax()), f"{kind} is expected", do)
+        raise _refused(table, form.time_column, int(bad.argmax()), f"{kind} are expected", do)
     return numbers
 
 
@@ -170,29 +180,30 @@ def _elapsed(
     """Return elapsed times (n, s) from an epoch, that epoch, and sentences on boots and leap seconds."""
     uptime = _numbers(form, table, "seconds")
     if received is not None and np.isfinite(received).any():
-        time, epoch, notes = _by_received(uptime, received, fixed, frames)
+        time, zero, epoch, notes = _by_received(uptime, received, fixed, frames)
     elif fixed is None:
         raise TelemetryError("elapsed times need telemetry.epoch_utc in the vehicle file")
     else:
         again = None if form.bad_rows == "sort" else uptime_restart(uptime, frames)
         if again is not None and again.sure:
             raise _starts_again(form, table, again)
-        time, epoch, notes = uptime, fixed, []
+        time, zero, epoch, notes = uptime, np.zeros(len(uptime)), fixed, []
         if again is not None:
             notes = [
                 f"elapsed times fall by {_span(again.back_s)} at line {table.cells.index[again.row]}: taken for rows out of order; "
                 "if the clock was reset there, set receive_time_column under [telemetry]"
             ]
     if fixed is not None:
-        time, words = _leap_seconds(form, time, epoch)
+        time, words = _leap_seconds(form, uptime, zero, epoch)
         notes += words
     return time, epoch, notes
 
 
 def _by_received(
     uptime: np.ndarray, received: np.ndarray, fixed: datetime | None, frames: Frames
-) -> tuple[np.ndarray, datetime, list[str]]:
-    """Return the times (n, s) of rows with a received time, each boot dated by its own, their epoch, and sentences.
+) -> tuple[np.ndarray, np.ndarray, datetime, list[str]]:
+    """Return the times (n, s) of rows with a received time, each boot dated by its own; those of uptime zero (n, s) of their boots;
+    their epoch, and sentences.
 
     The epoch is when the first boot had uptime zero, or `fixed`, which is that of the boot nearest to it.
     """
@@ -201,7 +212,14 @@ def _by_received(
     zeros = boot_epochs(uptime, received, boot, len(starts))
     own = 0 if fixed is None else int(np.argmin(np.abs(zeros - _unix(fixed))))
     epoch = fixed or UNIX_ZERO + timedelta(seconds=round(float(zeros[0]), 3))
-    time = uptime + np.round(zeros - zeros[own], 3)[boot]
+    zero = np.round(zeros - zeros[own], 3)[boot]
+    time = uptime + zero
+    live = received_live(uptime[boot == own], received[boot == own])
+    if live and abs(zeros[own] - _unix(epoch)) > USUAL_DELAY_S:
+        by_received = utc_after(float(zeros[own]), UNIX_ZERO.isoformat())
+        notes.append(
+            f"received times put time zero at {by_received}; epoch_utc says {utc_after(0, epoch.isoformat())}"
+        )
     if len(zeros) > 1:
         shown = [
             utc_after(float(zero - zeros[own]), epoch.isoformat()) for zero in zeros[:SHOWN_BOOTS]
@@ -226,7 +244,7 @@ def _by_received(
         notes.append(
             f"{_rows(early)} dated up to {-np.nanmin(stored) / DAY_S:.1f} days after reception: check epoch_utc under [telemetry]"
         )
-    return time, epoch, notes
+    return time, zero, epoch, notes
 
 
 def _rows(which: np.ndarray) -> str:
@@ -246,18 +264,19 @@ def _starts_again(form: TelemetryForm, table: Table, again: Restart) -> Telemetr
 
 
 def _leap_seconds(
-    form: TelemetryForm, time: np.ndarray, epoch: datetime
+    form: TelemetryForm, uptime: np.ndarray, zero: np.ndarray, epoch: datetime
 ) -> tuple[np.ndarray, list[str]]:
-    """Return elapsed times (n, s) as days of 86,400 s count them, and a sentence if nobody has said how leap seconds count."""
-    begin = _unix(epoch)
-    leaps = leap_seconds_between(begin, begin + float(np.max(time)))
-    if not leaps or form.counts_leap_seconds is False:
+    """Return times (n, s) of `uptime` since its boot's `zero` (n, s) as days of 86,400 s count them, and a sentence if nobody has
+    said how leap seconds count."""
+    begin, time = _unix(epoch) + zero, uptime + zero
+    leaps = round(float(np.max(tai_ahead(begin + uptime) - tai_ahead(begin))))
+    if leaps <= 0 or form.counts_leap_seconds is False:
         return time, []
     if form.counts_leap_seconds:
-        return utc_of_tai(begin + float(tai_ahead(begin)) + time) - begin, []
+        return utc_of_tai(begin + tai_ahead(begin) + uptime) - _unix(epoch), []
     clock = (
         'such as GPS time (time_format = "gps")'
-        if begin == GPS_ZERO_S
+        if _unix(epoch) == GPS_ZERO_S
         else "as GPS time and TAI do"
     )
     return time, [
@@ -271,9 +290,9 @@ def _unix(moment: datetime) -> float:
 
 
 def _calendar(
-    form: TelemetryForm, table: Table, fixed: datetime | None, frames: Frames
-) -> tuple[np.ndarray, datetime, list[str]]:
-    """Return dated times (n, s) from an epoch, that epoch, and sentences on the clock."""
+    form: TelemetryForm, table: Table, fixed: datetime | None
+) -> tuple[np.ndarray, datetime, bool, list[str]]:
+    """Return dated times (n, s) from an epoch, that epoch, whether they name no zone, and sentences on the clock."""
     notes, local = [], False
     if form.time_format == "utc":
         micro, local, notes = _utc(form, table)
@@ -287,15 +306,32 @@ def _calendar(
             seconds, notes = _atomic(form, table)
         epoch = fixed or UNIX_ZERO + timedelta(seconds=float(seconds[0]))
         time = seconds - _unix(epoch)
-    back = None if form.bad_rows == "sort" else clock_set_back(time, frames, local)
-    if back is not None and back.sure:
+    return time, epoch, local, notes
+
+
+def _set_back_words(
+    form: TelemetryForm,
+    table: Table,
+    time: np.ndarray,
+    frames: Frames,
+    local: bool,
+    dated: np.ndarray,
+) -> list[str]:
+    """Return a sentence on a fall of the times that may be a clock set back, of rows that are `dated` (n); refuse one that is."""
+    rows = np.flatnonzero(dated)
+    back = clock_set_back(time[rows], Frames(frames.cells[rows]), local)
+    if back is None:
+        return []
+    back = back._replace(row=int(rows[back.row]), before=int(rows[back.before]))
+    if back.sure:
         raise _set_back(form, table, back, local)
-    if back is not None:
-        notes.append(
-            f"times fall back once, by {_span(back.back_s)} at line {table.cells.index[back.row]}: taken for rows out of order; if "
-            "a local clock was set back there, set time_zone under [telemetry]"
-        )
-    return time, epoch, notes
+    if local:
+        do = "if a local clock was set back there, set time_zone under [telemetry]"
+    else:
+        do = "if the clock was set back there, correct the times from there on"
+    return [
+        f"times fall back once, by {_span(back.back_s)} at line {table.cells.index[back.row]}: taken for rows out of order; {do}"
+    ]
 
 
 def _span(seconds: float) -> str:
@@ -331,7 +367,7 @@ def _utc(form: TelemetryForm, table: Table) -> tuple[np.ndarray, bool, list[str]
     bare = zones == ""
     micro = np.array([(each - UNIX_ZERO) // timedelta(microseconds=1) for each in moments])
     if form.time_zone is not None:
-        return _in_zone(form, micro, bare)
+        return _in_zone(form, table, micro, bare)
     if bare.any() and (zones == "local").any():  # nobody knows whether those without a zone are UTC
         what = "other times of this file have a time zone and this one has none"
         do = "give each its zone, or Z for UTC"
@@ -340,12 +376,13 @@ def _utc(form: TelemetryForm, table: Table) -> tuple[np.ndarray, bool, list[str]
     if bare.all():
         notes = [NO_ZONE]
     elif bare.any():
-        notes = [f"{int(bare.sum())} times name no zone: taken as UTC"]
+        n = int(bare.sum())
+        notes = [f"{'1 time names' if n == 1 else f'{n} times name'} no zone: taken as UTC"]
     return micro, bool(bare.all()), notes
 
 
 def _in_zone(
-    form: TelemetryForm, micro: np.ndarray, bare: np.ndarray
+    form: TelemetryForm, table: Table, micro: np.ndarray, bare: np.ndarray
 ) -> tuple[np.ndarray, bool, list[str]]:
     """Return local times of a zone, given as if they were UTC (n, microseconds; those that are not `bare` are UTC), in UTC.
 
@@ -356,8 +393,16 @@ def _in_zone(
     for i in np.flatnonzero(bare).tolist():
         shown = datetime(1970, 1, 1) + timedelta(microseconds=int(micro[i]))
         for fold in (0, 1):
-            offset = shown.replace(tzinfo=zone, fold=fold).utcoffset() or timedelta()
-            hour[fold, i] = micro[i] - offset // timedelta(microseconds=1)
+            try:
+                offset = shown.replace(tzinfo=zone, fold=fold).utcoffset() or timedelta()
+                utc_shown = shown - offset
+            except OverflowError:  # at the ends of the calendar
+                utc_shown = shown
+            hour[fold, i] = (utc_shown - datetime(1970, 1, 1)) // timedelta(microseconds=1)
+        if hour[0, i] > hour[1, i]:
+            what = f"{shown:%H:%M:%S} does not exist in {form.time_zone} on {shown:%Y-%m-%d}: the times are not of this zone"
+            do = "correct time_zone under [telemetry], or leave it out for times in UTC"
+            raise _refused(table, form.time_column, i, what, do)
     first, second = np.where(bare, hour, micro)
     rises, falls = (np.count_nonzero(sign * np.diff(micro) > 0) for sign in (1, -1))
     rows = np.arange(len(micro))[:: 1 if rises >= falls else -1]  # newest first: read backward
@@ -365,12 +410,13 @@ def _in_zone(
     disorder = FALL_INTERVALS * float(np.median(moved)) if moved.size else 0.0
     utc, undecided = first.copy(), 0
     twice = second[rows] > first[rows]
-    stretches = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(twice)) + 1)
+    apart = np.abs(np.diff(micro[rows])) > DAY_S * 1e6
+    stretches = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(twice) | apart) + 1)
     for part in (part for part in stretches if twice[part[0]]):
         stretch = rows[part]
-        fall = np.flatnonzero(np.diff(first[stretch]) < -disorder)
-        if fall.size:
-            again = stretch[fall[-1] + 1 :]
+        steps = np.diff(first[stretch])
+        if steps.size and steps.min() < -disorder:
+            again = stretch[int(steps.argmin()) + 1 :]
             utc[again] = second[again]
             continue
         gaps = [
@@ -384,11 +430,10 @@ def _in_zone(
         if gaps[1] < gaps[0]:
             utc[stretch] = second[stretch]
         undecided += len(stretch) if gaps == [np.inf, np.inf] else 0
-    notes = [f"times without a zone are read in {form.time_zone}"]
+    notes = [f"times without a zone are read in {form.time_zone}"] if bare.any() else []
     if undecided:
-        notes.append(
-            f"{undecided} times lie in the hour that a clock there shows twice: taken for its first pass"
-        )
+        lie = "1 time lies" if undecided == 1 else f"{undecided} times lie"
+        notes.append(f"{lie} in the hour that a clock there shows twice: taken for its first pass")
     return utc, False, notes
 
 
@@ -425,6 +470,11 @@ def _atomic(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]]:
         seconds = seconds + WEEK_S * weeks
     if form.gps_rollovers is None and (early := weeks < WEEKS_TO_ROLLOVER).any():
         raise _rolled_over(form, table, int(early.argmax()), seconds)
+    if form.gps_rollovers and (full := weeks >= WEEKS_TO_ROLLOVER).any():
+        column = form.week_column or form.time_column
+        what = f"the GPS week is not of ten bits, which end at {WEEKS_TO_ROLLOVER - 1}: it has not begun again"
+        do = "leave gps_rollovers out under [telemetry]"
+        raise _refused(table, column, int(full.argmax()), what, do)
     seconds = seconds + WEEKS_TO_ROLLOVER * WEEK_S * (form.gps_rollovers or 0)
     return utc_of_tai(seconds + GPS_ZERO_S + ahead), []
 
@@ -446,22 +496,34 @@ def _rolled_over(
 
 
 def _decades_off(time: np.ndarray, epoch: datetime) -> tuple[np.ndarray, list[str]]:
-    """Return rows (n) dated years from all others, as by a clock that was reset, and sentences that name them."""
+    """Return rows (n) dated years from all others, as by a clock that was reset, and sentences that name them.
+
+    A reset clock goes back to its default: of groups with a good share of the rows, the latest that is not in the future holds.
+    Sentences are in the order in which their groups begin in the file.
+    """
     ordered = np.sort(time)
     edges = np.flatnonzero(np.diff(ordered) > DECADES_S) + 1
     groups = np.split(ordered, edges)
-    most = max(groups, key=len)
-    notes = []
+    now = (datetime.now(UTC) - epoch).total_seconds()
+    large = [group for group in groups if len(group) > MANY_MISDATED * len(time)]
+    past = [group for group in large if group[0] <= now]
+    kept = past[-1] if past else max(groups, key=len)
+    notes = {}
     for group in groups:
-        if group is most:
+        if group is kept:
             continue
         first, last = (utc_after(float(each), epoch.isoformat()) for each in group[[0, -1]])
-        years = max(group[0] - most[-1], most[0] - group[-1]) / (365.25 * DAY_S)
+        years = max(group[0] - kept[-1], kept[0] - group[-1]) / (365.25 * DAY_S)
         until = f" to {last}" if len(group) > 1 else ""
-        side = "before" if group[0] < most[0] else "after"
+        side = "before" if group[0] < kept[0] else "after"
         rows = f"{len(group)} row{'s' * (len(group) > 1)} dated {first}{until}"
-        notes.append(f"{rows}, {years:.0f} years {side} the others, by a clock that was reset")
-    return (time < most[0]) | (time > most[-1]), notes
+        share = len(group) / len(time)
+        many = f": {100 * share:.0f} % of the file, check that" if share > MANY_MISDATED else ""
+        begins = int(np.argmax((time >= group[0]) & (time <= group[-1])))
+        notes[begins] = (
+            f"{rows}, {years:.0f} years {side} the others, by a clock that was reset{many}"
+        )
+    return (time < kept[0]) | (time > kept[-1]), [notes[row] for row in sorted(notes)]
 
 
 def _how_to_write(cell: str) -> str:
