@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
 
 import erfa
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from sunspin.base.errors import TelemetryError
 from sunspin.output.text import starts_text
 from sunspin.telemetry.restarts import Frames, boot_starts, clock_set_back, uptime_restart
 from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
@@ -581,3 +583,60 @@ def test_starts_of_passes_have_the_year_if_they_do_not_share_it():
     assert starts_text(data, [0.0, 60.0]) == ["12-31 23:50", "12-31 23:51"]
     assert starts_text(data, [0.0, 660.0]) == ["2025-12-31 23:50", "2026-01-01 00:01"]
     assert starts_text(xr.Dataset(), [0.0, 60.0]) == ["0 s", "60 s"]
+
+
+NEW_YORK = 'time_format = "utc"\ntime_zone = "America/New_York"'
+FALL_BACK = datetime(2024, 11, 3, 6, 0, tzinfo=UTC).timestamp()
+"""When clocks in New York went back from 02:00 to 01:00."""
+
+
+def in_new_york(seconds):
+    zone = ZoneInfo("America/New_York")
+    return [datetime.fromtimestamp(each, zone).strftime("%Y-%m-%d %H:%M:%S") for each in seconds]
+
+
+@pytest.mark.parametrize("apart_s", [20, 600, 1200, 1800])
+def test_sparse_rows_in_order_keep_their_order_while_a_local_clock_is_set_back(tmp_path, apart_s):
+    true = FALL_BACK - 4 * 3600 + apart_s * np.arange(8 * 3600 // apart_s)
+    data = read(tmp_path, in_new_york(true), NEW_YORK)
+    np.testing.assert_allclose(utc(data), true, rtol=0, atol=1e-6)
+
+
+def test_a_pass_alone_in_the_doubled_hour_is_named(tmp_path):
+    """Four passes 95 min apart: the neighbours are too far away to decide which of the two hours it was."""
+    starts = FALL_BACK - 900 + 5700 * np.array([-1, 0, 1, 2])
+    true = np.concatenate([start + 20.0 * np.arange(24) for start in starts])
+    data = read(tmp_path, in_new_york(true), NEW_YORK)
+    assert "24 times lie in the hour that a clock there shows twice" in notes(data)
+
+
+@pytest.mark.parametrize(
+    ("format_", "cell"), [("unix", "1700000001000000"), ("utc", "14.08.2023 06:30:01")]
+)
+def test_received_times_that_cannot_be_read_are_refused(tmp_path, format_, cell):
+    form = 'time_format = "elapsed"\nepoch_utc = "2023-08-14T00:00:00Z"\n'
+    form += f'receive_time_column = "rx"\nreceive_time_format = "{format_}"'
+    with pytest.raises(TelemetryError, match="received times are expected to be .*found"):
+        read(tmp_path, range(0, 200, 20), form, rx=[cell] * 10)
+
+
+def test_seconds_of_the_week_without_a_week_are_named_so(tmp_path):
+    for more in ("", "\ngps_rollovers = 2"):
+        with pytest.raises(TelemetryError, match="seconds of the week.*set week_column"):
+            read(tmp_path, range(604_000, 604_200, 20), f'time_format = "gps"{more}')
+
+
+def test_a_gps_week_that_stays_the_same_over_its_end_is_refused(tmp_path):
+    seconds = (604_700 + 20 * np.arange(10)) % 604_800
+    form = 'time_format = "gps"\nweek_column = "w"'
+    with pytest.raises(TelemetryError, match="begin again, and the week stays the same"):
+        read(tmp_path, seconds.tolist(), form, w=[2310] * 10)
+    weeks = np.where(seconds > 1e5, 2310, 2311).tolist()
+    data = read(tmp_path, seconds.tolist(), form, w=weeks)
+    np.testing.assert_allclose(np.diff(data["time"].values), 20.0, rtol=0, atol=1e-6)
+
+
+def test_dates_may_name_tai_as_their_scale(tmp_path):
+    times = [f"2023-08-14 06:30:{37 + k} TAI" for k in range(10)]
+    data = read(tmp_path, times, 'time_format = "tai"')
+    assert data.attrs["epoch_utc"].startswith("2023-08-14T06:30:00")

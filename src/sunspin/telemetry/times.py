@@ -44,6 +44,9 @@ DAY_S = 86_400.0
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows that no other row joins within five years were dated by a clock that was reset: no mission pauses for so long."""
 
+SAME_WEEK_S = 6 * 3600.0
+"""A fall of the seconds of the week by a whole week less this is its end, and no row out of order."""
+
 MANY_MISDATED = 0.2
 """A group of rows with more than this part of the file is no damage to a few dates."""
 
@@ -104,9 +107,20 @@ def received_times(form: TelemetryForm, table: Table) -> np.ndarray | None:
     cells = table.cells[form.receive_time_column]
     if form.receive_time_format == "unix":
         seconds = np.array([plain_number(cell) for cell in cells])
-        return np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan)
-    moments = [parse_utc(cell) for cell in cells]
-    return np.array([(each - UNIX_ZERO).total_seconds() if each else np.nan for each in moments])
+        received, expected = (
+            np.where(np.abs(seconds) < LATEST_UNIX_S, seconds, np.nan),
+            "Unix seconds",
+        )
+    else:
+        moments = [parse_utc(cell) for cell in cells]
+        received = np.array([_unix(each) if each else np.nan for each in moments])
+        expected = "ISO-8601 dates"
+    said = np.array([bool(cell.strip()) for cell in cells])
+    if said.any() and not np.isfinite(received).any():  # a few cells may be damaged, not all
+        what = f"received times are expected to be {expected}"
+        do = "correct them, or set receive_time_format under [telemetry]: utc for dates, unix for seconds"
+        raise _refused(table, form.receive_time_column, int(said.argmax()), what, do)
+    return received
 
 
 def read_times(form: TelemetryForm, table: Table, read: set[str]) -> Times:
@@ -410,6 +424,10 @@ def _in_zone(
     disorder = FALL_INTERVALS * float(np.median(moved)) if moved.size else 0.0
     utc, undecided = first.copy(), 0
     twice = second[rows] > first[rows]
+    outside = (np.diff(micro[rows]) < 0) & ~(twice[1:] & twice[:-1])
+    if not outside.any():  # in order but for the clock: any fall is its
+        disorder = 0.0
+    near = max(disorder, FALL_INTERVALS * float(np.median(moved)) if moved.size else 0.0)
     apart = np.abs(np.diff(micro[rows])) > DAY_S * 1e6
     stretches = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(twice) | apart) + 1)
     for part in (part for part in stretches if twice[part[0]]):
@@ -419,21 +437,20 @@ def _in_zone(
             again = stretch[int(steps.argmin()) + 1 :]
             utc[again] = second[again]
             continue
-        gaps = [
-            np.inf,
-            np.inf,
-        ]  # to the row before if this is the first pass, to the row after if it is the second
+        # to the row before if this is the first pass, to the row after if it is the second
+        gaps = [np.inf, np.inf]
         if part[0] > 0 and first[stretch[0]] >= utc[rows[part[0] - 1]] - disorder:
             gaps[0] = first[stretch[0]] - utc[rows[part[0] - 1]]
         if part[-1] + 1 < len(rows):
             gaps[1] = max(first[rows[part[-1] + 1]] - second[stretch[-1]], 0)
         if gaps[1] < gaps[0]:
             utc[stretch] = second[stretch]
-        undecided += len(stretch) if gaps == [np.inf, np.inf] else 0
+        # a neighbour that is far away decides nothing
+        undecided += len(stretch) if min(gaps) > near else 0
     notes = [f"times without a zone are read in {form.time_zone}"] if bare.any() else []
     if undecided:
         lie = "1 time lies" if undecided == 1 else f"{undecided} times lie"
-        notes.append(f"{lie} in the hour that a clock there shows twice: taken for its first pass")
+        notes.append(f"{lie} in the hour that a clock there shows twice, and may be an hour off")
     return utc, False, notes
 
 
@@ -443,6 +460,7 @@ def _atomic(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]]:
     cells = table.cells[form.time_column].tolist()
     ahead = TAI_AHEAD_OF_GPS_S if gps else 0.0
     name = "GPS" if gps else "TAI"
+    cells = [cell.strip().removesuffix(name).rstrip() for cell in cells]
     if form.week_column is None and not np.isfinite([plain_number(cell) for cell in cells]).any():
         moments = [parse_utc(cell) for cell in cells]
         for i, (cell, moment) in enumerate(zip(cells, moments, strict=True)):
@@ -455,6 +473,10 @@ def _atomic(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]]:
     if not gps:
         return utc_of_tai(seconds + TAI_ZERO_S), []
     weeks = seconds / WEEK_S
+    if form.week_column is None and (np.abs(seconds) <= WEEK_S).all():
+        what = "these are seconds of the week, and no column names the week"
+        do = "set week_column under [telemetry]"
+        raise _refused(table, form.time_column, 0, what, do)
     if form.week_column is not None:
         weeks = np.array([plain_number(cell) for cell in table.cells[form.week_column]])
         bad = ~((weeks >= 0) & (weeks < LATEST_UNIX_S / WEEK_S) & (weeks == np.floor(weeks)))
@@ -467,6 +489,11 @@ def _atomic(form: TelemetryForm, table: Table) -> tuple[np.ndarray, list[str]]:
             what = "seconds of the week are from 0 to 604800"
             do = "set time_scale_s under [telemetry], 0.001 for milliseconds"
             raise _refused(table, form.time_column, int(bad.argmax()), what, do)
+        again = (np.diff(seconds) < SAME_WEEK_S - WEEK_S) & (np.diff(weeks) == 0)
+        if again.any():
+            what = "the seconds of the week begin again, and the week stays the same"
+            do = "correct the weeks from here on"
+            raise _refused(table, form.week_column, int(again.argmax()) + 1, what, do)
         seconds = seconds + WEEK_S * weeks
     if form.gps_rollovers is None and (early := weeks < WEEKS_TO_ROLLOVER).any():
         raise _rolled_over(form, table, int(early.argmax()), seconds)
