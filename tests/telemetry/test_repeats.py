@@ -83,6 +83,52 @@ def test_a_frozen_end_is_left_out_and_named_however_long(count):
     assert all("stale" in text for text in frozen.quality["why"].values[40:])
 
 
+@pytest.mark.parametrize("fill", [np.nan, 999.0], ids=["empty", "999"])
+@pytest.mark.parametrize("cells", [0, 1, 2, 6])
+def test_a_frozen_half_is_named_whatever_cells_of_it_are_empty(cells, fill):
+    t, value = tumbling(80)
+    value[40:] = value[39]
+    value[[50, 60, 45, 55, 65, 70][:cells], 1] = fill
+    frozen = looked_at(t, value)
+    assert np.flatnonzero(frozen.repeats.frozen).tolist() == list(range(40, 80))
+    assert repeat_lines(frozen)[0]["frozen"] == [[t[40], t[-1]]]
+    assert all("stale" in text for text in frozen.quality["why"].values[40:])
+
+
+@pytest.mark.parametrize("frames", [2, 3, 4])
+def test_a_buffer_that_loops_over_its_last_frames_is_named(frames):
+    t, value = tumbling(40)
+    t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, 61)])
+    looped = looked_at(t, np.concatenate([value, np.tile(value[-frames:], (60 // frames, 1))]))
+    assert np.flatnonzero(looped.repeats.frozen).tolist() == list(range(40, 100))
+    assert "60 samples equal to earlier ones" in repeat_lines(looped)[1][0]
+
+
+@pytest.mark.parametrize("late_s", [1.0, 7.0, 13.0, 23.0, 30.0])
+def test_copies_of_frames_without_noise_are_left_out(late_s):
+    t, value = tumbling(40, apart=3.0, noise=0.0, step=COUNT)
+    t, value, copies = with_copies(t, value, late_s, 3)
+    # the last copy may come next to its frame, which chance does as well
+    assert np.array_equal(looked_at(t, value).repeats.frozen[:-1], copies[:-1])
+
+
+@pytest.mark.parametrize("fill", [999.0, 65535.0, -999.0])
+def test_rows_of_fill_values_between_samples_are_no_directions(fill):
+    t, value = tumbling(60)
+    rows = np.full((120, 6), fill)
+    rows[::2] = value
+    between = np.sort(np.concatenate([t, t + 5.0]))
+    assert worth(looked_at(between, rows))[0]["directions"] == 60
+
+
+def test_rates_that_a_gyro_holds_are_no_samples_of_the_motion():
+    t, value = tumbling(120)
+    gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
+    in_shadow = np.arange(120) % 5 > 0
+    value[in_shadow] = np.round(np.random.default_rng(2).normal(size=(96, 6))) * 0.001
+    assert worth(looked_at(t, value, gyro_B=gyro))[0]["directions"] == 24
+
+
 def test_a_frozen_stretch_parts_the_pass_and_holds_no_middle():
     t, value = tumbling(80)
     value[30:50] = value[29]
@@ -176,12 +222,19 @@ def test_zeros_in_the_shadow_are_no_repeats():
     assert (found.quality["why"].values[20:45] == "dropped: no panel lit").all()
 
 
-def test_a_spinner_that_meets_its_samples_is_not_accused():
-    """Without noise, 12 deg/s every 20 s show the same three directions again and again."""
-    t = 20.0 * np.arange(60)
-    turn = Rotation.from_rotvec(np.radians(12.0) * t[:, None] * np.array([0.6, 0.0, 0.8]))
-    value = np.round(ss.panel_power(CUBE, turn.apply([0.36, 0.48, 0.8])), 3)
-    assert not looked_at(t, value).repeats.frozen.any()
+@pytest.mark.parametrize("count", [12, 60])
+@pytest.mark.parametrize("longer", [1.0, 0.9999, 0.9997, 0.999])
+@pytest.mark.parametrize("each_turn", [3, 6])
+def test_a_spinner_that_meets_its_samples_is_not_accused(each_turn, longer, count):
+    """Without noise, a turn of about 20 s shows the same few directions again and again."""
+    t = 20.0 / each_turn * np.arange(count)
+    for seed in range(3):
+        axis, sun = np.random.default_rng(seed).normal(size=(2, 3))
+        turn = 2 * np.pi / (20.0 * longer) * t[:, None] * axis / np.linalg.norm(axis)
+        seen = Rotation.from_rotvec(turn).apply(sun / np.linalg.norm(sun))
+        for step in (COUNT, 4 * COUNT, 0.001):
+            value = np.round(ss.panel_power(CUBE, seen) / step) * step
+            assert not looked_at(t, value).repeats.frozen.any()
 
 
 def test_panels_that_repeat_while_the_gyro_changes_are_held_and_not_frozen():
@@ -201,7 +254,7 @@ def test_a_gyro_that_repeats_while_panels_change_is_left_out_there():
     assert not found.repeats.of("panels").any()
     read = np.isfinite(found.sensors["gyro_B"].values).all(axis=1)
     assert np.flatnonzero(read).tolist() == list(range(0, 120, 5))
-    assert "gyro repeat the last reading in 96 samples" in repeat_lines(found)[1][0]
+    assert "the gyro repeats the last reading in 96 samples" in repeat_lines(found)[1][0]
 
 
 def test_a_panel_that_is_read_less_often_is_named_and_its_held_values_left_out():

@@ -13,9 +13,6 @@ from sunspin.vehicle.timeline import utc_after
 AS_STATED, UNCHECKED, DOUBTFUL = "as_stated", "unchecked", "doubtful"
 """Whether the data confirm which column is which: they do; they cannot; other columns explain them, the stated one does not."""
 
-GAP_FACTOR = 6.0
-"""A gap longer than this many usual intervals ends a pass."""
-
 SPEEDS = (0.05, 0.5, 0.95)
 """Quantiles of the angular speed that are reported."""
 

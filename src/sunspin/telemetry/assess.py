@@ -16,6 +16,7 @@ from sunspin.telemetry.quality import (
     came_late,
     judge_readings,
     known_readings,
+    without_spikes,
 )
 from sunspin.telemetry.repeats import SENSORS, Repeats, find_repeats
 from sunspin.telemetry.signals import signals
@@ -63,6 +64,7 @@ class Assessment:
         if self.has_panels:
             value, _ = known_readings(self.vehicle, signals(self.telemetry))
             usable &= np.isfinite(value).any(axis=1)
+            value = without_spikes(self.vehicle, value)
         return find_repeats(self.telemetry, value, usable)
 
     @cached_property

@@ -67,10 +67,21 @@ def assumed_noise(values: npt.ArrayLike) -> float:
     -------
     float, in the unit of the values
     """
+    bright = bright_reading(values)
+    return ASSUMED_SHARE * bright if np.isfinite(bright) else float("nan")
+
+
+def bright_reading(values: npt.ArrayLike) -> float:
+    """Return the largest reading of a bright sample; infinite where nothing is lit.
+
+    Parameters
+    ----------
+    values : (n, n_panel), in any unit; what is not finite is left out
+    """
     known = np.asarray(values, dtype=np.float64)
     largest = np.where(np.isfinite(known), known, 0.0).max(axis=1, initial=0.0)
     lit = largest[largest > 0]
-    return ASSUMED_SHARE * float(np.quantile(lit, BRIGHT_QUANTILE)) if len(lit) else float("nan")
+    return float(np.quantile(lit, BRIGHT_QUANTILE)) if len(lit) else float("inf")
 
 
 def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:

@@ -154,8 +154,9 @@ def judge_readings(
     value, negative = known_readings(vehicle, signals(telemetry))
     gains = vehicle.input_gains
     usable = ~came_late(telemetry) & np.isfinite(value).any(axis=1)
-    repeats = find_repeats(telemetry, value, usable) if repeats is None else repeats
-    dropped, why = _unusable(telemetry, value, negative, repeats)
+    sound_value = without_spikes(vehicle, value)
+    repeats = find_repeats(telemetry, sound_value, usable) if repeats is None else repeats
+    dropped, why = _unusable(telemetry, sound_value, value, negative, repeats)
     held = np.zeros(value.shape, dtype=bool) if repeats.columns is None else repeats.columns
     value = np.where(held, np.nan, value)
     relative = value / gains
@@ -294,20 +295,33 @@ def known_readings(vehicle: Vehicle, value: np.ndarray) -> tuple[np.ndarray, np.
     return np.where(negative | ~np.isfinite(value), np.nan, value), negative
 
 
+def without_spikes(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
+    """Return readings (n, n_panel) without those beyond full Sun, as fill values are; all of them if most samples have one."""
+    relative = value / vehicle.input_gains
+    spike = relative > SPIKE_FACTOR * _full_sun(vehicle, relative)[0]
+    misread = spike.any(axis=1).sum() > MISREAD_SHARE * len(value)
+    return np.where(spike & ~misread, np.nan, value)
+
+
 def sees_everywhere(vehicle: Vehicle) -> bool:
     """Return whether each direction of the Sun lights some panel."""
     return bool((panel_power(vehicle, sphere(DIRECTIONS)) > 0).any(axis=1).all())
 
 
 def _unusable(
-    telemetry: xr.Dataset, value: np.ndarray, negative: np.ndarray, repeats: Repeats
+    telemetry: xr.Dataset,
+    sound: np.ndarray,
+    value: np.ndarray,
+    negative: np.ndarray,
+    repeats: Repeats,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples that cannot be used at all (n), and why (n)."""
+    """Return samples that cannot be used at all (n), and why (n); `sound` are the readings (n, n_panel) without spikes."""
     empty = ~np.isfinite(value).any(axis=1)
     late = came_late(telemetry)
     repeated = repeats.frozen
     again = np.zeros(len(value), dtype=bool)
-    again[1:] = np.all((value[1:] == value[:-1]) | np.isnan(value[1:]), axis=1)
+    empty_cell = np.isnan(sound[1:]) | np.isnan(sound[:-1])
+    again[1:] = np.all((sound[1:] == sound[:-1]) | empty_cell, axis=1)
     held = repeats.of(PANELS) & ~repeated
     reasons = [late, negative.any(axis=1) & empty, empty, repeated & again, repeated, held]
     why = np.select(reasons, [LATE, NEGATIVE, EMPTY, STALE, COPY, HELD], "").astype(object)

@@ -20,6 +20,8 @@ import numpy as np
 import xarray as xr
 from scipy.special import pdtrc
 
+from sunspin.telemetry.noise import bright_reading
+
 SENSORS = ("sun_sensor_B", "gyro_B", "field_B", "attitude_B_from_N")
 """Variables of telemetry that are read by one sensor each, in addition to the panels."""
 
@@ -27,11 +29,14 @@ PANELS = "panels"
 """Name of the panels among the sensors that may hold their values."""
 
 GAP_FACTOR = 6.0
-"""Usual intervals between distinct samples that part two stretches, as they part two passes."""
+"""A gap longer than this many usual intervals parts two stretches of samples, and two passes."""
 
 COPY_SPAN_S = 60.0
 """Copies of a frame are looked for among samples up to this much earlier, or two usual intervals. Clocks and delays of ground
 stations differ by seconds."""
+
+LONGEST_LOOP = 10
+"""Usual intervals between a frame and its copy if readings are noisy: a buffer may loop over its last frames."""
 
 MOST_BETWEEN = 60
 """Samples, at most, between a frame and its copy."""
@@ -51,9 +56,6 @@ LEAST_PAIRS = 5
 LIT_SHARE = 0.15
 """A sample counts as lit above this part of the file's bright samples: equal rows in the shadow are no fault."""
 
-BRIGHT_QUANTILE = 0.9
-"""Of the samples' largest readings: a bright sample, spikes apart."""
-
 HELD_SHARE = 0.3
 """A column that repeats its previous value in this part of its lit samples, beyond chance, refreshes at another cadence."""
 
@@ -68,6 +70,18 @@ MOST_COUNTED = 4
 
 STEP = 1.25
 """Ratio of neighbouring intervals at which the chance is computed."""
+
+SHARED = 0.5
+"""Two rows with empty cells are compared if they share this part of the columns."""
+
+NOISE_STEPS = 2.0
+"""Changes of the darkest reading, in steps of its resolution, that are noise and no rounding."""
+
+NOISY_SHARE = 0.2
+"""Readings are noisy if so many of those changes are that large: with a sigma of two steps it is a third."""
+
+FOLLOWS = 0.25
+"""Samples come back in the same order if the neighbours of two equal ones differ by this part of a usual change at most."""
 
 NONE = -1.7e300
 """Stands for a missing number when rows are compared."""
@@ -136,6 +150,7 @@ def find_repeats(telemetry: xr.Dataset, value: np.ndarray | None, usable: np.nda
     if not parts:
         return Repeats(nothing)
     every = np.column_stack(list(parts.values()))
+    usable = usable & np.isfinite(every).any(axis=1)
     whole = judge(time, every, np.logical_or.reduce(list(shows.values())), usable)
     rest, doubtful, held = usable & ~whole.repeated, whole.doubtful, {}
     for name, part in parts.items() if len(parts) > 1 else ():
@@ -165,7 +180,7 @@ def judge(time: np.ndarray, value: np.ndarray, shows: np.ndarray, usable: np.nda
     index = np.flatnonzero(shows)
     if len(index) < 2:
         return Judged(repeated, doubtful)
-    t, rows = time[index], value[index]
+    t, rows = time[index], _completed(value[index])
     known = np.isfinite(rows)
     _, same = np.unique(np.where(known, rows, NONE), axis=0, return_inverse=True)
     same = same.ravel()
@@ -176,9 +191,14 @@ def judge(time: np.ndarray, value: np.ndarray, shows: np.ndarray, usable: np.nda
     usual = float(np.median(np.diff(t[~again]))) if (~again).sum() > 1 else np.inf
     stretch = np.cumsum(np.concatenate([[0], np.diff(t) > GAP_FACTOR * usual]))
     rows = rows / resolution(rows)
-    recurring = _recurrence(t[~again], same[~again], max(COPY_SPAN_S, 2 * usual))
+    # noise does not come back: readings that show it recur by no rotation
+    noisy = _noisy(rows[np.unique(same, return_index=True)[1]])
+    span_s = max(COPY_SPAN_S, (LONGEST_LOOP if noisy else 2) * usual)
+    recurring = 0.0 if noisy else _recurrence(t[~again], same[~again], span_s)
     # copies first: left in, they would look like differences of nothing
-    pairs = _pairs_before(t, same, again, max(COPY_SPAN_S, 2 * usual))
+    pairs = _pairs_before(t, same, again, span_s)
+    if not noisy:
+        pairs.equal[_in_order(rows, again, pairs)] = False
     copied = np.zeros(len(t), dtype=bool)
     late = np.unique(pairs.later[pairs.equal])
     fresh = ~again & ~np.isin(np.arange(len(t)), late)
@@ -196,6 +216,49 @@ def judge(time: np.ndarray, value: np.ndarray, shows: np.ndarray, usable: np.nda
             doubtful[index[own]] = True
     repeated[index] = repeats
     return Judged(repeated, doubtful)
+
+
+def _completed(rows: np.ndarray) -> np.ndarray:
+    """Return rows (n, n_column) with empty cells filled from the row before or after, if it is equal in the columns that both fill
+    and these show something."""
+    rows = rows[:, np.isfinite(rows).any(axis=0)].copy()
+    for back in (1, -1):
+        order = rows[::back]  # a view: from the row before, then from the row after
+        known = np.isfinite(order)
+        both = known[1:] & known[:-1]
+        agree = (both & (order[1:] != order[:-1])).sum(axis=1) == 0
+        shown = (both & (order[1:] != 0)).any(axis=1)
+        enough = both.sum(axis=1) >= SHARED * rows.shape[1]
+        for k in (np.flatnonzero(agree & shown & enough & ~known[1:].all(axis=1)) + 1).tolist():
+            filled = np.where(known[k], order[k], order[k - 1])
+            both_now = known[k] & np.isfinite(order[k - 1])
+            if np.array_equal(order[k][both_now], order[k - 1][both_now]):
+                order[k] = filled
+    return rows
+
+
+def _noisy(rows: np.ndarray) -> bool:
+    """Return whether distinct rows (n, n_column), in steps and in any order, show noise beyond their resolution: in the dark a
+    reading without noise stays the same."""
+    darkest = np.where(np.isfinite(rows), rows, np.inf).min(axis=1, initial=np.inf)
+    changes = np.abs(np.diff(darkest[np.isfinite(darkest)]))
+    return len(changes) >= LEAST_PAIRS and bool(np.mean(changes >= NOISE_STEPS) > NOISY_SHARE)
+
+
+def _in_order(rows: np.ndarray, again: np.ndarray, pairs: Pairs) -> np.ndarray:
+    """Return the places of equal pairs whose neighbours agree as well, as in a rotation whose period is near a number of samples. A
+    copy stands between other frames than its original."""
+    place, equal = np.flatnonzero(~again), np.flatnonzero(pairs.equal)
+    order = np.nan_to_num(rows[place])
+    a, b = (np.searchsorted(place, each[equal]) for each in (pairs.earlier, pairs.later))
+    agree = np.ones(len(equal), dtype=bool)
+    for step in (-1, 1):
+        there = (a + step >= 0) & (b + step < len(place))
+        c, d = np.maximum(a + step, 0), np.minimum(b + step, len(place) - 1)
+        apart = np.abs(order[c] - order[d]).max(axis=1, initial=0.0)
+        change = np.abs(order[d] - order[b]).max(axis=1, initial=0.0)
+        agree &= ~there | (apart <= np.maximum(NOISE_STEPS, FOLLOWS * change))
+    return equal[agree]
 
 
 def resolution(value: np.ndarray) -> np.ndarray:
@@ -315,9 +378,9 @@ def _runs_beyond_chance(
     A run of m equal samples over a time has the chance of equal samples so far apart, and for each sample between the root of that
     of neighbours: the root, because a slow phase of a rotation lasts.
     """
-    found = np.zeros(len(t), dtype=bool)
+    by_run = np.zeros(len(t), dtype=bool)
     if not again.any():
-        return found
+        return by_run
     neighbours = np.flatnonzero(adjacent)
     by_neighbours = chance.at(t[neighbours] - t[neighbours - 1])
     begins = np.flatnonzero(again & ~np.concatenate([[False], again[:-1]])) - 1
@@ -326,16 +389,16 @@ def _runs_beyond_chance(
     ends = np.flatnonzero(again & ~np.concatenate([again[1:], [False]]))
     between = np.minimum(ends - begins - 1, MOST_COUNTED)
     each = chance.at(t[ends] - t[begins]) * by_neighbours.mean() ** (between / 2)
-    for begin, end, one in zip(begins, ends, each, strict=True):
-        if SAFETY * len(neighbours) * one < BY_CHANCE:
-            found[begin + 1 : end + 1] = True
-    return found
+    for begin, end, by_chance in zip(begins, ends, each, strict=True):
+        if SAFETY * len(neighbours) * by_chance < BY_CHANCE:
+            by_run[begin + 1 : end + 1] = True
+    return by_run
 
 
 def _held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.ndarray:
     """Return the readings (n, n_panel) that a panel's column repeats although others change, if it does so throughout."""
     held = np.zeros(value.shape, dtype=bool)
-    lit = value > LIT_SHARE * _bright(value)
+    lit = value > LIT_SHARE * bright_reading(value)
     for k in range(value.shape[1]):
         at = np.flatnonzero(fresh & lit[:, k])
         if len(at) < 2 * LEAST_HELD:
@@ -366,16 +429,9 @@ def _held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.
     return held
 
 
-def _bright(value: np.ndarray) -> float:
-    """Return the largest reading of a bright sample; infinite where nothing is lit."""
-    largest = np.where(np.isfinite(value), value, 0.0).max(axis=1, initial=0.0)
-    lit = largest[largest > 0]
-    return float(np.quantile(lit, BRIGHT_QUANTILE)) if len(lit) else np.inf
-
-
 def _shows(name: str, part: np.ndarray) -> np.ndarray:
     """Return the samples (n) at which a sensor shows something: panels the Sun, others any numbers but zeros."""
     if name != PANELS:
         return np.isfinite(part).all(axis=1) & (part != 0).any(axis=1)
     largest = np.where(np.isfinite(part), part, 0.0).max(axis=1, initial=0.0)
-    return largest > LIT_SHARE * _bright(part)
+    return largest > LIT_SHARE * bright_reading(part)

@@ -26,11 +26,11 @@ from sunspin.estimate.orbit.invariants import (
     spread_evenly,
     sun_by_panels,
 )
-from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, dense
 from sunspin.solve.rotations import cross_matrix, tangents, turn
 from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.repeats import GAP_FACTOR
 from sunspin.vehicle import Vehicle
 
 SCALE_FREE = 3.0

@@ -10,7 +10,6 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.environment import Environment
 from sunspin.estimate.orbit.field_calibration import FieldCalibration
-from sunspin.estimate.passes import GAP_FACTOR
 from sunspin.estimate.rates.state import Observations
 from sunspin.estimate.terms.field_direction import reads_directions
 from sunspin.estimate.terms.magnetometer import Magnetometer
@@ -19,6 +18,7 @@ from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, came_late
+from sunspin.telemetry.repeats import GAP_FACTOR
 from sunspin.vehicle import Vehicle
 
 MAX_PASS_S = 3000.0

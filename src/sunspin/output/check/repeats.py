@@ -20,6 +20,9 @@ CALLED = {PANELS: "panels", "sun_sensor_B": "Sun sensors", "gyro_B": "gyro"}
 CALLED |= {"field_B": "magnetometer", "attitude_B_from_N": "attitude"}
 """What sensors are called, by variable of telemetry."""
 
+SEVERAL = (PANELS, "sun_sensor_B")
+"""Those called by a plural."""
+
 
 def repeat_lines(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     """Return summary and lines on the samples that repeat earlier ones; empty if none does."""
@@ -41,7 +44,7 @@ def repeat_lines(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         summary["frozen"] = [[float(time[a]), float(time[b - 1])] for a, b in long]
         lines += [
             f"  FROZEN from {clock_text(samples, float(time[a]))} to {clock_text(samples, float(time[b - 1]))}: "
-            f"{counted(b - a, 'sample')} equal to the one before; left out, like a gap"
+            f"{counted(b - a, 'sample')} equal to earlier ones; left out, like a gap"
             for a, b in long
         ]
         if copies:
@@ -52,9 +55,10 @@ def repeat_lines(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     for sensor, held in repeats.held.items():
         if held.any():
             summary.setdefault("held", {})[CALLED[sensor]] = int(held.sum())
+            repeat = "repeat" if sensor in SEVERAL else "repeats"
             lines.append(
-                f"  HELD VALUES: {CALLED[sensor]} repeat the last reading in {counted(int(held.sum()), 'sample')} while other "
-                "sensors change; left out"
+                f"  HELD VALUES: the {CALLED[sensor]} {repeat} the last reading in {counted(int(held.sum()), 'sample')} while "
+                "other sensors change; left out"
             )
     if repeats.columns is not None and repeats.columns.any():
         names = samples["panel"].values.astype(str)

@@ -186,8 +186,8 @@ def _shows_motion(assessment: Assessment) -> np.ndarray:
     samples = assessment.telemetry
     shows = np.zeros(samples.sizes["time"], dtype=bool)
     if assessment.has_panels:
-        status, value = assessment.sun["status"].values, signals(samples)
-        read = np.isfinite(value)
+        status, read = assessment.sun["status"].values, assessment.quality["reading"].values
+        value = np.where(read, signals(samples), np.nan)
         # of the panels that have a reading anywhere: a column that is always empty hides nothing
         complete = read.sum(axis=1) >= MOST_PANELS * read.any(axis=0).sum()
         lit = (np.nan_to_num(value) > 0).any(axis=1)
@@ -195,7 +195,7 @@ def _shows_motion(assessment: Assessment) -> np.ndarray:
         shows |= (status == SunStatus.MISSING) & complete & lit
     for name in ("sun_B", "sun_sensor_B", *VARIABLES.values()):
         if name in samples:
-            shows |= np.isfinite(samples[name].values).all(axis=1)
+            shows |= np.isfinite(assessment.sensors[name].values).all(axis=1)
     return shows
 
 
