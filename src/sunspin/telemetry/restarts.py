@@ -86,16 +86,16 @@ class Frames(NamedTuple):
     cells: np.ndarray
 
     def alike(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Whether rows (m) hold nothing that contradicts other rows (m)."""
-        one, other = self.cells[first], self.cells[second]
-        return ((one == other) | (one == "") | (other == "")).all(axis=1)
+        """Return whether rows (m) hold nothing that contradicts other rows (m)."""
+        left, right = self.cells[first], self.cells[second]
+        return ((left == right) | (left == "") | (right == "")).all(axis=1)
 
     def comparable(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Whether rows (m) fill some column that other rows (m) fill too."""
+        """Return whether rows (m) fill some column that other rows (m) fill too."""
         return ((self.cells[first] != "") & (self.cells[second] != "")).any(axis=1)
 
     def repeated(self, time: np.ndarray, order: np.ndarray) -> np.ndarray:
-        """Whether each row (n) has the time and the cells of a row that comes earlier in `order` (n)."""
+        """Return whether each row (n) has the time and the cells of a row that comes earlier in `order` (n)."""
         seen: set[tuple] = set()
         again = np.zeros(len(time), dtype=bool)
         for i in order.tolist():
@@ -145,8 +145,8 @@ def boot_starts(uptime: np.ndarray, received: np.ndarray, frames: Frames) -> np.
 def _listened(
     uptime: np.ndarray, heard: np.ndarray, delay: np.ndarray, rows: slice, before: slice
 ) -> bool:
-    """Whether rows of nearly one delay were received while they were sampled; a single one, if it is the file's last and those
-    before it were."""
+    """Return whether rows of nearly one delay were received while they were sampled; a single one, if it is the file's last and
+    those before it were."""
     up, late = uptime[rows][:MOST_COMPARED], delay[rows][:MOST_COMPARED]
     if len(up) == 1:
         last = rows.stop == len(delay) and heard[rows.start] == heard.max()
@@ -156,7 +156,7 @@ def _listened(
 
 
 def _one_rate(uptime: np.ndarray, delay: np.ndarray) -> bool:
-    """Whether the delay of rows (m) does not change with uptime as in a playback."""
+    """Return whether the delay of rows (m) does not change with uptime as in a playback."""
     spread = np.var(uptime)
     if spread == 0:
         return False
@@ -165,7 +165,7 @@ def _one_rate(uptime: np.ndarray, delay: np.ndarray) -> bool:
 
 
 def received_live(uptime: np.ndarray, received: np.ndarray) -> bool:
-    """Whether the rows (m) of a boot with the least delays were received while they were sampled."""
+    """Return whether the rows (m) of a boot with the least delays were received while they were sampled."""
     delay = (received - uptime)[np.isfinite(received)]
     least = delay <= delay.min(initial=np.inf) + USUAL_DELAY_S
     return bool(least.any()) and _one_rate(uptime[np.isfinite(received)][least], delay[least])
@@ -298,7 +298,7 @@ def _parts_in_order(time: np.ndarray, order: np.ndarray) -> list[np.ndarray]:
 
 
 def _overlap(known: np.ndarray, later: np.ndarray) -> bool:
-    """Whether `later` times lie between `known` ones where no sample is missing."""
+    """Return whether `later` times lie between `known` ones where no sample is missing."""
     known = np.unique(known)
     if len(known) < FEWEST_BETWEEN:
         return False
@@ -325,7 +325,8 @@ def _falls(time: np.ndarray, usual: float) -> np.ndarray:
 
 
 def _runs_again(time: np.ndarray, frames: Frames, known: np.ndarray, later: np.ndarray) -> bool:
-    """Whether `later` rows run through the times of `known` rows with other readings of the same columns, where none is missing."""
+    """Return whether `later` rows run through the times of `known` rows with other readings of the same columns, where none is
+    missing."""
     known = known[np.argsort(time[known], kind="stable")]
     if len(known) < FEWEST_BETWEEN or len(later) < FEWEST_BETWEEN:
         return False
