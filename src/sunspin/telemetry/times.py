@@ -44,6 +44,9 @@ DAY_S = 86_400.0
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows that no other row joins within five years were dated by a clock that was reset: no mission pauses for so long."""
 
+CLOCKS_END = datetime(2038, 1, 19, tzinfo=UTC)
+"""When Unix time overflows in 32 bits: where there is another group of dates, rows from here on are of a clock without a date."""
+
 SAME_WEEK_S = 6 * 3600.0
 """A fall of the seconds of the week by a whole week less this is its end, and no row out of order."""
 
@@ -525,15 +528,15 @@ def _rolled_over(
 def _decades_off(time: np.ndarray, epoch: datetime) -> tuple[np.ndarray, list[str]]:
     """Return rows (n) dated years from all others, as by a clock that was reset, and sentences that name them.
 
-    A reset clock goes back to its default: of groups with a good share of the rows, the latest that is not in the future holds.
-    Sentences are in the order in which their groups begin in the file.
+    A reset clock goes back to its default: of groups with a good share of the rows, the latest before `CLOCKS_END` holds. The day
+    of the run decides nothing, so that a file reads alike every day. Sentences are in the order in which their groups begin.
     """
     ordered = np.sort(time)
     edges = np.flatnonzero(np.diff(ordered) > DECADES_S) + 1
     groups = np.split(ordered, edges)
-    now = (datetime.now(UTC) - epoch).total_seconds()
+    end = (CLOCKS_END - epoch).total_seconds()
     large = [group for group in groups if len(group) > MANY_MISDATED * len(time)]
-    past = [group for group in large if group[0] <= now]
+    past = [group for group in large if group[0] < end]
     kept = past[-1] if past else max(groups, key=len)
     notes = {}
     for group in groups:
