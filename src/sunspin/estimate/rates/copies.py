@@ -76,8 +76,14 @@ class Outline(NamedTuple):
         """
         apart_rad = BENT_RAD if models_differ else ALIKE_RAD
         alike = self.steps_alike(k, others, apart_rad) & self._whole_alike(k, others, apart_rad)
-        near = self.steps_alike(k, others, BENT_RAD) & ~alike
+        # a Sun on the other side of the body is another motion, however alike the rates are
+        near = self.steps_alike(k, others, BENT_RAD) & self._suns_alike(k, others) & ~alike
         return alike | self._within_sigmas(k, others, near, joint=True)
+
+    def _suns_alike(self, k: int, others: Outline) -> np.ndarray:
+        suns = slice(-self.omega.shape[1], None)
+        apart = ((others.steps[:, suns] - self.steps[k, suns]) ** 2).sum(axis=-1).max(axis=-1)
+        return apart <= ALIKE_RAD**2
 
     def _whole_alike(self, k: int, others: Outline, apart_rad: float) -> np.ndarray:
         return ((others.whole - self.whole[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
