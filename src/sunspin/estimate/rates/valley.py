@@ -2,7 +2,7 @@
 
 A few samples of the Sun alone hardly tell the spin about the Sun's direction, so the cost has a long, flat valley. A fit rests at
 one place of it. When the window of samples grows, the valley bends and breaks into several minima, and a motion that starts from
-one place ends in the nearest of them: a slow body was lost so in 4 of 100 passes. Here the valley is sampled, no farther apart
+one place ends in the nearest of them: slow bodies were lost so. Here the valley is sampled, no farther apart
 than a fit moves, before the window grows.
 """
 
