@@ -39,7 +39,7 @@ class Outline(NamedTuple):
 
     @classmethod
     def of(cls, track: Seen, times: np.ndarray, covariance: np.ndarray | None = None) -> Outline:
-        """Return that of motions at `times` (n), s; `covariance` (K, n, 6, 6) of turn and rate, unless that of the track."""
+        """Return the outline of motions at `times` (n), s; `covariance` (K, n, 6, 6) of turn and rate, if not the track's."""
         if covariance is None:
             covariance = track.covariance if isinstance(track, Track) else np.zeros(0)
         count = len(track.omega)
@@ -52,12 +52,12 @@ class Outline(NamedTuple):
         return cls(steps.astype(np.float32), whole.astype(np.float32), track.omega, rates)
 
     def take(self, index: np.ndarray) -> Outline:
-        """Return those of the motions `index`."""
+        """Return the outline of the motions `index`."""
         return Outline(*(part[index] for part in self))
 
     def steps_alike(self, k: int, others: Outline, apart_rad: float = ALIKE_RAD) -> np.ndarray:
         """Return which of some motions (K) turn like motion `k` between neighbours and see the Sun where it does."""
-        return ((others.steps - self.steps[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
+        return _nowhere_farther(self.steps[k], others.steps, apart_rad)
 
     def copies(self, k: int, others: Outline) -> np.ndarray:
         """Return which of some motions (K), fitted under one model, are copies of motion `k`.
@@ -82,11 +82,10 @@ class Outline(NamedTuple):
 
     def _suns_alike(self, k: int, others: Outline) -> np.ndarray:
         suns = slice(-self.omega.shape[1], None)
-        apart = ((others.steps[:, suns] - self.steps[k, suns]) ** 2).sum(axis=-1).max(axis=-1)
-        return apart <= ALIKE_RAD**2
+        return _nowhere_farther(self.steps[k, suns], others.steps[:, suns], ALIKE_RAD)
 
     def _whole_alike(self, k: int, others: Outline, apart_rad: float) -> np.ndarray:
-        return ((others.whole - self.whole[k]) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
+        return _nowhere_farther(self.whole[k], others.whole, apart_rad)
 
     def _within_sigmas(self, k: int, others: Outline, asked: np.ndarray, joint: bool) -> np.ndarray:
         """Return which of the motions `asked` for (K) have rates within `COPY_SIGMAS` of motion `k` at every sample."""
@@ -99,6 +98,11 @@ class Outline(NamedTuple):
             far = np.max([_squared_sigmas(off, spread) for spread in spreads], axis=0)
             within[which] = far <= COPY_SIGMAS**2
         return within
+
+
+def _nowhere_farther(own: np.ndarray, others: np.ndarray, apart_rad: float) -> np.ndarray:
+    """Return which of some rows of vectors (K, m, 3) are nowhere farther from one row (m, 3) than this."""
+    return ((others - own) ** 2).sum(axis=-1).max(axis=-1) <= apart_rad**2
 
 
 def _squared_sigmas(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
