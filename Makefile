@@ -78,7 +78,7 @@ long: $(READY)
 	$(TESTS) $(SPREAD) -m "long and not slow"
 
 other-pythons: $(READY)
-	$(BIN)/python tests/other_pythons.py
+	$(BIN)/python tests/support/other_pythons.py
 
 # adds what the campaigns show to what `make test` has shown
 test-slow: $(READY)

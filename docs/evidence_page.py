@@ -1,8 +1,8 @@
 """The page "Evidence": the evidence that the tests declare, with the figures that they reached.
 
 A test declares what it is evidence for by ``@pytest.mark.evidence(capability, kind, against)`` and records figures by the
-fixture ``reached`` (tests/evidence.py). The declarations are read from the tests' text, so that none is lost where a test was
-not run; outcomes and figures come from the file that a run of the tests has written.
+fixture ``reached`` (tests/support/evidence.py). The declarations are read from the tests' text, so that none is lost where a
+test was not run; outcomes and figures come from the file that a run of the tests has written.
 """
 
 from __future__ import annotations

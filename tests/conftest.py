@@ -10,7 +10,7 @@ import pytest
 
 from sunspin.base.atomic_write import is_writable
 
-pytest_plugins = ["evidence"]
+pytest_plugins = ["tests.support.evidence"]
 
 
 @pytest.hookimpl(wrapper=True)
@@ -47,8 +47,8 @@ def undrawn(monkeypatch) -> None:
 @pytest.fixture
 def framed(monkeypatch) -> None:
     """Figures are made, but only their frames drawn."""
-    from drawing import frame
     from sunspin.output import figures
+    from tests.support.figures import frame
 
     monkeypatch.setattr(figures, "lay_out", frame)
 

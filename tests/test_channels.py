@@ -9,7 +9,6 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from cubes import FACES
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.light import between, light_of, seen
 from sunspin.estimate.posterior.likelihood import Likelihood
@@ -20,6 +19,7 @@ from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.flat import unit_readings
 from sunspin.vehicle.response.joined import Joined
 from sunspin.vehicle.response.planes import sphere
+from tests.support.vehicles import FACES
 
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
 ONE = {"X": THREE["X"]}

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from other_pythons import VERSIONS
-from sources import text
+from tests.support.other_pythons import VERSIONS
+from tests.support.sources import text
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

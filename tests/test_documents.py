@@ -6,7 +6,7 @@ import runpy
 import click
 import pytest
 
-from documents import LANGUAGES, ROOT, WRITTEN, Block, Reader, blocks, pages
+from tests.support.documents import LANGUAGES, ROOT, WRITTEN, Block, Reader, blocks, pages
 
 PAGES = {str(path.relative_to(ROOT)): path for path in pages()}
 BLOCKS = {name: blocks(path.read_text("utf-8")) for name, path in PAGES.items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import sunspin as ss
-from sources import has, nodes_if, tree
+from tests.support.sources import has, nodes_if, tree
 
 ROOT = Path(__file__).parents[1]
 PYTHON = [

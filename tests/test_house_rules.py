@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sources import nodes_if
+from tests.support.sources import nodes_if
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))

@@ -15,7 +15,7 @@ import sunspin as ss
 from sunspin.dynamics import gyrostat as g
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Friction, Panel, Vehicle
-from vehicles import random_vehicle
+from tests.support.vehicles import random_vehicle
 
 EXAMPLES = int(os.environ.get("SUNSPIN_EXAMPLES", "6"))
 few = settings(max_examples=EXAMPLES, deadline=None, derandomize=EXAMPLES <= 6)

@@ -14,7 +14,6 @@ import xarray as xr
 from click.testing import CliRunner
 
 import sunspin as ss
-from spinners import UNSTATED, Spinner
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli import cli
 from sunspin.estimate.orbit import check as orbit_check
@@ -22,6 +21,7 @@ from sunspin.telemetry.assess import panel_quality
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.sun import LIT_FRACTION, is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
+from tests.support.satellite_files import UNSTATED, Spinner
 
 COLUMNS = [
     (f"{value}_{axis}{unit}", sigma.format(axis=axis) + end)

@@ -3,7 +3,7 @@
 import ast
 import re
 
-from documents import ROOT, pages
+from tests.support.documents import ROOT, pages
 
 WORDS = (
     "told|untold|beside|spoilt|mended|anew|nobody|as stated|put in|stands? off|in silence|likewise|whatever|tells|goes on|"

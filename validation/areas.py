@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -19,10 +18,8 @@ import numpy as np
 from click.testing import CliRunner
 
 from sunspin.base.errors import SunspinError
-from validation.scoreboard import ROOT, Task
+from validation.scoreboard import Task
 from validation.truths import WRONG_SIGMAS
-
-sys.path.append(str(ROOT / "tests"))  # where some of the simulated satellites are
 
 Row = dict[str, Any]
 
@@ -68,10 +65,10 @@ def _pass(kind: str, seed: int, i: int) -> Row:
 
 
 def _any_vehicle(seed: int, i: int) -> Row:
-    from strange_rates import judge
     from sunspin.estimate.rates.result import DECIDED
+    from tests.support.any_vehicle import judge_rates
 
-    row = judge(seed, i)
+    row = judge_rates(seed, i)
     if row["word"] == "refused":
         return {"outcome": "open", "says": row["verdict"], "listed": False}
     if row["word"] == "decided":
@@ -102,9 +99,9 @@ def orbiting(level: str, seed: int) -> Iterator[Task]:
 
 
 def _orbiting(seed: int, i: int) -> Row:
-    from orbit_rates_twins import judge
+    from tests.support.orbit_cases import judge_rates
 
-    row = judge(seed, i)
+    row = judge_rates(seed, i)
     ways = ("without", "right", "field alone")
     passes = [each for way in ways if way in row for each in row[way]["passes"]]
     judged = [each for each in passes if "pulls" in each]
@@ -114,13 +111,15 @@ def _orbiting(seed: int, i: int) -> Row:
 
 def _sparse(seed: int, i: int) -> Row:
     import sunspin as ss
-    from orbit_rates_twins import SPARSE, judged, make, one_pass
+    from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rates_case
 
-    vehicle, data, _, truth, about = make(seed, i, **SPARSE)
+    vehicle, data, _, truth, about = rates_case(seed, i, **SPARSE)
     results = [
         ss.rates(vehicle, one_pass(data, begin).drop_vars("field_B")) for begin in about["begin_s"]
     ]
-    return _of_passes([judged(result, truth, 0) for result in results], "miss_deg_s", "sigma_deg_s")
+    return _of_passes(
+        [pass_against_truth(result, truth, 0) for result in results], "miss_deg_s", "sigma_deg_s"
+    )
 
 
 def _of_passes(passes: list[Row], off: str, sigma: str) -> Row:
@@ -232,10 +231,10 @@ def _twin(
 
 
 def _any_posterior(seed: int, i: int) -> Row:
-    from strange_twins import judge, make
+    from tests.support.any_vehicle import judge_posterior, posterior_case
     from validation.calibrate import NEAR_SIGMAS
 
-    row = judge(make(seed, i), workers=1)
+    row = judge_posterior(posterior_case(seed, i), workers=1)
     if row["word"] == "refused":
         return {"outcome": "open", "says": row["verdict"], "listed": False}
     return {
@@ -323,9 +322,9 @@ def elements(level: str, seed: int) -> Iterator[Task]:
 
 
 def _elements(seed: int, i: int) -> Row:
-    from tle_twins import judge
+    from tests.support.orbit_cases import judge_check
 
-    row = judge(seed, i)
+    row = judge_check(seed, i)
     verdicts = {name: row[name].verdict.name.lower() for name in ("0 deg", "20 deg", "clock")}
     outcomes = [
         _of_orbit(verdicts["0 deg"], True),
@@ -346,9 +345,9 @@ def calibration(level: str, seed: int) -> Iterator[Task]:
 
 
 def _calibration(seed: int, i: int) -> Row:
-    from calibration_twins import judge
+    from tests.support.calibration_cases import judge_calibration
 
-    (row,) = judge(seed, i).values()
+    (row,) = judge_calibration(seed, i).values()
     pulls = [pull for each in row.values() for pull in each]
     wrong = [
         f"{key}: {max(each, key=abs):.1f} sigma off"

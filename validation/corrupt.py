@@ -20,7 +20,7 @@ from unittest import mock
 import numpy as np
 
 from sunspin.base.untrusted import Elsewhere
-from tests.corrupted import BYTES
+from tests.support.corruptions import BYTES
 from validation import fuzz, pool
 from validation.border import judge, sunspin
 from validation.pool import Suite, Verdict
@@ -39,7 +39,7 @@ SUN, ROWS = (0.1959, 0.5690, 0.7986), 60
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """One way or another: what `tests/corrupted.py` does, or numbers of the file's own structure replaced."""
+    """One way or another: what `tests/support/corruptions.py` does, or numbers of the file's own structure replaced."""
     if rng.random() < 0.5:
         return BYTES[int(rng.integers(len(BYTES) - 1))](content, rng)  # the last one is about text
     data = bytearray(content)
@@ -197,7 +197,7 @@ def make_files(home: Path) -> dict[str, Any]:
     import xarray as xr
 
     from sunspin.compute.rows import ensemble
-    from tests.rowsets import Waves
+    from tests.support.rows import Waves
 
     fuzz.make_stock(home / "stock")
     rows = (home / "stock" / "telemetry.csv").read_text("utf-8").splitlines()[1:]

@@ -9,7 +9,7 @@ from importlib import resources
 
 import numpy as np
 
-from tests.corrupted import BYTES, CELLS
+from tests.support.corruptions import BYTES, CELLS
 
 NUMBERS = tuple("0 -0.0 1 -1 nan inf 1e308 5e-324 1e12 1e30 1e-30 0.1 1000000000000".split())
 

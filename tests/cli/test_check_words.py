@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from cubes import FACES
 from sunspin.base.errors import InputError
 from sunspin.cli.values import between, instants_of
 from sunspin.output.check.samples import _lit
 from sunspin.output.kinds.panels import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle
+from tests.support.vehicles import FACES
 from validation.border import sunspin
 
 

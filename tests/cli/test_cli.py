@@ -1,6 +1,5 @@
 """The command line as a user meets it: output, exit codes, one sentence on errors, nothing overwritten."""
 
-import contextlib
 import json
 import math
 import subprocess
@@ -12,18 +11,9 @@ import pytest
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from validation import border
-from validation.border import Told
+from tests.support.commands import sunspin
 
 pytestmark = pytest.mark.usefixtures("framed")
-
-
-def sunspin(*arguments, cwd=".", code=0) -> Told:
-    """The entry point in this process, as a shell would call it: to start a process for each would cost more than the work."""
-    with contextlib.chdir(cwd):
-        told = border.sunspin(*map(str, arguments))
-    assert told.code == code and not told.escaped, told
-    return told
 
 
 @pytest.fixture

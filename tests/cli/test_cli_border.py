@@ -13,12 +13,12 @@ import click
 import numpy as np
 import pytest
 
-from rowsets import heed_interrupts
 from sunspin import cli
 from sunspin.base.errors import InputError, OutputError
 from sunspin.cli import values
 from sunspin.cli.common import COMMANDS
 from sunspin.output.folder import results_folder
+from tests.support.rows import heed_interrupts
 
 START = ["--omega-deg-s=6,0,0", "--sun=0.1959,0.5690,0.7986"]
 

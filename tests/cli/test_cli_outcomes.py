@@ -4,7 +4,8 @@ import json
 
 import pytest
 import xarray as xr
-from test_cli import sunspin
+
+from tests.support.commands import sunspin
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -1,6 +1,6 @@
 """Other people's satellites, as their operators would describe them, through every command; and their files corrupted.
 
-All telemetry here is synthetic (tests/satellites.py) but skCUBE's, which is used where it is found.
+All telemetry here is synthetic (tests/support/satellite_files.py) but skCUBE's, which is used where it is found.
 """
 
 import io
@@ -13,18 +13,20 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import satellites
-from corrupted import BYTES, CELLS
 from sunspin import cli
+from tests.support import satellite_files
+from tests.support.corruptions import BYTES, CELLS
 from validation.border import BEGUN
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 MAKERS = {
-    "six faces, UTC, quaternion": lambda folder, rng: satellites.six_faces(folder, rng, n=20),
-    "four faces, Unix ms, counts": lambda folder, rng: satellites.four_faces(folder, rng, n=24),
-    "wheel, MET, Parquet": lambda folder, rng: satellites.wheeled(folder, rng, n=20),
-    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellites.wheeled(
+    "six faces, UTC, quaternion": lambda folder, rng: satellite_files.six_faces(folder, rng, n=20),
+    "four faces, Unix ms, counts": lambda folder, rng: satellite_files.four_faces(
+        folder, rng, n=24
+    ),
+    "wheel, MET, Parquet": lambda folder, rng: satellite_files.wheeled(folder, rng, n=20),
+    "wheel, MET, NetCDF, no tachometer": lambda folder, rng: satellite_files.wheeled(
         folder, rng, n=20, form="netcdf", speed=False
     ),
 }
@@ -127,11 +129,11 @@ def campaign(folder, makers, copies, seed, commands):
 
 
 SMALL = {
-    "six": lambda folder, rng: satellites.six_faces(folder, rng, n=14),
-    "four": lambda folder, rng: satellites.four_faces(folder, rng, n=14),
-    "wheel": lambda folder, rng: satellites.wheeled(folder, rng, n=12, form="parquet"),
-    "wheel nc": lambda folder, rng: satellites.wheeled(folder, rng, n=12, form="netcdf"),
-    "wheel csv": lambda folder, rng: satellites.wheeled(folder, rng, n=12, form="csv"),
+    "six": lambda folder, rng: satellite_files.six_faces(folder, rng, n=14),
+    "four": lambda folder, rng: satellite_files.four_faces(folder, rng, n=14),
+    "wheel": lambda folder, rng: satellite_files.wheeled(folder, rng, n=12, form="parquet"),
+    "wheel nc": lambda folder, rng: satellite_files.wheeled(folder, rng, n=12, form="netcdf"),
+    "wheel csv": lambda folder, rng: satellite_files.wheeled(folder, rng, n=12, form="csv"),
 }
 
 
@@ -145,7 +147,7 @@ def test_corrupted_files_give_a_sentence_and_never_a_traceback(copies, tmp_path)
 
 @pytest.mark.long
 def test_corrupted_results_are_refused_by_export(tmp_path):
-    craft = satellites.six_faces(tmp_path, np.random.default_rng(0), n=10)
+    craft = satellite_files.six_faces(tmp_path, np.random.default_rng(0), n=10)
     fine(
         sunspin(
             "rates",

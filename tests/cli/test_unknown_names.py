@@ -1,9 +1,9 @@
 """A name that does not exist is answered with the nearest one that does."""
 
 import pytest
-from test_cli import sunspin
 
 import sunspin as ss
+from tests.support.commands import sunspin
 
 
 def test_an_unknown_command_is_answered_with_the_nearest_one(tmp_path):

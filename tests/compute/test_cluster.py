@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from rowsets import ELSEWHERE, Waves, heed_interrupts, same
 from sunspin.compute.rows import ensemble
+from tests.support.rows import ELSEWHERE, Waves, heed_interrupts, same
 
 distributed = pytest.importorskip(
     "distributed", reason='needs Dask: pip install "sunspin[cluster]"'
@@ -199,7 +199,7 @@ def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
 
 SCRIPT = """
 import sys
-from rowsets import Waves
+from tests.support.rows import Waves
 from sunspin.base.errors import Interrupted
 from sunspin.compute.rows import ensemble
 if __name__ == "__main__":

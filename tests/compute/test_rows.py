@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from rowsets import ELSEWHERE, Waves, heed_interrupts, same
 from sunspin import cli
 from sunspin.base.errors import Interrupted
 from sunspin.compute.identity import plain
 from sunspin.compute.rows import ensemble
+from tests.support.rows import ELSEWHERE, Waves, heed_interrupts, same
 
 ROWS = Waves()
 
@@ -77,7 +77,7 @@ def test_progress_counts_rows(capsys, monkeypatch):
 
 SCRIPT = """
 import sys
-from rowsets import Waves
+from tests.support.rows import Waves
 from sunspin.base.errors import Interrupted
 from sunspin.compute.rows import ensemble
 log, store = sys.argv[1:]

@@ -15,9 +15,9 @@ import pytest
 
 import sunspin as ss
 import sunspin.compute.store as disk
-from rowsets import ELSEWHERE, Waves, same
 from sunspin.base.atomic_write import hold
 from sunspin.compute.rows import ensemble
+from tests.support.rows import ELSEWHERE, Waves, same
 
 ROWS = Waves()
 WHOLE = ROWS(np.arange(1000))
@@ -112,7 +112,7 @@ def test_a_run_that_ends_at_any_step_of_writing_is_resumed(tmp_path):
 
 KILLED = """
 import sys
-from rowsets import Waves
+from tests.support.rows import Waves
 from sunspin.compute.rows import ensemble
 ensemble(Waves(n_rows=int(sys.argv[2]), seconds_per_row=0.004), store=sys.argv[1], chunk=10, workers=2)
 """

@@ -8,7 +8,7 @@ from scipy.stats import wasserstein_distance
 
 import sunspin as ss
 from sunspin.dynamics import ensemble as k
-from vehicles import FIRST_SUN, philae_body, random_vehicle
+from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
 
 def rows_of(omega, speeds) -> k.Rows:

@@ -10,7 +10,7 @@ import pytest
 from sunspin.base.errors import OutputError
 from sunspin.dynamics import ensemble as k
 from sunspin.dynamics.ensemble import ahead, compiled, series_lanes, steps
-from vehicles import FIRST_SUN, random_vehicle
+from tests.support.vehicles import FIRST_SUN, random_vehicle
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.dynamics import ensemble as k
-from vehicles import FIRST_SUN, philae_body, random_vehicle
+from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
 TIMES = np.array([100.0, 900.0, 1800.0])
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import sunspin as ss
 from sunspin.dynamics import gyrostat as g
 from sunspin.vehicle import Leg, Vehicle
-from vehicles import philae_body, random_vehicle
+from tests.support.vehicles import philae_body, random_vehicle
 
 
 def energy(vehicle, omega, speeds, velocity):

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.vehicle import Friction, Vehicle
-from vehicles import FIRST_SUN, philae_body, random_vehicle
+from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
 
 def paper_equations(vehicle: Vehicle):

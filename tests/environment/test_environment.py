@@ -6,7 +6,7 @@ import pytest
 import sunspin as ss
 from sunspin.environment import circular, unknown
 from sunspin.environment.frames import BODY_AT_START, SUN_Z_LOCAL
-from vehicles import FIRST_SUN, philae_body
+from tests.support.vehicles import FIRST_SUN, philae_body
 
 
 def test_of_an_unknown_environment_only_the_sun_is_known_and_stands_still():

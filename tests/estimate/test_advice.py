@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import satellites
 import sunspin as ss
-from clock_twins import craft
-from clock_twins import twin as late_twin
-from fast_twins import twin as fast_twin
-from posteriors import philae_draws
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit import check as orbit_check
@@ -34,7 +29,10 @@ from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Gyro, Sensors
-from tle_twins import make as tle_twin
+from tests.support import satellite_files
+from tests.support.orbit_cases import check_case
+from tests.support.philae import philae_draws
+from tests.support.simulate import cube_with_late_sensor, cube_with_sensor, fast_body
 from validation import spinners
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -95,7 +93,7 @@ def test_give_more_effort():
 
 def test_give_a_smaller_largest_rate():
     """With the rate that the sentence names the grid of starts is fine; with one a little larger it is not."""
-    vehicle, data, _ = fast_twin(60.0, np.random.default_rng(5), samples=5)
+    vehicle, data, _ = fast_body(60.0, np.random.default_rng(5), samples=5)
     from sunspin.estimate.rates.observe import observations
 
     o, motion = observations(vehicle, data)[0], Motion(Body.of(vehicle), 1e-5, 0.5)
@@ -195,15 +193,15 @@ def test_leave_a_sensor_out():
 
 @pytest.mark.long
 def test_state_that_sensors_are_late():
-    data, run = late_twin("gyro", 5.3, np.random.default_rng(101))
-    silent = ss.rates(craft("gyro", None), data, max_rate_rad_s=0.15)
+    data, run = cube_with_late_sensor("gyro", 5.3, np.random.default_rng(101))
+    silent = ss.rates(cube_with_sensor("gyro", None), data, max_rate_rad_s=0.15)
     line = re.search(
         r"state (sensors_late_s = \{[^}]*\}) under \[clock\] of the vehicle file",
         silent.attrs["verdict"],
     )
     assert line is not None and "SEEM LATE" in silent.attrs["verdict"], silent.attrs["verdict"]
     clock = parse_vehicle(f'name = "a"\n[clock]\n{line[1]}\n', "a").sensors.clock
-    stated = ss.rates(craft("gyro", clock), data, max_rate_rad_s=0.15)
+    stated = ss.rates(cube_with_sensor("gyro", clock), data, max_rate_rad_s=0.15)
     assert (
         "SEEM" not in stated.attrs["verdict"]
         and "late (vehicle file and data)" in stated.attrs["verdict"]
@@ -215,7 +213,7 @@ def test_set_the_scale_that_check_names(tmp_path):
     """Readings in W that the vehicle file takes for mW: the line that is named is replaced by what is printed."""
     from sunspin.output.check.files import about_telemetry
 
-    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     made.vehicle.write_text(
         made.vehicle.read_text().replace("[telemetry]", "[telemetry]\nscale = 0.001")
     )
@@ -244,7 +242,7 @@ def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
 
 def test_turn_the_matrix_round(monkeypatch):
     monkeypatch.setattr(orbit_check, "COPIES", 10)
-    vehicle, data, given, about = tle_twin(1, 1)
+    vehicle, data, given, about = check_case(1, 1)
     orbit, wrong = (
         in_an_orbit(data, given, shift_sigma_s=about["sigma_s"]),
         data.assign(field_B=-data["field_B"]),
@@ -263,7 +261,7 @@ def test_turn_the_matrix_round(monkeypatch):
 
 def test_widen_the_shift(monkeypatch):
     monkeypatch.setattr(orbit_check, "COPIES", 10)
-    vehicle, data, given, about = tle_twin(1, 1)
+    vehicle, data, given, about = check_case(1, 1)
     found = {}
     for sigma in (abs(about["ahead_s"]) / 6, abs(about["ahead_s"])):
         found[sigma] = about_orbit_lines(

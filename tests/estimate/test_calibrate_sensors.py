@@ -12,7 +12,6 @@ import xarray as xr
 from click.testing import CliRunner
 
 import sunspin as ss
-from calibration_twins import deviations, make
 from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
 from sunspin.environment.elements import parse_elements
@@ -22,12 +21,13 @@ from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
 from sunspin.vehicle.rewrite import NewValue, rewritten
 from sunspin.vehicle.sensors import Gyro
+from tests.support.calibration_cases import calibration_case, deviations
 
 
 @cache
 def few(off: float = 1.0):
     """A twin with every second sample; nobody changes it."""
-    twin = make(1, 0, off, gyro=False)
+    twin = calibration_case(1, 0, off, gyro=False)
     return twin._replace(telemetry=twin.telemetry.isel(time=slice(None, None, 2)))
 
 
@@ -75,7 +75,7 @@ def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
 )
 def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
     """Its y is reversed, so a zero that the reversed column has is that of the other sign."""
-    twin = make(1, 0, gyro=False)
+    twin = calibration_case(1, 0, gyro=False)
     part = replace(twin.vehicle.sensors.magnetometer, columns=("x", "-y", "z"))
     twin = twin._replace(
         truth=twin.truth | {"magnetometer.zero": twin.truth["magnetometer.zero"] * part.sign}

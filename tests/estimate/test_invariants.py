@@ -9,7 +9,7 @@ from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.orbit.invariants import Model, Predicted, Seen, State, calibrated
-from tle_twins import make
+from tests.support.orbit_cases import check_case
 
 SCALE_T, NOISE = 6e-8, 12.0
 
@@ -60,7 +60,7 @@ def test_noise_of_the_readings_does_not_shrink_the_matrix():
 
 
 def test_the_field_between_shifts_is_that_of_the_orbit():
-    _, data, given, _ = make(1, 1)
+    _, data, given, _ = check_case(1, 1)
     orbit = in_orbit(
         parse_elements("\n".join(given), "twin"),
         data.attrs["epoch_utc"],

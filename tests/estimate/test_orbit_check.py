@@ -14,12 +14,13 @@ from sunspin.estimate.orbit.invariants import fit, predict, seen_in
 from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle.parts import Orbit
-from tle_twins import make, turned
+from tests.support.orbit_cases import check_case
+from tests.support.orbits import with_node_turned
 
 
 @pytest.fixture(scope="module")
 def twin():
-    return make(1, 1)
+    return check_case(1, 1)
 
 
 @pytest.fixture
@@ -49,7 +50,7 @@ def fits(judged):
 
 def orbit(twin, by_deg=0.0, **options):
     _, data, given, about = twin
-    elements = parse_elements("\n".join((given[0], turned(given[1], by_deg))), "twin")
+    elements = parse_elements("\n".join((given[0], with_node_turned(given[1], by_deg))), "twin")
     options = {"shift_sigma_s": about["sigma_s"]} | options
     return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, **options)
 
@@ -94,7 +95,7 @@ def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits, few_copies):
 
 
 def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round():
-    nine = make(1, 9)
+    nine = check_case(1, 9)
     given, mirrored = orbit(nine), []
     for sign in (1, -1):
         seen, grid = (
@@ -151,11 +152,13 @@ def test_the_vehicle_file_gives_the_orbit_and_the_command_line_comes_first(twin,
         1.0,
     )
     path = tmp_path / "two.tle"
-    path.write_text("\n".join((given[0], turned(given[1], 5.0))), "utf-8")
+    path.write_text("\n".join((given[0], with_node_turned(given[1], 5.0))), "utf-8")
     other = orbit_of(stated, data, path, 9.0)
     assert (
         other.shift_sigma_s == 9.0
-        and other.elements[0].given[1] == turned(given[1], 5.0) != found.elements[0].given[1]
+        and other.elements[0].given[1]
+        == with_node_turned(given[1], 5.0)
+        != found.elements[0].given[1]
     )
     bad = ss.Vehicle("cube", panels=vehicle.panels, orbit=Orbit((given[1], given[0])))
     with pytest.raises(

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_rates import CUBE, irregular, twin
 
 import sunspin as ss
-from posteriors import philae_draws
 from sunspin.base.errors import InputError
 from sunspin.cli.values import period
 from sunspin.dynamics import gyrostat as g
@@ -18,6 +16,8 @@ from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms import period as pd
 from sunspin.vehicle import Vehicle
+from tests.support.philae import philae_draws
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
 
 PHILAE = ss.load_vehicle("philae")
 INERTIA = PHILAE.require_inertia()
@@ -185,9 +185,17 @@ def test_a_period_weighs_modes_and_says_what_turned():
 
 def test_rates_with_a_period_have_both_weights():
     rng = np.random.default_rng(4)
-    data, _ = twin(CUBE, [0.01, 0.02, 0.0], irregular(rng, 8, 20.0), rng)
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], uneven_times(rng, 8, 20.0, 0.3), rng
+    )
     seen = pd.Period(80.0, 2 * np.pi / np.hypot(0.01, 0.02), 20.0)
-    found = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.04, periods=[seen])
+    found = ss.rates(
+        CUBE_WITHOUT_NOISE_STATED,
+        data,
+        acceleration_noise=2e-5,
+        max_rate_rad_s=0.04,
+        periods=[seen],
+    )
     assert found["probability"].values[0].sum() == pytest.approx(1) and found[
         "probability_without_periods"
     ].dims == ("pass_id", "solution")

@@ -12,7 +12,6 @@ import pytest
 from scipy.stats import genpareto
 
 import sunspin as ss
-from cubes import small_cube
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior import estimate, hypotheses, importance
 from sunspin.estimate.posterior.data import readings
@@ -24,6 +23,7 @@ from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.output.verdicts import explained
 from sunspin.solve.rotations import moved
 from sunspin.solve.weights import _shape, effective_draws, pareto_tail
+from tests.support.vehicles import small_cube
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])

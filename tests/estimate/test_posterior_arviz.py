@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from posteriors import philae_draws
 from sunspin.output.folder import write_netcdf
+from tests.support.philae import philae_draws
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # ArviZ's own
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from cubes import SIDES, small_cube
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.inertia import is_body
@@ -24,6 +23,7 @@ from sunspin.estimate.posterior.model import State, model, require_computable
 from sunspin.estimate.rates import period
 from sunspin.estimate.rates.motion import Body
 from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
+from tests.support.vehicles import LOWER_CASE_FACES, small_cube
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 
@@ -38,7 +38,7 @@ def craft(kind: str, relative: float, products: float = 0.0, noise: float = 0.03
     return Vehicle(
         kind,
         inertia_kg_m2=tensor,
-        panels=[Panel(name, normal, 1.0) for name, normal in SIDES.items()],
+        panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
         wheels=[wheel] if kind == "wheel" else [],
         telemetry=TelemetryForm(quantity="current_A", noise=noise),
         facts={"body.inertia_kg_m2": Fact(tensor, sigma=sigma)},
@@ -229,7 +229,7 @@ def random_case(number: int):
     vehicle = Vehicle(
         "random",
         inertia_kg_m2=tensor,
-        panels=[Panel(name, normal, 1.0) for name, normal in SIDES.items()],
+        panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
         wheels=[wheel] if number % 3 == 2 else [],
         telemetry=TelemetryForm(quantity="current_A", noise=rng.uniform(0.01, 0.1)),
         facts={"body.inertia_kg_m2": Fact(tensor, sigma=sigma)},

@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from posteriors import tree_of
 from sunspin.dynamics.torques import Steady
 from sunspin.estimate.posterior.estimate import _listed
 from sunspin.estimate.posterior.hypotheses import Sampled, mixed
@@ -20,6 +19,7 @@ from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model, pushed
 from sunspin.estimate.posterior.predict import drawn_rows, run_to
 from sunspin.estimate.terms.steady_torque import sizes
+from tests.support.posteriors import tree_of
 from validation.torques import BOX
 
 SUN, WINDOW_S = np.array([0.6, 0.0, 0.8]), 400.0

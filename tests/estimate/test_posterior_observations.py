@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from cubes import small_cube
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Friction, Vehicle, Wheel
+from tests.support.vehicles import small_cube
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.05, -0.08, 0.11])

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from philae_sun import AS_DRAWN, FORMER_TRUTH
-from posteriors import philae_draws
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
 from sunspin.landing.predictions import predicted
 from sunspin.vehicle import Friction
 from sunspin.vehicle.assumptions import Collision
+from tests.support.philae import AS_DRAWN, AS_DRAWN_TRUTH, philae_draws
 from validation.calibrate import AS_DRAWN as KNOWN_PANELS
 
 TOUCHDOWN, COLLISION, LATER = 25143.98, 27900.0, 31800.0
@@ -59,7 +58,7 @@ def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
 
 def test_the_twins_truth_before_and_after_its_collision(craft):
     """One draw at the truth: 16:20 is as in the twin's file, and what comes after is one of the three legs' many outcomes."""
-    truth = FORMER_TRUTH
+    truth = AS_DRAWN_TRUTH
     tree, _ = philae_draws(400)
     found = predicted(craft, tree, [COLLISION, LATER], seed=3)
     assert (

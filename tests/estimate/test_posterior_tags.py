@@ -7,13 +7,13 @@ import pytest
 from scipy.special import logsumexp
 
 import sunspin as ss
-from cubes import small_cube
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.tags import tagged, turned
 from sunspin.vehicle import Vehicle
+from tests.support.vehicles import small_cube
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 RATE = np.array([0.08, -0.15, 0.16])

@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import strange_twins
 import sunspin as ss
-from cubes import small_cube
 from sunspin.estimate.posterior.brightness import brightness
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.family import (
@@ -28,6 +26,8 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Search
 from sunspin.solve.rotations import moved
 from sunspin.vehicle import Vehicle
+from tests.support.any_vehicle import judge_posterior, posterior_case
+from tests.support.vehicles import small_cube
 from validation.calibrate import NEAR_SIGMAS
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
@@ -170,7 +170,7 @@ def test_brightness_is_guessed_where_no_sample_gives_a_direction_and_most_are_da
 def test_motions_once_lost_are_found(i):
     """8: of a family that the first three samples leave, one member seemed to fit to a tenth of the noise; 149: noise on three dark
     panels was taken for light of a Sun six times as bright."""
-    found = strange_twins.judge(strange_twins.make(0, i, TURNS), 1)
+    found = judge_posterior(posterior_case(0, i, TURNS), 1)
     assert found["word"] == "unique" and found["sigmas"] < NEAR_SIGMAS, found["verdict"]
 
 

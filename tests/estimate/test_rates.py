@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
@@ -15,37 +14,8 @@ from sunspin.estimate.rates.state import Observations, Track
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.output.kinds.rates import rates_summary, rates_tables
 from sunspin.solve.rotations import turn_between
-from sunspin.vehicle import Fact, Panel, Vehicle
-
-NORMALS = np.vstack([np.eye(3), -np.eye(3)])
-CUBE = Vehicle(
-    "cube",
-    inertia_kg_m2=np.diag([0.04, 0.05, 0.03]),
-    gain_unit="W",
-    panels=[
-        Panel(name, normal, 1.0)
-        for name, normal in zip(("+x", "+y", "+z", "-x", "-y", "-z"), NORMALS, strict=True)
-    ],
-)
-
-
-def unit(rng):
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)
-
-
-def twin(vehicle, omega, t, rng, noise=0.01, albedo=0.05, speed=None):
-    run = ss.propagate(vehicle, omega, unit(rng), speed, t, wheel_mode="hold")
-    power = ss.panel_power(vehicle, run["sun_B"].values)
-    power = np.maximum(
-        power + noise * rng.normal(size=power.shape) + albedo * rng.uniform(size=power.shape), 0
-    )
-    variables = {
-        "power_W": (("time", "panel"), power),
-        "flag": ("time", np.zeros(len(t), dtype=np.uint8)),
-    }
-    coords = {"time": t, "panel": list(vehicle.panel_names)}
-    return xr.Dataset(variables, coords, {"epoch_utc": "2026-01-01T00:00:00Z", "synthetic": 1}), run
+from sunspin.vehicle import Fact
+from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
 
 
 def errors(result, run):
@@ -56,16 +26,18 @@ def errors(result, run):
     )
 
 
-def irregular(rng, n, usual):
-    return np.concatenate([[0.0], np.cumsum(usual * rng.uniform(0.7, 1.3, n - 1))])
-
-
 def test_what_is_estimated_with_the_motion_covers_the_truth():
     """Moments off by 2 to 3 %, with a stated sigma: each estimate lies where its sigma says."""
     rng, fact = np.random.default_rng(5), Fact(value=0.0, sigma=0.002)
-    stated = replace(CUBE, inertia_kg_m2=np.diag([0.041, 0.0485, 0.0305]))
+    stated = replace(CUBE_WITHOUT_NOISE_STATED, inertia_kg_m2=np.diag([0.041, 0.0485, 0.0305]))
     stated = replace(stated, facts={"body.inertia_kg_m2": fact})
-    data, _ = twin(CUBE, [0.03, -0.04, 0.05], irregular(rng, 30, 20.0), rng, albedo=0.0)
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED,
+        [0.03, -0.04, 0.05],
+        uneven_times(rng, 30, 20.0, 0.3),
+        rng,
+        albedo=0.0,
+    )
     result = ss.rates(stated, data, acceleration_noise=1e-5, max_rate_rad_s=0.15)
     truth = [1.0, 1.25, 0.75, 0.0, 0.0, 0.0]  # in mean moments: xx, yy, zz, xy, xz, yz
     value, sigma = (result[f"estimate_{what}"].values[0] for what in ("value", "sigma"))
@@ -84,8 +56,15 @@ def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
     rng = np.random.default_rng(8)
     square = []
     for _ in range(twins):
-        data, run = twin(CUBE, 0.03 * rng.normal(size=3), irregular(rng, 12, 20.0), rng)
-        result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.15)
+        data, run = simulated_pass(
+            CUBE_WITHOUT_NOISE_STATED,
+            0.03 * rng.normal(size=3),
+            uneven_times(rng, 12, 20.0, 0.3),
+            rng,
+        )
+        result = ss.rates(
+            CUBE_WITHOUT_NOISE_STATED, data, acceleration_noise=2e-5, max_rate_rad_s=0.15
+        )
         assert result["probability"].values[0, 0] > 0.5
         square.append((errors(result, run) ** 2).mean())
     assert np.quantile(square, 0.8) < 3.0  # bounded: not over-confident
@@ -97,12 +76,16 @@ def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
 @pytest.mark.evidence("rates", "modelled", "a twin with a wheel; without its wheel it must not fit")
 def test_a_wheel_is_part_of_the_motion():
     wheel = ss.Wheel("w", [0, 0, 1], 3e-4, speed_rad_s=30.0)
-    craft = replace(CUBE, wheels=(wheel,))
+    craft = replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
     rng = np.random.default_rng(3)
-    data, run = twin(craft, [0.02, 0.03, -0.01], irregular(rng, 14, 15.0), rng, speed=[30.0])
+    data, run = simulated_pass(
+        craft, [0.02, 0.03, -0.01], uneven_times(rng, 14, 15.0, 0.3), rng, speed=[30.0]
+    )
     result = ss.rates(craft, data, acceleration_noise=2e-5, max_rate_rad_s=0.05)
     assert (errors(result, run) ** 2).mean() < 4.0
-    without = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.05)
+    without = ss.rates(
+        CUBE_WITHOUT_NOISE_STATED, data, acceleration_noise=2e-5, max_rate_rad_s=0.05
+    )
     assert (
         without["cost"].values[0, 0] > result["cost"].values[0, 0] + 20
     )  # the control: without its wheel it does not fit
@@ -116,9 +99,10 @@ def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
     """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)
     craft, turned = (
-        replace(CUBE, wheels=(replace(wheel, speed_rad_s=speed),)) for speed in (40.0, -40.0)
+        replace(CUBE_WITHOUT_NOISE_STATED, wheels=(replace(wheel, speed_rad_s=speed),))
+        for speed in (40.0, -40.0)
     )
-    data, run = twin(
+    data, run = simulated_pass(
         craft,
         [0.02, 0.03, -0.01],
         np.arange(20) * 10.0,
@@ -162,19 +146,23 @@ def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
 
 
 def test_a_wheel_of_untold_speed_leaves_nothing_decided():
-    data, _ = twin(
-        CUBE,
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED,
         [0.01, 0.012, -0.01],
-        irregular(np.random.default_rng(5), 12, 10.0),
+        uneven_times(np.random.default_rng(5), 12, 10.0, 0.3),
         np.random.default_rng(5),
     )
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4)
     stands = ss.rates(
-        CUBE, data, max_rate_rad_s=0.05
+        CUBE_WITHOUT_NOISE_STATED, data, max_rate_rad_s=0.05
     )  # the control: without a wheel these samples decide
-    untold = ss.rates(replace(CUBE, wheels=(wheel,)), data, max_rate_rad_s=0.05)
+    untold = ss.rates(
+        replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,)), data, max_rate_rad_s=0.05
+    )
     read = data.assign(wheel_speed_rad_s=(("time", "wheel"), np.zeros((data.sizes["time"], 1))))
-    measured = ss.rates(replace(CUBE, wheels=(wheel,)), read, max_rate_rad_s=0.05)
+    measured = ss.rates(
+        replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,)), read, max_rate_rad_s=0.05
+    )
     assert [bool(one["decided"].values[0]) for one in (stands, untold, measured)] == [
         True,
         False,
@@ -190,10 +178,14 @@ def test_a_wheel_of_untold_speed_leaves_nothing_decided():
 @pytest.fixture(scope="module")
 def evenly_spaced():
     """Rates of a body of unknown inertia from samples 40 s apart, the body, telemetry and true motion."""
-    data, run = twin(
-        CUBE, [0.004, -0.003, 0.012], np.arange(6) * 40.0, np.random.default_rng(1), noise=0.02
+    data, run = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED,
+        [0.004, -0.003, 0.012],
+        np.arange(6) * 40.0,
+        np.random.default_rng(1),
+        noise=0.02,
     )
-    craft = replace(CUBE, inertia_kg_m2=None)
+    craft = replace(CUBE_WITHOUT_NOISE_STATED, inertia_kg_m2=None)
     return ss.rates(craft, data, acceleration_noise=1e-4, max_rate_rad_s=0.16), craft, data, run
 
 
@@ -231,8 +223,10 @@ def test_attitude_turns_the_local_sun_into_the_body():
     from scipy.spatial.transform import Rotation
 
     rng = np.random.default_rng(4)
-    data, _ = twin(CUBE, [0.01, 0.02, 0.0], irregular(rng, 8, 20.0), rng)
-    result = ss.rates(CUBE, data, acceleration_noise=2e-5, max_rate_rad_s=0.04)
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], uneven_times(rng, 8, 20.0, 0.3), rng
+    )
+    result = ss.rates(CUBE_WITHOUT_NOISE_STATED, data, acceleration_noise=2e-5, max_rate_rad_s=0.04)
     turned = Rotation.from_quat(result["B_from_N"].values).apply(SUN_N)
     assert np.abs(turned - result["sun_B"].values).max() < 1e-12
     q, between = result["B_from_N"].values, result["curve_B_from_N"].values
@@ -275,8 +269,10 @@ def test_the_answer_of_a_step_is_its_derivative(body):
 @pytest.mark.evidence("rates", "verified", "the reference propagator over one interval")
 def test_a_step_agrees_with_the_reference_propagator(reached):
     t = np.array([0.0, 25.0])
-    run = ss.propagate(CUBE, [0.03, -0.02, 0.05], [0.0, 0.0, 1.0], None, t)
-    matrix, rate = step(Body.of(CUBE), np.array([[0.03, -0.02, 0.05]]), np.array([25.0]))
+    run = ss.propagate(CUBE_WITHOUT_NOISE_STATED, [0.03, -0.02, 0.05], [0.0, 0.0, 1.0], None, t)
+    matrix, rate = step(
+        Body.of(CUBE_WITHOUT_NOISE_STATED), np.array([[0.03, -0.02, 0.05]]), np.array([25.0])
+    )
     assert np.abs(rate[0] - run["omega_B"].values[1]).max() < 1e-6
     assert np.abs(matrix[0] @ SUN_N - run["sun_B"].values[1]).max() < 1e-4
     reached(
@@ -311,23 +307,27 @@ def test_aliases_pass_the_same_attitudes_and_uneven_times_have_none():
     ],
 )
 def test_what_cannot_be_done_is_a_sentence(change, text):
-    data, _ = twin(CUBE, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5))
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5)
+    )
     with pytest.raises(ss.SunspinError, match=text):
-        ss.rates(CUBE, change(data))
+        ss.rates(CUBE_WITHOUT_NOISE_STATED, change(data))
 
 
 @pytest.mark.parametrize(
     "bad", [{"max_rate_rad_s": float("nan")}, {"acceleration_noise": -1.0}, {"source": "stars"}]
 )
 def test_bad_settings_are_sentences(bad):
-    data, _ = twin(CUBE, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5))
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5)
+    )
     with pytest.raises(ss.InputError):
-        ss.rates(CUBE, data, **bad)
+        ss.rates(CUBE_WITHOUT_NOISE_STATED, data, **bad)
 
 
 def test_no_rate_below_the_largest_allowed_is_a_sentence():
-    data, _ = twin(
-        CUBE,
+    data, _ = simulated_pass(
+        CUBE_WITHOUT_NOISE_STATED,
         [0.0, 0.05, 0.0],
         np.arange(6) * 20.0,
         np.random.default_rng(5),
@@ -335,4 +335,4 @@ def test_no_rate_below_the_largest_allowed_is_a_sentence():
         albedo=0.0,
     )
     with pytest.raises(ss.InputError, match="max-rate"):
-        ss.rates(CUBE, data, acceleration_noise=1e-6, max_rate_rad_s=1e-4)
+        ss.rates(CUBE_WITHOUT_NOISE_STATED, data, acceleration_noise=1e-6, max_rate_rad_s=1e-4)

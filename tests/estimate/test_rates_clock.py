@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from clock_twins import craft, twin
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.sensors import Clock
+from tests.support.simulate import cube_with_late_sensor, cube_with_sensor
 
 
 @pytest.mark.evidence(
@@ -29,8 +29,8 @@ from sunspin.vehicle.sensors import Clock
     ],
 )
 def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
-    data, run = twin(kind, late, np.random.default_rng(seed))
-    result = ss.rates(craft(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
+    data, run = cube_with_late_sensor(kind, late, np.random.default_rng(seed))
+    result = ss.rates(cube_with_sensor(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
     found, sigma = result.attrs["sensors_late_s"], result.attrs["sensors_late_sigma_s"]
     assert abs(found - late) < 3.5 * sigma and sigma < 1.5
     assert "late (vehicle file and data)" in result.attrs["verdict"]
@@ -42,8 +42,8 @@ def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["gyro", pytest.param("attitude", marks=pytest.mark.slow)])
 def test_no_lateness_is_suspected_where_there_is_none(kind):
-    prompt, _ = twin(kind, 0.0, np.random.default_rng(101))
-    silent = ss.rates(craft(kind, None), prompt, max_rate_rad_s=0.15).attrs
+    prompt, _ = cube_with_late_sensor(kind, 0.0, np.random.default_rng(101))
+    silent = ss.rates(cube_with_sensor(kind, None), prompt, max_rate_rad_s=0.15).attrs
     assert "late" not in silent["verdict"].lower() and np.isnan(silent["sensors_late_s"])
 
 
@@ -61,7 +61,7 @@ def test_the_clock_of_a_vehicle_file_is_read():
     "a gyro read backwards looks late by half a turn: its axes are named, and no clock",
 )
 def test_a_gyro_that_is_read_backwards_is_not_called_late():
-    telemetry, _ = twin("gyro", 0.0, np.random.default_rng(0))
-    result = ss.rates(craft("gyro", None), telemetry.assign(gyro_B=-telemetry["gyro_B"]))
+    telemetry, _ = cube_with_late_sensor("gyro", 0.0, np.random.default_rng(0))
+    result = ss.rates(cube_with_sensor("gyro", None), telemetry.assign(gyro_B=-telemetry["gyro_B"]))
     assert "LATE" not in result.attrs["verdict"] and np.isnan(result.attrs["sensors_late_s"])
     assert "the gyro read as (-x, -y, -z)" in result.attrs["verdict"]

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from cubes import SIDES
 from sunspin.base.errors import InputError
 from sunspin.estimate.rates.dense import Dense, bridge, curve
 from sunspin.estimate.rates.motion import Body
@@ -17,13 +16,14 @@ from sunspin.estimate.rates.smooth import whitening
 from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.rates.wheels import wheel_momenta
 from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from tests.support.vehicles import LOWER_CASE_FACES
 
 WHEEL = Wheel("wheel", [0, 0, 1], 4e-5, 400.0, Friction(3e-8, 2e-10))
 CRAFT = Vehicle(
     "uneven",
     inertia_kg_m2=np.diag([0.045, 0.047, 0.011]),
     wheels=[WHEEL],
-    panels=[Panel(name, normal, 1.0) for name, normal in SIDES.items()],
+    panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
     telemetry=TelemetryForm(quantity="current_A", noise=0.02),
 )
 RATE, SUN, NOISE = np.radians([1.2, -2.5, 3.3]), np.array([0.6, -0.48, 0.64]), 1e-6

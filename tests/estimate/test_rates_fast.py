@@ -4,30 +4,30 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from fast_twins import near, twin
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations
 from sunspin.estimate.rates.result import DECIDED
 from sunspin.estimate.rates.shoot import carried, shot
 from sunspin.estimate.rates.state import Motion
 from sunspin.estimate.terms.term import facing
+from tests.support.simulate import fast_body, has_true_mean_rate
 
 
 @pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")
 def test_the_true_motion_of_a_fast_tumble_is_found_and_another_is_not():
-    vehicle, data, run = twin(
+    vehicle, data, run = fast_body(
         1.0, np.random.default_rng(np.random.SeedSequence(11, spawn_key=(0,)))
     )
     result = ss.rates(vehicle, data)
-    assert np.nansum(result["probability"].values[0][near(result, run)]) > DECIDED
+    assert np.nansum(result["probability"].values[0][has_true_mean_rate(result, run)]) > DECIDED
     assert result["cost"].values[0, 0] <= result["cost_limit"].values[0]
-    other = twin(1.0, np.random.default_rng(4))[2].assign_coords(time=run["time"])
-    assert not near(result, other).any()
+    other = fast_body(1.0, np.random.default_rng(4))[2].assign_coords(time=run["time"])
+    assert not has_true_mean_rate(result, other).any()
 
 
 def test_a_start_is_shot_to_the_truth_from_afar():
     """Ten degrees a second off, half a second of arc by the stiff motion between samples: the smoother alone stays put."""
-    vehicle, data, run = twin(1.0, np.random.default_rng(4), samples=6)
+    vehicle, data, run = fast_body(1.0, np.random.default_rng(4), samples=6)
     o = observations(vehicle, data)[0]
     motion = Motion(Body.of(vehicle), 1e-6, 1.0)
     truth = run["omega_B"].values

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from coverage_twins import CUBE, FOUR, SIDES, twin
 from sunspin.estimate.rates.common_errors import Clock, places_of, sun_part
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
@@ -14,14 +13,15 @@ from sunspin.estimate.rates.smooth import measured
 from sunspin.estimate.rates.start import blind_axis, facing, mirrored
 from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.terms.term import normal
+from tests.support.simulate import CUBE, FAULTS_OF_FOUR_SIDES, FOUR_SIDES, cube_with_faults
 
 MOTION = Motion(Body.of(CUBE), 2e-5, 0.075)
 
 
-def seen(craft=FOUR, faults=(), seed=3):
+def seen(craft=FOUR_SIDES, faults=(), seed=3):
     """Observations of a pass, and a hypothesis about it."""
     rng = np.random.default_rng(seed)
-    data, _ = twin(faults, rng, craft)
+    data, _ = cube_with_faults(faults, rng, craft)
     o, why, _ = observations(craft, data)
     o = o.take(passes(o, why)[0][:8])
     sun = rng.normal(size=(1, len(o), 3))
@@ -41,7 +41,7 @@ def nearest(result, run):
 
 
 def test_gains_are_unknowns_only_where_brightness_does_not_tell_them():
-    four, six = (seen(craft)[0].of_sun[0] for craft in (FOUR, CUBE))
+    four, six = (seen(craft)[0].of_sun[0] for craft in (FOUR_SIDES, CUBE))
     assert len(four.gain_unknowns) == 4 and not len(four.gain_errors)
     assert len(six.gain_errors) == 6 and not len(six.gain_unknowns)
 
@@ -90,6 +90,6 @@ def test_a_mirror_image_reads_the_same_and_turns_as_a_body_does():
 @pytest.mark.long
 def test_a_dead_string_does_not_pass_for_another_motion():
     """With all that is wrong with such files: the truth is near one of two mirror images, each half the weight."""
-    data, run = twin(SIDES, np.random.default_rng(3), FOUR)
-    pull, weight = nearest(ss.rates(FOUR, data, max_rate_rad_s=0.15), run)
+    data, run = cube_with_faults(FAULTS_OF_FOUR_SIDES, np.random.default_rng(3), FOUR_SIDES)
+    pull, weight = nearest(ss.rates(FOUR_SIDES, data, max_rate_rad_s=0.15), run)
     assert np.abs(pull).max() < 3.5 and weight > 0.3

@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import clock_twins
-from coverage_twins import CUBE, albedo, twin
 from sunspin.estimate.rates.motion import Body
 from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
@@ -17,6 +15,13 @@ from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import normal
 from sunspin.solve.rotations import turn
 from sunspin.vehicle import Panel, Vehicle
+from tests.support.simulate import (
+    CUBE,
+    albedo,
+    cube_with_faults,
+    cube_with_late_sensor,
+    cube_with_sensor,
+)
 
 EARTH_RADIUS = np.arcsin(6371 / (6371 + 550))
 """rad; that of the Earth's disk from 550 km."""
@@ -36,7 +41,7 @@ def pass_of(vehicle, data) -> Observations:
 def lit_cube() -> tuple[Observations, Track]:
     """A pass under the Earth's light, and a hypothesis about it."""
     rng = np.random.default_rng(5)
-    data, run = twin((albedo,), rng)
+    data, run = cube_with_faults((albedo,), rng)
     o = pass_of(CUBE, data)
     o = o.take(slice(1, None))  # at the first, two panels just see the Sun: there is no gradient
     attitude = Rotation.from_quat(run["B_from_N"].sel(time=o.t_s).values).as_matrix()
@@ -82,7 +87,7 @@ def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_th
 
 
 def test_without_the_earths_light_nothing_is_differenced():
-    data, _ = twin((), np.random.default_rng(1))
+    data, _ = cube_with_faults((), np.random.default_rng(1))
     o = pass_of(CUBE, data)
     panels = o.of_sun[0]
     assert panels.earth_share < 0.03 and panels.freed(o.t_s).earth is None
@@ -92,8 +97,8 @@ def test_without_the_earths_light_nothing_is_differenced():
 def test_the_field_answers_to_turns_as_differences_say():
     """Residuals between neighbours of a fixed field vanish at the truth; beside it they change as their Jacobians say."""
     rng = np.random.default_rng(6)
-    data, run = clock_twins.twin("field", 0.0, rng, samples=9)
-    o = observations(clock_twins.craft("field", None), data)[0]
+    data, run = cube_with_late_sensor("field", 0.0, rng, samples=9)
+    o = observations(cube_with_sensor("field", None), data)[0]
     attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
     (term,) = o.of_pairs
     o = o.swapped(term, replace(term, field_B=attitude @ [0.6, 0.0, 0.8]))

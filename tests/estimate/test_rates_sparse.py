@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import sunspin as ss
-from orbit_rates_twins import SPARSE, judged, make, one_pass
+from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rates_case
 
 
 @pytest.mark.long
@@ -16,8 +16,8 @@ from orbit_rates_twins import SPARSE, judged, make, one_pass
 )
 def test_the_alias_that_a_search_by_the_file_s_inertia_finds_is_not_the_only_one():
     """That one costs 41; the truth, a whole turn more, is found once the inertia is free, and costs 9."""
-    vehicle, data, _, truth, about = make(11, 7, **SPARSE)
-    found = judged(
+    vehicle, data, _, truth, about = rates_case(11, 7, **SPARSE)
+    found = pass_against_truth(
         ss.rates(vehicle, one_pass(data, about["begin_s"][0]).drop_vars("field_B")), truth, 0
     )
     assert found["decided"] and not found["wrong"], found

@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from orbit_rates_twins import judged, make, orbit_of
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.orbit.field_calibration import FieldCalibration, field_calibration
 from sunspin.estimate.rates.observe import FIELD_ALONE, observations, usable
@@ -21,6 +20,7 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import SUN_N, Seen, normal
 from sunspin.output.export import attitude_of
 from sunspin.solve.rotations import turn
+from tests.support.orbit_cases import orbit_of, pass_against_truth, rates_case
 
 TWIN = 3
 TIMES = np.arange(12) * 30.0
@@ -28,7 +28,7 @@ TIMES = np.arange(12) * 30.0
 
 @pytest.fixture(scope="module")
 def twin():
-    return make(1, TWIN, patches=1000)
+    return rates_case(1, TWIN, patches=1000)
 
 
 def seen(rng: np.random.Generator) -> Seen:
@@ -151,7 +151,7 @@ def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(twin):
     result = ss.rates(
         vehicle, data.isel(time=(t > -1) & (t < 700)), environment=orbit, calibration=calibration
     )
-    found = judged(result, truth, 0)
+    found = pass_against_truth(result, truth, 0)
     assert (
         result.attrs["frame_N"] == "J2000"
         and found["attitude_deg"] < 6

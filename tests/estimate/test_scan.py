@@ -9,7 +9,7 @@ import sunspin as ss
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.telemetry.sun import reconstructible_patterns
-from vehicles import FIRST_SUN
+from tests.support.vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
 N_ROWS = 40

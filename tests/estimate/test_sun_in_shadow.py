@@ -1,6 +1,6 @@
 """Clear Sun in the Earth's shadow refuses elements or clock; right orbits, noise, frozen readings and an offset do not.
 
-Telemetry of panels alone, in orbits of `tests/tle_twins.py`, whose SGP4, Sun and cylinder of shadow are not the package's.
+Telemetry of panels alone, in orbits of `tests/support/orbits.py`, whose SGP4, Sun and cylinder of shadow are not the package's.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from sgp4.api import Satrec, jday
 
 import sunspin as ss
-from strange_twins import FACES, unit
 from sunspin.cli import cli
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.orbit import in_orbit
@@ -28,7 +27,8 @@ from sunspin.estimate.orbit.shadow import FEW, clear_sun, sun_in_shadow
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.sensors import Sensors, SunSensor
-from tle_twins import EARTH_KM, EPOCH, lines, sun_of_date
+from tests.support.orbits import EARTH_KM, EPOCH, sun_of_date, two_line_elements
+from tests.support.vehicles import CUBE_NORMALS, unit_vector
 
 PERIOD_S = 5700.0
 SEEDS = (0, 1, 5)
@@ -37,10 +37,12 @@ SEEDS = (0, 1, 5)
 CUBE = Vehicle(
     "cube",
     gain_unit="W",
-    panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)],
+    panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(CUBE_NORMALS)],
     telemetry=TelemetryForm(noise=0.01),
 )
-RELATIVE = Vehicle("cube", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(FACES)])
+RELATIVE = Vehicle(
+    "cube", panels=[Panel(f"p{j}", face, 1.0) for j, face in enumerate(CUBE_NORMALS)]
+)
 
 
 class Flight:
@@ -48,7 +50,7 @@ class Flight:
 
     def __init__(self, seed: int, span_s: float = PERIOD_S, step_s: float = 30.0) -> None:
         self.rng = np.random.default_rng(seed)
-        self.given = lines(self.rng)
+        self.given = two_line_elements(self.rng)
         self.t = np.arange(0.0, span_s, step_s)
 
     def sky(self, late_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,10 +66,10 @@ class Flight:
     def telemetry(self, late_s: float = 0.0, albedo: float = 0.1) -> xr.Dataset:
         """Readings whose times are behind the true ones by `late_s`."""
         sun, self.lit, day = self.sky(late_s)
-        spin = np.radians(3.0) * unit(self.rng)
+        spin = np.radians(3.0) * unit_vector(self.rng)
         first = Rotation.random(random_state=int(self.rng.integers(2**31)))
         sun_B = (Rotation.from_rotvec(self.t[:, None] * spin) * first).apply(sun)
-        power = np.maximum(sun_B @ FACES.T, 0) * self.lit[:, None]
+        power = np.maximum(sun_B @ CUBE_NORMALS.T, 0) * self.lit[:, None]
         power += albedo * self.rng.uniform(size=power.shape) * day[:, None]
         return self.dataset(power + 0.01 * self.rng.normal(size=power.shape))
 
@@ -139,7 +141,7 @@ def test_three_samples_are_not_enough_and_four_are():
 def test_what_is_not_sunlight_in_the_shadow_is_no_contradiction():
     flight = Flight(1)
     day = flight.telemetry(0.0)["power_W"].values
-    dark, n = np.flatnonzero(~flight.lit), len(FACES)
+    dark, n = np.flatnonzero(~flight.lit), len(CUBE_NORMALS)
     last = day[flight.lit][-1]
 
     def night(values) -> xr.Dataset:
@@ -156,7 +158,7 @@ def test_a_file_of_the_night_alone_is_no_contradiction_whatever_full_sun_is():
     flight = Flight(1)
     flight.telemetry(0.0)
     dark = ~flight.lit
-    noise = np.abs(flight.rng.normal(size=(dark.sum(), len(FACES))))
+    noise = np.abs(flight.rng.normal(size=(dark.sum(), len(CUBE_NORMALS))))
     for readings in (noise, 0.1 * noise + 1.0, np.maximum(noise - 0.7, 0)):
         data = flight.dataset(readings)
         data = data.assign_coords(time=flight.t[dark])
@@ -258,7 +260,7 @@ def test_a_sun_sensor_that_freezes_in_the_shadow_does_not_contradict_right_eleme
         SunSensor(
             f"s{k}", face, np.roll(face, 1), f"x{k}", f"y{k}", f"l{k}", 0.2, 1.0, 1.0, 0.01, 0.01
         )
-        for k, face in enumerate(FACES)
+        for k, face in enumerate(CUBE_NORMALS)
     )
     craft = Vehicle("cube", sensors=Sensors(sun_sensors=sensors))
     for directions in (read, frozen):

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import clock_twins
 import sunspin as ss
-from coverage_twins import CUBE
 from sunspin.estimate.rates import estimate
 from sunspin.estimate.rates.common_errors import places_of, with_common
 from sunspin.estimate.rates.hypotheses import (
@@ -30,10 +28,11 @@ from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.term import Seen, facing, normal
 from sunspin.solve.rotations import turn
 from sunspin.vehicle.sensors import Sensors
+from tests.support.simulate import CUBE, GYRO, MAGNETOMETER, cube_with_late_sensor
 
 
 def craft():
-    return replace(CUBE, sensors=Sensors(gyro=clock_twins.GYRO, magnetometer=clock_twins.FIELD))
+    return replace(CUBE, sensors=Sensors(gyro=GYRO, magnetometer=MAGNETOMETER))
 
 
 def only(o, kind):
@@ -45,7 +44,7 @@ def only(o, kind):
 def both(samples=9, seed=4):
     """A pass seen by panels, a gyro and a magnetometer, and its truth."""
     (data, run), (other, _) = (
-        clock_twins.twin(kind, 0.0, np.random.default_rng(seed), samples)
+        cube_with_late_sensor(kind, 0.0, np.random.default_rng(seed), samples)
         for kind in ("gyro", "field")
     )
     o = observations(craft(), data.assign(field_B=other["field_B"]))[0]
@@ -182,7 +181,7 @@ def test_panels_that_do_not_see_what_gyro_and_magnetometer_see_are_left_out(monk
     """Panels of another time: without the Sun the others fit, the attitude's free turns held weakly. No wiring is tried."""
     monkeypatch.setattr(estimate, "better", lambda *given: None)
     (data, _), (other, _) = (
-        clock_twins.twin(kind, 0.0, np.random.default_rng(4), 20) for kind in ("gyro", "field")
+        cube_with_late_sensor(kind, 0.0, np.random.default_rng(4), 20) for kind in ("gyro", "field")
     )
     power = data["power_W"].values[np.random.default_rng(0).permutation(20)]
     data = data.assign(field_B=other["field_B"], power_W=(data["power_W"].dims, power))

@@ -7,7 +7,7 @@ import sunspin as ss
 from sunspin.dynamics.ensemble import Rows
 from sunspin.landing.flight import carry, fly, sun_height_shares
 from sunspin.vehicle import Friction, Vehicle, Wheel
-from vehicles import FIRST_SUN
+from tests.support.vehicles import FIRST_SUN
 
 SUN = FIRST_SUN / np.linalg.norm(FIRST_SUN)
 SCHEDULES = {

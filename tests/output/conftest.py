@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,13 +13,26 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from browser import HOSTILE, Browser, found
-from drawing import blank
-from shared_folder import shared_folder
 from sunspin.cases import load_case
 from sunspin.output import figures
 from sunspin.philae import data_check, motions, pictures, published_lines, reproduction, threshold
 from sunspin.philae import study as rp
+from tests.support.browser import HOSTILE, Browser, chromium
+from tests.support.figures import blank
+
+
+def shared_folder(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """Return the folder `name` of this test run, which the first worker that needs it fills by `make`. It is only read."""
+    base = factory.getbasetemp()
+    root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder, done = root / name, root / f"{name}.done"
+    with open(root / f"{name}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder
 
 
 @contextmanager
@@ -165,7 +179,7 @@ SAMPLES = 12
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """One Chromium for all tests; where there is none they are skipped, but in CI (environment variable CI) they fail."""
-    if found() is None:
+    if chromium() is None:
         text = "no chromium on this machine: apt-get install chromium"
         pytest.fail(text) if os.environ.get("CI") else pytest.skip(text)
     one = Browser(tmp_path_factory.mktemp("browser"))

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from drawing import covered
 from sunspin.output.kinds.outcomes import within_one
 from sunspin.output.kinds.telemetry import connected, sun_directions_figure
+from tests.support.figures import covered
 
 
 def test_a_legend_on_a_curve_is_seen():

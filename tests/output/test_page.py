@@ -12,10 +12,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from pages import Page
 
 import sunspin as ss
-from browser import HOSTILE
 from sunspin.base.errors import InputError
 from sunspin.cases import load_case
 from sunspin.cli import cli
@@ -27,6 +25,7 @@ from sunspin.output.report.read import Results, read_results
 from sunspin.output.report.views import motions_of, sun_on_sphere
 from sunspin.philae.motions import speed_figure
 from sunspin.vehicle import Channel, Panel, Vehicle
+from tests.support.browser import HOSTILE, Page
 
 
 @pytest.fixture(scope="module")

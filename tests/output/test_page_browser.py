@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from browser import HOSTILE, Browser
+from tests.support.browser import HOSTILE, Browser
 
 pytestmark = pytest.mark.browser
 

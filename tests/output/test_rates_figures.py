@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from cubes import FACES
 from sunspin.environment.frames import J2000
 from sunspin.output.curves import dense
 from sunspin.output.figures import save
@@ -24,6 +23,7 @@ from sunspin.output.kinds.telemetry import sun_directions_figure
 from sunspin.output.text import number_text
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
+from tests.support.vehicles import FACES
 
 CUBE = Vehicle(
     "cube",

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pages import Page
 
-from browser import HOSTILE
 from sunspin.cases import load_case
 from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
 from sunspin.output.report.rows import VERDICTS, between, verdict_of
+from tests.support.browser import HOSTILE, Page
 
 FILES_OF_CANDIDATES = tuple(
     "candidates outcomes-off outcomes-held strategies speed motion-best-fit".split()

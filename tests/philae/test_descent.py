@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from philae_sun import AS_DRAWN, CASE, SUN, SUN_AS_DRAWN
 from sunspin.philae import descent
+from tests.support.philae import AS_DRAWN, CASE, SUN, SUN_AS_DRAWN
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from chains import chain_on_the_lines
 from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
 from sunspin.landing.tally import estimate, explained, facts_of, weightings
@@ -12,6 +11,7 @@ from sunspin.philae import collision as co
 from sunspin.philae import strategies as sg
 from sunspin.philae.rebound import published_candidates
 from sunspin.philae.row import settled
+from tests.support.philae import chain_on_the_lines
 
 PHILAE = ss.load_case("philae")
 

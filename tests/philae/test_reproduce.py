@@ -8,7 +8,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from drawing import covered
 from sunspin.base.errors import MotionError, TelemetryError
 from sunspin.cases import load_case
 from sunspin.output.kind import Drawing
@@ -17,6 +16,7 @@ from sunspin.philae import rebound as rb
 from sunspin.philae import study as rp
 from sunspin.philae.headline import conclusions, headline
 from sunspin.philae.reproduction import figure_rows
+from tests.support.figures import covered
 from validation import controls
 
 CASE = load_case("philae")

@@ -5,13 +5,13 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from philae_sun import CASE, SUN
 from sunspin.compute.identity import plain
 from sunspin.estimate.scan import error_growth as gr
 from sunspin.estimate.scan import parameters as pm
 from sunspin.philae import metrics
 from sunspin.philae.rebound import Options
 from sunspin.vehicle import Friction, Panel, Vehicle, Wheel
+from tests.support.philae import CASE, SUN
 
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 FACES = [Panel(str(k), corner, 1.0) for k, corner in enumerate(CORNERS)]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from philae_sun import AS_DRAWN, CASE
 from sunspin.philae import sun_directions
 from sunspin.philae.rebound import with_telemetry
+from tests.support.philae import AS_DRAWN, CASE
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from philae_sun import AS_DRAWN, FORMER, FORMER_TRUTH, SUN_AS_DRAWN
 from sunspin.philae.telemetry import main, philae_twin
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Panel, Vehicle
+from tests.support.philae import AS_DRAWN, AS_DRAWN_FILE, AS_DRAWN_TRUTH, SUN_AS_DRAWN
 
 case = ss.load_case("philae")
 vehicle = case.vehicle
@@ -54,12 +54,13 @@ def test_the_committed_file_follows_from_its_seed(made):
     "twin", "verified", "the file that came with the package before, panels as drawn"
 )
 def test_the_former_file_follows_from_its_seed():
-    again = philae_twin(FORMER_TRUTH["seed"], tilt_rad=0.0, turned_rad=0.0, rest_seen=False)
+    again = philae_twin(AS_DRAWN_TRUTH["seed"], tilt_rad=0.0, turned_rad=0.0, rest_seen=False)
     np.testing.assert_allclose(
         AS_DRAWN.telemetry["power_W"].values, again["power_W"].values, rtol=0, atol=0.51e-6
     )
-    assert "truth_tilt_B_rad" not in again.attrs and "--seed 16 telemetry.csv" in FORMER.read_text(
-        "utf-8"
+    assert (
+        "truth_tilt_B_rad" not in again.attrs
+        and "--seed 16 telemetry.csv" in AS_DRAWN_FILE.read_text("utf-8")
     )
     free = is_reconstructed(SUN_AS_DRAWN["status"]) & np.isin(
         former_phase, ["descent", "first_rebound", "second_rebound"]
@@ -87,7 +88,7 @@ def test_the_first_direction_after_the_touchdown_is_the_published_one(sun):
         np.testing.assert_allclose(
             found["sun_B"].values[i], expected / np.linalg.norm(expected), atol=1e-6
         )
-    np.testing.assert_array_equal(FORMER_TRUTH["sun_B"], expected)
+    np.testing.assert_array_equal(AS_DRAWN_TRUTH["sun_B"], expected)
     assert (
         0.01 < np.linalg.norm(np.array(truth["sun_B"]) - expected) < 0.35
     )  # what turned panels show is not where the Sun stands

@@ -7,9 +7,9 @@ import random
 import numpy as np
 import pytest
 
-import satellites
 import sunspin as ss
 from sunspin.vehicle.file import parse_vehicle
+from tests.support import satellite_files
 
 BASE = """
 name = "v"
@@ -63,7 +63,7 @@ def misspelt(name: str, rng: random.Random) -> str:
 def test_a_misspelt_sensor_column_is_named(tmp_path, seed):
     """One column of one sensor is called otherwise: the error names it and, where it is near, what it may mean."""
     rng = random.Random(seed)
-    made = satellites.wheeled(tmp_path, np.random.default_rng(seed), n=6, form="csv")
+    made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), n=6, form="csv")
     text = made.telemetry.read_text()
     name = rng.choice(["gx", "gy", "gz", "mw_rpm"])
     other = misspelt(name, rng)
@@ -76,7 +76,7 @@ def test_a_misspelt_sensor_column_is_named(tmp_path, seed):
 
 
 def test_the_nearest_name_is_told(tmp_path):
-    made = satellites.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
+    made = satellite_files.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
     for name, other in (("mw_rpm", "MW-rpm"), ("I_px", "I_pxx")):
         wrong = tmp_path / "wrong.csv"
         wrong.write_text(made.telemetry.read_text().replace(f",{name}", f",{other}", 1))
@@ -85,7 +85,7 @@ def test_the_nearest_name_is_told(tmp_path):
 
 
 def test_a_sensor_of_which_the_file_has_nothing_is_listed_and_no_error(tmp_path):
-    made = satellites.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
+    made = satellite_files.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
     rows = [line.split(",") for line in made.telemetry.read_text().splitlines()]
     bare = tmp_path / "bare.csv"
     bare.write_text("\n".join(",".join(row[:7]) for row in rows) + "\n")

@@ -8,7 +8,6 @@ import re
 import numpy as np
 import pytest
 
-import satellites
 import sunspin as ss
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.wiring import signed_axes
@@ -17,8 +16,9 @@ from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.units import panel_unit
 from sunspin.vehicle.file import line_of, parse_vehicle
 from sunspin.vehicle.response.panels import panel_power
+from tests.support import satellite_files
 
-MAKERS = (satellites.six_faces, satellites.four_faces, satellites.wheeled)
+MAKERS = (satellite_files.six_faces, satellite_files.four_faces, satellite_files.wheeled)
 
 
 def changed(text: str, table: str, key: str, factor: float) -> str:
@@ -76,7 +76,7 @@ def test_twenty_rows_of_sunlight_are_enough_to_name_a_wrong_unit(make, tmp_path)
         )
         named += panel_unit(vehicle, 1e-3 * power) is not None
     assert named >= (
-        14 if make is satellites.four_faces else 19
+        14 if make is satellite_files.four_faces else 19
     )  # of two lit panels every other order fits
 
 
@@ -104,7 +104,7 @@ def test_thousandths_read_as_wholes(satellite, factor):
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
 def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key, factor):
     """The product tells that one is, and not which: no value is put into anybody's mouth."""
-    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     lines = [line for line in made.telemetry.read_text().splitlines() if not line.startswith("#")]
     path = tmp_path / "volts.csv"
     path.write_text("\n".join([f"{lines[0]},bus", *(f"{line},1.0" for line in lines[1:])]))
@@ -132,7 +132,7 @@ def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(sate
 
 
 def test_rates_name_it_too(tmp_path):
-    made = satellites.six_faces(tmp_path, np.random.default_rng(1))
+    made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     vehicle = parse_vehicle(
         changed(with_scale(made.vehicle.read_text()), "telemetry", "scale", 1e-3), "v.toml"
     )
@@ -143,7 +143,7 @@ def test_rates_name_it_too(tmp_path):
 @pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180])
 @pytest.mark.parametrize("seed", range(4))
 def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
-    made = satellites.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
+    made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
     text = made.vehicle.read_text()
     right = parse_vehicle(text, "v.toml").sensors.gyro.scale_rad_s
     (found,) = judged(changed(text, "gyro", "scale_rad_s", factor), made.telemetry)
@@ -155,7 +155,7 @@ def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_axes_of_a_gyro(tmp_path, seed):
     """As stated they are believed; in another order or with other signs they are named so that it turns the Sun as seen."""
-    made = satellites.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
+    made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
     vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
     samples = ss.read_telemetry(made.telemetry, vehicle)
     assert wrong_gyro_axes(assess(vehicle, samples)) is None
@@ -174,7 +174,7 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
 
 @pytest.mark.parametrize("factor", [60 / (2 * np.pi), 2 * np.pi / 60])
 def test_revolutions_of_a_wheel(tmp_path, factor):
-    made = satellites.wheeled(tmp_path, np.random.default_rng(3), form="csv")
+    made = satellite_files.wheeled(tmp_path, np.random.default_rng(3), form="csv")
     text = changed(made.vehicle.read_text(), "wheel", "speed_scale_rad_s", factor)
     (found,) = judged(text, made.telemetry)
     assert found.key == "speed_scale_rad_s" and found.value == pytest.approx(0.104719755, rel=1e-6)

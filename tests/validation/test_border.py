@@ -207,7 +207,7 @@ def test_grids_by_typo_are_refused_with_an_estimate(home):
 
 
 def test_results_that_no_machine_holds_are_refused_with_an_estimate():
-    from rowsets import Waves
+    from tests.support.rows import Waves
 
     with pytest.raises(ss.InputError, match="GB of memory"):
         ensemble(Waves(n_rows=10**13))

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sources import nodes_if
 from sunspin.output.folder import results_folder, write_whole
+from tests.support.sources import nodes_if
 from validation.kill import environment, is_whole, same
 
 START = ["--omega-deg-s=6,0,0", "--sun=0,0.6,0.8"]

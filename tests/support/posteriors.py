@@ -1,4 +1,4 @@
-"""Posteriors made by hand, in the form that `sunspin.posterior` gives them: what comes after needs no search."""
+"""Posteriors made by hand, in the form of `sunspin.posterior`, for tests of what uses one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import xarray as xr
 
 from sunspin.estimate.posterior.model import State, model
 from sunspin.vehicle import Vehicle
-from validation.calibrate import AS_DRAWN
 
 
 def tree_of(
@@ -21,7 +20,7 @@ def tree_of(
     samples: int = 5,
     **attrs,
 ) -> xr.DataTree:
-    """A posterior whose draws (n) are `state` at the first sample, `u` in the order of the model's unknowns."""
+    """Return a posterior whose draws (n) are `state` at the first sample, `u` in the order of the model's unknowns."""
     unknown, _ = model(vehicle, priors, 1.0)
     n, each = len(state), ("chain", "draw")
     values = unknown.values(state.u)
@@ -65,25 +64,3 @@ def tree_of(
         "verdict_word": "unique",
     } | attrs
     return tree
-
-
-def philae_draws(n: int, spread: float = 0.0, seed: int = 0) -> tuple[xr.DataTree, State]:
-    """n draws about the truth of Philae's twin with panels as drawn, rates scattered by `spread` rad/s, other unknowns by half a
-    prior sigma of it."""
-    from philae_sun import AS_DRAWN as case
-    from philae_sun import FORMER_TRUTH
-
-    rng = np.random.default_rng(seed)
-    unknown, _ = model(case.vehicle, AS_DRAWN, 1.0)
-    truth, sun = (np.array(FORMER_TRUTH[key]) for key in ("omega_B", "sun_B"))
-    u = 0.5 * rng.standard_normal((n, len(unknown.unknowns))) * (spread > 0)
-    u[:, unknown.where("scale")] = np.log(0.02)
-    state = State(
-        truth + spread * rng.standard_normal((n, 3)), np.tile(sun / np.linalg.norm(sun), (n, 1)), u
-    )
-    last = float(
-        case.telemetry["time"].values[case.telemetry["phase"].values == "first_rebound"][-1]
-    )
-    return tree_of(
-        case.vehicle, state, AS_DRAWN, 25200.0, last, 23, epoch_utc="2014-11-12T08:35:00Z"
-    ), state

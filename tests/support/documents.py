@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 from click.testing import CliRunner
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 WRITTEN = {"believe.md", "cli.md", "examples.md", "variables.md"}
 """Pages that the build of the site writes."""
 

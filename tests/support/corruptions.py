@@ -1,4 +1,4 @@
-"""Copies of a telemetry or vehicle file as bad disks, bad links and bad habits leave them."""
+"""Ways to damage a telemetry or vehicle file: as bad disks, bad links and bad exports leave them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Corruption = Callable[[bytes, np.random.Generator], bytes]
 
 
 def flipped(content: bytes, rng: np.random.Generator) -> bytes:
-    """A few bits flipped."""
+    """Return the content with a few bits flipped."""
     data = bytearray(content)
     for at in rng.integers(0, len(data), size=int(rng.integers(1, 6))):
         data[at] ^= 1 << int(rng.integers(8))

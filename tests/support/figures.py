@@ -1,4 +1,4 @@
-"""Drawing takes longer than all else that a command does: where a test is about something else, frames take the figures' place."""
+"""Figures in tests: empty ones where a test is about something else (drawing takes longest), and legends that cover curves."""
 
 from matplotlib.figure import Figure
 
@@ -6,12 +6,12 @@ from sunspin.output.figures import lay_out
 
 
 def frame(figure: Figure) -> Figure:
-    """An empty drawing of a figure's size."""
+    """Return an empty drawing of a figure's size."""
     return Figure(figsize=figure.get_size_inches())
 
 
 def blank(_: Figure) -> dict[str, bytes]:
-    """The files of a figure, without a drawing in them."""
+    """Return the files of a figure, without a drawing in them."""
     return {
         suffix: b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="6"/>'
         for suffix in ("svg", "png")
@@ -19,7 +19,7 @@ def blank(_: Figure) -> dict[str, bytes]:
 
 
 def covered(figure: Figure) -> list[str]:
-    """Titles of the flat axes whose legend stands on points of a curve, on marks or on an edge of a histogram."""
+    """Return titles of the flat axes whose legend stands on points of a curve, on marks or on an edge of a histogram."""
     lay_out(figure).draw_without_rendering()
     found = []
     for axes in (

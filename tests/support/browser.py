@@ -1,4 +1,6 @@
-"""A headless Chromium driven over a pipe in its own DevTools protocol: no driver program, no socket, no port.
+"""The page of a results folder as a reader has it: in a headless Chromium, or parsed without a browser.
+
+Chromium is driven over a pipe in its own DevTools protocol: no driver program, no socket, no port.
 
 The protocol's messages are JSON ended by a zero byte, on file descriptors 3 (to the browser) and 4 (from it). Selenium would
 bring a second program that must match the browser's version, and not show requests or the console without this protocol.
@@ -14,6 +16,7 @@ import select
 import shutil
 import subprocess
 import time
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +44,8 @@ HOSTILE = """<script>window.hacked=1</script> "x" & </script><!--"""
 """A name that would run, or break the page, if it were taken for anything but text."""
 
 
-def found() -> str | None:
-    """Path of a Chromium, if there is one."""
+def chromium() -> str | None:
+    """Return the path of a Chromium, if there is one."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
@@ -59,7 +62,7 @@ class Browser:
             os.dup2(103, 3)
             os.dup2(104, 4)
 
-        command = [str(found()), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        command = [str(chromium()), *FLAGS, f"--user-data-dir={profile}", "about:blank"]
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -191,16 +194,18 @@ class Browser:
 
     def complaints(self) -> list[str]:
         """Errors and warnings of the console, exceptions, entries of the log."""
-        found_ = []
+        complaints = []
         for e in self.events:
             p = e.get("params", {})
             if e.get("method") == "Runtime.exceptionThrown":
-                found_.append(p["exceptionDetails"].get("exception", {}).get("description", str(p)))
+                complaints.append(
+                    p["exceptionDetails"].get("exception", {}).get("description", str(p))
+                )
             if e.get("method") == "Runtime.consoleAPICalled" and p["type"] in ("error", "assert"):
-                found_.append(str([a.get("value", a.get("description")) for a in p["args"]]))
+                complaints.append(str([a.get("value", a.get("description")) for a in p["args"]]))
             if e.get("method") == "Log.entryAdded" and p["entry"]["level"] == "error":
-                found_.append(p["entry"]["text"])
-        return found_
+                complaints.append(p["entry"]["text"])
+        return complaints
 
     def close(self) -> None:
         """End the browser that was started here."""
@@ -213,3 +218,57 @@ class Browser:
             self._process.wait()
         os.close(self._write)
         os.close(self._read)
+
+
+class Page(HTMLParser):
+    """A page without a browser: elements by tag, text outside of scripts, content of the data element."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.data = ""
+        self._in: str | None = None
+        self._button = False
+        self._sections: dict[str, list[str]] = {}
+        self._open: list[str] = []
+        self._buttons: list[str] = []
+        self.feed(path.read_text("utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._in = tag if tag in ("script", "style") else None
+        self._kind = dict(attrs).get("id")
+        if tag == "section":
+            self._open.append(self._kind or "")
+        self._button = tag == "button" and "data-filter" in dict(attrs)
+
+    def handle_endtag(self, tag):
+        self._in, self._button = None, False
+        if tag == "section" and self._open:
+            self._open.pop()
+
+    def handle_data(self, data):
+        if self._in is None:
+            self.words.append(data)
+            if self._open:
+                self._sections.setdefault(self._open[-1], []).append(data)
+            if self._button:
+                self._buttons.append(" ".join(data.split()))
+        elif self._in == "script" and self._kind == "data":
+            self.data += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def part(self, section: str) -> str:
+        """The text of the section with this id."""
+        return " ".join(" ".join(self._sections[section]).split())
+
+    def buttons(self) -> list[str]:
+        """Labels of the buttons that filter rows."""
+        return self._buttons
+
+    def ids(self, tag: str) -> list[str]:
+        return [attrs["id"] for name, attrs in self.tags if name == tag and attrs.get("id")]

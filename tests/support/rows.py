@@ -15,14 +15,14 @@ import sunspin
 
 ELSEWHERE = os.environ | {
     "PYTHONPATH": os.pathsep.join(
-        map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parent])
+        map(str, [Path(sunspin.__file__).parents[1], Path(__file__).parents[2]])
     )
 }
-"""The environment of other processes that are to find this module and the package under test."""
+"""The environment of other processes, which find this module and the package under test."""
 
 
 def heed_interrupts() -> None:
-    """Before a child process begins: one begun in the background of a shell would ignore Ctrl-C, and under nohup a hang-up."""
+    """Restore the usual reaction to Ctrl-C and hang-ups, which a process started in the background or under nohup ignores."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
@@ -61,7 +61,7 @@ class Waves:
 
 
 def same(values, wanted) -> bool:
-    """Whether results are the wanted ones, to 1e-9 and of the same types."""
+    """Return whether results are the wanted ones, to 1e-9 and of the same types."""
     return set(values) == set(wanted) and all(
         values[name].dtype == array.dtype
         and np.allclose(values[name], array, rtol=1e-9, atol=0, equal_nan=True)

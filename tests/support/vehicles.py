@@ -1,0 +1,65 @@
+"""Vehicles for tests: Philae's mechanics in numbers typed here from the paper, cubes, and random physical bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+
+FIRST_SUN = np.array([0.1959, 0.5690, 0.7986])  # paper, section 2.3
+
+FACES = {
+    "+X": [1, 0, 0],
+    "-X": [-1, 0, 0],
+    "+Y": [0, 1, 0],
+    "-Y": [0, -1, 0],
+    "+Z": [0, 0, 1],
+    "-Z": [0, 0, -1],
+}
+"""Normals of a cube's faces by name."""
+
+LOWER_CASE_FACES = {name.lower(): normal for name, normal in FACES.items()}
+"""The same normals, with names in lower case."""
+
+CUBE_NORMALS = np.vstack([np.eye(3), -np.eye(3)])
+"""Normals (6, 3) of a cube's faces: first the positive axes, then the negative ones."""
+
+
+def unit_vector(rng: np.random.Generator) -> np.ndarray:
+    """Draw a direction (3), uniform on the sphere."""
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
+
+
+def small_cube(noise: float = 0.02) -> Vehicle:
+    """Return a cube with known inertia and a panel on each face; `noise` of the currents, relative to full Sun."""
+    return Vehicle(
+        "cube",
+        inertia_kg_m2=np.diag([0.010, 0.012, 0.008]),
+        panels=[Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()],
+        telemetry=TelemetryForm(quantity="current_A", noise=noise),
+    )
+
+
+def philae_body(friction: Friction | None = None) -> Vehicle:
+    """Return Philae without panels and legs: Table 2, friction from the spin-down test of section 2.2."""
+    inertia = [[13.905, -0.352, -0.015], [-0.352, 12.603, 0.007], [-0.015, 0.007, 16.523]]
+    friction = friction or Friction.from_spin_down(1271.0, -4.643e-4, -388.9, 0.0058)
+    return Vehicle(
+        "philae body", inertia, 97.63, wheels=[Wheel("wheel", [0, 0, 1], 0.0058, 865.0, friction)]
+    )
+
+
+def random_vehicle(
+    rng: np.random.Generator, n_wheels: int, dry: float = 0.0, viscous: float = 0.0
+) -> Vehicle:
+    """Draw a body of masses in random places, with wheels on random axes; `dry` (N m) and `viscous` (N m s) friction."""
+    points = rng.normal(size=(12, 3)) * [1.0, 0.8, 0.6]
+    points -= points.mean(axis=0)
+    inertia = np.eye(3) * (points**2).sum() - points.T @ points
+    wheels = []
+    for i in range(n_wheels):
+        axis = rng.normal(size=3)
+        friction = Friction(dry * rng.uniform(0.5, 1.5), viscous * rng.uniform(0.5, 1.5))
+        wheels.append(Wheel(f"w{i}", axis / np.linalg.norm(axis), 0.02, 0.0, friction))
+    return Vehicle("random", inertia, 12.0, wheels=wheels)
