@@ -1,6 +1,7 @@
 """The built-in Philae case: its constants against numbers typed here from the paper, timeline and published figures."""
 
 import dataclasses
+import tomllib
 
 import numpy as np
 import pytest
@@ -49,7 +50,35 @@ def test_friction_is_the_fit_and_the_printed_pair_an_option():
     assert (printed.coulomb_N_m, printed.viscous_N_m_s) == (1.0e-3, 2.6811e-6)
 
 
-def test_every_number_of_the_vehicle_has_a_source():
+@pytest.mark.parametrize("name", ["philae", "skcube"])
+def test_every_number_of_a_built_in_vehicle_file_has_a_source(name):
+    def check(value, key):
+        if isinstance(value, dict) and "value" in value:
+            assert value.get("source", "").strip(), key
+        elif isinstance(value, dict):
+            for name, item in value.items():
+                check(item, f"{key}.{name}")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for item in value:
+                check(item, key)
+        else:
+            exact_geometry = key.endswith("normal_B")
+            assert isinstance(value, str) or exact_geometry or not contains_number(value), (
+                f"{key} has no source"
+            )
+
+    def contains_number(value):
+        return (
+            any(map(contains_number, value))
+            if isinstance(value, list)
+            else isinstance(value, int | float)
+        )
+
+    text = (ss.load_case(name).folder / "vehicle.toml").read_text("utf-8")
+    check(tomllib.loads(text), "")
+
+
+def test_values_read_from_the_vehicle_file_keep_their_sources():
     assert len(vehicle.facts) > 25
     assert [key for key, fact in vehicle.facts.items() if not (fact.source or "").strip()] == []
 

@@ -9,13 +9,16 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
+import grimp
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from tests.support.other_pythons import VERSIONS
-from tests.support.sources import text
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+PROJECT = PYPROJECT["project"]
 
 MODULES = {"pot": "ot", "pyerfa": "erfa"}
 """Distribution -> module, where the names differ."""
@@ -32,8 +35,6 @@ NOT_IMPORTED = {
 BROUGHT = {"markupsafe": "jinja2", "llvmlite": "numba"}
 """Imported here, and needed always by a declared one, which knows the version that it needs."""
 
-OWN = {"sunspin", "validation", "tests", "docs", "bench", "studies"}
-
 SHARE_ALIKE = re.compile(r"\b(A?GPL|GNU (Affero )?General Public)", re.IGNORECASE)
 
 
@@ -47,20 +48,12 @@ CORE = names(PROJECT["dependencies"])
 EXTRAS = {extra: names(wanted) for extra, wanted in PROJECT["optional-dependencies"].items()}
 
 
-IMPORT = re.compile(
-    r"^ *(?:from|import) ([A-Za-z_]\w*)[\w.]*(?: import\b| as\b| *(?:#.*)?$)", re.MULTILINE
-)
-"""The first name of what a line imports; one of a module's own package begins with a dot."""
-
-
 @cache
-def imported(folder: Path) -> dict[str, set[str]]:
-    """Third-party module -> files below a folder that import it."""
-    found: dict[str, set[str]] = {}
-    for path in folder.rglob("*.py"):
-        for top in set(IMPORT.findall(text(path))) - sys.stdlib_module_names - OWN:
-            found.setdefault(top, set()).add(path.relative_to(ROOT).as_posix())
-    return found
+def imported() -> set[str]:
+    """Return the third-party packages that modules of sunspin import, as import-linter's graph has them."""
+    graph = grimp.build_graph("sunspin", include_external_packages=True, cache_dir=None)
+    packages = {name for name in graph.modules if graph.is_module_squashed(name)}
+    return packages - sys.stdlib_module_names
 
 
 def module_of(distribution: str) -> str:
@@ -71,18 +64,16 @@ def test_what_is_imported_is_declared():
     runtime = CORE | set().union(
         *(wanted for extra, wanted in EXTRAS.items() if extra not in ("test", "docs", "bench"))
     )
-    used = imported(ROOT / "src" / "sunspin")
-    assert len(used) > 10
+    assert len(imported()) > 10
     for module, parent in BROUGHT.items():
         needs = [text for text in metadata.requires(parent) or [] if "extra ==" not in text]
-        assert module in used and parent in CORE and module in names(needs)
+        assert module in imported() and parent in CORE and module in names(needs)
     declared = {module_of(name) for name in runtime} | set(BROUGHT)
-    assert not {module: files for module, files in used.items() if module not in declared}
+    assert not imported() - declared
 
 
 def test_what_is_declared_is_imported():
-    used = set(imported(ROOT / "src" / "sunspin"))
-    missing = {name for name in CORE if module_of(name) not in used} - set(NOT_IMPORTED)
+    missing = {name for name in CORE if module_of(name) not in imported()} - set(NOT_IMPORTED)
     assert not missing
 
 
@@ -129,3 +120,21 @@ def test_versions_that_are_claimed_are_tried():
         if re.search(r":: 3\.\d+$", text)
     ]
     assert PROJECT["requires-python"] == f">={claimed[0]}" and set(claimed) <= set(VERSIONS)
+
+
+def test_the_lock_is_within_the_ranges_and_names_no_host():
+    lines = [
+        x
+        for x in (ROOT / "requirements.lock").read_text("utf-8").splitlines()
+        if x and not x.startswith("#")
+    ]
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", line) for line in lines)
+    locked = {
+        canonicalize_name(name): version for name, version in (line.split("==") for line in lines)
+    }
+    extras = PROJECT["optional-dependencies"]
+    wanted = [*PROJECT["dependencies"], *sum(extras.values(), [])]
+    for requirement in map(Requirement, [*wanted, *PYPROJECT["build-system"]["requires"]]):
+        assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), (
+            requirement
+        )

@@ -1,5 +1,6 @@
 """The documents do what they say: every code block runs, or says to its reader why it is not run here."""
 
+import ast
 import re
 import runpy
 
@@ -96,15 +97,17 @@ def test_links_lead_somewhere():
             )
 
 
-def test_every_equation_that_the_code_cites_is_on_the_page_of_the_model():
-    """Equations are numbered in their order on the page, and the code cites them as eq. N."""
-    text = (ROOT / "docs" / "model.md").read_text("utf-8")
-    numbered = len(re.findall(r"^\$\$ \(\w+\)$", text, re.MULTILINE))
-    cited = set()
-    for path in (ROOT / "src").rglob("*.py"):
-        for part in re.findall(r"\beqs?\. ([\d, and()-]+)", path.read_text("utf-8")):
-            cited |= {int(number) for number in re.findall(r"\d+", part)}
-    assert cited and max(cited) <= numbered, (max(cited), numbered)
+def test_each_convention_is_numbered_and_names_a_test_that_exists():
+    """Items of docs/conventions.md name the tests that pin them, as tests/file.py::name."""
+    text = (ROOT / "docs" / "conventions.md").read_text("utf-8")
+    items = re.split(r"^(?=\d+\. )", text, flags=re.MULTILINE)[1:]
+    assert [int(item.split(".")[0]) for item in items] == list(range(1, len(items) + 1))
+    for item in items:
+        named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", item)
+        assert named, item
+        for path, name in named:
+            body = ast.parse((ROOT / path).read_text("utf-8")).body
+            assert name in {getattr(node, "name", "") for node in body}, f"{path}::{name}"
 
 
 def test_the_reference_lists_the_public_face():

@@ -1,8 +1,6 @@
 """Kernels that another process compiles."""
 
 import os
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,11 +66,3 @@ def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, mon
     k.prepare(vehicle, [(None, 0)])
     rows = k.Rows(np.array([[0.1, 0.2, 0.3]]), FIRST_SUN[None], np.zeros((1, 0)))
     assert k.run_rows(vehicle, rows, 1.0, direction_error=1e-2).outcome[0] == k.Outcome.FINE
-
-
-def test_numba_is_taken_from_where_it_is_set_up():
-    for path in (Path(k.__file__).parents[2]).rglob("*.py"):
-        if path.name != "compiler.py":
-            assert not re.search(
-                r"^(import numba|from numba import .*njit)", path.read_text("utf-8"), re.MULTILINE
-            ), path

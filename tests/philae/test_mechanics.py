@@ -57,6 +57,7 @@ def test_philae_against_figures_computed_elsewhere(result):
 
 def test_rows(result):
     rows = {row.id: row for row in mechanics.precession_rows(result)}
+    assert {"range_of_z_lines", "axis_swing"} <= set(rows)
     for key in ("sun_height_lines", "range_of_z_examples", "nutation_constant", "rz_peaks"):
         assert rows[key].agrees, key
     assert rows["axis_swing"].agrees is False

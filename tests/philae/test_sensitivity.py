@@ -153,6 +153,7 @@ def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
 def test_one_percent_moves_e_and_not_emd(result):
     """Paper, section 2.3; PHYSICS: 180 to 2000 rad per rad/s at 45 min; the printed start allows no E below 0.0177."""
     rows = {row.id: row for row in metrics.sensitivity_rows(result)}
+    assert {"E_map_rates", "E_map_parameters"} <= set(rows)
     assert all(rows[name].agrees for name in ("one_percent_E", "one_percent_emd", "phase_growth"))
     assert rows["one_percent_E"].ours > 20 * rows["one_percent_emd"].ours
     last = result.motions["error_rad"].sel(input=list(gr.RATES)).isel(time=-1)
