@@ -22,7 +22,7 @@ def reference() -> list:
     return [ss.propagate(PHILAE.vehicle, omega, *args) for omega in PHILAE.rates(starts)]
 
 
-def test_a_cheap_one_runs(capsys):
+def test_the_quick_emd_benchmark_runs_and_contestants_agree(capsys):
     main(["--quick", "--only", "emd"])
     lines = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines() if "|" in line]
     differences = [float(cells[2]) for cells in lines[2:] if cells[2].strip() != "-"]
@@ -41,7 +41,7 @@ def test_a_cheap_one_runs(capsys):
     ],
     ids=["batch", "scipy"],
 )
-def test_contestants_agree_with_the_reference(make, rows, error, reference):
+def test_contestants_of_the_scan_benchmark_agree_with_the_reference(make, rows, error, reference):
     end = make(PHILAE)(PHILAE.starts(RATES)[:rows])
     stops = [run["event_time_s"].values for run in reference[:rows]]
     np.testing.assert_allclose(end.stop_s, np.concatenate(stops), atol=error)

@@ -41,7 +41,7 @@ def test_legs_are_those_of_table_3():
     np.testing.assert_array_equal([leg.tip_B_m for leg in vehicle.legs], tips)
 
 
-def test_friction_is_the_fit_and_the_printed_pair_an_option():
+def test_friction_is_fitted_and_the_printed_pair_is_an_alternative():
     assert vehicle.wheels[0].friction.coulomb_N_m == pytest.approx(
         4.643e-4 * 388.9 * 0.0058, rel=1e-12
     )
@@ -84,7 +84,7 @@ def test_values_read_from_the_vehicle_file_keep_their_sources():
 
 
 @pytest.mark.evidence("load_case", "validated", "the paper's Table 1 and the landing kernel")
-def test_times_of_table_1():
+def test_times_of_the_timeline_are_those_of_table_1():
     seconds = case.timeline.seconds
     assert seconds("separation", "first_touchdown") == pytest.approx(6 * 3600 + 59 * 60 + 3.98)
     assert seconds("first_touchdown", "first_sample_after_touchdown") == pytest.approx(56.02)
@@ -144,7 +144,7 @@ def test_an_unknown_case_is_refused_with_the_names_there_are():
         ss.load_case("rosetta")
 
 
-def test_names_that_a_timeline_does_not_have():
+def test_names_that_a_timeline_lacks_are_refused():
     with pytest.raises(ss.InputError, match="no event of this name .*landing.*collision"):
         case.timeline.event("landing")
     with pytest.raises(ss.InputError, match="no phase"):
@@ -170,7 +170,7 @@ def test_names_that_a_timeline_does_not_have():
         ),
     ],
 )
-def test_mistakes_in_a_timeline_are_named(text, message):
+def test_mistakes_in_a_timeline_file_are_named(text, message):
     with pytest.raises(ss.InputError, match=f"here.toml: .*{message}"):
         parse_timeline(text, "here.toml")
 
@@ -182,7 +182,7 @@ def test_a_phase_must_end_after_it_begins():
         parse_timeline(text + "[[phase]]\nname = 'p'\nbegin = 'b'\nend = 'a'", "here.toml")
 
 
-def test_utc_with_and_without_zone():
+def test_utc_is_read_with_and_without_a_zone():
     assert utc_seconds("2014-11-12T16:20:00+01:00", "2014-11-12T15:20:00Z") == 0.0
     assert utc_seconds("2014-11-12T15:34:03.98", "2014-11-12T15:34:00") == pytest.approx(3.98)
 
@@ -194,14 +194,14 @@ def test_a_published_figure_without_place_is_refused():
         parse_published("[x]\nvalue = 1\nunit = '1'\nwhat = 'w'\nplace = ' '", "here.toml")
 
 
-def test_a_case_without_a_timeline_says_so():
+def test_a_case_without_a_timeline_refuses_to_give_one():
     """A study of it ended in a traceback."""
     assert case.require_timeline() is case.timeline
     with pytest.raises(ss.InputError, match="'skcube' has no timeline"):
         ss.load_case("skcube").require_timeline()
 
 
-def test_the_built_in_lander_is_that_of_the_published_tables():
+def test_the_built_in_lander_has_the_values_of_the_published_tables():
     """The tables are typed twice: as the vehicle, and as published figures; a slip in either shows here."""
     case = ss.load_case("philae")
     table = {key: case.published[key].value for key in ("table_2", "table_3", "cells")}

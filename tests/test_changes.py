@@ -37,7 +37,7 @@ def with_changes(*changes):
     return ss.load_vehicle("philae", changes)
 
 
-def test_numbers_factors_and_steps_by_key():
+def test_values_change_by_number_factor_or_step():
     craft = with_changes(
         "wheel.speed_rad_s=833",
         "body.inertia_kg_m2[2][2]*=0.9",
@@ -66,7 +66,7 @@ def test_numbers_factors_and_steps_by_key():
     )
 
 
-def test_an_element_beside_the_diagonal_sets_its_mirror_and_a_law_of_friction_goes_by_its_name():
+def test_an_off_diagonal_element_sets_its_mirror_and_friction_laws_are_chosen_by_name():
     assert with_changes("body.inertia_kg_m2[0][1]=0.1").inertia_kg_m2[1, 0] == 0.1
     printed = with_changes("wheel.friction=printed").wheels[0].friction
     assert printed == OWN.with_friction("printed").wheels[0].friction
@@ -79,7 +79,7 @@ def test_an_element_beside_the_diagonal_sets_its_mirror_and_a_law_of_friction_go
     assert with_changes("sun_rule=[]").sun_rules == ()
 
 
-def test_what_changes_nothing_is_no_change():
+def test_an_assignment_of_the_same_value_is_no_change():
     assert with_changes("wheel.speed_rad_s=865", "wheel.speed_rad_s*=1") == OWN
 
 
@@ -127,7 +127,9 @@ def test_what_changes_nothing_is_no_change():
         ("study.mask=none", "'reconstructible' or 'everywhere'"),
     ],
 )
-def test_anything_else_is_refused_with_the_nearest_name_or_the_files_own_sentence(change, words):
+def test_invalid_changes_are_refused_with_the_nearest_name_or_the_message_of_the_file(
+    change, words
+):
     with pytest.raises(SunspinError) as refused:
         ss.load_case("philae", [change])
     assert words in str(refused.value) and "\n" not in str(refused.value)
@@ -137,7 +139,7 @@ TEMPLATE = str(resources.files("sunspin").joinpath("template", "vehicle.toml"))
 
 
 @pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
-def test_all_that_is_listed_can_be_set(source):
+def test_every_listed_value_can_be_changed(source):
     """Set to itself, times one or plus zero, a value stays and is no change; times two it is twice what it was."""
     listed = {each.key: each.value for each in settings(vehicle_table(source), VehicleFile)}
     own = {key: value for key, value in listed.items() if value not in (None, "as below")}
@@ -215,7 +217,7 @@ def test_assumptions_follow_into_the_study():
     assert len(case.changes) == 3 and usual.assumptions == read_assumptions()
 
 
-def test_what_was_found_for_another_body_is_not_kept():
+def test_results_for_another_body_are_not_reused_after_a_change():
     """The published lines hold for the case as it is; legs do not enter them."""
     case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
     own = rb.moving_and_seeing(OWN)
@@ -232,7 +234,7 @@ def command(*words):
     return result
 
 
-def test_the_command_lists_changes_and_says_them(tmp_path):
+def test_commands_list_the_changes_and_print_them(tmp_path):
     listed = json.loads(command("simulate", "philae", "--set", "list", "--json").output)
     assert {"wheel.speed_rad_s", "body.inertia_kg_m2"} <= {one["key"] for one in listed}
     speed = next(one for one in listed if one["key"] == "wheel.speed_rad_s")
@@ -271,12 +273,12 @@ SIMULATE = "simulate philae --omega-deg-s 0,0,0 --sun 0,0,1 --duration 1"
         ),
     ],
 )
-def test_a_command_refuses_what_it_cannot_use(words, said):
+def test_a_command_refuses_a_change_that_it_cannot_use(words, said):
     result = command(*words.split())
     assert isinstance(result.exception, SunspinError) and said in str(result.exception)
 
 
-def test_what_a_command_does_not_use_is_said_and_not_listed():
+def test_a_change_that_a_command_does_not_use_is_reported_and_not_listed():
     """A change without effect is no error, as one set of changes may go through several commands, but it is not silent."""
     words = SIMULATE.split()
     changes = "--set panel[2].gain*=2 --set body.mass_kg=90 --set body.inertia_kg_m2[0][1]*=2"
@@ -295,7 +297,7 @@ def test_what_a_command_does_not_use_is_said_and_not_listed():
     assert listed == {"body", "wheel"}
 
 
-def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
+def test_short_names_of_changes_work_in_several_commands(tmp_path):
     """--friction wherever a wheel runs; --restitution and --damper where there may be a blow."""
     usual = "simulate philae --omega-deg-s 6,0,0 --sun 0,0,1 --duration 60".split()
     said = [command(*usual, *more).output.splitlines() for more in ((), ("--friction", "printed"))]
@@ -325,7 +327,7 @@ def test_one_set_of_short_names_goes_through_several_commands(tmp_path):
     )
 
 
-def test_a_posterior_without_predictions_does_not_use_the_collision(monkeypatch):
+def test_a_posterior_without_predictions_does_not_use_a_change_of_the_collision(monkeypatch):
     monkeypatch.setattr("sunspin.estimate.posterior.estimate.posterior", refuse)
     told = [
         command(
@@ -344,7 +346,7 @@ def refuse(*_, **__):
     raise InputError("not run")
 
 
-def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
+def test_outcomes_name_the_vehicle_of_the_motions_of_a_scan(tmp_path):
     axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
     volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
     changed = with_changes("wheel.speed_rad_s=833").said["changes"]
@@ -362,7 +364,7 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 
-def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
+def test_a_landing_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
     assert scenario_of("philae", craft, {}).wheel_speed_rad_s == (833.0,)
     assert own_scenario(craft).wheel_speed_rad_s == (833.0,) and own_scenario(
@@ -377,7 +379,7 @@ def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
 
 
 @pytest.mark.parametrize(("restitution", "damper"), [(0, 0), (1, 0), (0, 1), (0.4, 0.3), (1, 1)])
-def test_a_blow_never_gains_energy(restitution, damper):
+def test_an_impact_of_a_changed_vehicle_never_adds_energy(restitution, damper):
     rng, leg = np.random.default_rng(3), OWN.legs[1].tip_B_m
     omega, velocity = rng.normal(0, 0.3, (50, 3)), rng.normal(0, 0.3, (50, 3))
     hit = ss.impact(OWN, omega, 300.0, velocity, "2", restitution=restitution, damper=damper)

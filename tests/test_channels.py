@@ -58,7 +58,7 @@ def directions(n, seed=0):
 # ------------------------------------------------------------------------------------------------------------------- what is said
 
 
-def test_readings_are_those_of_inputs():
+def test_readings_of_channels_are_those_of_their_panels():
     """In the order of the panels, a channel where its first panel stands."""
     vehicle = craft({"Y": THREE["Y"], "odd": ("+X", "+Z")})
     assert vehicle.input_names == ("odd", "-X", "Y", "-Z") and len(vehicle.panels) == 6
@@ -97,7 +97,7 @@ def test_readings_are_those_of_inputs():
         ),
     ],
 )
-def test_a_wrong_channel_is_one_sentence(written, told):
+def test_a_wrong_channel_is_refused_in_one_sentence(written, told):
     with pytest.raises(ss.VehicleError) as caught:
         parse_vehicle(written, "c.toml")
     assert (
@@ -116,7 +116,7 @@ def test_the_template_shows_a_channel_that_works():
     assert parse_vehicle(opened, "template").input_names == ("X", "+Y", "-Y", "+Z")
 
 
-def test_a_file_is_read_by_inputs(tmp_path):
+def test_telemetry_is_read_by_channels(tmp_path):
     file = tmp_path / "samples.csv"
     file.write_text("time,IX_A,+Y,-Y,zp,-Z\n2026-01-01T00:00:00Z,0.1,0,0.2,0,0.3\n")
     vehicle = craft(ONE, more='[telemetry.columns]\n"+Z" = "zp"\n')
@@ -134,7 +134,7 @@ def test_a_file_is_read_by_inputs(tmp_path):
 @pytest.mark.parametrize(
     ("channels", "reads"), [(THREE, "sum"), (ONE, "largest"), ({"odd": ("+X", "+Y")}, "sum")]
 )
-def test_directions_that_fit_alike(channels, reads):
+def test_directions_that_fit_equally_are_found_and_one_is_given_only_if_unique(channels, reads):
     """Against a fine grid of directions: none fits better, and one is given only where all that fit are in one place."""
     vehicle = craft(channels, reads=reads)
     readings = ss.panel_power(vehicle, directions(12, 1))
@@ -188,7 +188,7 @@ def test_more_planes_than_can_be_cut_are_refused():
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
-def test_compiled_code_and_bounds_know_the_inputs(reads):
+def test_compiled_readings_slopes_and_bounds_of_channels_agree_with_numpy(reads):
     """Readings, their slopes where lit, and bounds against directions within an angle."""
     vehicle, angles = craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads), (0.1, 0.35)
     response, sun, light = vehicle.response_in(), directions(40, 21), light_of(vehicle, angles)
@@ -218,7 +218,7 @@ def test_the_mask_of_a_scan_counts_what_channels_allow(reads):
     assert np.mean(allows(reconstructible_mask(vehicle), sun) != expected) < 1e-3
 
 
-def test_with_three_channels_no_set_of_lit_inputs_gives_a_direction():
+def test_with_three_channels_no_pattern_gives_a_direction():
     assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(
         craft({"odd": ("+X", "+Y")})
     )
@@ -227,7 +227,7 @@ def test_with_three_channels_no_set_of_lit_inputs_gives_a_direction():
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
-def test_slopes_of_flat_panels_are_those_of_the_differences(reads):
+def test_slopes_of_channel_readings_agree_with_differences(reads):
     response, sun = (
         craft({"odd": ("+X", "+Y"), "Z": THREE["Z"]}, reads=reads).response_in(),
         directions(50, 5),
@@ -273,7 +273,7 @@ def away(result, truth):
     return np.abs((omega - truth["omega_B"].values[middle]) / sigma).max(axis=-1)
 
 
-def test_three_channels_leave_the_signs_open():
+def test_three_channels_leave_eight_symmetric_solutions():
     vehicle = craft(THREE, more=MOVES)
     data, truth = flight(vehicle, 0)
     result = ss.rates(vehicle, data)
@@ -289,7 +289,7 @@ def test_three_channels_leave_the_signs_open():
 
 
 @pytest.mark.long
-def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun():
+def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_attitude():
     vehicle = craft(THREE, more=MOVES + GYRO)
     data, truth = flight(vehicle, 1)
     result = ss.rates(vehicle, data)
@@ -297,7 +297,7 @@ def test_a_gyro_decides_the_rates_of_three_channels_and_not_the_side_of_the_sun(
     assert "attitude is unknown" in result.attrs["verdict"]
 
 
-def test_throttled_samples_count_by_their_ratios():
+def test_power_limited_samples_are_used_by_their_ratios():
     """A full battery leaves a fifth of the light in some samples: none is left out, and their directions are as good."""
     vehicle = craft(THREE, more=MOVES, channel="throttled = true")
     data, truth = flight(vehicle, 3)
@@ -321,7 +321,7 @@ def nearest(tree, truth):
 
 @pytest.mark.long
 @pytest.mark.parametrize("throttled", ["", "throttled = true"])
-def test_the_posterior_of_three_channels_has_the_truth_among_motions_that_are_alike(throttled):
+def test_the_posterior_of_three_channels_lists_the_truth_among_symmetric_solutions(throttled):
     vehicle = craft(THREE, more=MOVES, channel=throttled)
     data, truth = flight(vehicle, 0, samples=12, step_s=6.0)
     tree = ss.posterior(vehicle, data, {"steady_torque": 0} if throttled else {}, seed=1)
@@ -334,7 +334,7 @@ def test_the_posterior_of_three_channels_has_the_truth_among_motions_that_are_al
     "modelled",
     "passes whose samples are lowered to 20 to 100 % by factors that nobody knows",
 )
-def test_the_posterior_of_throttled_panels_is_that_of_their_ratios():
+def test_the_posterior_of_power_limited_panels_uses_their_ratios():
     """The truth is found and decided; there is no brightness to be told."""
     vehicle = craft({}, more=MOVES, telemetry="throttled = true")
     data, truth = flight(vehicle, 1, samples=12, step_s=6.0)
@@ -349,7 +349,7 @@ def test_the_posterior_of_throttled_panels_is_that_of_their_ratios():
         ss.posterior(vehicle, data, {"tilt": 0.02})
 
 
-def test_derivatives_of_throttled_readings_have_their_factors_at_the_best():
+def test_derivatives_of_power_limited_readings_agree_with_differences():
     """At readings as the motion makes them, dimmed sample by sample, by differences; and the factors are found again."""
     vehicle = craft({}, more=MOVES, telemetry="throttled = true")
     data = readings(vehicle, flight(vehicle, 1)[0])[0]

@@ -70,7 +70,7 @@ def test_every_generator_has_a_seed():
                 assert call.args, f"{path}:{call.lineno}"
 
 
-def test_no_file_format_of_ours_can_carry_code():
+def test_the_package_reads_and_writes_no_pickles():
     """No module of the package imports pickle or the like, and NumPy is never allowed to read one."""
     modules = {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
     functions = ("read_pickle", "to_pickle", "full_load", "unsafe_load")
@@ -95,7 +95,7 @@ def test_no_file_format_of_ours_can_carry_code():
         assert not [call for call in asked if name_of(call) in functions], path
 
 
-def test_nothing_listens_but_what_dask_is_asked_for():
+def test_the_package_opens_no_listening_socket():
     listeners = {"HTTPServer", "bind", "listen", "create_server", "start_server"}
     for path in PYTHON:
         if "src" in path.parts:

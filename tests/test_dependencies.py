@@ -60,7 +60,7 @@ def module_of(distribution: str) -> str:
     return MODULES.get(distribution, distribution.replace("-", "_"))
 
 
-def test_what_is_imported_is_declared():
+def test_every_imported_package_is_declared():
     runtime = CORE | set().union(
         *(wanted for extra, wanted in EXTRAS.items() if extra not in ("test", "docs", "bench"))
     )
@@ -72,7 +72,7 @@ def test_what_is_imported_is_declared():
     assert not imported() - declared
 
 
-def test_what_is_declared_is_imported():
+def test_every_declared_package_is_imported():
     missing = {name for name in CORE if module_of(name) not in imported()} - set(NOT_IMPORTED)
     assert not missing
 
@@ -101,7 +101,7 @@ def licence(name: str) -> str:
 
 
 @pytest.mark.parametrize("extra", ["", *(name for name in EXTRAS if name not in ("test", "docs"))])
-def test_licences_let_users_choose_their_own(extra):
+def test_no_dependency_has_a_share_alike_licence(extra):
     """Of what comes with sunspin or an extra; tools of the tests and of the documentation are not passed on."""
     every = closure(EXTRAS[extra] if extra else CORE)
     assert every or extra, "nothing is installed"
@@ -112,7 +112,7 @@ def test_licences_let_users_choose_their_own(extra):
     assert not {name: text for name, text in told.items() if SHARE_ALIKE.search(text)}
 
 
-def test_versions_that_are_claimed_are_tried():
+def test_every_python_version_in_the_classifiers_is_tried():
     """Classifiers begin with the lowest version that may install it, and name none that `make test-all` would not try."""
     claimed = [
         text.rpartition(" :: ")[2]

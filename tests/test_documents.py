@@ -38,7 +38,9 @@ def cases() -> list:
 
 
 @pytest.mark.parametrize(("name", "mark"), cases())
-def test_a_page_can_be_followed(name, mark, tmp_path, monkeypatch, framed):
+def test_code_blocks_of_a_page_run_and_print_what_it_shows(
+    name, mark, tmp_path, monkeypatch, framed
+):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     reader = Reader(PAGES[name], tmp_path)
     for block in runnable(name, mark):
@@ -46,7 +48,7 @@ def test_a_page_can_be_followed(name, mark, tmp_path, monkeypatch, framed):
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_every_block_says_what_it_is(name):
+def test_every_code_block_names_its_language(name):
     """A block without a language would not be run and nobody would see it; indented commands neither."""
     for block in BLOCKS[name]:
         assert block.language in LANGUAGES, f"{name}, line {block.line}"
@@ -58,7 +60,7 @@ def test_every_block_says_what_it_is(name):
     )
 
 
-def test_the_runner_notices(tmp_path):
+def test_the_runner_of_code_blocks_detects_wrong_output_and_failures(tmp_path):
     """Negative controls: wrong output, a command that fails, a block that raises."""
     page = PAGES["README.md"]
     for text in (
@@ -89,7 +91,7 @@ def test_examples_are_numbered_without_gap():
     assert [int(path.stem[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
 
 
-def test_links_lead_somewhere():
+def test_links_of_the_pages_lead_to_existing_files():
     for name, path in PAGES.items():
         for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text("utf-8")):
             assert link.split("/")[-1] in WRITTEN or (path.parent / link).exists(), (
@@ -110,7 +112,7 @@ def test_each_convention_is_numbered_and_names_a_test_that_exists():
             assert name in {getattr(node, "name", "") for node in body}, f"{path}::{name}"
 
 
-def test_the_reference_lists_the_public_face():
+def test_the_reference_lists_every_public_name():
     import sunspin
 
     listed = re.findall(

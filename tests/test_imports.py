@@ -31,7 +31,7 @@ def test_every_module_imports():
 
 
 @pytest.mark.parametrize("order", ["sunspin, xarray as xr", "xarray as xr, sunspin"])
-def test_a_file_of_results_has_the_accessor_at_once(order, tmp_path):
+def test_a_results_file_has_the_accessor_after_import_of_sunspin(order, tmp_path):
     """Without a public name of sunspin being used; and a question whether xarray is there, before it, changes nothing."""
     result = sunspin.propagate(
         Vehicle("made up", inertia_kg_m2=np.eye(3)), [0.1, 0, 0], [0, 0, 1.0], None, [0.0, 1.0]

@@ -31,7 +31,7 @@ class Checked(HTMLParser):
 
 
 @pytest.mark.parametrize("name", ["philae", "skcube"])
-def test_a_case_shows_its_vehicle(name):
+def test_a_case_shows_its_vehicle_in_a_notebook(name):
     case = ss.load_case(name)
     shown = Checked(case._repr_html_())
     assert all(panel.name in shown.text for panel in case.vehicle.panels)
@@ -40,11 +40,11 @@ def test_a_case_shows_its_vehicle(name):
         assert all(event.source in shown.text for event in case.timeline.events)
 
 
-def test_a_vehicle_with_nothing_known_says_so():
+def test_an_empty_vehicle_shows_that_nothing_is_given():
     assert "not given" in Checked(ss.Vehicle("bare")._repr_html_()).text
 
 
-def test_names_from_a_file_are_text():
+def test_names_from_a_file_are_escaped_in_a_notebook():
     evil = "<script>alert(1)</script>"
     panel, wheel = ss.Panel(evil, [1, 0, 0], 1.0), ss.Wheel(evil, [0, 0, 1], 1e-3)
     craft = ss.Vehicle(
@@ -59,6 +59,6 @@ def test_names_from_a_file_are_text():
     assert "script" not in shown.tags and shown.text.count(evil) >= 4
 
 
-def test_results_render_as_xarray_does_it():
+def test_results_are_shown_by_xarray_in_a_notebook():
     run = ss.propagate(ss.load_vehicle("philae"), [0.1, 0, 0], [0, 0, 1], 865, [0, 10.0])
     assert "omega_B" in run._repr_html_() and "rad s-1" in run._repr_html_()

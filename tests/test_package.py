@@ -76,7 +76,7 @@ def test_the_archives_hold_what_they_should_and_nothing_else(built):
     assert not [name for name in [*names, *inside] if name.lower().endswith(other)]
 
 
-def test_one_version_everywhere():
+def test_citation_and_changelog_have_the_version_of_the_package():
     version = PROJECT["version"]
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
     assert re.search(
@@ -84,7 +84,7 @@ def test_one_version_everywhere():
     )
 
 
-def test_extras_keep_the_core_lean():
+def test_heavy_dependencies_are_extras():
     core = " ".join(PROJECT["dependencies"])
     assert {"cluster", "spice", "parquet", "docs", "test"} <= set(PROJECT["optional-dependencies"])
     for heavy in ("pyarrow", "distributed", "spiceypy", "sphinx"):

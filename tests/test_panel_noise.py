@@ -47,7 +47,7 @@ def template(noise_of_each: bool) -> Vehicle:
     return replace(vehicle, panels=panels, telemetry=replace(vehicle.telemetry, noise=None))
 
 
-def test_a_noise_of_each_panel_that_is_the_common_one_changes_nothing():
+def test_the_same_noise_for_each_panel_equals_a_common_noise():
     one, each = template(False), template(True)
     file = str(resources.files("sunspin") / "template" / "telemetry.csv")
     samples = ss.read_telemetry(file, one)
@@ -65,7 +65,7 @@ def test_a_noise_of_each_panel_that_is_the_common_one_changes_nothing():
     assert np.array_equal(plain_covariance(design, np.full(5, 0.3)), usual)
 
 
-def test_directions_do_not_know_the_noise_and_their_errors_do():
+def test_panel_noise_changes_errors_of_directions_and_not_directions():
     suns = np.random.default_rng(1).normal(size=(4000, 3))
     suns /= np.linalg.norm(suns, axis=1, keepdims=True)
     exact = ss.panel_power(craft(), suns)
@@ -103,7 +103,7 @@ def test_synthetic_data_have_the_noise_of_each_panel():
     np.testing.assert_allclose(ratio / shape * np.median(shape) ** 2, noise.lit, rtol=1e-9)
 
 
-def test_rates_and_posterior_use_them():
+def test_rates_and_posterior_use_the_noise_of_each_panel():
     samples = track(12)
     quality = ss.panel_quality(craft(), samples)
     assert np.allclose(quality["noise"], NOISE, rtol=1e-3)
@@ -118,7 +118,7 @@ def test_rates_and_posterior_use_them():
     assert abs(tree.attrs["noise_sigmas"]) < 3 and tree.attrs["p_value"] > 0.01
 
 
-def test_refusals(tmp_path):
+def test_wrong_panel_noises_are_refused(tmp_path):
     text = (resources.files("sunspin") / "template" / "vehicle.toml").read_text()
     file = tmp_path / "vehicle.toml"
 

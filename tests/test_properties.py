@@ -65,7 +65,7 @@ def changed(vehicle: Vehicle, matrix: np.ndarray) -> Vehicle:
 
 @few
 @given(seeds, wheels, st.booleans())
-def test_turning_or_mirroring_the_vehicle_turns_or_mirrors_its_motion(seed, n_wheels, mirror):
+def test_rotating_or_mirroring_the_vehicle_rotates_or_mirrors_its_motion(seed, n_wheels, mirror):
     vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
     matrix = Rotation.random(rng=rng).as_matrix() * (-1.0 if mirror else 1.0)
     sign = -1.0 if mirror else 1.0
@@ -79,7 +79,7 @@ def test_turning_or_mirroring_the_vehicle_turns_or_mirrors_its_motion(seed, n_wh
 
 @few
 @given(seeds, st.integers(3, 8))
-def test_turning_the_panels_turns_the_direction_to_the_sun(seed, n_panels):
+def test_rotating_the_panels_rotates_the_sun_direction(seed, n_panels):
     vehicle, _, _, _, rng = case(seed, 0, n_panels=n_panels)
     matrix = Rotation.random(rng=rng).as_matrix()
     suns = np.array([unit(rng) for _ in range(30)])
@@ -121,7 +121,7 @@ def test_another_unit_of_mass_changes_no_motion(seed, n_wheels, factor):
 
 @few
 @given(seeds, wheels, st.sampled_from([0.5, 3.0, 60.0]))
-def test_another_unit_of_time_changes_no_way(seed, n_wheels, factor):
+def test_another_unit_of_time_changes_no_path(seed, n_wheels, factor):
     """Rates times f and torques times f^2 give the same orientations 1 / f earlier."""
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels)
     faster = replace(
@@ -147,7 +147,7 @@ def test_another_unit_of_time_changes_no_way(seed, n_wheels, factor):
 
 @few
 @given(seeds, st.permutations(range(3)))
-def test_the_order_of_wheels_does_not_matter(seed, order):
+def test_the_motion_does_not_depend_on_the_order_of_wheels(seed, order):
     vehicle, omega, sun, speeds, _ = case(seed, 3)
     other = replace(vehicle, wheels=[vehicle.wheels[i] for i in order])
     a, b = run(vehicle, omega, sun, speeds), run(other, omega, sun, speeds[list(order)])
@@ -160,7 +160,7 @@ def test_the_order_of_wheels_does_not_matter(seed, order):
 
 @few
 @given(seeds, wheels)
-def test_without_friction_a_motion_reversed_goes_back(seed, n_wheels):
+def test_without_friction_a_reversed_motion_returns_to_its_start(seed, n_wheels):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.0, viscous=0.0)
     end = run(vehicle, omega, sun, speeds).isel(time=-1)
     back = run(
@@ -173,7 +173,7 @@ def test_without_friction_a_motion_reversed_goes_back(seed, n_wheels):
 
 @few
 @given(seeds, wheels, st.sampled_from(["coast", "hold"]))
-def test_what_is_conserved_is_conserved_and_energy_never_made(seed, n_wheels, mode):
+def test_momentum_is_conserved_and_energy_never_added(seed, n_wheels, mode):
     vehicle, omega, sun, speeds, _ = case(seed, n_wheels, dry=0.05, viscous=3e-3)
     there = run(vehicle, omega, sun, speeds, np.linspace(0, 120, 121), wheel_mode=mode)
     H, r = there["momentum_B"].values, there["sun_B"].values
@@ -193,7 +193,7 @@ def test_what_is_conserved_is_conserved_and_energy_never_made(seed, n_wheels, mo
 
 @few
 @given(seeds, st.integers(0, 2))
-def test_a_run_is_its_parts_one_after_the_other(seed, n_wheels):
+def test_a_run_equals_its_parts_in_sequence(seed, n_wheels):
     vehicle, omega, sun, speeds, rng = case(seed, n_wheels)
     whole = run(vehicle, omega, sun, speeds)
     middle = whole.isel(time=4)
@@ -212,7 +212,7 @@ def test_a_run_is_its_parts_one_after_the_other(seed, n_wheels):
     2977344, [1, 0, 2, 3, 4, 5], 1e-3
 )  # a panel has failed, and all of an arc fits the others alike
 @given(seeds, st.permutations(range(6)), st.sampled_from([1e-3, 1.0, 60.0]))
-def test_neither_the_order_of_panels_nor_the_unit_of_power_matters(seed, order, unit_of_power):
+def test_sun_directions_do_not_depend_on_panel_order_and_power_unit(seed, order, unit_of_power):
     vehicle, _, _, _, rng = case(seed, 0, n_panels=6)
     order = list(order)
     other = replace(
@@ -247,7 +247,7 @@ def test_neither_the_order_of_panels_nor_the_unit_of_power_matters(seed, order, 
     np.testing.assert_allclose(b["sigma_rad"].values[told], a["sigma_rad"].values[told], rtol=1e-6)
 
 
-def test_a_property_would_notice():
+def test_the_property_tests_detect_wrong_physics():
     """The negative control of this file: a vehicle that is not turned along with its start."""
     vehicle, omega, sun, speeds, rng = case(3, 1)
     matrix = Rotation.random(rng=rng).as_matrix()

@@ -57,13 +57,13 @@ def telemetry(value):
         ("tilted", FACING, [0.5, *(0.5 * FACING[1:]), 0, 0, 0]),
     ],
 )
-def test_powers_by_hand(law, sun, power):
+def test_powers_of_a_tilted_panel_by_hand(law, sun, power):
     expected = np.maximum(power, 0) + [0, 0, 0, 0, 0, 0.5 * max(-sun[2], 0)]
     np.testing.assert_allclose(ss.panel_power(under(law), sun), expected, atol=1e-15)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_slopes_are_those_of_the_powers(law):
+def test_slopes_of_a_response_are_those_of_its_powers(law):
     """On directions farther than the step of the differences from an edge, the Sun's and the panels' tilt both."""
     response, sun, step = under(law).response_in(), directions(200, 1), 1e-4
     tilt = 0.05 * np.random.default_rng(2).normal(size=(200, 6, 3))
@@ -101,7 +101,7 @@ def test_slopes_are_those_of_the_powers(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_what_a_response_promises(law):
+def test_every_response_keeps_its_bounds_and_best_direction(law):
     response, sun = under(law).response_in(), directions(60, 4)
     power = response.power(sun)
     assert power.min() >= 0 and np.isnan(response.power(np.full((2, 3), np.nan))).all()
@@ -122,7 +122,7 @@ def test_what_a_response_promises(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_earths_light_has_the_slope_it_says(law):
+def test_slopes_of_albedo_agree_with_differences(law):
     response, axis, step = under(law).response_in(), directions(30, 8), 1e-4
     light, slope = response.disc(axis, np.full(30, 0.3))
     cosine = CUBE.response_in().disc(axis, np.full(30, 0.3))
@@ -138,7 +138,7 @@ def test_the_earths_light_has_the_slope_it_says(law):
     np.testing.assert_allclose(light[:, alike], cosine[0][:, alike], atol=0.04 * 0.5)
 
 
-def test_a_tilted_panel_is_a_panel_that_stands_elsewhere():
+def test_a_tilted_panel_equals_a_panel_with_another_normal():
     """Directions, quality and health as of a vehicle whose file says so."""
     stands = replace(
         CUBE,
@@ -174,7 +174,7 @@ gain_W = 1.0
 """
 
 
-def test_the_vehicle_file_turns_a_panel():
+def test_the_vehicle_file_can_tilt_a_panel():
     turn = "turn_B_rad = { value = [0, 0, 0.1], sigma = 0.02, source = 'drawing' }"
     tilted = parse_vehicle(f"{FILE}[panel_response.tilted]\npanel = 'a'\n{turn}", "file")
     assert tilted.facts["panel_response.tilted.turn_B_rad"].sigma == 0.02

@@ -164,7 +164,7 @@ def test_a_spinner_without_noise_is_judged_and_its_rate_is_determined(tmp_path, 
 
 
 @pytest.mark.parametrize("key", ["relative_gain", "gain_A"])
-def test_the_line_that_check_gives_can_be_followed(key, tmp_path):
+def test_the_noise_line_suggested_by_check_works(key, tmp_path):
     spinner = replace(UNSTATED, key=key, gain=2.5e-3)
     vehicle, telemetry, _ = spinner.write(tmp_path)
     text = said("check", vehicle, telemetry)
@@ -182,7 +182,7 @@ def test_the_line_that_check_gives_can_be_followed(key, tmp_path):
     assert ss.load_vehicle(vehicle).telemetry.noise == float(line[2])
 
 
-def test_noise_that_nothing_gives_is_assumed_and_lights_no_other_panel(tmp_path):
+def test_an_unknown_noise_is_assumed_and_lights_no_other_panel(tmp_path):
     vehicle, telemetry, _ = UNSTATED.write(tmp_path)
     craft = ss.load_vehicle(vehicle)
     samples = ss.read_telemetry(telemetry, craft)
@@ -204,7 +204,7 @@ def test_noise_that_nothing_gives_is_assumed_and_lights_no_other_panel(tmp_path)
     xr.testing.assert_equal(stated["sun_cov_B"], sun["sun_cov_B"])
 
 
-def test_exact_and_dark_readings_have_no_noise_of_their_own():
+def test_no_noise_is_estimated_from_exact_or_dark_readings():
     rng = np.random.default_rng(0)
     axes = np.vstack([np.eye(3), -np.eye(3), np.ones((1, 3)) / np.sqrt(3)])
     craft = Vehicle("v", panels=[Panel(str(k), axis, 1.0) for k, axis in enumerate(axes)])
@@ -222,7 +222,7 @@ def test_exact_and_dark_readings_have_no_noise_of_their_own():
 
 
 @pytest.mark.parametrize("gain", [2.5e-3, 900.0])
-def test_the_unit_of_readings_decides_no_sample_without_noise(gain):
+def test_without_noise_the_status_of_a_sample_does_not_depend_on_the_unit(gain):
     """What is dark was judged by a share of the gain and not of full Sun."""
     rng = np.random.default_rng(0)
     craft = Vehicle("v", panels=[Panel(str(k), axis, 1.0) for k, axis in enumerate(-np.eye(3))])
@@ -247,19 +247,19 @@ def of_powers(craft: Vehicle, power: np.ndarray) -> xr.Dataset:
 
 
 @pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.long)])
-def test_no_number_stands_beside_an_error_of_nan(stated, tmp_path, few_copies):
+def test_no_result_has_a_number_with_an_error_of_nan(stated, tmp_path, few_copies):
     everything(replace(UNSTATED, samples=6, stated=stated), tmp_path, 1, "check", "sun", "rates")
 
 
 @pytest.mark.parametrize("seed", [0, 3, 7, 10])
-def test_drawn_files_are_judged_and_directions_have_errors(seed, tmp_path, few_copies):
+def test_random_files_are_judged_and_directions_have_errors(seed, tmp_path, few_copies):
     everything(Spinner.drawn(seed), tmp_path, seed, "check", "sun")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("orbit", [False, True])
 @pytest.mark.parametrize("stated", [None, pytest.param(0.02, marks=pytest.mark.slow)])
-def test_posteriors_without_a_noise_say_which_is_assumed(stated, orbit, tmp_path, undrawn):
+def test_posteriors_without_a_noise_name_the_assumed_one(stated, orbit, tmp_path, undrawn):
     spinner = replace(
         UNSTATED,
         samples=4,

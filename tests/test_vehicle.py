@@ -35,7 +35,7 @@ def load(tmp_path, text):
 
 
 @pytest.mark.evidence("load_vehicle", "verified", "a file with every kind of entry")
-def test_a_good_file(tmp_path):
+def test_a_good_vehicle_file_is_read(tmp_path):
     vehicle = load(tmp_path, GOOD)
     assert vehicle.wheels[0].friction.coulomb_N_m == 1e-3
     assert vehicle.facts["wheel.w.inertia_kg_m2"].source == "datasheet"
@@ -43,7 +43,7 @@ def test_a_good_file(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(vehicle.wheels[0].axis_B), 1.0, rtol=1e-15)
 
 
-def test_it_is_frozen(tmp_path):
+def test_a_vehicle_cannot_be_changed(tmp_path):
     vehicle = load(tmp_path, GOOD)
     with pytest.raises(AttributeError):
         vehicle.mass_kg = 3.0
@@ -94,7 +94,7 @@ def test_it_is_frozen(tmp_path):
         ),
     ],
 )
-def test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts):
+def test_bad_vehicle_files_are_refused_in_one_sentence(tmp_path, change, parts):
     with pytest.raises(ss.VehicleError) as error:
         load(tmp_path, change(GOOD))
     message = str(error.value)
@@ -142,8 +142,8 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts):
         ),
     ],
 )
-def test_keys_of_a_file_are_not_the_names_in_python(tmp_path, change, parts):
-    test_bad_files_are_refused_in_one_sentence(tmp_path, change, parts)
+def test_a_vehicle_file_with_python_names_as_keys_is_refused(tmp_path, change, parts):
+    test_bad_vehicle_files_are_refused_in_one_sentence(tmp_path, change, parts)
 
 
 PANEL, WHEEL = ss.Panel("a", [1, 0, 0], 2.0), ss.Wheel("w", [0, 0, 1], 0.01)
@@ -179,13 +179,13 @@ CRAFT = ss.Vehicle("v", np.diag([1.0, 2.0, 2.5]), 10.0, panels=[PANEL], wheels=[
         (lambda: SunRule([], "r"), "SunRule, all_dark: List should have at least 1 item"),
     ],
 )
-def test_what_is_made_or_changed_in_python_passes_the_same_checks(make, said):
+def test_vehicles_made_or_changed_in_python_pass_the_checks_of_a_file(make, said):
     with pytest.raises(ss.VehicleError) as error:
         make()
     assert said in str(error.value) and "\n" not in str(error.value)
 
 
-def test_parts_are_compared_and_hashed_by_content():
+def test_vehicle_parts_are_compared_and_hashed_by_content():
     for name in ("philae", "skcube"):
         one, two = ss.load_vehicle(name), ss.load_vehicle(name)
         assert one == two == pickle.loads(pickle.dumps(one)) and len({one, two}) == 1
@@ -196,7 +196,7 @@ def test_parts_are_compared_and_hashed_by_content():
     )
 
 
-def test_every_part_is_frozen():
+def test_every_vehicle_part_is_frozen():
     kinds, waiting = [], [Part]
     while waiting:
         kinds += (found := waiting.pop().__subclasses__())
@@ -214,12 +214,12 @@ def test_a_spin_down_gives_the_wheel_its_friction():
     assert wheel.friction == ss.load_vehicle("philae").wheels[0].friction
 
 
-def test_unknown_names_list_the_known_ones():
+def test_unknown_names_of_a_vehicle_are_refused_with_the_known_ones():
     with pytest.raises(ss.VehicleError, match="philae, skcube"):
         ss.load_vehicle("filae")
 
 
-def test_a_file_needs_only_what_is_used(tmp_path):
+def test_a_vehicle_file_needs_only_what_is_used(tmp_path):
     vehicle = load(
         tmp_path, 'name = "panels only"\n[[panel]]\nname = "a"\nnormal_B = [0, 0, 1]\ngain_W = 2\n'
     )

@@ -49,15 +49,15 @@ def faults(texts: list[str]) -> list[str]:
     return found
 
 
-def test_what_the_program_prints():
+def test_printed_strings_use_plain_words_and_short_sentences():
     paths = [path for path in (ROOT / "src").rglob("*.py") if "decoders" not in path.parts]
     assert not [fault for path in paths for fault in faults(strings(ast.parse(path.read_text())))]
 
 
-def test_what_the_pages_say():
+def test_pages_use_plain_words_and_short_sentences():
     assert not [fault for path in pages() for fault in faults(prose(path.read_text("utf-8")))]
 
 
-def test_the_lint_notices():
+def test_the_word_lint_detects_private_words_and_long_sentences():
     assert faults(["nothing is told of it"]) and faults([" ".join(["word"] * 31)])
     assert not faults(["The program prints " + "; ".join(["a few words"] * 20)])

@@ -88,12 +88,12 @@ def refused(text: str, *words: str) -> None:
     ), said
 
 
-def test_the_right_file_is_read():
+def test_the_correct_vehicle_file_is_read():
     assert parse_vehicle(made(), "v.toml").mass_kg == 10.0
 
 
 @pytest.mark.parametrize("key", VALUES)
-def test_a_sigma_has_the_form_of_its_value(key):
+def test_a_sigma_of_another_form_than_its_value_is_refused(key):
     def with_sigma(sigma):
         return made(**{key: f"{{value = {RIGHT[key]}, sigma = {sigma}}}"})
 
@@ -103,7 +103,7 @@ def test_a_sigma_has_the_form_of_its_value(key):
         refused(with_sigma(sigma))
 
 
-def test_the_sigma_of_an_angle_is_no_number_of_degrees():
+def test_a_sigma_of_an_angle_in_degrees_is_refused():
     text = made().replace("normal_B = [1, 0, 0]", "normal_B = { value = [1, 0, 0], sigma = HERE }")
     assert parse_vehicle(text.replace("HERE", "1"), "v.toml").facts["panel.+X.normal_B"].sigma == 1
     refused(
@@ -116,7 +116,7 @@ def test_the_sigma_of_an_angle_is_no_number_of_degrees():
     refused(made(gyro='["gx", "gy"]'), "gyro.columns: List should have at least 3 items, not 2")
 
 
-def test_the_sigma_of_a_tensor_is_symmetric_as_the_tensor_is():
+def test_a_sigma_of_a_tensor_must_be_symmetric():
     """Else one half of it would be read and the other ignored."""
     rng = random.Random(3)
     for _ in range(20):
@@ -129,7 +129,7 @@ def test_the_sigma_of_a_tensor_is_symmetric_as_the_tensor_is():
         )
 
 
-def test_one_column_serves_one_panel_and_one_axis():
+def test_one_column_for_two_panels_or_axes_is_refused():
     refused(made(minus='"px"'), "px", "two panels")
     refused(made(x='"time"'), "time")
     for k in range(3):
@@ -140,7 +140,7 @@ def test_one_column_serves_one_panel_and_one_axis():
 
 @pytest.mark.parametrize("name", CONTROL)
 @pytest.mark.parametrize("place", ["x", "gyro"])
-def test_columns_are_printable(place, name):
+def test_column_names_with_unprintable_characters_are_refused(place, name):
     refused(
         made(**{place: f'"{name}"' if place == "x" else f'["{name}", "gy", "gz"]'}), "printable"
     )
@@ -168,7 +168,7 @@ def test_a_misspelt_key_is_named_with_the_nearest_known():
             refused(text, f"unknown key '{wrong}'", f"did you mean {key}?")
 
 
-def test_a_table_with_one_column_for_two_panels_or_a_line_break_in_quotes(tmp_path):
+def test_tables_with_a_shared_column_or_a_quoted_line_break_are_refused(tmp_path):
     craft = parse_vehicle(
         made().replace('"+X" = "px"\n', '"+X" = "-X"\n').replace('"-X" = "mx"\n', ""), "v.toml"
     )
@@ -188,7 +188,7 @@ def test_a_table_with_one_column_for_two_panels_or_a_line_break_in_quotes(tmp_pa
     assert read_telemetry(path, craft)["power_W"].values.tolist() == [[1.0, 2.0]]
 
 
-def test_a_grid_has_each_rate_once(tmp_path, monkeypatch):
+def test_a_grid_with_repeated_rates_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert sunspin("init", ".", "--quiet") == Told(0, "", "")
     for axis in ("0,0", "0,-0.0", "0.1,0.2,0.1"):
@@ -230,7 +230,7 @@ REVERSED = (
         ("sun_vector", "sigma_rad = 0.1"),
     ],
 )
-def test_columns_of_three_axes_that_make_no_sense_are_one_sentence(table, more):
+def test_invalid_columns_of_three_axes_are_refused_in_one_sentence(table, more):
     for columns in REVERSED:
         with pytest.raises(ss.VehicleError, match=rf"^v.toml[:,] {table}.columns") as told:
             parse_vehicle(f'name = "v"\n[{table}]\ncolumns = {columns}\n{more}\n', "v.toml")

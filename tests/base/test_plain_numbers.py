@@ -104,7 +104,7 @@ def read(folder, cells, mark=","):
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_a_cell_in_another_form_is_no_reading(seed, tmp_path):
+def test_a_cell_that_is_no_plain_decimal_is_no_reading(seed, tmp_path):
     rng = np.random.default_rng(seed)
     cells = [[str(10 * i), *(f"{v:.4f}" for v in rng.uniform(0.1, 0.9, 5))] for i in range(4)]
     row, column = int(rng.integers(1, 4)), int(rng.integers(1, 6))
@@ -123,7 +123,7 @@ def test_a_cell_in_another_form_is_no_reading(seed, tmp_path):
 
 
 @pytest.mark.parametrize("column", [1, 3])
-def test_how_a_file_writes_its_numbers_is_said_in_its_own_sentence(column, tmp_path):
+def test_a_number_in_another_notation_gets_a_message_on_notation(column, tmp_path):
     """A damaged cell is flagged; a decimal comma or a column without a number is the file's way: no sensor is lost in silence."""
     rows = [[str(10 * i), "0.5", "0.25", "0.1", "0.2", "0.3"] for i in range(3)]
 
@@ -159,7 +159,7 @@ def test_how_a_file_writes_its_numbers_is_said_in_its_own_sentence(column, tmp_p
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
+def test_options_and_changes_of_values_accept_the_same_numbers(seed, capsys, monkeypatch):
     rng = np.random.default_rng(seed)
     good = plain(rng)
     while (
@@ -184,7 +184,7 @@ def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
 @pytest.mark.parametrize(
     "value", ["1_000", "0x10", "0o7", "0b1", "inf", "-nan", "[1, 1_0]", "[[1, 0, 0], [0, 0x1, 0]]"]
 )
-def test_a_change_is_written_in_plain_decimals(value):
+def test_a_changed_value_is_written_as_a_plain_decimal(value):
     with pytest.raises(VehicleError, match="number"):
         ss.load_vehicle("philae", [f"body.mass_kg={value}"])
     read = changes_of(["a=-1.5e-3", "b=[1, 2.5, 3e2]", "c=+2.5", "d=_x", 'e=["a_b", "0x1"]'])
@@ -201,7 +201,7 @@ def summed(line: str) -> str:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_two_lines_with_other_characters_are_elements_or_a_sentence(seed):
+def test_two_line_elements_with_other_characters_are_read_or_refused_in_one_sentence(seed):
     """SGP4's own reader takes `1 5` for 1, and Python's `isdigit` a small ² for a digit."""
     rng = np.random.default_rng(seed)
     for _ in range(500):
@@ -232,7 +232,7 @@ def one_pair_of_lines(rng):
             assert re.fullmatch(r" *\d+\.\d+", field)
 
 
-def test_an_angle_with_a_gap_in_it_is_no_angle():
+def test_an_angle_with_a_blank_inside_is_refused():
     first, second = (summed(line) for line in LINES.splitlines())
     with pytest.raises(InputError, match="columns are not those"):
         parse_elements(f"{first}\n{summed(second.replace(' 51.6400', '5 1.6400'))}", "x")
@@ -245,7 +245,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize("cell", ["1_0", "\u0663", "inf", "nan", "", "0x10", "1 0", "x"])
-def test_a_coordinate_in_another_form_is_refused(cell, tmp_path):
+def test_a_coordinate_that_is_no_plain_decimal_is_refused(cell, tmp_path):
     def ephemeris(rows):
         path = tmp_path / "e.csv"
         path.write_text(

@@ -62,7 +62,7 @@ TIMES = {
 )
 @pytest.mark.parametrize("form", TIMES)
 @pytest.mark.parametrize("kind", ["csv", "parquet", "nc"])
-def test_every_kind_of_file_and_clock_reads_alike(form, kind, tmp_path):
+def test_the_same_samples_read_alike_from_every_file_format_and_clock(form, kind, tmp_path):
     table, path = frame(TIMES[form]), tmp_path / f"t.{kind}"
     if kind == "csv":
         table.to_csv(path, index=False)
@@ -81,7 +81,7 @@ def test_every_kind_of_file_and_clock_reads_alike(form, kind, tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"PAR1 cut off", b"\x89HDF\r\n\x1a\n cut off", b"CDF\x01 old"])
-def test_damaged_files_are_a_sentence(content, tmp_path):
+def test_damaged_tables_are_refused_in_one_sentence(content, tmp_path):
     path = tmp_path / "t.bin"
     path.write_bytes(content)
     with pytest.raises(ss.TelemetryError, match=r"t\.bin"):
@@ -104,7 +104,7 @@ def sensor_file(path, rows):
     return path
 
 
-def test_a_sun_sensor_reads_angles_from_its_normal(tmp_path):
+def test_a_sun_sensor_measures_angles_from_its_normal(tmp_path):
     path = sensor_file(
         tmp_path / "s.csv",
         [(0, 30, 0, 50, 0, 0, 0), (1, 0, 45, 50, 0, 0, 0), (2, 0, 0, 0, 0, 0, 0)],
@@ -122,7 +122,7 @@ def test_a_sun_sensor_reads_angles_from_its_normal(tmp_path):
 TURNED = "y_turned_above = 45\ny_turned_scale = -0.0174532925199433\ny_turned_sigma = 2\n"
 
 
-def test_near_the_light_at_which_a_sensor_turns_both_readings_stand(tmp_path):
+def test_a_sun_sensor_near_its_switching_intensity_keeps_both_readings(tmp_path):
     vehicle = parse_vehicle(
         VEHICLE.format(form="elapsed") + SENSOR.format(name="p", normal=[1, 0, 0]) + TURNED, "v"
     )
@@ -148,7 +148,7 @@ def test_near_the_light_at_which_a_sensor_turns_both_readings_stand(tmp_path):
     )  # the better of the two counts
 
 
-def test_sensors_that_contradict_each_other_give_no_direction(tmp_path):
+def test_sun_sensors_that_contradict_each_other_give_no_direction(tmp_path):
     data = ss.read_telemetry(
         sensor_file(tmp_path / "s.csv", [(0, 0, 0, 50, 0, 0, 50)]), sensors_vehicle()
     )
@@ -165,7 +165,7 @@ def test_sensors_that_contradict_each_other_give_no_direction(tmp_path):
         ("y_sigma_rad = 0.02", "y_sigma_rad = 0.02\nlit = 3", "unknown key"),
     ],
 )
-def test_a_wrong_sensor_table_is_a_sentence(old, new, text):
+def test_a_wrong_sensor_table_is_refused_in_one_sentence(old, new, text):
     sensor = SENSOR.format(name="p", normal=[1, 0, 0]).replace(old, new)
     with pytest.raises(ss.VehicleError, match=text):
         parse_vehicle(VEHICLE.format(form="elapsed") + sensor, "v")

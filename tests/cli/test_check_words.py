@@ -36,7 +36,7 @@ def readings(each: int, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("each", [1, 2, 3])
-def test_panels_of_one_face_count_as_one(each):
+def test_check_counts_panels_of_one_face_as_one_side(each):
     craft = parse_vehicle(satellite(each), "v.toml")
 
     sun, power = readings(each)
@@ -47,7 +47,7 @@ def test_panels_of_one_face_count_as_one(each):
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
 
 
-def test_noise_lights_no_face():
+def test_check_counts_no_side_as_lit_by_noise_alone():
     craft = parse_vehicle(satellite(1), "v.toml")
     dark = np.abs(0.05 * np.random.default_rng(0).normal(size=(40, 6)))
     samples = telemetry_dataset(
@@ -59,7 +59,7 @@ def test_noise_lights_no_face():
 
 
 @pytest.mark.parametrize("count", [1, SETS, SETS + 1, 500])
-def test_the_most_frequent_sets_are_named_and_the_others_counted(count):
+def test_check_names_the_most_frequent_illumination_patterns_and_counts_the_others(count):
     seen = {f"set {k}": k + 1 for k in range(count)}
     (line,) = health_lines(
         {"impossible": seen, "explanations": [], "noise_probability": {"set 0": 0.0}}
@@ -73,7 +73,7 @@ def test_the_most_frequent_sets_are_named_and_the_others_counted(count):
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_in_a_wrong_unit_nothing_is_said_of_directions_gains_and_faces(
+def test_check_reports_no_directions_gains_or_sides_if_the_unit_is_wrong(
     scale, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
@@ -96,7 +96,7 @@ def test_in_a_wrong_unit_nothing_is_said_of_directions_gains_and_faces(
         ]
 
 
-def test_a_stretch_is_chosen_alike_by_rates_posterior_and_scan():
+def test_rates_posterior_and_scan_select_the_same_time_range():
     samples = xr.Dataset(
         coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"}
     )

@@ -30,7 +30,7 @@ def test_help_does_not_import_the_heavy_libraries():
 
 @pytest.mark.evidence("sun", "verified", "the files that init writes")
 @pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
-def test_what_init_writes_works_at_once(start):
+def test_files_written_by_init_work_with_the_next_commands(start):
     text = sunspin("check", start / "vehicle.toml", start / "telemetry.csv").out
     assert "40 synthetic samples" in text
     done = sunspin(
@@ -46,7 +46,7 @@ def test_what_init_writes_works_at_once(start):
         assert data["sun_B"].sizes == {"time": 40, "axis": 3}
 
 
-def test_results_of_something_else_are_not_overwritten(start, tmp_path):
+def test_a_folder_with_results_of_another_command_is_not_overwritten(start, tmp_path):
     keep = tmp_path / "precious"
     keep.mkdir()
     (keep / "thesis.txt").write_text("mine")
@@ -60,7 +60,7 @@ def test_results_of_something_else_are_not_overwritten(start, tmp_path):
 
 
 @pytest.mark.evidence("simulate", "validated", "the paper: the wheel stops after about 42 min")
-def test_simulate_and_its_events(tmp_path):
+def test_simulate_prints_and_stores_its_events(tmp_path):
     motion = (
         "--omega-deg-s 0,0,0 --sun 0.1959,0.5690,0.7986 --duration 2700 --step 60 --json".split()
     )
@@ -71,7 +71,7 @@ def test_simulate_and_its_events(tmp_path):
         assert data.sizes["time"] == 46
 
 
-def test_scan_of_the_start_files(start):
+def test_scan_runs_on_the_files_written_by_init(start):
     rates = {"x": (0.01, 0.02, 0.03), "y": (-0.04, -0.03, -0.02), "z": (0.04, 0.05, 0.06)}
     grid = [
         f"--omega-{axis}-deg-s={','.join(str(math.degrees(rate)) for rate in values)}"
@@ -107,7 +107,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(arguments, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rates_say_without_a_terminal_that_their_work_has_begun_unless_quiet(start, monkeypatch):
+def test_rates_without_a_terminal_print_that_work_began_unless_quiet(start, monkeypatch):
     """Before anything long: a log that stays empty looks like a program that hangs. Bad input is one sentence, as ever."""
     from sunspin.estimate.rates import estimate
 

@@ -60,12 +60,12 @@ def refused(outcome, *words):
         ),
     ],
 )
-def test_what_an_option_takes_is_said_in_its_own_form(read, text):
+def test_the_help_of_an_option_shows_the_form_of_its_value(read, text):
     with pytest.raises(InputError, match=text):
         read()
 
 
-def test_a_value_that_is_no_number_and_an_empty_one_are_said_in_words(sunspin):
+def test_an_option_value_that_is_empty_or_no_number_is_refused_in_plain_words(sunspin):
     refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
     refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
     refused(sunspin("sun", "philae", "philae", "--noise=nan"), "is not a number such as -1.5e-3")
@@ -84,7 +84,7 @@ BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHON
 @pytest.mark.parametrize(
     ("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)]
 )
-def test_output_that_is_closed_or_full(tmp_path, closed, said):
+def test_closed_or_full_standard_output_ends_the_program_with_one_sentence(tmp_path, closed, said):
     shell = f'"{sys.executable}" -m sunspin.cli'
     for words, code in (
         (f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0),
@@ -97,7 +97,7 @@ def test_output_that_is_closed_or_full(tmp_path, closed, said):
         assert (done.stderr.count("\n") == 1) is (said and code == 2)
 
 
-def test_an_error_that_cannot_be_written_leaves_its_exit_code():
+def test_an_error_that_cannot_be_printed_keeps_its_exit_code():
     shell = f'"{sys.executable}" -m sunspin.cli'
     for words, full, code in (
         ("check nowhere.toml", "2>/dev/full", 2),
@@ -108,14 +108,14 @@ def test_an_error_that_cannot_be_written_leaves_its_exit_code():
         assert done.returncode == code and not done.stderr
 
 
-def test_no_arguments_show_the_help(sunspin):
+def test_sunspin_without_arguments_shows_the_help(sunspin):
     code, out, err = sunspin()
     assert (code, err) == (0, "")
     assert out.startswith("Usage: sunspin") and "reproduce" in out
 
 
 @pytest.mark.evidence("check", "modelled", "samples with a panel that reads nothing")
-def test_check_tells_which_panel_would_explain_impossible_patterns(sunspin):
+def test_check_names_the_panel_that_explains_impossible_patterns(sunspin):
     """The paper's own conclusion: after the second touchdown panel 1 was shaded."""
     telemetry = Path(__file__).parents[1] / "philae" / "panels_as_drawn.csv"
     code, out, _ = sunspin("check", "philae", telemetry, "--json")
@@ -128,7 +128,7 @@ def test_check_tells_which_panel_would_explain_impossible_patterns(sunspin):
     assert sum(about["status"].values()) == about["samples"]
 
 
-def test_check_counts_what_was_flagged(sunspin, tmp_path):
+def test_check_counts_the_flagged_samples(sunspin, tmp_path):
     sunspin("init", tmp_path / "mine")
     vehicle, telemetry = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
     rows = telemetry.read_text().splitlines()
@@ -149,7 +149,7 @@ def test_check_counts_what_was_flagged(sunspin, tmp_path):
     assert "1  flagged: time_not_increasing" in sunspin("check", vehicle, telemetry)[1]
 
 
-def test_a_pass_or_a_stretch_of_time_that_is_not_there_is_a_sentence(sunspin, tmp_path):
+def test_a_pass_or_time_range_outside_the_file_is_refused_in_one_sentence(sunspin, tmp_path):
     sunspin("init", tmp_path / "mine")
     files = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
     refused(sunspin("rates", *files, "--pass", "5"), "no such pass (found 5)", "passes 0 to 0")
@@ -161,7 +161,7 @@ def test_a_pass_or_a_stretch_of_time_that_is_not_there_is_a_sentence(sunspin, tm
     refused(sunspin("rates", *files, "--to", "noon:"), "ISO-8601", "noon:")
 
 
-def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunspin, tmp_path):
+def test_check_prints_the_time_of_the_first_sample_and_the_epoch(sunspin, tmp_path):
     sunspin("init", tmp_path / "mine")
     vehicle, telemetry = tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
     text = vehicle.read_text().replace('# epoch_utc = "2026-01-01', 'epoch_utc = "2025-12-31')
@@ -173,12 +173,12 @@ def test_check_says_when_the_samples_begin_and_what_times_are_counted_from(sunsp
     )
 
 
-def test_quiet_says_nothing(sunspin, tmp_path):
+def test_quiet_prints_nothing(sunspin, tmp_path):
     assert sunspin("init", tmp_path / "mine", "--quiet") == (0, "", "")
     assert sunspin("check", "philae", "--quiet") == (0, "", "")
 
 
-def test_telemetry_is_looked_for_in_the_data_folder(sunspin, tmp_path, monkeypatch):
+def test_a_missing_telemetry_file_is_looked_for_in_the_data_folder(sunspin, tmp_path, monkeypatch):
     monkeypatch.delenv("SUNSPIN_DATA", raising=False)
     sunspin("init", tmp_path / "data" / "mine")
     vehicle, name = tmp_path / "data" / "mine" / "vehicle.toml", "mine/telemetry.csv"
@@ -196,7 +196,9 @@ def test_init_writes_both_files_or_none(sunspin, tmp_path):
     refused(sunspin("init", tmp_path / "file" / "mine"), "choose another folder")
 
 
-def test_a_folder_of_other_results_is_refused_before_the_work(sunspin, tmp_path, monkeypatch):
+def test_a_folder_with_other_results_is_refused_before_the_computation(
+    sunspin, tmp_path, monkeypatch
+):
     import sunspin.estimate.scan.volume as scan
 
     def never(*_, **__):
@@ -233,11 +235,11 @@ def test_results_of_the_same_command_are_replaced(sunspin, undrawn, tmp_path):
         (["--duration=10", "--wheel-mode=fly"], ["--wheel-mode", "coast"]),
     ],
 )
-def test_simulate_refuses(sunspin, arguments, words):
+def test_simulate_refuses_bad_motions_durations_and_steps(sunspin, arguments, words):
     refused(sunspin("simulate", "philae", *START, *arguments), *words)
 
 
-def test_the_last_time_is_the_duration(sunspin):
+def test_the_last_output_time_of_simulate_is_its_duration(sunspin):
     for duration, step in ((10, 3), (-10, 3), (0.3, 0.1), (0, 1)):
         code, out, _ = sunspin(
             "simulate", "philae", *START, f"--duration={duration}", f"--step={step}", "--json"
@@ -245,7 +247,7 @@ def test_the_last_time_is_the_duration(sunspin):
         assert code == 0 and json.loads(out)["t_s"] == pytest.approx(duration, abs=1e-12)
 
 
-def test_a_reader_that_goes_away_is_no_error():
+def test_a_closed_pipe_is_no_error():
     command = [sys.executable, "-m", "sunspin.cli", "check", "philae", "--json"]
     read, write = os.pipe()
     os.close(read)
@@ -257,7 +259,7 @@ def test_a_reader_that_goes_away_is_no_error():
 @pytest.mark.parametrize(
     "kind", [signal.SIGINT, signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long)]
 )
-def test_interruption_is_one_sentence_and_130(kind, tmp_path):
+def test_an_interruption_prints_one_sentence_and_exits_with_130(kind, tmp_path):
     """Also where somebody ends the process or closes its terminal; its copies end with it."""
     out = tmp_path / "out"
     # the installed command: under `python -m`, Python ends by the signal itself where Ctrl-C met a library that runs text
@@ -283,7 +285,7 @@ def test_interruption_is_one_sentence_and_130(kind, tmp_path):
 
 
 @pytest.mark.parametrize("stopped", [True, False])
-def test_a_library_that_stumbles_over_an_interruption_is_no_fault_of_ours(
+def test_an_exception_of_a_library_during_an_interruption_is_reported_as_the_interruption(
     sunspin, monkeypatch, stopped
 ):
     """Ctrl-C in the middle of an import may be caught there, and end in another error."""
@@ -304,7 +306,7 @@ def test_a_library_that_stumbles_over_an_interruption_is_no_fault_of_ours(
     )
 
 
-def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
+def test_files_given_in_the_wrong_order_get_a_message_on_the_order(sunspin, tmp_path):
     vehicle, table = tmp_path / "vehicle.toml", tmp_path / "telemetry.csv"
     cli.cli.main(["init", str(tmp_path), "--quiet"], standalone_mode=False)
     refused(sunspin("check", table, vehicle), "telemetry.csv", "comes first")
@@ -315,13 +317,13 @@ def test_files_in_the_wrong_order_are_told_which_comes_first(sunspin, tmp_path):
     )
 
 
-def test_observed_rates_of_the_posterior_are_given_in_deg_s():
+def test_the_option_for_observed_rates_of_the_posterior_is_in_deg_s():
     seen = values.observation("5,180,0,-90,18", "--gyro-deg-s")
     assert seen["t_s"] == 5 and seen["sigma"] == pytest.approx(np.pi / 10)
     assert seen["value"] == pytest.approx([np.pi, 0, -np.pi / 2])
 
 
-def test_a_grid_without_its_step_is_told_its_form(sunspin):
+def test_a_grid_option_without_a_step_gets_a_message_on_its_form(sunspin):
     told = sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60")
     refused(
         told,
@@ -331,7 +333,7 @@ def test_a_grid_without_its_step_is_told_its_form(sunspin):
     )
 
 
-def test_a_misspelt_phase_is_answered_with_those_of_the_file(sunspin):
+def test_a_misspelt_phase_is_refused_with_the_phases_of_the_file(sunspin):
     refused(
         sunspin("posterior", "philae", "--phase", "descnt"),
         "no such phase (found descnt)",
@@ -371,7 +373,7 @@ def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, mon
 
 
 @pytest.mark.parametrize("home", ["", "/proc"])
-def test_without_a_folder_for_caches_the_output_is_ours_alone(home, tmp_path):
+def test_without_a_cache_folder_no_library_writes_to_the_output(home, tmp_path):
     """The integrator's library warned of its own cache on standard output, where --json is read."""
     places = {"HOME": home, "XDG_CACHE_HOME": home, "SUNSPIN_CACHE": str(tmp_path / "missing")}
     command = [
@@ -389,7 +391,7 @@ def test_without_a_folder_for_caches_the_output_is_ours_alone(home, tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "cp437", "utf-8"])
-def test_a_name_that_a_terminal_cannot_show_is_escaped(encoding, tmp_path):
+def test_a_name_with_unprintable_characters_is_escaped(encoding, tmp_path):
     command = [sys.executable, "-m", "sunspin.cli", "init", str(tmp_path / "caf\u00e9\u2603")]
     done = subprocess.run(
         command, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True
@@ -402,7 +404,7 @@ def test_a_name_that_a_terminal_cannot_show_is_escaped(encoding, tmp_path):
     "command",
     [("simulate", "philae", *START, "--duration=5"), ("init",), ("sun", "philae", "philae")],
 )
-def test_a_folder_in_thousands_of_others_is_refused(command, sunspin, undrawn):
+def test_a_path_of_thousands_of_folders_is_refused(command, sunspin, undrawn):
     """They are made from within, each by a call in the call before, of which Python allows a thousand."""
     refused(
         sunspin(*command, *(["--out"] if len(command) > 1 else []), "d/" * 1500 + "x"),
@@ -410,7 +412,7 @@ def test_a_folder_in_thousands_of_others_is_refused(command, sunspin, undrawn):
     )
 
 
-def test_no_name_with_a_nul_in_it_is_a_folder_of_results():
+def test_a_folder_name_with_a_nul_character_is_refused():
     with pytest.raises(
         OutputError, match="results cannot be written here .no folder can have this name."
     ):
@@ -418,7 +420,7 @@ def test_no_name_with_a_nul_in_it_is_a_folder_of_results():
 
 
 @pytest.mark.parametrize("form", ["aem", "netcdf", "parquet"])
-def test_exports_to_a_folder_whose_name_is_not_utf8(form, sunspin, tmp_path, undrawn):
+def test_export_writes_to_a_folder_whose_name_is_not_utf8(form, sunspin, tmp_path, undrawn):
     assert sunspin("simulate", "philae", *START, "--duration=5", "--out", tmp_path / "run")[0] == 0
     place = tmp_path / os.fsdecode(b"caf\xe9")
     code, _, err = sunspin(

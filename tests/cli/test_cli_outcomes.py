@@ -10,7 +10,7 @@ from tests.support.commands import sunspin
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
-def test_philae_to_files(tmp_path):
+def test_outcomes_of_philae_are_written_to_files(tmp_path):
     out = tmp_path / "out"
     done = sunspin(
         "outcomes",
@@ -35,7 +35,7 @@ def test_philae_to_files(tmp_path):
     assert value == told["strategies"]["off"]["touch_leg"]["value"]
 
 
-def test_the_collision_against_the_trajectory():
+def test_outcomes_print_the_collision_next_to_the_trajectory_kernel():
     done = sunspin(
         "outcomes", "philae", "--runs", 200, "--strategy", "off", "--condition", "--json"
     )
@@ -44,7 +44,7 @@ def test_the_collision_against_the_trajectory():
     assert {line["name"] for line in told["collision"]["table"]} >= {"as drawn", "13 s before"}
 
 
-def test_a_vehicle_without_legs_and_hull(tmp_path):
+def test_outcomes_of_a_vehicle_without_legs_and_hull_lack_the_contact(tmp_path):
     sunspin("init", tmp_path / "mine")
     given = ("--omega-deg-s", "6,0,12", "--sun", "0,0,1", "--after", 100, "--runs", 20)
     done = sunspin(
@@ -77,7 +77,7 @@ LANDER = "\n".join(
 )
 
 
-def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_told(tmp_path):
+def test_outcomes_without_collision_hull_and_antenna_print_only_what_is_known(tmp_path):
     """No rate before or after a collision that there is not, no panel that touches."""
     (tmp_path / "lander.toml").write_text(LANDER)
     given = (
@@ -114,11 +114,11 @@ def test_of_a_lander_without_collision_hull_and_antenna_only_what_is_known_is_to
         (["skcube", "--omega-deg-s", "0,0,60"], "--sun is missing"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments, text, tmp_path):
+def test_bad_input_of_outcomes_is_refused_in_one_sentence(arguments, text, tmp_path):
     assert text in sunspin("outcomes", *arguments, cwd=tmp_path, code=2).err
 
 
-def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
+def test_the_timeline_next_to_a_vehicle_file_is_read(tmp_path):
     """`sunspin reproduce` writes both: a collision ten minutes later gives other times, and a damaged file one sentence."""
     from sunspin.cases import load_case
     from sunspin.landing.scenario import case_scenario
@@ -162,7 +162,7 @@ def test_the_timeline_beside_a_vehicle_file_is_read(tmp_path):
         )
 
 
-def test_times_of_another_vehicle_come_from_its_timeline(tmp_path):
+def test_times_of_outcomes_come_from_the_timeline_of_the_vehicle(tmp_path):
     sunspin("init", tmp_path / "mine")
     event = '[[event]]\nname = "{}"\nutc = "2026-01-01T00:0{}:00Z"\nsource = "ours"\n'
     text = (

@@ -28,7 +28,7 @@ def test_completion_is_offered_for_each_shell(shell):
 @pytest.mark.parametrize(
     ("words", "expected"), [("sunspin sim", "simulate"), ("sunspin export --format a", "aem-xml")]
 )
-def test_completion_knows_commands_and_choices(words, expected):
+def test_completion_offers_commands_and_choices(words, expected):
     text = program(
         _SUNSPIN_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1)
     )

@@ -38,7 +38,7 @@ def examples(name: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_examples_are_understood(name):
+def test_every_example_of_the_help_is_parsed(name):
     """Parsed as the command line would, without running: names of options, choices, ranges, number of arguments."""
     given = examples(name)
     assert any(words[0] == name for words in given)
@@ -64,7 +64,7 @@ def smaller(words: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in ELSEWHERE])
-def test_examples_run_in_the_folder_that_init_makes(name, undrawn, tmp_path, monkeypatch):
+def test_cheap_examples_of_the_help_run_in_the_folder_of_init(name, undrawn, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner = CliRunner()
     if name != "init":
@@ -75,7 +75,7 @@ def test_examples_run_in_the_folder_that_init_makes(name, undrawn, tmp_path, mon
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_says_what_it_does(name):
+def test_every_option_has_a_help_text(name):
     command = cli.get_command(click.Context(cli), name)
     assert not [
         option.name
@@ -85,23 +85,23 @@ def test_every_option_says_what_it_does(name):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_speaks_json_and_can_be_quiet(name):
+def test_every_command_has_the_options_json_and_quiet(name):
     command = cli.get_command(click.Context(cli), name)
     assert {"as_json", "quiet"} <= {option.name for option in command.params}
 
 
-def test_the_help_names_every_command_in_a_line():
+def test_the_help_describes_every_command_in_one_line():
     text = CliRunner().invoke(cli, ["--help"]).output
     assert all(re.search(rf"^  {name} ", text, re.MULTILINE) for name in COMMANDS)
     assert all(len(line) < 80 for _, line in COMMANDS.values())
 
 
-def test_a_misspelt_command_is_answered_with_the_likely_one():
+def test_a_misspelt_command_gets_a_suggestion():
     with pytest.raises(click.UsageError, match="did you mean simulate"):
         cli.main(["simulat"], standalone_mode=False)
 
 
-def test_the_name_of_a_case_stands_for_its_telemetry(tmp_path, monkeypatch):
+def test_the_name_of_a_case_can_replace_its_telemetry_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(cli, ["sun", "philae", "philae", "--json"], catch_exceptions=False)
     assert '"synthetic_telemetry": true' in done.output

@@ -30,7 +30,7 @@ def said(*words: str, command: str = "check") -> str:
     return str(error.value)
 
 
-def test_wrong_elements_are_one_sentence(satellite):
+def test_wrong_elements_are_refused_in_one_sentence(satellite):
     (satellite / "bad.tle").write_text(TLE.replace("9999", "9990"), "utf-8")
     text = said("vehicle.toml", "telemetry.csv", "--tle", "bad.tle")
     assert text.startswith(
@@ -52,7 +52,7 @@ def test_wrong_elements_are_one_sentence(satellite):
     assert text.startswith("--no-orbit contradicts the elements")
 
 
-def test_a_file_that_cannot_tell_says_so_and_elements_may_stand_in_the_vehicle_file(
+def test_the_orbit_check_is_inconclusive_without_data_and_reads_elements_from_the_vehicle_file(
     satellite, monkeypatch
 ):
     monkeypatch.setattr(orbit_check, "COPIES", 10)

@@ -69,7 +69,7 @@ LONG = ("four faces, Unix ms, counts", "wheel, MET, Parquet", "wheel, MET, NetCD
 @pytest.mark.parametrize(
     "maker", [pytest.param(m, marks=[pytest.mark.slow] if m in LONG else []) for m in MAKERS]
 )
-def test_every_command_on_another_satellite(maker, tmp_path):
+def test_every_command_runs_on_satellites_with_other_files(maker, tmp_path):
     craft = MAKERS[maker](tmp_path, np.random.default_rng(3))
     files = craft.vehicle, craft.telemetry
     assert "samples" in fine(sunspin("check", *files))
@@ -138,7 +138,7 @@ SMALL = {
 
 
 @pytest.mark.parametrize("copies", [6, pytest.param(16, marks=pytest.mark.long)])
-def test_corrupted_files_give_a_sentence_and_never_a_traceback(copies, tmp_path):
+def test_corrupted_input_files_give_one_sentence_and_never_a_traceback(copies, tmp_path):
     count, refused = campaign(tmp_path, SMALL, copies, 1, ("check", "sun"))
     assert (
         0.3 * count < refused < count
@@ -171,7 +171,7 @@ def test_corrupted_results_are_refused_by_export(tmp_path):
 
 
 @pytest.mark.real_data
-def test_corrupted_beacons_of_skcube(data_dir, tmp_path):
+def test_corrupted_beacons_of_skcube_never_give_a_traceback(data_dir, tmp_path):
     for name in ("skcube_pwr.csv", "skcube_adcs.csv"):
         original = (data_dir / "skcube" / name).read_bytes()
         for i, kind in enumerate(BYTES + CELLS):

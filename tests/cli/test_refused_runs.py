@@ -48,7 +48,7 @@ def place(tmp_path_factory):
     assert done.exit_code == 0
 
 
-def test_every_command_with_a_results_folder_is_tried():
+def test_the_refused_runs_cover_every_command_with_a_results_folder():
     with_out = set()
     for name in COMMANDS:
         command = cli.get_command(click.Context(cli), name)
@@ -90,7 +90,7 @@ def sunspin(*words: str, env: dict[str, str] | None = None) -> subprocess.Comple
     return subprocess.run(run, capture_output=True, text=True, check=False, env=env)
 
 
-def test_decode_refuses_a_folder_in_which_no_frame_can_be_read(place):
+def test_decode_refuses_a_file_without_a_readable_frame(place):
     (place / "notes").mkdir()
     (place / "notes" / "readme.txt").write_text("no frame")
     done = sunspin("decode", "notes", "--out", "decoded")
@@ -102,7 +102,7 @@ def test_decode_refuses_a_folder_in_which_no_frame_can_be_read(place):
     assert sunspin("decode", "notes", "--out", "decoded").returncode == 0
 
 
-def test_names_of_a_hundred_characters_put_no_warning_on_the_screen(place):
+def test_names_of_a_hundred_characters_print_no_warning_of_matplotlib(place):
     text = (place / "vehicle.toml").read_text()
     for k, name in enumerate(("+X", "-X", "+Y", "-Y", "+Z")):
         text = text.replace(f'"{name}"', f'"{"p" * 98}{k:02d}"')

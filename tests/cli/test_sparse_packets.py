@@ -55,7 +55,7 @@ def test_check_counts_directions_and_not_rows(place):
     assert "rates up to 8.57 deg/s are unambiguous" in whole and "too few" not in whole
 
 
-def test_rates_says_that_directions_are_too_few(place):
+def test_rates_refuse_a_file_with_too_few_directions(place):
     words = ["rates", str(place / "vehicle.toml"), str(place / "sparse.csv")]
     done = CliRunner().invoke(cli, [*words, "--out", str(place / "results")])
     assert isinstance(done.exception, InputError) and not (place / "results").exists()
@@ -65,7 +65,7 @@ def test_rates_says_that_directions_are_too_few(place):
 
 
 @pytest.mark.parametrize("spoil", ["empty column", "a third of the cells", "eclipse"])
-def test_rows_with_most_panels_and_rows_in_the_dark_change_no_sampling(place, spoil):
+def test_the_sampling_interval_counts_only_rows_with_a_direction(place, spoil):
     whole = pd.read_csv(place / "telemetry.csv", comment="#")
     if spoil == "empty column":
         whole["mx"] = np.nan
@@ -80,7 +80,7 @@ def test_rows_with_most_panels_and_rows_in_the_dark_change_no_sampling(place, sp
     assert "rates up to 8.57 deg/s are unambiguous" in printed(place, "other.csv")
 
 
-def test_samples_in_the_shadow_by_the_orbit_are_named_as_the_reason(place):
+def test_too_few_directions_because_of_shadow_are_explained_by_the_orbit(place):
     vehicle = load_vehicle(place / "vehicle.toml")
     found = assess(vehicle, read_telemetry(place / "telemetry.csv", vehicle))
     o, why, _ = observations(vehicle, found)
@@ -90,7 +90,7 @@ def test_samples_in_the_shadow_by_the_orbit_are_named_as_the_reason(place):
     assert "dropped" not in str(error.value)
 
 
-def test_counts_have_no_unit_and_no_exponent(place):
+def test_counts_are_printed_without_unit_and_exponent(place):
     text = (place / "vehicle.toml").read_text()
     for old, new in (("power_W", "current_A"), ("noise = 0.02 ", "# noise = 0.02 ")):
         text = text.replace(old, new)

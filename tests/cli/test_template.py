@@ -30,7 +30,7 @@ def test_every_key_is_in_the_template(key):
     assert re.search(rf"\b{key}\b", TEXT)
 
 
-def test_what_is_commented_out_is_valid_too():
+def test_commented_examples_of_the_template_are_valid():
     """Lines such as `# lit_threshold = 0.06` are examples: they must parse when somebody takes the mark away."""
     opened = re.sub(r"^# (?=\[|[a-zA-Z_]+ = )", "", TEXT, flags=re.MULTILINE)
     assert opened.count("\n# ") < TEXT.count("\n# ")
@@ -40,7 +40,7 @@ def test_what_is_commented_out_is_valid_too():
     assert set(vehicle.wheels[0].alternative_frictions) == {"cold"}
 
 
-def test_the_spin_down_example_is_valid():
+def test_the_spin_down_example_of_the_template_is_valid():
     spin_down = "".join(
         f"{line}\n"
         for line in re.findall(r"^#   (\[wheel\.friction.*|c\d_.*)$", TEXT, re.MULTILINE)
@@ -50,7 +50,7 @@ def test_the_spin_down_example_is_valid():
     assert friction.coulomb_N_m == pytest.approx(4.643e-4 * 388.9 * 3.0e-5)
 
 
-def test_a_tilted_panel_is_valid():
+def test_the_tilted_panel_of_the_template_is_valid():
     lines = TEXT[TEXT.index("#   [panel_response.tilted]") :].splitlines()
     taken = [
         lines[0],
@@ -66,12 +66,12 @@ def test_a_tilted_panel_is_valid():
     assert given.response_in() != parse_vehicle(TEXT, "template").response_in()
 
 
-def test_the_example_shows_a_birth_certificate():
+def test_the_template_shows_a_value_with_sigma_and_source():
     facts = parse_vehicle(TEXT, "template").facts
     assert any(fact.sigma is not None and fact.source for fact in facts.values())
 
 
-def test_the_samples_are_those_of_a_twin():
+def test_the_telemetry_of_the_template_is_simulated_from_its_stated_truth():
     """The made-up telemetry is the vehicle beside it, moving as the truth that the documentation names."""
     folder = resources.files("sunspin").joinpath("template")
     vehicle = parse_vehicle(TEXT, "template")

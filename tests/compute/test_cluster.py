@@ -42,14 +42,14 @@ def client():
 
 
 @pytest.mark.evidence("scan", "verified", "the same rows on two processes of a Dask cluster")
-def test_a_cluster_changes_no_result(client):
+def test_rows_computed_on_a_cluster_equal_those_computed_here(client):
     for chunk in (1000, 33):
         assert whole(scheduler=client, chunk=chunk)
     assert whole(scheduler=client.scheduler.address)
     assert client.status == "running"  # what was not opened here is not closed here
 
 
-def test_local_starts_processes_and_ends_them():
+def test_a_local_cluster_ends_its_processes():
     before = set(threading.enumerate())
     assert whole(scheduler="local", workers=2, chunk=50)
     assert not [
@@ -59,7 +59,7 @@ def test_local_starts_processes_and_ends_them():
     ]
 
 
-def test_nothing_listens_to_the_outside(client):
+def test_a_local_cluster_listens_only_on_this_machine(client):
     pids = {os.getpid(), *client.run(os.getpid).values()}
     inodes = {
         os.readlink(f"/proc/{pid}/fd/{fd}")
@@ -111,7 +111,7 @@ LONGEST_NEWS_S = 30.0
 """How long the news of a lost result may take; after that the test fails and does not wait for ever."""
 
 
-def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypatch):
+def test_no_row_is_lost_if_a_worker_dies_while_sending_its_result(monkeypatch):
     """The result is here and its state is not asked for yet: Dask's own executor takes the state that follows for the outcome."""
     gather, states = distributed.Client._gather, []
     with (
@@ -143,7 +143,7 @@ def test_a_worker_that_dies_while_its_result_is_handed_on_loses_nothing(monkeypa
     assert states == ["lost"]
 
 
-def test_what_the_function_raises_comes_through(client):
+def test_an_exception_of_a_row_reaches_the_caller_of_the_cluster(client):
     with pytest.raises(ArithmeticError, match="row 500 is bad"):
         ensemble(Waves(bad_row=500), scheduler=client, chunk=10)
     assert whole(scheduler=client)
@@ -165,13 +165,13 @@ def test_rows_that_kill_every_worker_are_given_up(client):
 
 
 @pytest.mark.parametrize("scheduler", ["here", 8786, "tcp://127.0.0.1", "bad://127.0.0.1:1"])
-def test_what_is_no_scheduler_is_refused(scheduler):
+def test_an_address_that_is_no_scheduler_is_refused(scheduler):
     with pytest.raises(ss.InputError, match="scheduler") as said:
         ensemble(ROWS, scheduler=scheduler)
     assert "\n" not in str(said.value)
 
 
-def test_an_address_that_does_not_answer_is_refused_soon(monkeypatch, client):
+def test_a_scheduler_that_does_not_answer_is_refused_within_seconds(monkeypatch, client):
     monkeypatch.setattr(dask, "CONNECT_S", 0.5)
     with (
         socket.create_server(("127.0.0.1", 0)) as deaf,
@@ -189,7 +189,7 @@ def test_an_address_that_does_not_answer_is_refused_soon(monkeypatch, client):
             assert time.monotonic() - begun < 2
 
 
-def test_without_dask_one_sentence_says_how_to_get_it(monkeypatch):
+def test_without_dask_a_cluster_is_refused_with_the_command_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "sunspin.compute.cluster")
     monkeypatch.delattr("sunspin.compute.cluster")
@@ -212,7 +212,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.long
-def test_an_interruption_ends_the_cluster_in_good_order(tmp_path):
+def test_an_interruption_ends_the_processes_of_the_cluster(tmp_path):
     """Ctrl-C as a terminal sends it, to every process of the group."""
     log, store, script = tmp_path / "rows", tmp_path / "store", tmp_path / "run.py"
     script.write_text(SCRIPT)

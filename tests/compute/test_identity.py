@@ -3,7 +3,7 @@
 from sunspin.compute import identity
 
 
-def test_another_text_of_the_package_is_another_identity(monkeypatch, tmp_path):
+def test_a_changed_source_of_the_package_changes_the_identity_of_a_store(monkeypatch, tmp_path):
     before = identity.code()
     (tmp_path / "compute").mkdir()
     (tmp_path / "compute" / "identity.py").write_text("")

@@ -11,12 +11,12 @@ from sunspin.base.errors import InputError
 from sunspin.compute.pool import may_fork, processes
 
 
-def test_one_process_is_this_one():
+def test_a_pool_of_one_computes_in_this_process():
     with processes(1) as pool:
         assert pool is None
 
 
-def test_processes_end_with_an_error_at_once():
+def test_an_exception_in_one_process_ends_all_at_once():
     before, begin = set(active_children()), time.monotonic()
     with pytest.raises(KeyboardInterrupt), processes(2) as pool:
         running = pool.submit(time.sleep, 1000.0)
@@ -26,7 +26,7 @@ def test_processes_end_with_an_error_at_once():
     assert time.monotonic() - begin < 60 and not set(active_children()) - before
 
 
-def test_a_process_that_is_ended_from_outside_is_one_sentence():
+def test_a_process_killed_from_outside_is_reported_in_one_sentence():
     with (
         pytest.raises(InputError, match=r"ended from outside.*fewer workers"),
         processes(2) as pool,
@@ -34,7 +34,7 @@ def test_a_process_that_is_ended_from_outside_is_one_sentence():
         pool.submit(os.abort).result()
 
 
-def test_no_copy_beside_other_threads():
+def test_processes_are_not_forked_while_other_threads_run():
     wait = threading.Event()
     other = threading.Thread(target=wait.wait)
     other.start()

@@ -22,7 +22,7 @@ ROWS = Waves()
 
 @pytest.mark.evidence("scan", "verified", "all rows at once, for any chunk and number of threads")
 @pytest.mark.parametrize(("workers", "chunk"), [(1, 1), (1, 5000), (2, 7), (5, 333)])
-def test_neither_chunks_nor_workers_change_a_result(workers, chunk):
+def test_rows_do_not_depend_on_chunks_and_workers(workers, chunk):
     assert same(ensemble(ROWS, workers=workers, chunk=chunk), ROWS(np.arange(1000)))
 
 
@@ -51,12 +51,12 @@ def test_no_rows_give_empty_arrays(tmp_path):
         ({"chunk": True}, "chunk"),
     ],
 )
-def test_bad_arguments_are_named(change, message):
+def test_bad_arguments_of_ensemble_are_named(change, message):
     with pytest.raises(ss.InputError, match=message):
         ensemble(ROWS, **change)
 
 
-def test_what_the_function_raises_comes_at_once_and_stops_the_rest(tmp_path):
+def test_an_exception_of_a_row_stops_the_other_rows_at_once(tmp_path):
     log = tmp_path / "rows"
     rows = Waves(n_rows=100_000, seconds_per_row=0.01, bad_row=3, log=str(log))
     begun = time.monotonic()
@@ -90,7 +90,7 @@ except Interrupted as stop:
 
 
 @pytest.mark.parametrize("kept", [False, True])
-def test_an_interruption_says_what_is_kept_and_how_to_go_on(kept, tmp_path):
+def test_an_interruption_names_the_finished_rows_and_how_to_resume(kept, tmp_path):
     log, store = tmp_path / "rows", tmp_path / "store"
     command = [sys.executable, "-c", SCRIPT, str(log), str(store) if kept else ""]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -115,7 +115,7 @@ def test_an_interruption_says_what_is_kept_and_how_to_go_on(kept, tmp_path):
     assert log.read_text().count("\n") == 2000 - done + 2000  # and those that are compared with
 
 
-def test_the_command_line_passes_the_sentence_on(monkeypatch, capsys):
+def test_the_command_line_prints_the_sentence_on_an_interruption(monkeypatch, capsys):
     def stopped(*_, **__):
         raise Interrupted("interrupted, 5 of 9 rows are done")
 
@@ -128,7 +128,7 @@ def test_the_command_line_passes_the_sentence_on(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("name", ["philae", "skcube"])
-def test_a_vehicle_travels_to_another_process(name):
+def test_a_vehicle_can_be_pickled_to_another_process(name):
     vehicle = ss.load_vehicle(name)
     other = pickle.loads(pickle.dumps(vehicle))
     assert plain(other) == plain(vehicle)

@@ -56,7 +56,7 @@ def computed(tmp_path, folder, **arguments) -> int:
     return log.read_text().count("\n")
 
 
-def test_a_store_changes_no_result_and_a_complete_one_is_read(tmp_path):
+def test_rows_from_a_store_equal_computed_ones_and_a_complete_store_is_only_read(tmp_path):
     for chunk in (1000, 64, 9):
         folder = tmp_path / str(chunk)
         assert computed(tmp_path, folder, chunk=chunk, workers=3) == 1000
@@ -65,7 +65,7 @@ def test_a_store_changes_no_result_and_a_complete_one_is_read(tmp_path):
         assert tree(folder) == before
 
 
-def test_a_store_goes_on_in_chunks_of_another_size(tmp_path, complete):
+def test_a_store_is_resumed_with_chunks_of_another_size(tmp_path, complete):
     for path in sorted(complete.glob("rows-*"))[2:7:2]:
         path.unlink()
     assert computed(tmp_path, complete, chunk=7) == 3 * 90
@@ -161,7 +161,9 @@ def test_a_damaged_chunk_is_computed_again(tmp_path, complete):
         assert computed(tmp_path, complete) == 0
 
 
-def test_chunks_of_other_inputs_or_another_state_of_the_package_are_refused(complete, monkeypatch):
+def test_a_store_of_other_inputs_or_another_version_of_the_package_is_refused(
+    complete, monkeypatch
+):
     refused(complete, "other inputs", rows=Waves(pitch=0.38))
     refused(complete, "other inputs", rows=Waves(n_rows=999))
     monkeypatch.setattr(disk, "code", lambda: {"code_sha256": "another"})
@@ -169,19 +171,19 @@ def test_chunks_of_other_inputs_or_another_state_of_the_package_are_refused(comp
 
 
 @pytest.mark.parametrize("content", ["cat.jpg", "zarr.json", "store.json"])
-def test_what_is_no_store_or_of_an_earlier_version_is_refused(content, tmp_path):
+def test_a_folder_that_is_no_store_or_of_an_earlier_format_is_refused(content, tmp_path):
     (tmp_path / content).write_text("{}")
     refused(tmp_path, "no store", "another version", content)
 
 
-def test_a_file_is_no_store(tmp_path):
+def test_a_file_is_refused_as_a_store(tmp_path):
     (tmp_path / "file").write_text("mine")
     refused(tmp_path / "file", "cannot be written (Not a directory)")
     with pytest.raises(ss.OutputError, match="cannot be written"):
         ensemble(ROWS, store=tmp_path / "file" / "below")
 
 
-def test_an_empty_folder_will_do_and_missing_ones_are_made(tmp_path):
+def test_a_store_is_made_in_an_empty_or_a_missing_folder(tmp_path):
     (tmp_path / "empty").mkdir()
     assert same(ensemble(ROWS, store=tmp_path / "empty"), WHOLE)
     assert same(ensemble(ROWS, store=str(tmp_path / "a" / "b" / "c")), WHOLE)
@@ -196,7 +198,7 @@ def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, 
     assert computed(tmp_path, complete) == 90
 
 
-def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_the_store_is_resumed_later(tmp_path, monkeypatch):
     def full(target, fill, write=disk.write_whole):
         if "-0000000400-" in target.name:
             with monkeypatch.context() as inner:

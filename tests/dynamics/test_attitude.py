@@ -49,7 +49,7 @@ def euler(omega, dt, ends):
     "verified",
     "a step of the smoother with wheels and a dipole, SciPy on Euler's equations",
 )
-def test_steps_agree_with_eulers_equations(reached):
+def test_compiled_steps_agree_with_eulers_equations(reached):
     omega, dt, ends = drawn(12)
     body = Body(INERTIA, DIPOLE, False)
     matrix, rate = step(body, omega, dt, ends)

@@ -36,7 +36,7 @@ def philae_rows(n=40, seed=1):
 
 
 @pytest.mark.parametrize("wanted", [1e-2, 1e-4, 1e-6])
-def test_the_error_asked_for_is_met_through_the_wheel_stop(wanted):
+def test_the_kernel_meets_its_direction_error_through_the_wheel_stop(wanted):
     vehicle, rows = philae_body(), philae_rows()
     result = k.run_rows(vehicle, rows, 2700.0, direction_error=wanted)
     error = np.linalg.norm(result.sun_B[:, 0] - reference(vehicle, rows, 2700.0), axis=1)
@@ -46,7 +46,7 @@ def test_the_error_asked_for_is_met_through_the_wheel_stop(wanted):
 
 @pytest.mark.parametrize("n_wheels", [0, 1, 2])
 @pytest.mark.parametrize("mode", ["coast", "hold"])
-def test_other_vehicles_with_stops_and_breakaways(n_wheels, mode):
+def test_the_kernel_agrees_with_the_reference_on_wheels_that_stop_and_break_away(n_wheels, mode):
     rng = np.random.default_rng(100 + n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
     rows = rows_of(rng.normal(size=(12, 3)) * 0.5, rng.uniform(-20, 20, n_wheels))
@@ -60,7 +60,7 @@ HARD = [[-0.275, 0.82, 0.285], [-0.335, 1.0, -0.165], [-0.35, 0.82, 0.21]]
 
 
 @pytest.mark.parametrize("wanted", [1e-2, 1e-5, 1e-6, 1e-8])
-def test_a_wheel_that_is_held_and_let_go_again_and_again(wanted):
+def test_the_kernel_agrees_with_the_reference_on_a_wheel_held_and_released_repeatedly(wanted):
     """It may break away just at its limit, turn for a moment only, and stop within the same step."""
     vehicle = philae_body()
     (wheel,) = vehicle.wheels
@@ -74,7 +74,7 @@ def test_a_wheel_that_is_held_and_let_go_again_and_again(wanted):
     assert error.max() < wanted
 
 
-def test_backward_through_reversals_of_the_wheel():
+def test_the_kernel_runs_backward_through_reversals_of_the_wheel():
     vehicle = random_vehicle(np.random.default_rng(1), 1, dry=0.001)
     rows = rows_of([[0.8, 0.5, -0.6], [-0.9, 0.7, 0.8]], 0.1)
     back = ss.propagate(vehicle, rows.omega_B[0], FIRST_SUN, 0.1, [0.0, -30.0])
@@ -83,7 +83,7 @@ def test_backward_through_reversals_of_the_wheel():
     np.testing.assert_allclose(result.sun_B[:, 0], reference(vehicle, rows, -30.0), atol=1e-6)
 
 
-def test_backward_from_rest_is_an_outcome_and_not_a_number():
+def test_a_backward_run_from_a_wheel_at_rest_is_marked_as_an_outcome():
     result = k.run_rows(philae_body(), rows_of([[0.1, 0.2, 0.3]], 0.0), -60.0)
     assert result.outcome[0] == k.Outcome.PAST_UNKNOWN
 
@@ -118,7 +118,7 @@ def test_bits_of_a_distribution_do_not_depend_on_neighbours_that_change_the_meth
 
 
 @pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long)])
-def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
+def test_distributions_of_random_vehicles_agree_with_the_reference(n_wheels):
     """Strongly unequal moments, oblique wheels that stop or not, slow and fast rows: EMD by SciPy, no mask."""
     rng = np.random.default_rng(200 + n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.004, viscous=2e-4)
@@ -140,7 +140,7 @@ def test_distributions_of_other_vehicles_agree_with_the_reference(n_wheels):
         )
 
 
-def test_a_histogram_is_time_and_both_ways_alike():
+def test_a_histogram_counts_time_and_is_the_same_forward_and_backward():
     vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
     forward = k.run_rows(vehicle, rows, 700.0, emd_error=1e-3, bins=256).hist
     assert forward.sum() == pytest.approx(700.0, rel=1e-4)
@@ -150,7 +150,7 @@ def test_a_histogram_is_time_and_both_ways_alike():
     assert np.abs(np.cumsum(forward - back)).max() < 2.0  # s
 
 
-def test_errors_that_cannot_be_asked_for_are_refused():
+def test_a_direction_error_that_is_too_small_is_refused():
     vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
     for options in (
         {"direction_error": 0.0},

@@ -37,7 +37,7 @@ def test_the_text_of_a_kernel_is_generated_once(short_kernels, monkeypatch):
     assert compiled.kept_source(structure) == compiled.source(structure) != text
 
 
-def test_compiling_says_where_kernels_cannot_be_kept(monkeypatch, tmp_path):
+def test_compiling_reports_a_cache_folder_that_cannot_be_written(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("SUNSPIN_CACHE", str(tmp_path / "file"))
     with pytest.raises(OutputError, match="cannot be kept here.*SUNSPIN_CACHE"):
@@ -46,7 +46,7 @@ def test_compiling_says_where_kernels_cannot_be_kept(monkeypatch, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="nothing is compiled ahead on a single core")
-def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
+def test_a_kernel_compiled_in_another_process_is_read_from_the_cache(short_kernels):
     vehicle = random_vehicle(np.random.default_rng(8), 0)
     k.prepare(vehicle, [(None, 0)])
     k.prepare(vehicle, [(None, 0)])
@@ -60,7 +60,7 @@ def test_a_kernel_compiled_ahead_is_read_and_not_compiled_again(short_kernels):
 
 
 @pytest.mark.long
-def test_without_a_second_process_the_kernel_is_compiled_here(short_kernels, monkeypatch):
+def test_without_a_second_process_the_kernel_is_compiled_in_this_one(short_kernels, monkeypatch):
     monkeypatch.setattr(ahead.sys, "executable", str(short_kernels / "nowhere"))
     vehicle = random_vehicle(np.random.default_rng(9), 0)
     k.prepare(vehicle, [(None, 0)])

@@ -44,7 +44,7 @@ def variants(vehicle, n, seed=3):
 
 @pytest.mark.parametrize("mode", ["coast", "hold"])
 @pytest.mark.parametrize("n_wheels", [0, 1, 2])
-def test_rates_and_wheel_speeds_are_those_of_the_reference(n_wheels, mode):
+def test_rates_and_wheel_speeds_at_output_times_agree_with_the_reference(n_wheels, mode):
     """Wheels of 40 rad/s stop, and are stuck, before the last instant."""
     vehicle = (
         philae_body()
@@ -66,7 +66,7 @@ def test_rates_and_wheel_speeds_are_those_of_the_reference(n_wheels, mode):
         np.testing.assert_allclose(run.momentum_B[i], exact["momentum_B"].values[1:], atol=1e-7)
 
 
-def test_a_row_with_numbers_of_its_own_moves_like_a_vehicle_with_these():
+def test_a_row_with_its_own_inertia_and_friction_moves_like_such_a_vehicle():
     """And other numbers are another motion."""
     vehicle = philae_body()
     crafts = variants(vehicle, 4)
@@ -82,7 +82,7 @@ def test_a_row_with_numbers_of_its_own_moves_like_a_vehicle_with_these():
     assert np.all(np.linalg.norm(run.sun_B - same.sun_B, axis=-1) > 1e-3)
 
 
-def test_a_wheel_without_friction_among_wheels_with_it_is_not_held_at_rest():
+def test_a_wheel_without_friction_is_not_held_at_rest_by_the_friction_of_others():
     vehicle = philae_body()
     bodies = k.Bodies.of(vehicle, 2)
     bodies = replace(bodies, coulomb_N_m=np.array([[0.0], [1e-3]]), viscous_N_m_s=np.zeros((2, 1)))

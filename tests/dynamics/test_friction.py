@@ -20,7 +20,7 @@ def published_curve(t):
     "fit_spin_down", "validated", "coefficients and friction of the paper, section 2.2"
 )
 @pytest.mark.parametrize("t0", [0.0, 700.0])
-def test_the_published_curve_gives_back_its_coefficients(t0, reached):
+def test_a_fit_to_the_published_spin_down_curve_returns_its_coefficients(t0, reached):
     t = t0 + np.arange(0.0, 1800.0, 30.0)
     fit = fit_spin_down(t, published_curve(t), J)
     assert (fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s) == pytest.approx(PUBLISHED, rel=1e-7)
@@ -31,7 +31,7 @@ def test_the_published_curve_gives_back_its_coefficients(t0, reached):
     np.testing.assert_allclose(fit(t), published_curve(t), rtol=1e-9)
 
 
-def test_limits_of_the_friction_law():
+def test_the_running_time_of_a_wheel_has_the_limits_of_the_friction_law():
     assert spin_down_time(Friction(0.0, 1e-6), J, 10.0) == np.inf
     assert spin_down_time(Friction(1e-3, 0.0), J, 865.0) == pytest.approx(J * 865 / 1e-3)
     assert spin_down_time(Friction(1e-3, 1e-12), J, 865.0) == pytest.approx(
@@ -55,7 +55,7 @@ def test_a_very_heavy_body_lets_the_wheel_run_as_long_as_a_fixed_one():
 
 
 @pytest.mark.evidence("fit_spin_down", "verified", "scatter of 60 fits of noisy curves")
-def test_the_covariance_is_the_scatter_of_repeated_fits(reached):
+def test_the_covariance_of_a_friction_fit_is_the_scatter_of_repeated_fits(reached):
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 2000.0, 25.0)
     fits = [fit_spin_down(t, published_curve(t) + rng.normal(size=t.size), J) for _ in range(60)]
@@ -67,7 +67,7 @@ def test_the_covariance_is_the_scatter_of_repeated_fits(reached):
     )  # 60 fits fix a width to about 9 %
 
 
-def test_the_error_of_the_curve_does_not_depend_on_when_time_began():
+def test_the_error_of_the_spin_down_curve_does_not_depend_on_the_zero_of_time():
     """One record, its clock begun 700 s apart: the variance of the fitted speed at each sample by the covariance of each fit."""
     t = np.arange(0.0, 2000.0, 25.0)
     speed, variances = published_curve(t) + np.random.default_rng(3).normal(size=t.size), []
@@ -88,7 +88,7 @@ def test_a_wheel_that_turns_backward_has_the_same_friction():
     assert backward.friction == forward.friction
 
 
-def test_purely_viscous_friction_with_noise_is_not_given_a_driving_torque():
+def test_a_fit_to_noisy_viscous_friction_has_no_negative_coulomb_torque():
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 3000.0, 30.0)
     for _ in range(10):
@@ -112,7 +112,7 @@ def test_records_that_are_no_spin_down_are_refused(t, speed, text):
         fit_spin_down(t, speed, J)
 
 
-def test_the_speed_of_a_coasting_wheel_is_the_curve_it_was_fitted_to():
+def test_the_speed_of_a_coasting_wheel_follows_its_fitted_curve():
     c1, c2, c3 = PUBLISHED
     friction = Friction.from_spin_down(c1, c2, c3, J)
     t = np.linspace(0, 3000, 301)

@@ -34,7 +34,7 @@ seeds = st.integers(0, 2**32 - 1)
 @pytest.mark.evidence("impact", "verified", "the condition itself, on random vehicles")
 @cases
 @given(seeds, st.integers(0, 3), st.sampled_from(["coast", "brake", "hold"]))
-def test_the_contact_point_comes_to_rest(seed, n_wheels, mode):
+def test_the_contact_point_is_at_rest_after_the_impact(seed, n_wheels, mode):
     _, _, tip, after = blow(seed, n_wheels, mode)
     contact = np.cross(after["omega_B"].values, tip) + after["velocity_B"].values
     np.testing.assert_allclose(contact, 0.0, atol=1e-12)
@@ -60,7 +60,7 @@ def test_momentum_about_the_contact_point_is_conserved(seed, n_wheels, mode):
 @pytest.mark.evidence("impact", "verified", "energy may only fall")
 @cases
 @given(seeds, st.integers(0, 3))
-def test_free_wheels_keep_their_inertial_spin_and_energy_never_rises(seed, n_wheels):
+def test_free_wheels_keep_their_inertial_spin_and_an_impact_never_adds_energy(seed, n_wheels):
     vehicle, (omega, speeds, velocity), _, after = blow(seed, n_wheels)
     omega_after, speeds_after = after["omega_B"].values, after["wheel_speed_rad_s"].values
     np.testing.assert_allclose(
@@ -92,7 +92,7 @@ def test_a_held_wheel_keeps_its_speed_and_its_motor_may_do_work():
 
 
 @pytest.mark.evidence("impact", "verified", "a blow worked out by hand")
-def test_a_rod_that_lands_on_one_end():
+def test_a_rod_that_lands_on_one_end_moves_as_worked_out_by_hand():
     """A body with unit mass and inertia falls at speed 1 along -z on its end at distance 2 along x.
 
     The upward impulse is F = v / (1/m + l^2/I) = 1/5, its moment l x F = (2, 0, 0) x (0, 0, 1/5) = (0, -2/5, 0), and
@@ -106,7 +106,7 @@ def test_a_rod_that_lands_on_one_end():
     np.testing.assert_allclose(after["velocity_B"].values, [0, 0, -0.8], atol=1e-15)
 
 
-def test_many_blows_at_once_are_the_same_blows_one_by_one():
+def test_many_impacts_at_once_equal_the_same_impacts_one_by_one():
     vehicle = ss.load_vehicle("philae")
     rng = np.random.default_rng(1)
     omega, velocity = rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
@@ -137,7 +137,7 @@ def test_many_blows_at_once_are_the_same_blows_one_by_one():
         ({"omega_B": np.zeros((4, 3)), "velocity_B": np.zeros((5, 3))}, "leading shapes"),
     ],
 )
-def test_bad_arguments_are_named(change, text):
+def test_bad_arguments_of_an_impact_are_named(change, text):
     arguments = {
         "omega_B": [0, 0, 0],
         "wheel_speed_rad_s": 0.0,

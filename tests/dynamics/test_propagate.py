@@ -79,7 +79,7 @@ def test_the_wheel_stops_after_the_published_42_minutes(reached):
     assert run["event_time_s"].values[0] == pytest.approx(2595, abs=1.0)
 
 
-def test_a_stuck_wheel_has_no_known_past():
+def test_a_backward_run_from_a_stuck_wheel_is_refused_without_its_stop_time():
     with pytest.raises(ss.MotionError, match="stopped_at_s"):
         ss.propagate(philae_body(), [0.1, 0, 0.3], FIRST_SUN, 0.0, [0.0, -100.0])
 
@@ -88,7 +88,7 @@ def test_a_stuck_wheel_has_no_known_past():
     "propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction"
 )
 @pytest.mark.parametrize("n_wheels", [0, 1, pytest.param(2, marks=pytest.mark.long), 3])
-def test_invariants_hold_to_1e_12(n_wheels, reached):
+def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
     rng = np.random.default_rng(n_wheels)
     vehicle = random_vehicle(rng, n_wheels, dry=0.005, viscous=1e-4)
     speeds = rng.uniform(-30, 30, n_wheels) if n_wheels else None
@@ -104,7 +104,7 @@ def test_invariants_hold_to_1e_12(n_wheels, reached):
     np.testing.assert_allclose(attitude.apply(H[0]), H, atol=1e-11 * size)
 
 
-def test_a_motor_holds_the_wheel():
+def test_a_held_wheel_keeps_its_speed():
     run = ss.propagate(
         philae_body(),
         [0.3, -0.2, 0.1],
@@ -120,7 +120,7 @@ def test_a_motor_holds_the_wheel():
     assert np.ptp(np.linalg.norm(momentum, axis=1)) < 1e-12
 
 
-def test_schedule_equals_the_runs_chained_by_hand():
+def test_a_wheel_schedule_equals_runs_chained_by_hand():
     vehicle = philae_body()
     whole = ss.propagate(
         vehicle,
@@ -150,7 +150,7 @@ def test_schedule_equals_the_runs_chained_by_hand():
         ({"rtol": 0}, "rtol"),
     ],
 )
-def test_bad_arguments_are_named(change, message):
+def test_bad_arguments_of_propagate_are_named(change, message):
     arguments = {
         "omega_B": [0.1, 0, 0],
         "sun_B": FIRST_SUN,
@@ -162,12 +162,12 @@ def test_bad_arguments_are_named(change, message):
 
 
 @pytest.mark.parametrize("rate", [1e18, 1e200])
-def test_absurd_rates_are_refused(rate):
+def test_rates_that_cannot_be_integrated_are_refused(rate):
     with pytest.raises(ss.MotionError, match="is it in deg/s"):
         ss.propagate(philae_body(), [rate, rate, 0], FIRST_SUN, 865.0, [1e6, 1e6 + 100.0])
 
 
-def test_long_runs_are_cut_into_pieces_without_a_trace():
+def test_a_long_run_cut_into_pieces_equals_an_uncut_one():
     vehicle = random_vehicle(np.random.default_rng(4), 0)
     t = np.linspace(0, 20_000, 41)
     run = ss.propagate(vehicle, [1.5, 1.0, 0.5], FIRST_SUN, None, t)

@@ -65,7 +65,7 @@ def run_once(t_s, **options):
 
 
 @pytest.mark.parametrize("t_end", [240.0, -60.0])
-def test_the_reference_moves_as_scipy_does_forward_and_backward(t_end):
+def test_the_reference_under_torques_agrees_with_scipy_forward_and_backward(t_end):
     run = run_once([START_S, t_end])
     omega, speed, matrix = by_scipy(t_end)
     np.testing.assert_allclose(run["omega_B"].values[-1], omega, atol=1e-10)
@@ -87,7 +87,7 @@ def rows_of(n: int = 1) -> k.Rows:
 
 @pytest.mark.parametrize("mode", ["coast", "hold"])
 @pytest.mark.parametrize("wanted", [1e-4, 1e-8])
-def test_the_kernel_moves_as_the_reference_does_through_the_stop_of_the_wheel(wanted, mode):
+def test_the_kernel_under_torques_agrees_with_the_reference_through_the_wheel_stop(wanted, mode):
     times = np.array([100.0, 900.0])
     run = run_once([START_S, *(START_S + times)], wheel_mode=mode)
     assert list(run["event_what"].values) == (["stops"] if mode == "coast" else [])
@@ -105,7 +105,7 @@ def test_the_kernel_moves_as_the_reference_does_through_the_stop_of_the_wheel(wa
     np.testing.assert_allclose(result.carried[0, :, :3], run["nadir_B"].values[1:], atol=wanted)
 
 
-def test_the_kernel_comes_back():
+def test_the_kernel_under_torques_returns_to_its_start_backward():
     there = k.run_rows(
         BODY, rows_of(), 60.0, direction_error=1e-9, acting=acting(PULL, ORBIT, START_S)
     )
@@ -170,7 +170,7 @@ def test_the_split_method_refuses_torques_and_rows_need_their_attitude():
         )
 
 
-def test_a_scan_runs_under_torques():
+def test_a_scan_under_torques_agrees_with_the_reference():
     times = START_S + np.array([20.0, 40.0])
     track = (
         run_once([START_S, *times])["sun_B"]

@@ -9,7 +9,7 @@ from sunspin.philae.collision import KERNEL, states_of
 LANDING_S = 469_078_511.0
 
 
-def test_the_pole_is_z_and_the_meridian_turns_as_published():
+def test_the_pole_of_the_comet_is_z_and_its_meridian_rotates_as_published():
     right_ascension, declination = np.radians(comet.POLE_DEG)
     pole = [
         np.cos(declination) * np.cos(right_ascension),
@@ -27,7 +27,7 @@ def test_the_pole_is_z_and_the_meridian_turns_as_published():
     assert 24 * 360 / comet.DEG_PER_DAY == pytest.approx(12.404, abs=1e-3)
 
 
-def test_a_velocity_in_space_is_the_change_of_the_position_there():
+def test_the_inertial_velocity_is_the_derivative_of_the_inertial_position():
     state = np.array([2123.0, -959.0, 497.0, 0.24, 0.11, -0.2])
     there = [
         comet.comet_from_J2000(LANDING_S + dt).T @ (state[:3] + dt * state[3:])
@@ -40,7 +40,7 @@ def test_a_velocity_in_space_is_the_change_of_the_position_there():
 
 
 @pytest.mark.real_data
-def test_the_sun_stands_over_the_landing_and_gravity_points_down(data_dir):
+def test_at_the_landing_site_the_sun_is_up_and_gravity_points_down(data_dir):
     """The pole by the Sun's height over the comet's equator in November 2014; the spin by the path's acceleration in space."""
     pytest.importorskip("spiceypy")
     times = LANDING_S + np.array([0.6, 600.0, 601.0, 2700.0, 6600.0])

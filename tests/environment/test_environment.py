@@ -9,7 +9,7 @@ from sunspin.environment.frames import BODY_AT_START, SUN_Z_LOCAL
 from tests.support.vehicles import FIRST_SUN, philae_body
 
 
-def test_of_an_unknown_environment_only_the_sun_is_known_and_stands_still():
+def test_an_unknown_environment_gives_only_a_fixed_sun():
     nothing = unknown()
     found = nothing.at([0.0, 50.0, 1e6])
     assert nothing.frame_N == SUN_Z_LOCAL and found.sun_N.shape == (3, 3)
@@ -17,13 +17,13 @@ def test_of_an_unknown_environment_only_the_sun_is_known_and_stands_still():
     assert found.field_N is None and found.nadir_N is None and found.lit is None
 
 
-def test_an_attitude_says_which_frame_it_is_from():
+def test_results_with_an_attitude_name_its_reference_frame():
     run = ss.propagate(philae_body(), [0.1, 0.0, 0.0], FIRST_SUN, 0.0, [0.0, 10.0])
     assert run.attrs["frame_N"] == BODY_AT_START
     assert np.array_equal(run["B_from_N"].values[0], [0.0, 0.0, 0.0, 1.0])
 
 
-def test_the_nadir_of_a_circular_orbit_turns_evenly_about_the_normal():
+def test_the_nadir_of_a_circular_orbit_rotates_evenly_about_the_orbit_normal():
     orbit = circular(2e-3, [0.0, 0.0, 5.0], [0.0, 3.0, 1.0])
     assert orbit.frame_N == SUN_Z_LOCAL
     found = orbit.at([0.0, np.pi / 4e-3, 100.0, 100.001])
@@ -42,6 +42,6 @@ def test_the_nadir_of_a_circular_orbit_turns_evenly_about_the_normal():
         ((1e-3, [0, 1]), "normal and nadir of an orbit must be three finite numbers each"),
     ],
 )
-def test_an_orbit_that_is_none_is_refused(given, text):
+def test_an_orbit_without_valid_radius_and_normal_is_refused(given, text):
     with pytest.raises(ss.InputError, match=text):
         circular(*given)

@@ -88,7 +88,7 @@ def put(tmp_path):
     ("frame", "scale", "step", "ahead"),
     [("EME2000", "UTC", 60.0, 0.0), ("TEME", "TAI", 180.0, 37.0)],
 )
-def test_an_oem_is_the_orbit_to_ten_metres(put, frame, scale, step, ahead):
+def test_an_orbit_from_an_oem_is_that_of_its_elements_to_ten_metres(put, frame, scale, step, ahead):
     (ephemeris,) = read_orbit(put(oem(frame, scale, step, int(7800 / step), ahead)))
     assert (ephemeris.name, ephemeris.number) == ("VZLUSAT-1", "2017-036AB")
     assert off_m(ephemeris) < 10
@@ -97,7 +97,7 @@ def test_an_oem_is_the_orbit_to_ten_metres(put, frame, scale, step, ahead):
     assert 5600 < ephemeris.period_s < 5760 and orbit.at(T).lit.min() == 0
 
 
-def test_an_oem_in_xml_is_read_as_others_write_it(put, tmp_path):
+def test_an_oem_in_xml_by_another_library_is_read(put, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
     io = ndm_io.NdmIo()
     io.to_file(io.from_path(put(oem(), "a.oem")), ndm_io.NDMFileFormats.XML, tmp_path / "a.xml")
@@ -105,7 +105,7 @@ def test_an_oem_in_xml_is_read_as_others_write_it(put, tmp_path):
     assert ephemeris.name == "VZLUSAT-1" and off_m(ephemeris) < 1
 
 
-def test_a_csv_says_its_frame(put):
+def test_a_csv_ephemeris_must_state_its_frame(put):
     times, rows = states(60.0, 130, "ITRF")
     body = "\n".join(
         f"{time.isoformat()}Z,{x:.6f},{y:.6f},{z:.6f}"
@@ -120,7 +120,7 @@ def test_a_csv_says_its_frame(put):
         read_orbit(put(text.split("\n", 1)[1], "a.csv"))
 
 
-def test_an_spk_is_read_by_spice(tmp_path):
+def test_an_spk_gives_the_orbit_that_spice_reads(tmp_path):
     sp = pytest.importorskip("spiceypy")
     times, rows = states(60.0, 130)
     tai_tt = 37 + 32.184  # TDB is TT to 2 ms: 13 m
@@ -134,7 +134,7 @@ def test_an_spk_is_read_by_spice(tmp_path):
         read_orbit(tmp_path / "b.bsp")
 
 
-def test_beyond_its_table_an_orbit_goes_on_along_an_ellipse(put):
+def test_beyond_its_table_an_ephemeris_continues_on_an_ellipse(put):
     (ephemeris,) = read_orbit(put(oem()))
     known = in_orbit(parse_elements(VZLUSAT, "case"), EPOCH, T)
     when = known.instants(np.array([7140.0 + 200, -600.0 - 200]))  # 200 s beyond either end
@@ -180,6 +180,6 @@ def _scaled(text: str) -> str:
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_wrong_is_one_sentence(put, text):
+def test_wrong_ephemerides_are_refused_in_one_sentence(put, text):
     with pytest.raises(ss.InputError, match=text):
         in_orbit(read_orbit(put(WRONG[text]())), EPOCH, T)

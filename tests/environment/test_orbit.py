@@ -71,7 +71,7 @@ def test_sgp4_gives_the_published_verification_states():
     np.testing.assert_allclose(speed / 1e3, table[:, 4:7], atol=2e-8)
 
 
-def test_TEME_is_turned_to_J2000_as_published():
+def test_TEME_is_rotated_to_J2000_as_published():
     """Vallado, Fundamentals of Astrodynamics and Applications, 4th ed., page 234: three days after the epoch of the case above.
 
     The book's nutation is that of 1980; the one used here differs by 0.05 arcseconds, 2 m at that distance."""
@@ -90,7 +90,7 @@ def test_TEME_is_turned_to_J2000_as_published():
     )
 
 
-def test_sun_and_earth_fixed_axes_are_those_of_astropy():
+def test_sun_and_earth_fixed_axes_agree_with_astropy():
     coordinates, time = (
         pytest.importorskip("astropy.coordinates"),
         pytest.importorskip("astropy.time"),
@@ -119,7 +119,7 @@ def test_sun_and_earth_fixed_axes_are_those_of_astropy():
     )
 
 
-def test_the_sun_as_the_almanac_gives_it():
+def test_the_sun_direction_agrees_with_the_almanac():
     """Meeus, Astronomical Algorithms, example 25.b: 1992 October 13, 0 h TD, apparent longitude 199.906016 degrees of date,
     distance 0.99760775 au. Precession from J2000 to that day is 0.10158 degrees along the ecliptic; aberration is in it."""
     when = Instants.of("1992-10-12T23:59:00.816Z", np.zeros(1))
@@ -150,7 +150,7 @@ tests of SatelliteToolbox.jl keep it (IGRF13_test_geocentric.txt). Up to 2015 IG
         for k, row in enumerate(IGRF_ROWS.split("\n")[1:-1])
     ],
 )
-def test_the_field_is_the_published_one(row):
+def test_the_geomagnetic_field_agrees_with_published_values(row):
     year, radius, colatitude, longitude, *expected = map(float, row.split())
     jd = 2451544.5 + (year - 2000) * 365.25
     theta, phi = np.radians([colatitude, longitude])
@@ -163,7 +163,7 @@ def test_the_field_is_the_published_one(row):
     )
 
 
-def test_the_map_of_the_field_is_IGRF_to_two_nanotesla():
+def test_the_interpolated_field_agrees_with_IGRF_to_two_nanotesla():
     import ppigrf
 
     rng = np.random.default_rng(3)
@@ -188,7 +188,7 @@ def test_the_map_of_the_field_is_IGRF_to_two_nanotesla():
         field_map(2464329.5, (7e6, 7e6))
 
 
-def test_the_sun_is_covered_as_discs_cover_each_other():
+def test_the_lit_part_of_the_sun_is_that_of_overlapping_discs():
     apart = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 9.0])
     equal = covered(apart, np.ones(6), np.ones(6))
     lens = (
@@ -219,7 +219,7 @@ def test_eclipse_lasts_as_long_as_the_shadow_is_wide():
     assert part[0] == 1.0 and part[len(part) // 2] == 0.0 and part.min() >= 0 and part.max() <= 1
 
 
-def test_the_shadow_is_as_flat_as_the_earth():
+def test_the_shadow_has_the_oblateness_of_the_earth():
     """Two kilometres inside and outside the limb of WGS 84: the polar radius is 21.4 km shorter than that of the equator."""
     pole = 6_356_752.3
     behind = np.array(
@@ -233,7 +233,7 @@ def test_the_shadow_is_as_flat_as_the_earth():
     assert lit(behind, np.array([[1.495978707e11, 0, 0]])).tolist() == [0, 1, 0, 1]
 
 
-def test_light_of_the_full_earth_is_the_closed_form():
+def test_albedo_of_the_full_earth_agrees_with_the_closed_form():
     """Far away over the noon point the Earth is a Lambert sphere at full phase: 2/3 albedo (R / d)^2."""
     d = 1e10
     light = albedo_light(np.array([[d, 0, 0]]), np.array([[1.5e13, 0, 0]]))[0]
@@ -249,7 +249,7 @@ def test_light_of_the_full_earth_is_the_closed_form():
     assert np.array_equal(near[1], [0, 0, 0])
 
 
-def test_surroundings_follow_the_orbit_with_their_errors():
+def test_sun_field_and_nadir_follow_the_orbit_with_their_errors():
     elements = parse_elements(VZLUSAT, "case")
     t = np.arange(0, 5700, 20.0)
     orbit = in_orbit(elements, EPOCH, t, shift_sigma_s=10)
@@ -280,7 +280,7 @@ def test_surroundings_follow_the_orbit_with_their_errors():
     np.testing.assert_allclose(late.field_N[:-1], here.field_N[1:], atol=1e-12)
 
 
-def test_a_shift_that_drifts_is_known_less_well_far_from_the_middle():
+def test_the_error_of_a_drifting_along_track_offset_grows_away_from_mid_file():
     elements = parse_elements(VZLUSAT, "case")
     t = 86400 * np.array([0.0, 1.0, 2.0])
     plain = in_orbit(elements, EPOCH, t, shift_s=-5.0, shift_sigma_s=10.0)
@@ -300,7 +300,7 @@ def test_a_shift_that_drifts_is_known_less_well_far_from_the_middle():
     np.testing.assert_allclose(np.degrees(orbit.at(t).nadir_sigma_rad), turning, rtol=0.02)
 
 
-def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
+def test_torques_along_an_orbit_are_the_same_in_J2000_and_in_sun_axes():
     elements = parse_elements(VZLUSAT, "case")
     orbit = in_orbit(elements, EPOCH, [0.0, 600.0], shift_sigma_s=10)
     cube = ss.Vehicle("cube", inertia_kg_m2=np.diag([0.002, 0.005, 0.006]))
@@ -330,7 +330,7 @@ def test_the_orbit_serves_torques_in_J2000_and_with_the_sun_along_z():
     assert local.frame_N == "sun_z_local"
 
 
-def test_samples_dated_long_before_the_first_elements_are_counted():
+def test_a_warning_counts_samples_long_before_the_first_elements():
     far = parse_elements(VZLUSAT, "case")
     t = np.array([-50.0 * 86400, -20.0 * 86400, 0.0])
     notes = in_orbit(far, "2017-08-20T00:00:00Z", t).notes(t)
@@ -341,7 +341,7 @@ def test_samples_dated_long_before_the_first_elements_are_counted():
     assert not any("first" in note for note in in_orbit(far, "2017-08-20T00:00:00Z", t).notes(t))
 
 
-def test_old_elements_are_warned_about_and_the_nearest_taken():
+def test_the_nearest_elements_are_used_with_a_warning_if_they_are_old():
     far = parse_elements(VZLUSAT, "case")
     t = np.array([0.0, 6000.0])
     orbit = in_orbit(far, "2017-06-25T00:00:00Z", t)
@@ -463,7 +463,7 @@ def test_an_epoch_by_the_day_of_the_year_or_with_nanoseconds_is_read():
         ("NORAD_CAT_ID", -5, "the catalogue number .* cannot be read"),
     ],
 )
-def test_an_OMM_that_says_what_SGP4_is_not_is_refused(key, value, message, form):
+def test_an_OMM_of_another_theory_than_SGP4_is_refused(key, value, message, form):
     with pytest.raises(ss.InputError, match=f"case: {message}"):
         parse_elements(FORMS[form](ISS | {key: value}), "case")
 
@@ -486,7 +486,7 @@ PUBLISHED = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_published_OMMs_are_read_with_the_keys_that_say_what_SGP4_is_and_without(form):
+def test_published_OMMs_are_read_with_and_without_the_keys_of_their_theory(form):
     (plain,) = parse_elements(FORMS[form](ISS), "case")
     for more in (
         PUBLISHED,
@@ -500,7 +500,7 @@ def test_published_OMMs_are_read_with_the_keys_that_say_what_SGP4_is_and_without
         assert dict(elements.given) == dict(plain.given)
 
 
-def test_an_OMM_of_nine_digits_is_read_and_its_orbit_is_that_of_five():
+def test_an_OMM_with_a_nine_digit_number_gives_the_same_orbit_as_with_five():
     for number in (999999999, 799500123, "000025544", " 25544 ", 25544.0, "A5544", 340000):
         (elements,) = parse_elements(json.dumps(ISS | {"NORAD_CAT_ID": number}), "case")
         assert elements.number == {"A5544": 105544}.get(number, int(float(str(number).strip("A"))))
@@ -508,7 +508,7 @@ def test_an_OMM_of_nine_digits_is_read_and_its_orbit_is_that_of_five():
         assert np.linalg.norm(place) == pytest.approx(6.79e6, rel=3e-3)
 
 
-def test_numbers_padded_by_blanks_or_zeros_are_of_one_satellite():
+def test_catalogue_numbers_padded_by_blanks_or_zeros_are_one_satellite():
     for first, second in (("00005", "    5"), ("    5", "00005"), ("5    ", "    5")):
         lines = VANGUARD.splitlines()
         text = f"{lines[0][:2]}{first}{lines[0][7:]}\n{lines[1][:2]}{second}{lines[1][7:]}"
@@ -519,12 +519,12 @@ def test_numbers_padded_by_blanks_or_zeros_are_of_one_satellite():
     assert [one.number for one in parse_elements(both, "case")] == [25544, 25544]
 
 
-def test_the_message_of_several_that_is_wrong_is_named():
+def test_the_wrong_message_of_several_OMMs_is_named():
     with pytest.raises(ss.InputError, match="^case, message 2: REF_FRAME of the OMM"):
         parse_elements(json.dumps([ISS, ISS | {"REF_FRAME": "GCRF"}]), "case")
 
 
-def test_a_namespace_or_remarks_do_not_hide_or_part_an_OMM():
+def test_an_OMM_with_a_namespace_or_comments_is_read():
     text = _xml(ISS).replace("<ndm>", '<n:ndm xmlns:n="urn:ccsds:schema:ndmxml">')
     text = text.replace("</ndm>", "</n:ndm>").replace("omm>", "n:omm>")
     remarks = _kvn(ISS).replace("EPOCH", "COMMENT a = 1\nCOMMENT a = 1\nEPOCH", 1)
@@ -610,7 +610,7 @@ def test_damaged_elements_are_refused_in_one_sentence(text, message):
     assert "\n" not in str(said.value) and re.match("case", str(said.value))
 
 
-def test_elements_that_have_decayed_say_so():
+def test_elements_of_a_decayed_satellite_are_refused_as_decayed():
     low = parse_elements(_line(VZLUSAT, "15.20921507", "16.40921507"), "case")
     with pytest.raises(
         ss.InputError,

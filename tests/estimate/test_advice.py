@@ -71,7 +71,7 @@ def printed(pattern: str, text: str) -> float:
 TIMES = np.cumsum(10 + 4 * np.random.default_rng(3).random(12))
 
 
-def test_give_more_effort():
+def test_the_advice_to_raise_the_effort_completes_the_search():
     """A search cut short is complete with the effort that it names, and that is more than what was given."""
     data, setting = (
         seen([0.01, 0.012, -0.01], TIMES),
@@ -91,7 +91,7 @@ def test_give_more_effort():
     assert printed(r"--effort ([\d.e+]+)", more_effort(20.0)) == 200.0
 
 
-def test_give_a_smaller_largest_rate():
+def test_the_advice_to_lower_the_largest_rate_makes_the_search_possible():
     """With the rate that the sentence names the grid of starts is fine; with one a little larger it is not."""
     vehicle, data, _ = fast_body(60.0, np.random.default_rng(5), samples=5)
     from sunspin.estimate.rates.observe import observations
@@ -117,7 +117,7 @@ def test_give_a_smaller_largest_rate():
 
 
 @pytest.mark.long
-def test_state_the_zero_of_a_magnetometer_with_a_sigma(tmp_path):
+def test_the_advice_to_state_the_zero_of_a_magnetometer_gives_right_rates(tmp_path):
     """docs/howto/orbit.md: a zero of a third of the field, taken for none, fits no motion; with its sigma the motion comes."""
     zero, faces = (0.2, -0.3, 0.25), ("-X", "+Y", "-Z", "+X")
     case = spinners.Case(
@@ -140,7 +140,7 @@ def test_state_the_zero_of_a_magnetometer_with_a_sigma(tmp_path):
 
 
 @pytest.mark.parametrize("way", ["speed_rad_s", "speed_column", "left out"])
-def test_say_how_fast_a_wheel_turns(way):
+def test_the_advice_to_state_the_wheel_speed_removes_the_warning(way):
     data = seen([0.01, 0.012, -0.01], TIMES)
     wheel = ss.Wheel("w", [0, 1, 0], 3e-6)
     silent = ss.rates(replace(CUBE, wheels=(wheel,)), data, max_rate_rad_s=0.05, effort=1e-6)
@@ -162,7 +162,7 @@ def test_say_how_fast_a_wheel_turns(way):
     ].values
 
 
-def test_leave_a_sensor_out():
+def test_the_advice_to_leave_a_sensor_out_gives_right_rates():
     """The gyro's zero is off by 3 deg/s; what is printed is the option of the command line."""
     from sunspin.cli.rates import UNUSED
 
@@ -192,7 +192,7 @@ def test_leave_a_sensor_out():
 
 
 @pytest.mark.long
-def test_state_that_sensors_are_late():
+def test_the_advice_to_state_a_time_offset_removes_the_warning():
     data, run = cube_with_late_sensor("gyro", 5.3, np.random.default_rng(101))
     silent = ss.rates(cube_with_sensor("gyro", None), data, max_rate_rad_s=0.15)
     line = re.search(
@@ -209,7 +209,7 @@ def test_state_that_sensors_are_late():
     assert abs(stated.attrs["sensors_late_s"] - 5.3) < 3.5 * stated.attrs["sensors_late_sigma_s"]
 
 
-def test_set_the_scale_that_check_names(tmp_path):
+def test_the_advice_of_check_to_set_the_scale_removes_the_warning(tmp_path):
     """Readings in W that the vehicle file takes for mW: the line that is named is replaced by what is printed."""
     from sunspin.output.check.files import about_telemetry
 
@@ -240,7 +240,7 @@ def in_an_orbit(data: xr.Dataset, given: tuple[str, str], **options):
     )
 
 
-def test_turn_the_matrix_round(monkeypatch):
+def test_the_advice_to_reverse_the_matrix_of_the_magnetometer_makes_the_elements_fit(monkeypatch):
     monkeypatch.setattr(orbit_check, "COPIES", 10)
     vehicle, data, given, about = check_case(1, 1)
     orbit, wrong = (
@@ -259,7 +259,7 @@ def test_turn_the_matrix_round(monkeypatch):
     assert used is not None and "SIGN" not in words
 
 
-def test_widen_the_shift(monkeypatch):
+def test_the_advice_to_widen_the_along_track_offset_makes_the_elements_fit(monkeypatch):
     monkeypatch.setattr(orbit_check, "COPIES", 10)
     vehicle, data, given, about = check_case(1, 1)
     found = {}
@@ -279,7 +279,7 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
         return check_words.about_orbit(assess(vehicle, data), None, None)[1]
 
 
-def test_torques_of_most_passes_are_not_stronger_than_in_the_rest_of_the_file():
+def test_no_advice_on_torques_if_most_passes_of_the_file_have_them():
     def passes(*models: str) -> list[Pass]:
         nothing = Pass(*([None] * 7))
         return [nothing._replace(model=(model, 0.9)) for model in models]
@@ -292,7 +292,7 @@ def test_torques_of_most_passes_are_not_stronger_than_in_the_rest_of_the_file():
         assert not any("rest" in name for name in named)
 
 
-def test_a_body_that_is_decided_is_not_asked_for_its_inertia(monkeypatch):
+def test_a_decided_pass_gives_no_advice_on_the_inertia(monkeypatch):
     """A noise that is strong on the ladder and smaller once refined: the pass is decided, and the verdict says no other thing."""
     monkeypatch.setattr(estimate, "choose", lambda o, *_: (HIGHER_NOISES[0], o, "none"))
     sphere = replace(CUBE, inertia_kg_m2=np.eye(3))
@@ -304,7 +304,7 @@ def test_a_body_that_is_decided_is_not_asked_for_its_inertia(monkeypatch):
 
 
 @pytest.mark.long
-def test_give_its_inertia():
+def test_the_advice_to_state_the_inertia_makes_the_pass_decided():
     """A long body of three units at 3.4 deg/s, 12 s between samples, seen by the Sun alone: of unknown inertia it is not decided,
     and with its own one, products of inertia included, it is, rightly."""
     inertia = [[0.0355, 0.0001, -0.0025], [0.0001, 0.0369, 0.0023], [-0.0025, 0.0023, 0.0065]]
@@ -325,7 +325,7 @@ def test_give_its_inertia():
     assert np.abs(off / known["omega_sigma_all_B"].values[0]).max() < 4
 
 
-def test_more_draws_tell_what_periods_decide(monkeypatch):
+def test_the_advice_to_draw_more_makes_periods_decisive(monkeypatch):
     """A period that few draws have: the same draws, and eight times as many, as `--draws` gives."""
     decided = {}
     for count in (4000, 32000):

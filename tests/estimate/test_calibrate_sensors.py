@@ -48,7 +48,7 @@ def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
 )
 @pytest.mark.long
 @pytest.mark.parametrize("off", [1.0, 0.0])
-def test_sensors_that_are_off_are_found_and_others_left_alone(off, monkeypatch):
+def test_calibration_finds_sensor_errors_within_sigmas_and_changes_no_good_sensor(off, monkeypatch):
     twin = few(off)
     found = calibrated(twin, monkeypatch)
     z = deviations(twin, found)
@@ -94,7 +94,7 @@ def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch
     assert "magnetometer.zero = (" in str(found.sunspin.summary())
 
 
-def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
+def test_elements_that_do_not_fit_give_no_calibration(monkeypatch):
     with pytest.raises(
         ss.InputError,
         match="the elements do not fit the telemetry, which cannot be calibrated with them",
@@ -102,7 +102,7 @@ def test_elements_that_do_not_fit_calibrate_nothing(monkeypatch):
         calibrated(few(), monkeypatch, Verdict.REFUSED)
 
 
-def test_a_field_of_the_wrong_sign_is_not_calibrated(monkeypatch):
+def test_a_magnetometer_of_the_wrong_sign_is_not_calibrated(monkeypatch):
     check = OrbitCheck(
         0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), sign_turned=True
     )
@@ -130,7 +130,7 @@ def test_without_an_orbit_only_the_panels_are_calibrated():
     "modelled",
     "a gyro off by a known zero and scale beside rates found without it",
 )
-def test_a_gyro_is_calibrated_by_rates_found_without_it():
+def test_a_gyro_is_calibrated_by_rates_estimated_without_it():
     rng = np.random.default_rng(1)
     off = []
     for _ in range(30):
@@ -161,7 +161,7 @@ def test_a_gyro_is_calibrated_by_rates_found_without_it():
     assert fit_gyro(gyro, data, found) is None, "two passes do not show how far off their rates are"
 
 
-def test_the_keys_of_a_gyro_with_reversed_columns_read_it_as_the_fit_says():
+def test_written_keys_of_a_gyro_with_reversed_columns_read_as_the_fit():
     gyro, read = (
         Gyro(("-a", "b", "-c"), -0.5, [3, 1, 2], 5e-4),
         np.random.default_rng(1).normal(size=(20, 3)),
@@ -193,7 +193,7 @@ noise_rad_s = 1
 """
 
 
-def test_the_copy_keeps_order_and_comments():
+def test_the_calibrated_copy_keeps_order_and_comments_of_the_vehicle_file():
     field = ("magnetometer",)
     new = [
         NewValue(("panel", "+X"), "relative_gain", 6.5, 0.1, "s"),
@@ -216,7 +216,7 @@ def test_the_copy_keeps_order_and_comments():
         rewritten(FILE, [NewValue(("panel", "-X"), "gain_W", 1.0, 0.1, "s")])
 
 
-def test_the_command_writes_a_copy_and_never_over_a_file(tmp_path, monkeypatch):
+def test_calibrate_sensors_writes_a_copy_and_never_overwrites_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner = CliRunner()
     runner.invoke(cli, ["init", "."])

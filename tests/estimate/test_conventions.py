@@ -25,7 +25,7 @@ def quarter_turn_about_z():
     return ss.propagate(BALL, [0, 0, 0.1], [1, 0, 0], None, [0, QUARTER / 0.1]).isel(time=-1)
 
 
-def test_a_body_that_turns_left_sees_the_sun_move_right():
+def test_a_body_that_rotates_left_sees_the_sun_move_right():
     np.testing.assert_allclose(quarter_turn_about_z()["sun_B"], [0, -1, 0], atol=1e-12)
 
 

@@ -22,7 +22,7 @@ SPHERE = Vehicle(
 )
 
 
-def test_what_is_spent_counts_in_all_that_it_is_part_of():
+def test_effort_spent_in_a_part_counts_in_every_whole():
     with Effort(10.0 + 3 * BATCH) as whole:
         part = whole.part(4.0 + 2 * BATCH)
         with part:
@@ -39,13 +39,13 @@ def test_what_is_spent_counts_in_all_that_it_is_part_of():
 
 
 @pytest.mark.parametrize("given", [0, -1, np.nan, True, "ten", None])
-def test_an_effort_is_positive(given):
+def test_an_effort_that_is_not_positive_is_refused(given):
     with pytest.raises(ss.InputError, match="effort must be a positive number"):
         allowed(given)
 
 
 @pytest.mark.parametrize("given", ["0", "nan", "-3"])
-def test_an_effort_on_the_command_line_is_positive(given):
+def test_the_option_effort_refuses_what_is_not_positive(given):
     done = CliRunner().invoke(command, ["vehicle", "telemetry", "--effort", given])
     assert isinstance(
         done.exception, ss.InputError
@@ -74,7 +74,7 @@ def seen(n):
     )
 
 
-def test_a_search_that_may_not_go_on_ends_with_what_it_has():
+def test_a_search_at_its_budget_returns_the_best_so_far():
     o = observations(SPHERE, seen(4))[0]
     motion = Motion(Body.of(SPHERE), 1e-4, 0.03)
     with Effort(np.inf) as whole:
@@ -86,7 +86,7 @@ def test_a_search_that_may_not_go_on_ends_with_what_it_has():
 
 
 @pytest.mark.long
-def test_a_cut_search_is_never_decided():
+def test_a_search_stopped_at_its_budget_is_never_decided():
     setting = {"acceleration_noise": 1e-4, "max_rate_rad_s": 0.06}
     usual, cut = (ss.rates(SPHERE, seen(4), effort=effort, **setting) for effort in (1.0, 1e-6))
     assert (

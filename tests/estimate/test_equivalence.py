@@ -66,7 +66,7 @@ def test_two_opposite_columns_exchanged_are_a_mirror_of_the_file_as_it_is_writte
     assert not len(equivalence(lit(cube), AS_WRITTEN, exchange(cube, 0, 1)))
 
 
-def test_exchanges_that_a_turn_about_a_corner_of_the_cube_maps_are_equivalent():
+def test_exchanges_mapped_by_a_rotation_about_a_cube_corner_are_equivalent():
     """+x to +y to +z to +x: of a body whose moments are alike it leaves nothing to see; moments that differ tell."""
     cube, order = body(), [1, 2, 0, 4, 5, 3]
     corner = Change(
@@ -94,7 +94,7 @@ def test_a_mirror_reverses_a_wheel_but_not_one_along_its_normal(axis, seen):
     assert names(alike(weak, AS_WRITTEN, column_changes(craft, empty))) == seen | others
 
 
-def test_with_wings_the_columns_of_two_opposite_panels_alone_are_seen():
+def test_with_wing_panels_an_exchange_of_two_opposite_columns_is_detected():
     wings = [[0.5, 0.15, 0.85], [-0.5, 0.15, 0.85]]
     craft = body([*FACES[[0, 1, 3, 4, 5]], *wings], ("+x", "+y", "-x", "-y", "-z", "wa", "wb"))
     empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 7)))})
@@ -109,7 +109,7 @@ def test_with_wings_the_columns_of_two_opposite_panels_alone_are_seen():
     }
 
 
-def test_gains_count_within_their_sigmas_and_only_their_ratios_where_the_scale_is_free():
+def test_gains_distinguish_exchanges_beyond_their_sigmas_and_only_by_ratios_if_the_scale_is_free():
     def facts(sigma: float) -> dict[str, Fact]:
         return {f"panel.{name}.gain_W": Fact(1.0, sigma) for name in NAMES}
 
@@ -130,7 +130,7 @@ def test_gains_count_within_their_sigmas_and_only_their_ratios_where_the_scale_i
     np.testing.assert_allclose(found, -np.eye(3), atol=1e-12)
 
 
-def test_moments_count_within_their_sigmas():
+def test_moments_of_inertia_distinguish_exchanges_beyond_their_sigmas():
     """+x with +y exchanged is -x with -y exchanged seen in a mirror, if the moments about x and y are alike."""
     near = body(
         inertia_kg_m2=np.diag([0.0600, 0.0606, 0.09])
@@ -150,7 +150,7 @@ def test_moments_count_within_their_sigmas():
     assert len(equivalence(lit(product), AS_WRITTEN, exchange(product, 2, 5))) == 1
 
 
-def test_columns_that_were_never_lit_do_not_count_if_they_stay_dark():
+def test_columns_that_stay_dark_do_not_distinguish_exchanges():
     craft = body()
     seen = np.array([True, True, True, True, True, False])
     toward_z = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, 0.8], [-0.6, 0.0, 0.8]])
@@ -163,13 +163,13 @@ def test_columns_that_were_never_lit_do_not_count_if_they_stay_dark():
     np.testing.assert_allclose(found, Z, atol=1e-12)
 
 
-def test_panels_in_a_plane_leave_its_mirror():
+def test_panels_in_one_plane_leave_its_mirror_solution():
     ring = body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y"))
     found = equivalence(lit(ring), AS_WRITTEN, AS_WRITTEN)
     assert sorted(round(float(np.linalg.det(m))) for m in found) == [-1, 1]
 
 
-def test_a_motion_is_not_unique_if_its_symmetric_one_is_not_listed():
+def test_a_solution_whose_symmetric_one_is_not_listed_is_not_unique():
     """Sides only: the mirror along z changes no reading. With a panel on +z, lit or dark, the readings tell."""
     ring, omega, sigma = (
         body(FACES[[0, 1, 3, 4]], ("+x", "+y", "-x", "-y")),
@@ -206,7 +206,7 @@ SENSORS = Sensors(
     ("sensor", "as_read"),
     [("gyro_B", np.diag([1.0, -1.0, -1.0])), ("field_B", X), ("field_B", -X), ("sun_sensor_B", X)],
 )
-def test_a_sensor_that_was_read_tells_unless_its_axes_are_mirrored_too(sensor, as_read):
+def test_a_used_sensor_excludes_a_mirror_unless_its_axes_are_mirrored_too(sensor, as_read):
     craft = body(sensors=SENSORS)
     observed, columns = lit(craft, sensors=frozenset({sensor})), exchange(craft, 0, 3)
     assert not len(equivalence(observed, AS_WRITTEN, columns))
@@ -232,7 +232,7 @@ def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():
 
 
 @pytest.mark.parametrize(("shared", "count"), [(("x",), 2), (("x", "y", "z"), 8)])
-def test_the_file_itself_has_the_images_that_its_shared_inputs_have(shared, count):
+def test_a_file_with_shared_inputs_has_their_symmetric_solutions(shared, count):
     """Opposite panels on one input: the mirrors that the search makes images by are those of the equivalence."""
     channels = tuple(Channel(name, (f"+{name}", f"-{name}"), "sum") for name in shared)
     craft = body(channels=channels)

@@ -53,7 +53,7 @@ def telemetry(seed: int, samples: int = 24):
     ].values
 
 
-def test_the_field_stands_for_the_sun_where_its_noise_is_stated():
+def test_a_magnetometer_with_stated_noise_replaces_the_sun_direction():
     data, _ = telemetry(1)
     o, why, source = observations(CUBE, data)
     assert source == "field" and [type(term) for term in o.terms] == [FieldDirection, TurningAxes]
@@ -76,7 +76,7 @@ def test_the_field_stands_for_the_sun_where_its_noise_is_stated():
 
 @pytest.mark.evidence("rates", "modelled", "a magnetometer alone, without an orbit")
 @pytest.mark.long
-def test_rates_by_the_field_alone_and_what_is_not_known(tmp_path):
+def test_rates_from_the_field_alone_are_right_and_name_what_is_unknown(tmp_path):
     pulls = []
     for seed in (1, 2, 3):
         data, omega = telemetry(seed)

@@ -40,7 +40,7 @@ def numbers(one: Calibration) -> np.ndarray:
     return np.concatenate([one.matrix_T.ravel(), one.matrix_T @ one.zero, one.values[12:13]])
 
 
-def test_errors_are_those_of_the_fit_carried_to_matrix_zero_and_place():
+def test_calibration_errors_follow_from_the_fit_of_matrix_zero_and_position():
     fit = made()
     slope = np.stack(
         [
@@ -67,7 +67,7 @@ def test_errors_are_those_of_the_fit_carried_to_matrix_zero_and_place():
     np.testing.assert_allclose(np.diag(fit.covariance)[1], 4 * np.diag(fit.model)[1], rtol=1e-9)
 
 
-def test_along_another_shift_the_calibration_is_another_one():
+def test_the_calibration_depends_on_the_along_track_offset():
     """Moved by two sigmas the fit's other unknowns follow their regression on the place, and its sigma is the orbit's."""
     fit = made()
     sigma = fit.shift_sigma_s
@@ -79,7 +79,7 @@ def test_along_another_shift_the_calibration_is_another_one():
     np.testing.assert_allclose((found.errors[:, 12] ** 2).sum(), 1.0, rtol=1e-9)
 
 
-def test_a_reading_is_no_better_than_its_strength():
+def test_the_noise_of_a_reading_is_at_least_that_of_its_field_strength():
     calibration = FieldCalibration(1e-9 * np.eye(3), np.zeros(3), np.zeros((13, 13)), 5e-7, 1e-9)
     field = 3e-5 * np.array([[1.0, 0, 0], [0, 0.6, 0.8], [0, 1, 0], [0, 0, 1]])
     reading = 1e9 * field * np.array([1.0, 1.4, 0.8, np.nan])[:, None]

@@ -75,7 +75,7 @@ def odd(i: int, speed_rad_s: float) -> Odd:
     "modelled",
     "one axis of a gyro reversed where a strong wheel turns the rate round between samples",
 )
-def test_a_reversed_axis_is_named_although_a_wheel_turns_the_rate_round_between_samples(
+def test_a_reversed_gyro_axis_is_named_even_if_a_wheel_rotates_the_rate_between_samples(
     count, named
 ):
     """Three axes of each satellite reversed; the right reading is never accused, and no other is named."""

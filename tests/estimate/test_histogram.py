@@ -19,7 +19,7 @@ def area(hist, target, weights) -> float:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_it_is_half_the_area_between_the_distributions(seed):
+def test_histogram_emd_is_half_the_area_between_the_distributions(seed):
     rng = np.random.default_rng(seed)
     hist = rng.exponential(1.0, (6, BINS)) * (rng.random((6, BINS)) < rng.uniform(0.02, 1, (6, 1)))
     hist[:, : rng.integers(1, 40)] = 0.0  # both distributions are zero there
@@ -32,7 +32,7 @@ def test_it_is_half_the_area_between_the_distributions(seed):
     assert emd[-1] == 1  # nothing was seen
 
 
-def test_by_hand():
+def test_histogram_emd_by_hand():
     """All mass in the lowest bin: from its middle, on average, to the target."""
     hist = np.zeros((2, BINS), dtype=np.float32)
     hist[0, 0], hist[1, -1] = 1.0, 0.25

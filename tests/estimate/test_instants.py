@@ -27,7 +27,7 @@ def vehicle(stated):
 
 
 @pytest.mark.long
-def test_offsets_that_are_stated_mend_rates_that_would_be_wrong():
+def test_stated_reading_offsets_give_right_rates_that_would_be_wrong_without():
     """At 4 deg/s some panels are read 20 degrees late: unstated, the rate is off three times as far, and nothing shows it (of
     twelve seeds five were decided beyond three sigma then)."""
     rng = np.random.default_rng(1)

@@ -32,7 +32,7 @@ def aligned(rng: np.random.Generator, n: int = 200) -> tuple[Seen, Predicted]:
 
 
 @pytest.mark.parametrize("of_readings", [False, True])
-def test_the_gradient_is_that_of_the_residuals(of_readings):
+def test_the_gradient_of_field_strength_and_angle_is_that_of_the_residuals(of_readings):
     seen, there = aligned(np.random.default_rng(1), 20)
     model = Model(seen.field / 200, seen.sun, seen.covariance, of_readings)
     unknown = 0.2 * np.random.default_rng(2).normal(size=(1, 12))
@@ -49,7 +49,7 @@ def test_the_gradient_is_that_of_the_residuals(of_readings):
             )
 
 
-def test_noise_of_the_readings_does_not_shrink_the_matrix():
+def test_noise_of_the_magnetometer_does_not_shrink_its_matrix():
     """Fitted to the strength alone the scale is 0.5 to 0.7 of the true one here."""
     scales = []
     for seed in range(6):
@@ -59,7 +59,7 @@ def test_noise_of_the_readings_does_not_shrink_the_matrix():
     assert 0.85 < np.median(scales) < 1.15
 
 
-def test_the_field_between_shifts_is_that_of_the_orbit():
+def test_the_field_interpolated_between_offsets_is_that_of_the_orbit():
     _, data, given, _ = check_case(1, 1)
     orbit = in_orbit(
         parse_elements("\n".join(given), "twin"),

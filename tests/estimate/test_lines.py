@@ -24,7 +24,7 @@ def cloud(seed: int, noise: float, n: int = 60):
     "fit_lines", "validated", "the four lines of the paper, from points scattered about them"
 )
 @pytest.mark.parametrize("seed", range(4))
-def test_the_paper_lines_are_recovered_from_unlabelled_points(seed, reached):
+def test_the_published_lines_are_recovered_from_unlabelled_points(seed, reached):
     points, lines = cloud(seed, 0.008)
     fitted = ss.fit_lines(points, 4, seed=seed)
     for index, line in zip(match_lines(fitted, lines), lines, strict=True):
@@ -45,7 +45,7 @@ def test_outliers_hardly_move_a_line():
     assert abs(fitted["direction"].values[0] @ [0.6, 0, 0.8]) > 0.9999
 
 
-def test_the_order_of_points_does_not_matter():
+def test_fitted_lines_do_not_depend_on_the_order_of_points():
     points, _ = cloud(0, 0.01, 30)
     order = np.random.default_rng(5).permutation(len(points))
     a, b = ss.fit_lines(points), ss.fit_lines(points[order])
@@ -103,7 +103,7 @@ def test_two_lines_through_few_points_are_the_best_of_all_assignments(seed):
 
 
 @pytest.mark.parametrize("per_line", [3, 5, 8])
-def test_a_ragged_set_of_few_points_gives_its_lines(per_line):
+def test_lines_are_fitted_to_few_irregular_points(per_line):
     rng = np.random.default_rng(per_line)
     lines = published_lines(ss.load_case("philae"))
     points = np.concatenate([p + np.linspace(-0.4, 0.4, per_line)[:, None] * d for p, d in lines])
@@ -118,7 +118,7 @@ def test_a_ragged_set_of_few_points_gives_its_lines(per_line):
     assert fitted["count"].values.tolist() == [per_line] * 4
 
 
-def test_what_the_dataset_says_is_so():
+def test_the_dataset_of_lines_holds_their_points_and_distances():
     points, _ = cloud(3, 0.01, 25)
     fitted = ss.fit_lines(points)
     origin, direction, member = (fitted[name].values for name in ("point", "direction", "member"))
@@ -133,7 +133,7 @@ def test_what_the_dataset_says_is_so():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_deviation_by_hand(sign):
+def test_line_deviation_by_hand(sign):
     """The z axis against a line that leaves it at atan(3/4): 0.3 away at height 0.4, whichever way the line points."""
     z_axis = (np.zeros(3), sign * np.array([0, 0, 2.0]))
     deviation = line_deviation(
@@ -144,7 +144,7 @@ def test_deviation_by_hand(sign):
     assert deviation["mean"] == pytest.approx(0.15)
 
 
-def test_partners_are_found_for_all_lines_together():
+def test_lines_are_paired_all_together():
     """The nearest fitted line of both references is line 0; together they are nearest when one of them takes line 1."""
     up = np.array([0, 0, 1.0])
     fitted = ss.fit_lines([[0, 0, 0], [0, 0, 1], [0, 0, 2], [10, 0, 0], [10, 0, 1]], 2)
@@ -152,7 +152,7 @@ def test_partners_are_found_for_all_lines_together():
     assert match_lines(fitted, reference) == [1, 0]
 
 
-def test_too_few_points_are_refused():
+def test_lines_through_too_few_points_are_refused():
     with pytest.raises(ss.InputError, match="at least 8 different points"):
         ss.fit_lines(np.zeros((20, 3)), 4)
 

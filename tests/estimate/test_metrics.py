@@ -70,7 +70,7 @@ def test_direction_error_by_hand():
     )  # E = 0.0028 is 6.1 degrees
 
 
-def test_samples_without_a_direction_are_left_out():
+def test_direction_error_leaves_out_samples_without_a_direction():
     sim = np.tile(np.eye(3)[0], (3, 1))
     meas = np.array([[1, 0, 0], [np.nan] * 3, [0, 1, 0]])
     assert ss.direction_error(sim, meas) == pytest.approx(0.25)
@@ -104,12 +104,12 @@ def test_tracks_that_cannot_be_compared_are_refused(sim, meas, said):
 
 
 @pytest.mark.parametrize("weights", [[1], [1, -1], [0, 0], [1, np.nan]])
-def test_bad_weights_are_refused(weights):
+def test_emd_refuses_bad_weights(weights):
     with pytest.raises(ss.InputError, match="weights_a"):
         ss.emd([0.1, 0.2], [0.3], weights)
 
 
 @pytest.mark.parametrize(("a", "b"), [([], [0]), ([2.0], [0]), ([np.nan], [0])])
-def test_bad_samples_are_refused(a, b):
+def test_emd_refuses_bad_samples(a, b):
     with pytest.raises(ss.InputError, match="z_a"):
         ss.emd(a, b)

@@ -55,7 +55,7 @@ def orbit(twin, by_deg=0.0, **options):
     return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, **options)
 
 
-def test_right_elements_fit_and_their_shift_is_found(twin, judged):
+def test_right_elements_fit_and_their_along_track_offset_is_estimated(twin, judged):
     used, found, _ = judged
     about = twin[3]
     assert (
@@ -88,13 +88,13 @@ def test_elements_of_another_plane_are_refused(twin, few_copies, one_clock):
     )
 
 
-def test_a_field_of_the_wrong_sign_is_seen_by_the_sun(twin, fits, few_copies):
+def test_a_magnetometer_of_the_wrong_sign_is_detected_by_the_sun(twin, fits, few_copies):
     vehicle, data, _, _ = twin
     found = check_orbit(orbit(twin), vehicle, data.assign(field_B=-data["field_B"]))
     assert found.sign_turned and not fits.sign_turned
 
 
-def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round():
+def test_a_magnetometer_of_the_wrong_sign_is_detected_even_if_calibration_reverses_it():
     nine = check_case(1, 9)
     given, mirrored = orbit(nine), []
     for sign in (1, -1):
@@ -109,7 +109,7 @@ def test_a_field_of_the_wrong_sign_is_seen_where_the_calibration_turns_it_round(
     assert mirrored == [False, True]
 
 
-def test_few_data_leave_it_open_and_the_shift_as_it_was(twin, one_clock):
+def test_few_data_leave_the_orbit_check_inconclusive_and_the_offset_at_its_prior(twin, one_clock):
     vehicle, data, _, about = twin
     few = data.isel(time=slice(0, 12))
     given = orbit(twin)
@@ -136,7 +136,7 @@ def test_few_data_leave_it_open_and_the_shift_as_it_was(twin, one_clock):
     assert nothing.verdict is Verdict.UNDECIDED and nothing.shift_s == 4.0 and nothing.samples == {}
 
 
-def test_the_vehicle_file_gives_the_orbit_and_the_command_line_comes_first(twin, tmp_path):
+def test_elements_of_the_command_line_override_those_of_the_vehicle_file(twin, tmp_path):
     vehicle, data, given, _ = twin
     assert orbit_of(vehicle, data) is None
     with pytest.raises(
@@ -170,7 +170,7 @@ def test_the_vehicle_file_gives_the_orbit_and_the_command_line_comes_first(twin,
 
 @pytest.mark.real_data
 @pytest.mark.long
-def test_skcube_is_found_behind_its_sister(data_dir):
+def test_skcube_is_located_behind_its_sister_satellite_on_the_orbit(data_dir):
     """The elements of VZLUSAT-1, two months later: three crude checks by hand gave -140, -200 and -240 s."""
     text = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
 2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""

@@ -24,7 +24,7 @@ INERTIA = PHILAE.require_inertia()
 
 
 @pytest.mark.parametrize("wheel", [0.0, 3.0])
-def test_rates_of_a_symmetric_body_are_the_textbooks(wheel):
+def test_periods_of_a_symmetric_body_agree_with_the_textbook(wheel):
     """Precession |H| / A whatever spins along the axis, nutation none; spin is what is left of the rate about the axis."""
     A, C = 13.0, 16.0
     omega = np.array([[0.1, 0.2, 0.3], [0.1, -0.1, -0.4], [0.0, 0.05, 0.0]])
@@ -38,7 +38,7 @@ def test_rates_of_a_symmetric_body_are_the_textbooks(wheel):
     )
 
 
-def test_a_pure_spin_has_a_sum_alone():
+def test_a_pure_spin_has_one_period_only():
     found = pd.euler_rates(
         np.array([[0, 0, 0.4], [0, 0, -0.4]]),
         np.array([[0, 0, 6.0], [0, 0, -6.0]]),
@@ -50,7 +50,7 @@ def test_a_pure_spin_has_a_sum_alone():
     )
 
 
-def test_periods_of_draws_are_those_of_the_reference_motion():
+def test_periods_of_draws_agree_with_the_reference_motion():
     tree, state = philae_draws(2)
     seen = pd.Period(25200.0 + 900.0, 20.0, 1.0)
     t = 900.0 + np.linspace(-2, 2, 9) * 20.0
@@ -72,7 +72,7 @@ def weighted(monkeypatch, periods, seen, n=4000):
     return tree["period"].to_dataset()
 
 
-def test_weights_are_those_of_the_mean_of_three_densities(monkeypatch):
+def test_weights_by_a_period_are_the_mean_of_three_densities(monkeypatch):
     """Spins of 10 to 20 s even, the others far away: the weighted mean is the period seen, and it is the spin."""
     periods = np.stack(
         [np.full(4000, 90.0), np.linspace(10, 20, 4000), np.full(4000, np.nan)], axis=1
@@ -93,13 +93,13 @@ def test_weights_are_those_of_the_mean_of_three_densities(monkeypatch):
     ("middle", "sigma", "words"),
     [(14.0, 0.05, "periods not used: of these draws"), (60.0, 1.0, "no solution")],
 )
-def test_what_the_draws_do_not_tell_is_said(monkeypatch, middle, sigma, words):
+def test_periods_that_the_draws_cannot_decide_are_reported(monkeypatch, middle, sigma, words):
     periods = np.stack([np.linspace(10, 20, 4000)] * 3, axis=1)
     found = weighted(monkeypatch, periods, pd.Period(0.0, middle, sigma))
     assert not found.attrs["told"] and words in of_draws.period_sentences(found)[0]
 
 
-def test_the_option_is_read():
+def test_the_option_period_is_parsed():
     assert period("13.0+-0.5@15:50", "2014-11-12T08:35:00Z") == pd.Period(26100.0, 13.0, 0.5)
     for text in ("13", "13+-0@100", "13+-1", "x+-1@100"):
         with pytest.raises(InputError):
@@ -130,7 +130,7 @@ def two_modes(weight, sigma=1e-6, inertia_errors=None):
     return Observations(t, momentum, ()), one, Motion(body, 0.0, 1.0)
 
 
-def test_periods_of_modes_are_those_of_the_reference_motion():
+def test_periods_of_solutions_agree_with_the_reference_motion():
     """Free motion with a wheel that is held, before and after the sample nearest to what was seen."""
     seen = pd.Period(45.0, 25.0, 0.5)
     found = of_modes.periods_of(*two_modes([0.5, 0.5]), seen).reshape(2, -1, 3)
@@ -154,7 +154,7 @@ def test_periods_of_modes_are_those_of_the_reference_motion():
         np.testing.assert_allclose(np.median(periods, axis=0), reference, rtol=2e-3)
 
 
-def test_a_period_weighs_modes_and_says_what_turned():
+def test_a_period_reweights_solutions_and_names_the_kind_of_rotation():
     o, one, motion = two_modes([0.8, 0.2])
     periods = np.median(
         of_modes.periods_of(o, one, motion, pd.Period(40.0, 25.0, 0.5)).reshape(2, -1, 3), axis=1
@@ -183,7 +183,7 @@ def test_a_period_weighs_modes_and_says_what_turned():
         of_modes.weighted(o, [one], motion, [pd.Period(200.0, 25.0, 0.5)])
 
 
-def test_rates_with_a_period_have_both_weights():
+def test_rates_with_a_period_keep_probabilities_with_and_without_it():
     rng = np.random.default_rng(4)
     data, _ = simulated_pass(
         CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], uneven_times(rng, 8, 20.0, 0.3), rng

@@ -49,7 +49,7 @@ def tree(cube, telemetry):
 
 
 @pytest.mark.evidence("posterior", "modelled", "the truth of a twin without wheel, six faces")
-def test_the_truth_is_in_a_unique_region(tree, reached):
+def test_the_posterior_is_unique_and_contains_the_truth(tree, reached):
     modes = tree["solutions"]
     off = RATE - modes["omega_B"].values[0]
     assert tree.attrs["verdict_word"] == "unique", tree.attrs["verdict"]
@@ -60,12 +60,12 @@ def test_the_truth_is_in_a_unique_region(tree, reached):
     assert tree.attrs["p_value"] > 0.01 and tree.attrs["pareto_k"] < 0.7
 
 
-def test_the_scale_that_nobody_stated_is_found(tree):
+def test_the_posterior_estimates_an_unstated_brightness_scale(tree):
     scale = np.exp(tree["posterior"]["log_scale"].values)
     assert abs(scale.mean() - 0.37) < 4 * scale.std()
 
 
-def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkeypatch):
+def test_a_solution_with_too_few_draws_has_the_spread_of_the_proposal(tree, monkeypatch):
     """One draw alone would have a sigma of zero."""
     rng = np.random.default_rng(0)
     rates = RATE + 0.01 * rng.normal(size=(400, 3))
@@ -97,7 +97,9 @@ def test_a_region_of_too_few_draws_has_the_spread_of_those_proposed(tree, monkey
 
 
 @pytest.mark.parametrize(("most", "rounds"), [(1.0, 2), (1e12, 5)])
-def test_draws_end_at_the_computing_budget_and_say_so(most, rounds, cube, telemetry, monkeypatch):
+def test_draws_end_at_the_computing_budget_with_a_warning(
+    most, rounds, cube, telemetry, monkeypatch
+):
     """Spent by the search: a round that learns and the last follow, where draws that are never good would have five."""
     monkeypatch.setattr(importance, "ROUNDS", 2)
     monkeypatch.setattr(importance, "GOOD_SHARE", 2.0)
@@ -114,7 +116,7 @@ def test_draws_end_at_the_computing_budget_and_say_so(most, rounds, cube, teleme
     assert bool(row["search_complete"]) is not cut and bool(row["decided"]) is not cut
 
 
-def test_groups_and_names(tree, telemetry):
+def test_the_posterior_has_the_documented_groups_and_names(tree, telemetry):
     posterior = tree["posterior"]
     assert posterior["omega_B"].shape == (1, 1000, 3) and posterior["sun_B"].shape == (1, 1000, 3)
     assert np.allclose(np.linalg.norm(posterior["sun_B"].values, axis=-1), 1.0, atol=1e-6)
@@ -128,7 +130,7 @@ def test_groups_and_names(tree, telemetry):
 
 
 @pytest.mark.evidence("posterior", "verified", "one and two threads, and a stored run, bit by bit")
-def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tmp_path):
+def test_the_posterior_is_bit_identical_for_any_workers_and_when_resumed(cube, telemetry, tmp_path):
     given = cube, telemetry.isel(time=slice(0, 9)), SMALL
     first, *others = (
         ss.posterior(*given, seed=0, draws=300, **options)
@@ -150,7 +152,7 @@ def test_same_bits_for_any_workers_and_when_resumed(cube, telemetry, tmp_path):
 @pytest.mark.parametrize(
     ("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)]
 )
-def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
+def test_swapped_panels_are_not_explained(samples, max_rate, cube, telemetry):
     """The negative control: two neighbouring panels exchanged."""
     wrong = telemetry.isel(time=slice(0, samples)).copy(deep=True)
     wrong["current_A"].values[:, [0, 2]] = wrong["current_A"].values[:, [2, 0]]
@@ -162,7 +164,7 @@ def test_swapped_panels_are_refused(samples, max_rate, cube, telemetry):
 
 
 @pytest.mark.long
-def test_a_wheel_whose_speed_nothing_tells_leaves_nothing_decided(cube, telemetry):
+def test_a_wheel_of_unknown_speed_leaves_the_posterior_undecided(cube, telemetry):
     craft = replace(cube, wheels=(ss.Wheel("fly", [0, 0, 1], 1e-4),))
     standing = ss.posterior(craft, telemetry, SMALL, seed=0, draws=300, workers=1)
     read = telemetry.assign(
@@ -176,7 +178,7 @@ def test_a_wheel_whose_speed_nothing_tells_leaves_nothing_decided(cube, telemetr
     assert measured.attrs["verdict_word"] == "unique" and measured["passes"]["decided"].values[0]
 
 
-def test_wheels_turn_at_first_as_the_telemetry_says(cube, telemetry):
+def test_the_first_wheel_speed_is_that_of_the_telemetry(cube, telemetry):
     craft = replace(
         cube,
         wheels=(ss.Wheel("a", [0, 0, 1], 1e-4, speed_rad_s=7.0), ss.Wheel("b", [1, 0, 0], 1e-4)),
@@ -190,7 +192,7 @@ def test_wheels_turn_at_first_as_the_telemetry_says(cube, telemetry):
     assert untold(craft, read) == untold(craft, telemetry) == ["b"]
 
 
-def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, telemetry):
+def test_a_prior_that_excludes_the_truth_gives_a_verdict_and_no_exception(cube, telemetry):
     found = ss.posterior(
         cube,
         telemetry.isel(time=slice(0, 8)),
@@ -204,9 +206,7 @@ def test_a_prior_that_excludes_the_truth_is_an_answer_and_no_defect(cube, teleme
 
 
 @pytest.mark.parametrize(("most", "word"), [(1e12, "not explained"), (1.0, "not sure")])
-def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(
-    most, word, cube, telemetry, monkeypatch
-):
+def test_two_rounds_of_draws_suffice_if_no_motion_fits(most, word, cube, telemetry, monkeypatch):
     """Rates far below the true one; how good draws about such a motion are is nothing to learn for. Draws that the computing budget
     ends refuse nothing."""
     monkeypatch.setattr(estimate, "MOST_EFFORT", most)
@@ -216,7 +216,7 @@ def test_where_no_motion_fits_by_far_two_rounds_of_draws_say_so(
     assert len(found["sampling"]["pareto_k"]) == 2
 
 
-def test_numbers_that_are_missing_are_left_out(cube, telemetry):
+def test_the_posterior_leaves_out_missing_readings(cube, telemetry):
     holes = telemetry.copy(deep=True)
     holes["current_A"].values[3, 2] = np.nan
     holes["current_A"].values[5] = np.nan
@@ -226,7 +226,7 @@ def test_numbers_that_are_missing_are_left_out(cube, telemetry):
     assert off @ np.linalg.solve(found["solutions"]["omega_cov_B"].values[0], off) < 16.3
 
 
-def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
+def test_an_outlier_and_an_unstated_noise_do_not_bias_the_posterior(cube, telemetry):
     """A converter's filler, 2e8 times full Sun, and dark panels with noise to both sides of zero, which tells how much."""
     silent = replace(cube, telemetry=replace(cube.telemetry, noise=None))
     wild = telemetry.copy(deep=True)
@@ -251,7 +251,7 @@ def test_a_wild_reading_and_an_unstated_noise_spoil_nothing(cube, telemetry):
 @pytest.mark.evidence(
     "posterior", "verified", "differences of another step, through the wheel's stop"
 )
-def test_derivatives_are_those_of_another_step(reached):
+def test_derivatives_of_the_posterior_agree_with_those_of_another_step_size(reached):
     case = ss.load_case("philae")
     data, _, _ = readings(case.vehicle, case.telemetry)
     unknown, _ = model(case.vehicle, None, 0.02)
@@ -297,7 +297,7 @@ def test_derivatives_are_those_of_another_step(reached):
         assert off < 2e-3, j
 
 
-def test_heavy_tails_are_noticed():
+def test_heavy_tails_of_the_weights_are_reported():
     rng = np.random.default_rng(0)
     assert effective_draws(np.array([3.0, 3.0, 0.0])) == pytest.approx(2.0)
     assert pareto_tail(np.zeros(2000)) < 0
@@ -362,13 +362,13 @@ def _found(**changes):
         ),
     ],
 )
-def test_the_verdict_in_words(changes, word, part):
+def test_the_verdict_of_a_posterior_has_the_documented_words(changes, word, part):
     got, text = verdict(_found(**changes))
     assert got == word and part in text
     assert bool(explained("posterior", [text])) is (word != "unique")
 
 
-def test_a_stretch_without_light_is_named_by_its_times():
+def test_a_time_range_without_light_is_named():
     t_s, lit = 100.0 + 20.0 * np.arange(10), np.ones(10, dtype=bool)
     lit[[1, 2, 5]] = False
     assert dark_stretch(t_s, lit) == ""
@@ -376,7 +376,7 @@ def test_a_stretch_without_light_is_named_by_its_times():
     assert dark_stretch(t_s, lit) == "no panel lit from 200 to 260 s (4 samples)"
 
 
-def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemetry):
+def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(cube, telemetry):
     shadow = telemetry.copy(deep=True)
     shadow["current_A"][-6:] = 1e-3 * shadow["current_A"][:6].values
     said = ss.posterior(cube, shadow, PRIORS, draws=200).attrs["verdict"]
@@ -398,7 +398,7 @@ def test_a_pass_that_runs_into_shadow_says_so_and_accuses_no_panel(cube, telemet
     assert off @ np.linalg.solve(lit["solutions"]["omega_cov_B"].values[0], off) < 16.3
 
 
-def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, telemetry):
+def test_the_search_widens_if_rates_reach_their_limit(cube, telemetry):
     """A body near a sphere, whose largest rate is given 3 % too small: what is asked for is done, and the motion is decided."""
     ball = replace(cube, inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
     data = ss.twin(
@@ -440,6 +440,6 @@ def test_a_larger_rate_is_searched_where_the_rates_run_into_the_limit(cube, tele
         ({"seed": -1}, "seed must be a whole number"),
     ],
 )
-def test_bad_input_is_told(cube, telemetry, arguments, part):
+def test_bad_input_of_the_posterior_is_named(cube, telemetry, arguments, part):
     with pytest.raises(InputError, match=part.replace("(", r"\(").replace(")", r"\)")):
         ss.posterior(cube, telemetry, **arguments)

@@ -30,7 +30,7 @@ def summary(path):
 
 
 @pytest.mark.evidence("posterior", "validated", "ArviZ reads the file and computes the same means")
-def test_arviz_summarises_the_file(tmp_path):
+def test_arviz_opens_and_summarises_the_file_of_a_posterior(tmp_path):
     tree, state = philae_draws(400, 0.003)
     table = summary(write_netcdf(tmp_path / "posterior.nc", tree))
     mean = table["mean"].astype(float)

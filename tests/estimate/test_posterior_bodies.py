@@ -52,7 +52,7 @@ def seen(vehicle: Vehicle, deg_s: float, count: int, step_s: float):
     return omega, ss.twin(vehicle, truth, seed=1)
 
 
-def test_a_tensor_is_a_body_by_its_moments_and_by_what_is_left_of_it_without_wheels():
+def test_a_tensor_is_physical_with_and_without_the_wheels():
     cube, wheeled = small_cube(), craft("wheel", 0.1)
     tensors = np.array(
         [
@@ -76,7 +76,7 @@ def test_a_tensor_is_a_body_by_its_moments_and_by_what_is_left_of_it_without_whe
 
 @pytest.mark.parametrize("kind", ["box", "plate", "wheel"])
 @pytest.mark.parametrize(("relative", "products"), [(0.3, 0.0), (1.0, 0.0), (2.0, 1.0)])
-def test_no_run_has_a_body_that_cannot_exist(kind, relative, products):
+def test_no_draw_has_an_unphysical_inertia(kind, relative, products):
     """Whatever the unknowns say; and those of bodies that can exist stay as they are, to the last bit."""
     vehicle = craft(kind, relative, products)
     unknown, _ = model(vehicle, {"wheel_inertia": 1.0} if vehicle.wheels else {}, 1.0)
@@ -89,7 +89,7 @@ def test_no_run_has_a_body_that_cannot_exist(kind, relative, products):
     assert is_body(unknown._bodies(unknown.possible(u, 0.9)), vehicle).all()
 
 
-def test_the_prior_of_the_inertia_adds_up_to_one_over_bodies():
+def test_the_inertia_prior_is_normalised_over_physical_bodies():
     """Against an integral on a grid; small sigmas are not cut, to the last bit."""
     vehicle = craft("box", 0.5)
     unknown, _ = model(vehicle, {}, 1.0)
@@ -126,7 +126,7 @@ EVERY = [
     ("kind", "relative", "products", "deg_s", "count", "step_s"),
     [*QUICK, *(pytest.param(*case, marks=pytest.mark.long) for case in EVERY)],
 )
-def test_fits_and_weights_stay_among_bodies_without_a_warning(
+def test_fits_and_weights_keep_to_physical_bodies_without_a_warning(
     kind, relative, products, deg_s, count, step_s
 ):
     """The two places where motions with drawn inertias are run, from starts far out in the priors."""
@@ -151,7 +151,7 @@ def test_fits_and_weights_stay_among_bodies_without_a_warning(
     assert not np.isnan(weighed["log_likelihood"]).any()
 
 
-def test_one_motion_that_takes_too_long_does_not_end_the_others():
+def test_one_motion_that_exceeds_its_steps_does_not_end_the_others():
     cube = small_cube()
     rows = k.Rows(
         np.array([[0.1, 0.0, 0.0], [1e6, 0.0, 0.0]]), np.tile(SUN, (2, 1)), np.zeros((2, 0))
@@ -165,7 +165,7 @@ def test_one_motion_that_takes_too_long_does_not_end_the_others():
     assert np.isnan(run.sun_B[1]).all()
 
 
-def test_a_wheel_too_fast_for_the_window_is_refused_and_the_window_named_will_do():
+def test_a_wheel_too_fast_for_the_window_is_refused_with_a_window_that_works():
     slow = craft("wheel", 0.1)
     fast = replace(slow, wheels=[replace(slow.wheels[0], speed_rad_s=5e5)])
     unknown, _ = model(fast, {"max_rate_rad_s": 0.1, "wheel_speed": 0.0}, 1.0)
@@ -178,7 +178,7 @@ def test_a_wheel_too_fast_for_the_window_is_refused_and_the_window_named_will_do
     require_computable(model(slow, {"max_rate_rad_s": 0.1}, 1.0)[0], t, 0.1)
 
 
-def test_periods_are_of_inertias_that_bodies_have():
+def test_periods_use_physical_inertias_only():
     body = Body.of(craft("box", 1.0, 0.5))
     made = np.array([one.inertia for one in period._bodies(body, np.random.default_rng(0))])
     assert len(made) == period.INERTIAS and len(np.unique(made[:, 0, 0])) == period.INERTIAS
@@ -196,7 +196,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(modes, "MOST_SEARCH", 2000)
 
 
-def test_an_inertia_as_uncertain_as_its_moments_gives_bodies(quick):
+def test_an_inertia_as_uncertain_as_its_moments_gives_physical_draws(quick):
     vehicle = craft("box", 1.0, 0.5)
     _, telemetry = seen(vehicle, 3.0, 8, 10.0)
     with warnings.catch_warnings():
@@ -243,7 +243,7 @@ def random_case(number: int):
 
 @pytest.mark.long
 @pytest.mark.parametrize("number", range(8))
-def test_any_inertia_and_rate_gives_a_posterior_or_advice_that_helps(number, quick):
+def test_any_inertia_and_rate_gives_a_posterior_or_advice_that_works(number, quick):
     """No other exception and no warning; what a refusal asks for is done, and then there is a result."""
     vehicle, telemetry, priors = random_case(number)
     with warnings.catch_warnings():
@@ -269,12 +269,12 @@ def nothing_drawn(vehicle, priors=None):
     return text, re.search(r"give --prior (\w+)=([\d.e+-]+)", text)
 
 
-def test_where_nothing_can_be_drawn_the_largest_rate_is_named():
+def test_if_nothing_can_be_drawn_the_message_names_the_largest_rate():
     assert nothing_drawn(craft("box", 0.0, 0.0))[1].groups() == ("max_rate_rad_s", "0.2")
 
 
 @pytest.mark.parametrize("rod", [False, True])
-def test_the_advice_on_the_inertia_leaves_most_of_its_prior_to_bodies(rod):
+def test_the_inertia_sigma_in_the_advice_keeps_most_of_the_prior_physical(rod):
     """A long thin body is at the edge of the triangle rule: a sigma of 1 % is too much for it."""
     vehicle = craft("box", 2.0, 1.0)
     if rod:

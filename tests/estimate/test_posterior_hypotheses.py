@@ -34,7 +34,7 @@ def state_of(torque_deg: np.ndarray) -> State:
     return State(np.full((len(u), 3), 0.01), np.tile(SUN, (len(u), 1)), u)
 
 
-def test_a_torque_of_any_size_is_expected_and_the_chances_of_all_add_up_to_one():
+def test_prior_probabilities_of_torque_sizes_add_up_to_one():
     turned = np.geomspace(1e-3, 5e3, 4000)
     state = state_of(turned)
     without = replace(state, u=np.delete(state.u, PLACES, axis=1))
@@ -66,7 +66,7 @@ def fit_of(precise: np.ndarray, told: np.ndarray, fitted: float) -> Mixture:
     )
 
 
-def test_a_size_that_was_not_fitted_gets_the_mass_that_a_gaussian_has_under_it():
+def test_a_torque_size_that_was_not_fitted_gets_its_gaussian_mass():
     """For readings that answer linearly, linear theory is exact: the integral under each size, by the formula of two normals."""
     told, fitted, at = np.array([0.02, -0.01, 0.005]), 0.3, 5 + np.array(PLACES)
     one = fit_of(400.0 * np.eye(3), told, fitted)
@@ -115,7 +115,7 @@ def sampled(
     return Sampled(one, drawn)
 
 
-def test_evidence_weighs_hypotheses_and_what_a_torque_bends_stays_one_region():
+def test_evidence_weighs_torques_and_a_curved_ridge_stays_one_solution():
     stated, bent = (
         sampled("as stated", 0.0, [0.1, 0.0, 0.0], 1e-4),
         sampled("a torque", np.log(3.0), [0.103, 0.0, 0.0], 3e-4),
@@ -137,7 +137,7 @@ def test_evidence_weighs_hypotheses_and_what_a_torque_bends_stays_one_region():
 @pytest.mark.parametrize(
     ("share", "copies", "listed"), [(0.004, 1, 1), (0.004, 40, 2), (0.05, 1, 2), (5e-5, 40, 1)]
 )
-def test_a_region_of_few_draws_is_not_listed_unless_it_counts(share, copies, listed):
+def test_a_solution_of_few_draws_is_listed_only_with_a_large_probability(share, copies, listed):
     """One draw has no width: it was told with a sigma of zero."""
     region = np.repeat([0, 1], [500, copies])
     log_weight = np.log(np.where(region == 0, (1 - share) / 500, share / copies))
@@ -147,7 +147,7 @@ def test_a_region_of_few_draws_is_not_listed_unless_it_counts(share, copies, lis
     assert _listed(drawn) == listed
 
 
-def test_draws_go_on_under_their_own_torques():
+def test_predictions_propagate_each_draw_under_its_own_torque():
     rng, t = np.random.default_rng(0), np.array([-100.0, 200.0])
     omega = 0.05 * rng.standard_normal((3, 3))
     tree = tree_of(

@@ -68,7 +68,7 @@ def test_the_pooled_mixture_has_the_density_of_all_rounds():
     np.testing.assert_allclose(density(made, state), expected, rtol=1e-9)
 
 
-def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
+def test_the_quadratic_transform_is_inverted_exactly_and_keeps_volume():
     """Every coordinate is stiff or along the sheet; what is bent comes back, and densities are those of the straight sheet."""
     assert sorted([*SHEET.stiff, *SHEET.along]) == list(range(5 + UNKNOWNS)) and set(
         SHEET.bending
@@ -94,7 +94,7 @@ def test_a_sheet_is_bent_and_straightened_again_without_a_change_of_volume():
     )
 
 
-def test_components_that_share_draws_are_one_region():
+def test_mixture_components_that_share_draws_are_one_solution():
     """Two that share all their draws and one apart, with draws enough for several blocks; the last has no weight at all."""
     n = 2 * BLOCK + 7
     share = np.full((n, 4), 1e-9)
@@ -140,6 +140,6 @@ def all_rows(rows, *_):
     return rows(np.arange(rows.n_rows))
 
 
-def test_a_mode_of_which_no_draw_is_possible_has_no_sample():
+def test_a_mixture_component_without_possible_draws_has_no_sample():
     """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
     assert sample(*cube_and_modes(0.05, [0.0]), 0, all_rows, 1000) is None

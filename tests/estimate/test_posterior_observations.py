@@ -63,13 +63,13 @@ def likelihood(craft, telemetry, priors=None, observations=()):
     )
 
 
-def test_a_field_that_is_three_sigma_off_costs_what_it_should(craft, telemetry):
+def test_a_field_direction_off_by_three_sigma_costs_four_and_a_half(craft, telemetry):
     good, state = likelihood(craft, telemetry, None, [field(telemetry)])
     bad, _ = likelihood(craft, telemetry, None, [field(telemetry, 3 * SIGMA)])
     assert (good(state) - bad(state))[0] == pytest.approx(4.5, abs=0.05)
 
 
-def test_derivatives_along_rate_and_speed_of_the_wheel_are_those_of_differences(craft, telemetry):
+def test_derivatives_by_rate_and_wheel_speed_agree_with_differences(craft, telemetry):
     found, state = likelihood(craft, telemetry, None, [field(telemetry)])
     speed = 5 + found.model.where("wheel_speed")[0]
     jacobian = found.linearised(state).jacobian
@@ -95,7 +95,7 @@ def test_derivatives_along_rate_and_speed_of_the_wheel_are_those_of_differences(
         ({"value": [1.0]}, "3 finite numbers"),
     ],
 )
-def test_a_field_that_makes_no_sense_is_told(craft, telemetry, changes, part):
+def test_a_field_observation_without_valid_direction_is_refused(craft, telemetry, changes, part):
     with pytest.raises(InputError, match=part):
         readings(craft, telemetry, observations=[field(telemetry) | changes])
     without = {key: value for key, value in field(telemetry).items() if key != "angle_rad"}

@@ -31,7 +31,7 @@ def craft():
     "verified",
     "predictions against the reference propagator, through the stop and backward",
 )
-def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
+def test_predicted_draws_agree_with_the_reference_through_the_wheel_stop_and_backward(craft):
     """Each with its own inertia, friction and wheel speed; the wheel stops at about 2500 s."""
     tree, state = philae_draws(3, 0.003)
     times = [TOUCHDOWN, 25200.0, 27000.0, LATER]
@@ -56,7 +56,7 @@ def test_draws_run_as_the_reference_does_through_the_stop_and_backward(craft):
     assert np.all((momentum > 0) & (momentum < np.pi / 2))
 
 
-def test_the_twins_truth_before_and_after_its_collision(craft):
+def test_predicted_rates_before_and_after_the_collision_agree_with_the_simulated_truth(craft):
     """One draw at the truth: 16:20 is as in the twin's file, and what comes after is one of the three legs' many outcomes."""
     truth = AS_DRAWN_TRUTH
     tree, _ = philae_draws(400)
@@ -86,7 +86,7 @@ def test_the_twins_truth_before_and_after_its_collision(craft):
     )
 
 
-def test_a_vehicle_without_a_known_collision_flies_on(craft):
+def test_without_a_known_collision_a_prediction_continues_the_flight(craft):
     tree, _ = philae_draws(2)
     del tree.attrs["epoch_utc"]
     found = predicted(craft, tree, [LATER])
@@ -94,7 +94,7 @@ def test_a_vehicle_without_a_known_collision_flies_on(craft):
     assert np.array_equal(found["omega_B"].values, predict(craft, tree, [LATER])["omega_B"].values)
 
 
-def test_intervals_are_those_of_the_draws(craft):
+def test_predicted_intervals_are_the_quantiles_of_the_draws(craft):
     tree, state = philae_draws(500, 0.003)
     table = {row["quantity"]: row for row in intervals(predict(craft, tree, [25200.0]))}
     expected = np.quantile(state.omega[:, 1], [0.05, 0.25, 0.5, 0.75, 0.95])
@@ -107,18 +107,18 @@ def test_intervals_are_those_of_the_draws(craft):
 
 
 @pytest.mark.parametrize("times", [[], [np.nan], [25200.0 + 8 * 86400]])
-def test_times_that_make_no_sense_are_refused(craft, times):
+def test_predictions_at_invalid_times_are_refused(craft, times):
     with pytest.raises(InputError, match="times to predict must be numbers, at most a week"):
         predict(craft, philae_draws(1)[0], times)
 
 
-def test_another_vehicle_is_refused(craft):
+def test_a_prediction_with_another_vehicle_is_refused(craft):
     heavier = replace(craft, inertia_kg_m2=1.1 * np.array(craft.inertia_kg_m2))
     with pytest.raises(InputError, match="not of this vehicle"):
         predict(heavier, philae_draws(1)[0], [LATER])
 
 
-def test_it_is_written_drawn_and_told(craft, tmp_path):
+def test_a_prediction_is_saved_drawn_and_summarised(craft, tmp_path):
     from sunspin.cli.values import times
     from sunspin.landing.predictions import with_predictions
     from sunspin.output.kinds.predictions import predicted_figure, predictions_summary

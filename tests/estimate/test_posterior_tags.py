@@ -36,7 +36,7 @@ def telemetry_of(vehicle: Vehicle, off_s: float, seed: int = 0):
 
 
 @pytest.mark.parametrize("off_s", [0.003, 0.03, 0.3])
-def test_the_integral_over_a_tags_error_is_that_of_a_fine_sum(cube, off_s):
+def test_the_likelihood_integrated_over_time_tag_errors_agrees_with_a_fine_sum(cube, off_s):
     data, _, _ = readings(cube, telemetry_of(cube, off_s))
     likelihood = Likelihood(model(cube, SMALL | {"time_s": off_s}, 1.0)[0], data, 1e-9)
     state = State(RATE[None], SUN[None], np.zeros((1, len(likelihood.model.unknowns))))
@@ -66,7 +66,7 @@ def test_the_integral_over_a_tags_error_is_that_of_a_fine_sum(cube, off_s):
 
 @pytest.mark.long
 @pytest.mark.parametrize("max_rate", [0.25, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_tags_that_are_off_are_noticed_and_allowed_for(max_rate, cube):
+def test_time_tags_that_are_off_are_reported_and_modelled(max_rate, cube):
     """Said to be exact they are not believed, as the residuals tell; the region that allows for them holds the truth."""
     telemetry, small = telemetry_of(cube, 0.3, seed=1), SMALL | {"max_rate_rad_s": max_rate}
     found = ss.posterior(cube, telemetry, small, seed=0, draws=1000, workers=1)
@@ -92,7 +92,7 @@ def _at_first_tag(cube: Vehicle, telemetry) -> np.ndarray:
     ).omega_B[0, 0]
 
 
-def test_exact_tags_are_left_alone(cube):
+def test_exact_time_tags_are_not_modelled_as_off(cube):
     found = ss.posterior(cube, telemetry_of(cube, 0.0), SMALL, seed=0, draws=1000, workers=1)
     assert found.attrs["time_sigma_s"] == 0.0 and found.attrs["verdict_word"] == "unique", (
         found.attrs["verdict"]

@@ -56,7 +56,7 @@ def tilted(cube):
 @pytest.mark.evidence(
     "posterior", "verified", "differences of the misfit, of each panel's turns and of one in common"
 )
-def test_derivatives_by_tilts_are_those_of_differences(cube, tilted):
+def test_derivatives_by_panel_misalignment_agree_with_differences(cube, tilted):
     data, _, _ = readings(cube, tilted)
     unknown, told = model(cube, PRIORS | {"tilt": 0.05, "tilt_common": 0.03}, 0.5)
     assert (told["tilt"], told["tilt_common"]) == ("2.86 deg (given)", "1.72 deg (given)")
@@ -74,7 +74,7 @@ def test_derivatives_by_tilts_are_those_of_differences(cube, tilted):
         assert jacobian[..., 5 + i].any()
 
 
-def test_sigmas_are_those_of_the_file_unless_given(cube):
+def test_misalignment_sigmas_come_from_the_file_unless_given(cube):
     assert (
         not np.any([*stated_sigma(cube)[0], stated_sigma(cube)[1]])
         and model(cube, PRIORS, 0.5)[0].turns is None
@@ -116,7 +116,7 @@ def test_sigmas_are_those_of_the_file_unless_given(cube):
     "modelled",
     "best fits of twins with tilted panels: known of, and as a negative control unknown",
 )
-def test_known_tilts_widen_the_rates_by_as_much_as_they_move_them(cube, reached):
+def test_a_misalignment_sigma_widens_the_rates_by_as_much_as_it_moves_them(cube, reached):
     """Squared distances of true rates from best fits, three degrees of freedom each: right where tilts are unknowns only."""
     found = {0.0: [], TILT: []}
     for seed in range(8):
@@ -139,7 +139,7 @@ def test_known_tilts_widen_the_rates_by_as_much_as_they_move_them(cube, reached)
     "verified",
     "turns drawn given the motion: the integral over them, by draws of the prior",
 )
-def test_turns_drawn_given_the_motion_have_the_density_that_is_told(cube, tilted, reached):
+def test_misalignments_drawn_given_the_motion_have_the_stated_density(cube, tilted, reached):
     data, _, _ = readings(cube, tilted)
     unknown, _ = model(cube, PRIORS | {"tilt": 0.004, "tilt_common": 0.004, "noise": 0.0}, 0.5)
     likelihood = Likelihood(unknown, replace(data, sigma=np.full(6, 0.03)), 1e-8)
@@ -165,7 +165,7 @@ def test_turns_drawn_given_the_motion_have_the_density_that_is_told(cube, tilted
     assert off < 4
 
 
-def test_a_twin_takes_turns_or_their_sigma(cube, tilted):
+def test_simulated_telemetry_takes_misalignments_or_their_sigma(cube, tilted):
     known = {"omega_B": RATE, "sun_B": SUN, "t_s": tilted["time"].values, "scale": 0.5}
     again = ss.twin(
         cube, known | {"tilt_B_rad": tilted.attrs["truth_tilt_B_rad"].reshape(6, 3)}, seed=3

@@ -63,7 +63,7 @@ def within(tree, rate) -> np.ndarray:
     "verified",
     "the symmetry of four side panels: two mirror images of half the weight",
 )
-def test_the_mirror_image_that_side_panels_cannot_tell_has_half_the_weight():
+def test_the_mirror_solution_of_side_panels_has_half_the_probability():
     vehicle = craft(4)
     tree = ss.posterior(vehicle, samples(vehicle, 20), PRIORS, seed=0, draws=1000, workers=2)
     weight = tree["solutions"]["probability"].values
@@ -77,7 +77,7 @@ def test_the_mirror_image_that_side_panels_cannot_tell_has_half_the_weight():
     assert tree.attrs["verdict_word"] == "aliases", tree.attrs["verdict"]
 
 
-def test_noise_on_dark_panels_is_no_contradiction():
+def test_noise_on_unlit_panels_is_explained():
     vehicle = craft(6)
     telemetry = samples(vehicle)
     value = telemetry["current_A"].values
@@ -88,7 +88,7 @@ def test_noise_on_dark_panels_is_no_contradiction():
     assert abs(tree.attrs["noise_sigmas"]) < 2
 
 
-def test_a_family_is_made_denser_as_the_window_grows():
+def test_starts_become_denser_as_the_window_grows():
     """Members of a line two steps apart get others between them; a motion that the readings hold fast gets none."""
     reach = 100.0
     along = np.array([1.0, 0.0, 0.0])
@@ -117,7 +117,7 @@ def test_a_family_is_made_denser_as_the_window_grows():
     assert len(still) == 10 and np.all(never == 0.0) and np.all(beside == reach)
 
 
-def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
+def test_trial_solutions_are_joined_with_better_ones_nearby_and_none_is_lost():
     rng = np.random.default_rng(1)
     cloud = State(
         0.1 + 0.002 * rng.standard_normal((60, 3)),
@@ -134,7 +134,7 @@ def test_hypotheses_are_joined_with_better_ones_nearby_and_none_is_lost():
         assert (i in kept) == (same_mode(cloud, normal, i, better, JOINED) is None)
 
 
-def test_hypotheses_of_one_motion_are_fitted_to_their_end_before_they_are_joined():
+def test_trial_solutions_of_one_motion_are_fitted_completely_before_they_are_joined():
     """Begun off their sheet and under twice the noise, as a longer window leaves them, nine are one."""
     vehicle = craft(6)
     data, _, _ = readings(vehicle, samples(vehicle, 8))
@@ -158,7 +158,7 @@ def test_hypotheses_of_one_motion_are_fitted_to_their_end_before_they_are_joined
 
 
 @pytest.mark.parametrize("lit", [20, 7])
-def test_brightness_is_guessed_where_no_sample_gives_a_direction_and_most_are_dark(lit):
+def test_brightness_is_estimated_if_no_sample_gives_a_direction_and_most_are_dark(lit):
     vehicle = craft(4)
     telemetry = samples(vehicle, 20)
     telemetry["current_A"].values[lit:] = 0.0
@@ -167,14 +167,14 @@ def test_brightness_is_guessed_where_no_sample_gives_a_direction_and_most_are_da
 
 
 @pytest.mark.parametrize("i", [pytest.param(8, marks=pytest.mark.long), 149])
-def test_motions_once_lost_are_found(i):
+def test_true_motions_that_were_missed_once_are_listed(i):
     """8: of a family that the first three samples leave, one member seemed to fit to a tenth of the noise; 149: noise on three dark
     panels was taken for light of a Sun six times as bright."""
     found = judge_posterior(posterior_case(0, i, TURNS), 1)
     assert found["word"] == "unique" and found["sigmas"] < NEAR_SIGMAS, found["verdict"]
 
 
-def test_readings_that_do_not_tell_an_unknown_do_not_stop_the_fit():
+def test_an_unknown_that_the_readings_do_not_determine_does_not_stop_the_fit():
     """One lit panel, read to a part in a billion, tells nothing across it: rounding leaves the curvature without an inverse."""
     vehicle = craft(4, noise=1e-9)
     telemetry = samples(vehicle, 3)

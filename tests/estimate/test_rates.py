@@ -26,7 +26,7 @@ def errors(result, run):
     )
 
 
-def test_what_is_estimated_with_the_motion_covers_the_truth():
+def test_parameters_estimated_with_the_motion_cover_the_truth():
     """Moments off by 2 to 3 %, with a stated sigma: each estimate lies where its sigma says."""
     rng, fact = np.random.default_rng(5), Fact(value=0.0, sigma=0.002)
     stated = replace(CUBE_WITHOUT_NOISE_STATED, inertia_kg_m2=np.diag([0.041, 0.0485, 0.0305]))
@@ -74,7 +74,7 @@ def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
 
 
 @pytest.mark.evidence("rates", "modelled", "a twin with a wheel; without its wheel it must not fit")
-def test_a_wheel_is_part_of_the_motion():
+def test_rates_of_a_body_with_a_wheel_cover_the_truth():
     wheel = ss.Wheel("w", [0, 0, 1], 3e-4, speed_rad_s=30.0)
     craft = replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
     rng = np.random.default_rng(3)
@@ -95,7 +95,7 @@ def test_a_wheel_is_part_of_the_motion():
     )
 
 
-def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
+def test_a_wheel_speed_of_the_wrong_sign_is_named_and_leaves_the_pass_undecided():
     """Half a turn of the rate between samples, forward or back: both signs fit some motion, one of them far worse."""
     wheel = ss.Wheel("reaction-y", [0, 1, 0], 3e-4, speed_rad_s=40.0)
     craft, turned = (
@@ -145,7 +145,7 @@ def test_a_wheel_of_the_wrong_sign_is_not_decided_and_is_named():
     assert right["columns_checked"].values[0] == "unchecked"
 
 
-def test_a_wheel_of_untold_speed_leaves_nothing_decided():
+def test_a_wheel_of_unstated_speed_leaves_every_pass_undecided():
     data, _ = simulated_pass(
         CUBE_WITHOUT_NOISE_STATED,
         [0.01, 0.012, -0.01],
@@ -189,7 +189,7 @@ def evenly_spaced():
     return ss.rates(craft, data, acceleration_noise=1e-4, max_rate_rad_s=0.16), craft, data, run
 
 
-def test_evenly_spaced_samples_leave_aliases_and_they_are_listed(evenly_spaced):
+def test_evenly_spaced_samples_have_aliases_that_are_listed(evenly_spaced):
     result, _, _, run = evenly_spaced
     weight = result["probability"].values[0]
     assert np.isfinite(weight).sum() >= 2
@@ -219,7 +219,7 @@ def test_a_gyro_decides_between_aliases_and_narrows_the_rate(evenly_spaced):
     assert both.attrs["gyro_used"] == 1 and alone.attrs["gyro_used"] == 0
 
 
-def test_attitude_turns_the_local_sun_into_the_body():
+def test_the_estimated_attitude_rotates_the_sun_of_N_into_the_body():
     from scipy.spatial.transform import Rotation
 
     rng = np.random.default_rng(4)
@@ -243,7 +243,7 @@ def test_attitude_turns_the_local_sun_into_the_body():
         Body(np.diag([1.0, 1.2, 0.8]), np.array([1e-6, 0.0, 0.0]), False),
     ],
 )
-def test_the_answer_of_a_step_is_its_derivative(body):
+def test_the_derivatives_of_a_motion_step_agree_with_differences(body):
     rng = np.random.default_rng(6)
     omega, dt = 0.03 * rng.normal(size=(5, 3)), np.full(5, 20.0)
     ends = Ends(
@@ -267,7 +267,7 @@ def test_the_answer_of_a_step_is_its_derivative(body):
 
 
 @pytest.mark.evidence("rates", "verified", "the reference propagator over one interval")
-def test_a_step_agrees_with_the_reference_propagator(reached):
+def test_a_motion_step_agrees_with_the_reference_propagator(reached):
     t = np.array([0.0, 25.0])
     run = ss.propagate(CUBE_WITHOUT_NOISE_STATED, [0.03, -0.02, 0.05], [0.0, 0.0, 1.0], None, t)
     matrix, rate = step(
@@ -280,7 +280,7 @@ def test_a_step_agrees_with_the_reference_propagator(reached):
     )
 
 
-def test_aliases_pass_the_same_attitudes_and_uneven_times_have_none():
+def test_aliases_have_the_same_attitudes_at_even_samples_and_uneven_samples_have_none():
     """A body at 3 deg/s seen every 30 s, once after 60: with 15 deg/s allowed, a turn less and one more."""
     t, rate = np.array([0.0, 30.0, 60.0, 120.0]), np.radians([2.0, -1.0, 2.0])
     seen = Rotation.from_rotvec(-t[:, None] * rate)
@@ -306,7 +306,7 @@ def test_aliases_pass_the_same_attitudes_and_uneven_times_have_none():
         (lambda d: d.assign(power_W=0 * d["power_W"]), "fewer than three samples"),
     ],
 )
-def test_what_cannot_be_done_is_a_sentence(change, text):
+def test_telemetry_without_rates_is_refused_in_one_sentence(change, text):
     data, _ = simulated_pass(
         CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5)
     )
@@ -317,7 +317,7 @@ def test_what_cannot_be_done_is_a_sentence(change, text):
 @pytest.mark.parametrize(
     "bad", [{"max_rate_rad_s": float("nan")}, {"acceleration_noise": -1.0}, {"source": "stars"}]
 )
-def test_bad_settings_are_sentences(bad):
+def test_bad_settings_of_rates_are_refused_in_one_sentence(bad):
     data, _ = simulated_pass(
         CUBE_WITHOUT_NOISE_STATED, [0.01, 0.02, 0.0], np.arange(6) * 20.0, np.random.default_rng(5)
     )
@@ -325,7 +325,7 @@ def test_bad_settings_are_sentences(bad):
         ss.rates(CUBE_WITHOUT_NOISE_STATED, data, **bad)
 
 
-def test_no_rate_below_the_largest_allowed_is_a_sentence():
+def test_a_largest_rate_below_every_solution_is_refused_in_one_sentence():
     data, _ = simulated_pass(
         CUBE_WITHOUT_NOISE_STATED,
         [0.0, 0.05, 0.0],

@@ -45,7 +45,7 @@ def pushed(size, in_body):
 
 
 @pytest.mark.parametrize("frame", ["B", "N"])
-def test_a_steady_torque_pushes_as_the_equations_of_motion_say(frame):
+def test_the_effect_of_a_steady_torque_agrees_with_the_equations_of_motion(frame):
     """Over 10 s at 2.7 deg/s, for a torque as weak as differences allow."""
     t, size = np.array([0.0, 10.0]), 1e-6 * np.array([1.0, -2.0, 1.5])
     free, turned = spin(START, t)
@@ -58,7 +58,7 @@ def test_a_steady_torque_pushes_as_the_equations_of_motion_say(frame):
     np.testing.assert_allclose(made, expected, atol=5e-3 * np.abs(expected[:3]).max())
 
 
-def test_the_evidence_of_a_smaller_torque_is_that_of_its_integral():
+def test_the_evidence_of_a_smaller_torque_agrees_with_its_integral():
     """One unknown x, log likelihood -(x - 2)^2 / 0.08, priors of sigma 1 and 0.3."""
     x = np.linspace(-10, 10, 20001)
     like = np.exp(-((x - 2) ** 2) / 0.08)
@@ -98,9 +98,7 @@ def motions(log_evidence, deg_s):
         (-20.0, 0.0, 0.0, 0.01),  # nothing but the data counts
     ],
 )
-def test_which_alias_is_the_likelier_does_not_hang_on_the_prior_of_the_rate(
-    slower, faster, low, high
-):
+def test_the_likelier_alias_does_not_depend_on_the_rate_prior(slower, faster, low, high):
     weight = pooled([motions([slower, faster], [1.4, 12.0])])
     assert weight.sum() == pytest.approx(1.0) and low < weight[0] < high
 
@@ -154,7 +152,7 @@ def tried(push, noise, zero_deg_s=None, zero_sigma=0.0):
         ),
     ],
 )
-def test_what_moved_the_body_is_named_and_its_rates_are_right(push, noise, words):
+def test_an_unmodelled_torque_or_step_is_named_and_the_rates_are_right(push, noise, words):
     found, omega = tried(push, noise)
     best = max(found, key=lambda trial: trial.best)
     assert best.hypothesis.what == words
@@ -167,9 +165,7 @@ def test_what_moved_the_body_is_named_and_its_rates_are_right(push, noise, words
     ("zero", "words"),
     [([0.0, 0.0, 0.0], AS_STATED), ([0.3, 0.0, -0.2], "a zero of the gyro of (0.")],
 )
-def test_a_zero_of_the_gyro_that_the_file_does_not_have_is_named_and_the_rates_are_right(
-    zero, words
-):
+def test_an_unstated_gyro_zero_is_named_and_the_rates_are_right(zero, words):
     """Before, such a body was said to swing quicker than the samples."""
     found, omega = tried(None, 1e-6, zero)
     best = max(found, key=lambda trial: trial.best)
@@ -178,7 +174,7 @@ def test_a_zero_of_the_gyro_that_the_file_does_not_have_is_named_and_the_rates_a
     assert off < 0.05
 
 
-def test_the_zero_of_a_gyro_that_is_stated_with_a_sigma_needs_no_other_model():
+def test_a_gyro_zero_stated_with_a_sigma_needs_no_alternative_model():
     """What the name of the other zero asks for is done, and the pass is explained as stated."""
     named = max(
         tried(None, 1e-6, [0.3, 0.0, -0.2])[0], key=lambda trial: trial.best
@@ -193,7 +189,7 @@ def test_the_zero_of_a_gyro_that_is_stated_with_a_sigma_needs_no_other_model():
     )
 
 
-def test_hypotheses_that_lead_to_one_motion_share_its_weight():
+def test_alternative_models_of_one_motion_share_its_probability():
     groups = counted(tried(None, 1e-6)[0])
     assert (
         len(groups) == 1
@@ -225,6 +221,6 @@ def short(off_rad):
     return {trial.hypothesis.what: float(np.exp(trial.best - total)) for trial in found}
 
 
-def test_of_a_short_pass_a_reading_that_the_others_contradict_is_left_out():
+def test_an_outlier_of_a_short_pass_is_left_out():
     assert short(0.7)["without the reading of the Sun at 60 s"] > 0.8
     assert sum(weight for what, weight in short(0.0).items() if what.startswith("without")) < 0.02

@@ -28,7 +28,7 @@ from tests.support.simulate import cube_with_late_sensor, cube_with_sensor
         ),
     ],
 )
-def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
+def test_a_time_offset_is_estimated_within_its_sigma(kind, seed, late, reached):
     data, run = cube_with_late_sensor(kind, late, np.random.default_rng(seed))
     result = ss.rates(cube_with_sensor(kind, Clock(0.0, 5.0)), data, max_rate_rad_s=0.15)
     found, sigma = result.attrs["sensors_late_s"], result.attrs["sensors_late_sigma_s"]
@@ -41,13 +41,13 @@ def test_a_lateness_is_found_with_its_sigma(kind, seed, late, reached):
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["gyro", pytest.param("attitude", marks=pytest.mark.slow)])
-def test_no_lateness_is_suspected_where_there_is_none(kind):
+def test_sensors_without_a_time_offset_get_no_warning(kind):
     prompt, _ = cube_with_late_sensor(kind, 0.0, np.random.default_rng(101))
     silent = ss.rates(cube_with_sensor(kind, None), prompt, max_rate_rad_s=0.15).attrs
     assert "late" not in silent["verdict"].lower() and np.isnan(silent["sensors_late_s"])
 
 
-def test_the_clock_of_a_vehicle_file_is_read():
+def test_the_time_offset_of_a_vehicle_file_is_read():
     text = 'name = "a"\n[clock]\nsensors_late_s = { value = 1.5, sigma = 2.0, source = "guess" }\n'
     assert parse_vehicle(text, "a").sensors.clock == Clock(1.5, 2.0)
     with pytest.raises(ss.SunspinError, match="sigma of clock.sensors_late_s"):
@@ -60,7 +60,7 @@ def test_the_clock_of_a_vehicle_file_is_read():
     "modelled",
     "a gyro read backwards looks late by half a turn: its axes are named, and no clock",
 )
-def test_a_gyro_that_is_read_backwards_is_not_called_late():
+def test_a_gyro_with_reversed_axes_gets_no_warning_on_a_time_offset():
     telemetry, _ = cube_with_late_sensor("gyro", 0.0, np.random.default_rng(0))
     result = ss.rates(cube_with_sensor("gyro", None), telemetry.assign(gyro_B=-telemetry["gyro_B"]))
     assert "LATE" not in result.attrs["verdict"] and np.isnan(result.attrs["sensors_late_s"])

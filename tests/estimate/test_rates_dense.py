@@ -59,7 +59,7 @@ def attitudes(run) -> np.ndarray:
     return (Rotation.from_quat(run["B_from_N"].values) * first.inv() * turn).as_matrix()
 
 
-def test_between_kept_samples_it_is_the_true_motion(pass_):
+def test_the_motion_between_kept_samples_is_the_true_one(pass_):
     _, run, o, kept = pass_
     attitude, omega, every = attitudes(run), run["omega_B"].values, np.arange(len(o))
     track = Track(
@@ -78,7 +78,7 @@ def test_between_kept_samples_it_is_the_true_motion(pass_):
 
 @pytest.mark.parametrize("every", [3, 6, 9])
 @pytest.mark.parametrize("wheel", [400.0, 0.0])
-def test_curves_between_samples_bend_as_the_motion_does(every, wheel, pass_):
+def test_interpolated_curves_follow_the_true_motion(every, wheel, pass_):
     """With samples up to 80 degrees of turn apart; straight lines between them are far off."""
     _, _, o, _ = pass_
     at = np.arange(0, 121, every)
@@ -104,7 +104,7 @@ def test_curves_between_samples_bend_as_the_motion_does(every, wheel, pass_):
     )
 
 
-def test_the_mean_answers_as_differences_say(pass_):
+def test_derivatives_of_the_mean_rate_agree_with_differences(pass_):
     _, run, o, kept = pass_
     attitude, omega, every = (
         attitudes(run)[None, kept],
@@ -127,7 +127,7 @@ def test_the_mean_answers_as_differences_say(pass_):
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
-def test_the_bridge_is_what_both_ends_leave_open(share):
+def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share):
     """The product of the two laws that white acceleration gives from either held end."""
     span, noise = 40.0, 3e-5
 
@@ -148,7 +148,7 @@ def test_the_bridge_is_what_both_ends_leave_open(share):
 @pytest.mark.evidence(
     "rates", "modelled", "the mean rate of a dense pass, of which the smoother keeps a part"
 )
-def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
+def test_a_dense_pass_reports_all_samples_and_their_mean(pass_, reached):
     telemetry, run, _, _ = pass_
     found = ss.rates(CRAFT, telemetry, max_rate_rad_s=0.09, acceleration_noise=NOISE)
     assert found.sizes["time"] == telemetry.sizes["time"]
@@ -171,13 +171,13 @@ def test_all_samples_of_a_dense_pass_are_told_and_their_mean(pass_, reached):
     assert (other / found["omega_sigma_B"].values[0, 0]).max() > 20
 
 
-def test_wheels_too_fast_to_be_followed_are_refused(pass_):
+def test_wheels_too_fast_for_the_sampling_are_refused(pass_):
     wheel = replace(WHEEL, speed_rad_s=1e12)
     with pytest.raises(InputError, match="more than can be followed"):
         ss.rates(replace(CRAFT, wheels=(wheel,)), pass_[0], acceleration_noise=NOISE)
 
 
 @pytest.mark.parametrize("noise", [0.0, -1e-5, 1e-30, 1e30, np.nan])
-def test_a_noise_that_no_satellite_has_is_refused(pass_, noise):
+def test_an_acceleration_noise_that_no_satellite_has_is_refused(pass_, noise):
     with pytest.raises(InputError, match="acceleration_noise must lie between"):
         ss.rates(CRAFT, pass_[0], acceleration_noise=noise)

@@ -14,7 +14,7 @@ from tests.support.simulate import fast_body, has_true_mean_rate
 
 
 @pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")
-def test_the_true_motion_of_a_fast_tumble_is_found_and_another_is_not():
+def test_a_fast_tumble_is_estimated_and_another_motion_is_not_accepted():
     vehicle, data, run = fast_body(
         1.0, np.random.default_rng(np.random.SeedSequence(11, spawn_key=(0,)))
     )
@@ -25,7 +25,7 @@ def test_the_true_motion_of_a_fast_tumble_is_found_and_another_is_not():
     assert not has_true_mean_rate(result, other).any()
 
 
-def test_a_start_is_shot_to_the_truth_from_afar():
+def test_a_distant_trial_solution_converges_to_the_truth():
     """Ten degrees a second off, half a second of arc by the stiff motion between samples: the smoother alone stays put."""
     vehicle, data, run = fast_body(1.0, np.random.default_rng(4), samples=6)
     o = observations(vehicle, data)[0]

@@ -40,14 +40,14 @@ def nearest(result, run):
     return away[k] / result["omega_sigma_B"].values[0, k], result["probability"].values[0, k]
 
 
-def test_gains_are_unknowns_only_where_brightness_does_not_tell_them():
+def test_gains_are_estimated_only_if_brightness_does_not_determine_them():
     four, six = (seen(craft)[0].of_sun[0] for craft in (FOUR_SIDES, CUBE))
     assert len(four.gain_unknowns) == 4 and not len(four.gain_errors)
     assert len(six.gain_errors) == 6 and not len(six.gain_unknowns)
 
 
 @pytest.mark.evidence("rates", "verified", "differences of the cost of the readings")
-def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
+def test_the_gradient_by_gains_is_that_of_the_cost():
     """The Student law's cost, by differences of 1e-5 of each gain's sigma."""
     o, track = seen()
     panels = o.of_sun[0]
@@ -61,7 +61,7 @@ def test_the_gradient_of_the_readings_to_gains_is_that_of_their_cost():
         assert told == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
 
 
-def test_a_clock_and_gains_border_the_equations_together():
+def test_time_offset_and_gains_share_one_border_of_the_equations():
     o, track = seen()
     clock, error = Clock(0.0, 0.5), np.zeros((1, len(MOTION.body.errors) + 4 + 1))
     places = places_of(o, MOTION, clock)
@@ -77,7 +77,7 @@ def test_a_clock_and_gains_border_the_equations_together():
         assert part.error_slope[0, place] == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-5)
 
 
-def test_a_mirror_image_reads_the_same_and_turns_as_a_body_does():
+def test_the_mirror_solution_has_the_same_readings_and_obeys_the_equations():
     o, track = seen()
     axis = blind_axis(o)
     assert abs(axis[2]) == pytest.approx(1.0) and blind_axis(seen(CUBE)[0]) is None
@@ -88,7 +88,7 @@ def test_a_mirror_image_reads_the_same_and_turns_as_a_body_does():
 
 
 @pytest.mark.long
-def test_a_dead_string_does_not_pass_for_another_motion():
+def test_a_dead_string_is_not_taken_for_another_motion():
     """With all that is wrong with such files: the truth is near one of two mirror images, each half the weight."""
     data, run = cube_with_faults(FAULTS_OF_FOUR_SIDES, np.random.default_rng(3), FOUR_SIDES)
     pull, weight = nearest(ss.rates(FOUR_SIDES, data, max_rate_rad_s=0.15), run)

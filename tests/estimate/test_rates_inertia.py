@@ -58,14 +58,14 @@ def pulls(vehicle: Vehicle, spin) -> np.ndarray:
 @pytest.mark.evidence(
     "rates", "modelled", "moments off by 4 and 6 %; taken for known, the answer must be wrong"
 )
-def test_moments_known_to_a_sigma_are_estimated(spin, reached):
+def test_moments_of_inertia_with_a_sigma_are_estimated(spin, reached):
     pull = pulls(told(1e-4), spin)
     reached("distance of the mean rate", pull, "sigmas", limit=3.5)
     assert pull.max() < 3.5
     assert pulls(told(1e-9), spin).max() > 5  # control
 
 
-def test_what_is_not_stated_is_one_percent_of_the_moments():
+def test_an_unstated_inertia_sigma_is_one_percent_of_the_moments():
     assert stated_sigma(CUBE) is None
     moments = np.diag(TRUE)
     assumed = ASSUMED * np.where(np.eye(3), TRUE, moments.mean())
@@ -78,7 +78,7 @@ def test_what_is_not_stated_is_one_percent_of_the_moments():
     )
 
 
-def test_no_trial_inertia_is_one_that_no_body_has():
+def test_every_trial_inertia_is_physical():
     """Errors of four sigmas where no inertia is known would make moments negative; small ones stay as they are."""
     body = Body.of(replace(CUBE, inertia_kg_m2=None))
     errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
@@ -95,14 +95,14 @@ def test_no_trial_inertia_is_one_that_no_body_has():
 
 @pytest.mark.long
 @pytest.mark.parametrize("i", [pytest.param(46, marks=pytest.mark.slow), 63])
-def test_a_body_of_unknown_inertia_is_not_held_for_a_sphere(i):
+def test_a_body_of_unknown_inertia_is_not_estimated_as_a_sphere(i):
     """Uneven bodies at 4 and 5 deg/s, no inertia told: as a sphere one missed by 0.3 deg/s and the other fitted badly."""
     found = any_vehicle.judge_rates(0, i)
     assert not found["inertia"] and found["word"] == "decided"
     assert max(found["pulls"]) < 3.5 and max(found["miss_deg_s"]) < 0.15
 
 
-def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_searched():
+def test_a_sphere_that_needs_strong_torques_leaves_the_search_incomplete():
     """Only where nobody gave the noise, and the inertia is not told."""
     unknown, known = (
         Body.of(replace(CUBE, inertia_kg_m2=one)) for one in (None, CUBE.inertia_kg_m2)
@@ -116,7 +116,7 @@ def test_a_body_taken_for_a_sphere_that_needs_strong_torques_has_not_been_search
     assert not any(not_met(Motion(known, noise, 0.1), None, 60.0) for noise in (quiet, strong))
 
 
-def test_a_body_that_nutates_a_little_is_not_held_for_one_that_turns_evenly():
+def test_a_small_nutation_is_not_taken_for_uniform_rotation():
     """From a sphere that turns about one axis, moments and rates across that axis change nothing unless both do."""
     made = passes.make("right model", 0, 1)
     found = ss.rates(

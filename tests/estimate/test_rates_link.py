@@ -17,14 +17,14 @@ def passes(rng, wander):
     return [np.stack(pair) for pair in zip(rate, alias, strict=True)], weights
 
 
-def test_a_wrong_favourite_is_overruled_by_its_neighbours():
+def test_a_wrong_alias_is_outweighed_by_neighbouring_passes():
     rates, weights = passes(np.random.default_rng(0), 1e-3)
     found, walk = linked(TIMES, rates, [SIGMA] * 6, weights, 0.1)
     assert found[2][0] > 0.95 and 1e-6 <= walk < 1e-4
     assert all(weight.sum() == pytest.approx(1.0) for weight in found)
 
 
-def test_where_rates_change_wildly_passes_are_left_alone():
+def test_passes_with_large_rate_changes_are_not_linked():
     rates, weights = passes(np.random.default_rng(1), 0.3)
     found, walk = linked(TIMES, rates, [SIGMA] * 6, weights, 0.1)
     assert walk is None or walk > 3e-4

@@ -48,7 +48,7 @@ def lit_cube() -> tuple[Observations, Track]:
     return o, Track(attitude[None], run["omega_B"].sel(time=o.t_s).values[None])
 
 
-def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
+def test_the_albedo_model_is_that_of_a_wide_disk(reached):
     """Integrated over an evenly bright disk of 66 degrees' radius, for panels turned away from its middle by up to 180 degrees."""
     away, about = (
         np.stack(x)
@@ -68,7 +68,7 @@ def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
     assert np.abs(told - true).max() < 0.06
 
 
-def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_their_cost():
+def test_the_gradient_by_attitude_gains_albedo_and_zeros_is_that_of_the_cost():
     """By differences of 1e-5 of a sigma, or rad."""
     o, track = lit_cube()
     panels = replace(o.of_sun[0], earth_share=0.1).freed(o.t_s)
@@ -86,7 +86,7 @@ def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_th
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-5, rtol=1e-4, atol=1e-4)
 
 
-def test_without_the_earths_light_nothing_is_differenced():
+def test_without_albedo_no_albedo_gradient_is_computed():
     data, _ = cube_with_faults((), np.random.default_rng(1))
     o = pass_of(CUBE, data)
     panels = o.of_sun[0]
@@ -94,7 +94,7 @@ def test_without_the_earths_light_nothing_is_differenced():
     np.testing.assert_array_equal(panels.power, panels.whole[0])
 
 
-def test_the_field_answers_to_turns_as_differences_say():
+def test_derivatives_of_the_field_by_attitude_agree_with_differences():
     """Residuals between neighbours of a fixed field vanish at the truth; beside it they change as their Jacobians say."""
     rng = np.random.default_rng(6)
     data, run = cube_with_late_sensor("field", 0.0, rng, samples=9)

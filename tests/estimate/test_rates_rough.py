@@ -17,7 +17,7 @@ def track(speeds_deg_s, log_weight):
     )
 
 
-def test_speeds_of_the_heaviest_motions_in_two_figures():
+def test_rough_speeds_of_the_likeliest_solutions_have_two_digits():
     o = Observations(np.array([70.0, 80.0, 90.0]), np.zeros((3, 3)), ())
     said = roughly(o, track([3.637, 3.641, 123.4, 0.5], [0.0, -0.1, 1.0, -9.0]))
     assert said == "          70 s    3 samples  rough, not weighed yet: 120 or 3.6 deg/s"
@@ -26,7 +26,7 @@ def test_speeds_of_the_heaviest_motions_in_two_figures():
     )
 
 
-def test_each_pass_is_said_once_and_early(capsys):
+def test_each_pass_reports_its_rough_speed_once_before_it_is_finished(capsys):
     t = np.concatenate([np.arange(0.0, 200.0, 20.0) + start for start in (0.0, 3000.0)])
     each_pass = [spin(np.radians([1.0, -0.5, 0.8]), part) for part in np.split(t, 2)]
     omega, attitude = (np.concatenate(parts) for parts in zip(*each_pass, strict=True))

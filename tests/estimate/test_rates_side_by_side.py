@@ -10,7 +10,7 @@ from validation.passes import FACES, seen, spin
 
 @pytest.mark.long
 @pytest.mark.parametrize("noise", [1e-5, None])
-def test_the_result_does_not_depend_on_the_workers(noise):
+def test_rates_do_not_depend_on_the_number_of_workers(noise):
     """Eight passes of four samples of a cube."""
     t = np.concatenate([np.arange(0.0, 80.0, 20.0) + start for start in 3000.0 * np.arange(8)])
     each_pass = [spin(np.radians([1.0, -0.5, 0.8]), part) for part in np.split(t, 8)]

@@ -89,7 +89,7 @@ def first_window():
     return o.part(low, high), track, motion
 
 
-def test_neighbours_lie_along_the_valley_as_close_as_a_fit_reaches(first_window):
+def test_neighbouring_starts_lie_along_the_valley_within_reach_of_a_fit(first_window):
     o, track, motion = first_window
     more = neighbours(o, track, motion)
     assert len(more.omega) >= 4
@@ -104,7 +104,7 @@ def test_neighbours_lie_along_the_valley_as_close_as_a_fit_reaches(first_window)
     assert costs(o, more.take(nearest)).sum(axis=1).max() < track.cost[0] + 6
 
 
-def test_neighbours_are_none_where_the_rate_is_known(first_window):
+def test_a_well_known_rate_has_no_neighbouring_starts(first_window):
     o, track, motion = first_window
     sure = track.covariance.copy()
     sure[..., 3:, 3:] *= 1e-6

@@ -48,7 +48,7 @@ def swinging(by_rad):
     return np.array(made)
 
 
-def test_all_ways_are_those_of_a_filter_by_legendre_polynomials():
+def test_the_evidence_of_oscillation_agrees_with_a_filter_on_legendre_polynomials():
     """And of a body that swings beyond all bounds those of unrelated directions."""
     o, by = (
         seen(swinging(0.3)[:4] @ unit(np.random.default_rng(1)), 0.3),
@@ -95,13 +95,13 @@ def motions(sun, sigma, first_rate):
     return trial.hypothesis.what, trial.fit.track.omega[mode], best.weights.sum()
 
 
-def test_a_swinging_is_not_taken_for_an_even_turn():
+def test_an_oscillation_is_not_taken_for_uniform_rotation():
     what, omega, weight = motions(swinging(0.4) @ unit(np.random.default_rng(1)), 0.3, np.zeros(3))
     assert what == SWINGS_QUICKLY and weight > 0.9
     assert np.abs(omega).max() < np.radians(0.5)  # four sigmas of the mean of such swings
 
 
-def test_an_even_turn_is_not_taken_for_a_swinging():
+def test_uniform_rotation_is_not_taken_for_an_oscillation():
     rate = np.radians([0.6, -0.5, 0.8])
     turned = Rotation.from_rotvec(-rate * T_S[:, None]).as_matrix()
     _, omega, weight = motions(turned @ unit(np.random.default_rng(1)), 0.1, rate)

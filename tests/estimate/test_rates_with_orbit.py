@@ -46,7 +46,7 @@ def known_field(rng: np.random.Generator, track: Seen) -> KnownField:
     return KnownField(1e9 * read, read, np.full(12, 5e-7), field_N, own, along)
 
 
-def test_the_gradient_of_a_known_field_is_that_of_its_cost():
+def test_the_gradient_by_a_known_field_is_that_of_the_cost():
     rng = np.random.default_rng(4)
     track = seen(rng)
     term, error = known_field(rng, track), 0.5 * rng.normal(size=(1, 13))
@@ -62,7 +62,7 @@ def test_the_gradient_of_a_known_field_is_that_of_its_cost():
     ]
 
 
-def test_the_turn_about_the_sun_that_the_search_leaves_open_is_found_from_the_field():
+def test_the_rotation_about_the_sun_direction_is_found_from_the_field():
     rng = np.random.default_rng(5)
     track = seen(rng)
     about = Rotation.from_rotvec(2.1 * SUN_N).as_matrix()
@@ -72,7 +72,7 @@ def test_the_turn_about_the_sun_that_the_search_leaves_open_is_found_from_the_fi
 
 @pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 0.5, 3.0])
 @pytest.mark.parametrize("known", [False, True])
-def test_a_magnetic_torque_is_averaged_over_the_turns_between_two_samples(size, known):
+def test_a_magnetic_torque_is_averaged_over_revolutions_between_samples(size, known):
     """Against the sum over 4000 instants of each interval, up to 20 turns of it."""
     rng = np.random.default_rng(11)
     track = seen(rng)
@@ -110,7 +110,7 @@ def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
     assert field_calibration(orbit, vehicle, data.drop_vars("field_B")) is None
 
 
-def test_a_sample_in_the_shadow_counts_by_its_field_and_its_panels_must_be_dark(twin):
+def test_a_sample_in_shadow_uses_its_field_and_requires_dark_panels(twin):
     vehicle, data, given, _, about = twin
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
     known, why, _ = observations(
@@ -126,7 +126,7 @@ def test_a_sample_in_the_shadow_counts_by_its_field_and_its_panels_must_be_dark(
     assert field_leads(known.take(dark[:6])) and not field_leads(known)
 
 
-def test_a_stated_sigma_of_the_zero_counts_once_where_the_orbit_calibrates(twin):
+def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(twin):
     """The calibration has the zero's error, in tesla; that of the vehicle file is in the unit of the columns."""
     vehicle, data, given, _, about = twin
     orbit = orbit_of(given, data, about)

@@ -41,14 +41,14 @@ def compare(n: int, seed: int) -> np.ndarray:
 @pytest.mark.evidence(
     "scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories"
 )
-def test_emd_agrees_with_the_reference(reached):
+def test_scan_emd_agrees_with_the_reference(reached):
     error = compare(N_ROWS, 1)
     reached("largest difference of EMD", error, "", 1e-3)
     reached("motions", error.size)
     assert error.max() < 1e-3
 
 
-def test_mask_allows_what_the_panels_allow():
+def test_the_scan_mask_allows_what_the_panels_allow():
     n = np.random.default_rng(0).normal(size=(20_000, 3))
     for vehicle in (PHILAE, ss.load_vehicle("skcube")):
         names = np.array(vehicle.panel_names)
@@ -59,7 +59,7 @@ def test_mask_allows_what_the_panels_allow():
 
 
 @pytest.mark.evidence("scan", "verified", "one and three threads, and single motions")
-def test_workers_do_not_change_a_distance():
+def test_workers_do_not_change_a_scan():
     axes = [np.linspace(-0.4, 0.9, 30), np.linspace(-0.4, 0.9, 30), np.linspace(-0.2, 0.2, 11)]
     runs = [
         ss.scan(PHILAE, [0.2, 0.5, 0.9], FIRST_SUN, *axes, 865.0, 300.0, workers=w) for w in (1, 3)
@@ -84,7 +84,7 @@ def test_the_track_metric_finds_the_truth():
     assert volume.values.min() < 1e-4
 
 
-def test_a_motion_that_never_shows_its_sun_is_farthest_away():
+def test_a_motion_without_an_allowed_direction_has_the_largest_emd():
     below = np.array([0.1, 0.1, -0.99]) / np.linalg.norm([0.1, 0.1, -0.99])
     assert ss.scan(PHILAE, [0.5], below, 0.0, 0.0, 0.0, 865.0, 60.0).item() == 1.0
 
@@ -99,7 +99,7 @@ def test_the_near_minimum_set_by_hand():
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
 
 
-def test_rows_that_could_not_be_computed_are_never_near_the_minimum():
+def test_rows_that_failed_are_never_in_the_near_minimum_set():
     volume = xr.DataArray(
         [[[0.0, 1.0, 1.05]]],
         dims=("omega_x", "omega_y", "omega_z"),
@@ -127,7 +127,7 @@ def test_rows_that_could_not_be_computed_are_never_near_the_minimum():
         ({"workers": 0}, "workers"),
     ],
 )
-def test_bad_arguments_are_named(change, message):
+def test_bad_arguments_of_a_scan_are_named(change, message):
     arguments = {
         "target_z": [0.5],
         "sun_B": FIRST_SUN,
@@ -141,7 +141,7 @@ def test_bad_arguments_are_named(change, message):
         ss.scan(PHILAE, **arguments)
 
 
-def test_a_store_is_resumed_with_another_mass_and_refused_with_another_wheel(tmp_path):
+def test_a_scan_store_is_resumed_with_another_mass_and_refused_with_another_wheel(tmp_path):
     """What only a landing asks for does not belong to a scan."""
 
     def run(*changes):

@@ -19,14 +19,14 @@ def samples(seed, jitter=6.0, noise=0.03, n=90, coefficients=CUBIC, axis=(0, 0, 
     return t, seen / np.linalg.norm(seen, axis=1, keepdims=True)
 
 
-def test_the_phase_is_the_integral_of_the_rate_and_the_sun_goes_round_backward():
+def test_the_spin_phase_is_the_integral_of_the_rate_and_the_sun_moves_backward():
     assert phase([0.1, 0.02], [3.0]) == pytest.approx(0.1 * 3 + 0.02 * 9 / 2)
     np.testing.assert_allclose(
         turned([1, 0, 0], [0, 0, 1], np.array([np.pi / 2])), [[0, -1, 0]], atol=1e-15
     )
 
 
-def test_a_constant_rate_agrees_with_the_equations_of_motion():
+def test_a_constant_spin_agrees_with_the_equations_of_motion():
     craft = ss.Vehicle("plate", inertia_kg_m2=np.diag([2.0, 2.0, 3.0]))
     t = np.linspace(0, 500, 11)
     run = ss.propagate(craft, [0, 0, 0.0122], SUN, None, t)
@@ -35,7 +35,7 @@ def test_a_constant_rate_agrees_with_the_equations_of_motion():
     )
 
 
-def test_without_noise_the_rate_is_recovered_to_rounding():
+def test_a_spin_without_noise_is_recovered_to_rounding():
     t, seen = samples(1, noise=0.0)
     fit = fit_spin(t, seen)
     assert fit.E < 1e-12
@@ -43,7 +43,7 @@ def test_without_noise_the_rate_is_recovered_to_rounding():
     np.testing.assert_allclose(fit.directions(t), seen, atol=1e-5)
 
 
-def test_the_global_minimum_is_that_of_a_dense_search():
+def test_the_spin_fit_finds_the_minimum_of_a_dense_search():
     """No rate on a grid ten times as dense, over all aliases, does better with the fitted drift."""
     t, seen = samples(2)
     fit = fit_spin(t, seen)
@@ -56,7 +56,7 @@ def test_the_global_minimum_is_that_of_a_dense_search():
 
 
 @pytest.mark.parametrize("twins", [30, pytest.param(80, marks=pytest.mark.long)])
-def test_errors_are_calibrated(twins):
+def test_errors_of_the_spin_rate_are_calibrated(twins):
     """Over so many twins the chi-square of the four coefficients has mean 4 within its own scatter."""
     found = []
     for seed in range(twins):
@@ -67,14 +67,14 @@ def test_errors_are_calibrated(twins):
     assert np.mean(found) == pytest.approx(4.0, abs=3 * np.sqrt(8 / twins))
 
 
-def test_irregular_times_single_out_the_true_rate():
+def test_irregular_times_exclude_aliases_of_the_spin_rate():
     t, seen = samples(3, interval=120.0)
     fit = fit_spin(t, seen)
     assert fit.unique
     assert fit.aliases[0, 0] == pytest.approx(CUBIC[0], abs=5e-4)
 
 
-def test_at_exactly_regular_times_aliases_tie_and_the_fit_says_so():
+def test_at_regular_times_aliases_fit_equally_and_are_reported():
     """Negative control. At 120 s sampling 0.01216 - 2 pi / 120 = -0.0402 and + 2 pi / 120 = 0.0645 rad/s fit as well."""
     t, seen = samples(3, jitter=0.0, interval=120.0)
     fit = fit_spin(t, seen)
@@ -84,7 +84,7 @@ def test_at_exactly_regular_times_aliases_tie_and_the_fit_says_so():
     np.testing.assert_allclose(near[np.abs(near) < 0.06], [-0.05236, 0.0, 0.05236], atol=4e-4)
 
 
-def test_another_axis_another_degree_and_missing_samples():
+def test_the_spin_fit_takes_any_axis_any_degree_and_missing_samples():
     axis = np.array([1.0, 0.0, 0.0])
     t, seen = samples(5, coefficients=[-0.004, 1e-8], axis=axis, noise=0.01, interval=100.0)
     seen[::3] = np.nan
@@ -102,7 +102,7 @@ def test_another_axis_another_degree_and_missing_samples():
         ({"sun_B": np.full((90, 3), np.nan)}, "needs at least 7 directions .found 0 of 90"),
     ],
 )
-def test_bad_input_is_named(change, text):
+def test_bad_input_of_the_spin_fit_is_named(change, text):
     t, seen = samples(6)
     with pytest.raises(ss.SunspinError, match=text):
         fit_spin(**({"t_s": t, "sun_B": seen} | change))

@@ -72,7 +72,7 @@ def error_deg(made, truth, telemetry, vehicle):
 
 
 @pytest.mark.parametrize("number", [2, 4])
-def test_the_light_of_the_earth_does_not_turn_the_calibration(folder, number):
+def test_albedo_does_not_rotate_the_magnetometer_calibration(folder, number):
     vehicle, telemetry, right, _, truth = spinner(folder, number=number)
     made = field_calibration(right, vehicle, telemetry)
     assert (
@@ -89,14 +89,14 @@ def test_samples_that_show_field_and_sun_are_kept_first(folder):
     assert (seen.light == 0).sum() > 30 and (np.diff(seen.t_s) > 0).all()
 
 
-def test_a_large_zero_leaves_right_elements_apart_from_others(folder):
+def test_right_elements_fit_best_despite_a_large_magnetometer_zero(folder):
     vehicle, telemetry, right, wrong, _ = spinner(folder, number=1)
     found = check_orbit(right, vehicle, telemetry)
     assert found.verdict is Verdict.FITS and found.better == 0 and found.mistaken < 0.01
     assert check_orbit(wrong, vehicle, telemetry).verdict is Verdict.REFUSED
 
 
-def test_turned_axes_are_named_and_calibrated(folder):
+def test_rotated_magnetometer_axes_are_named_and_calibrated(folder):
     vehicle, telemetry, right, _, truth = spinner(folder, turned=ROTATED, number=3)
     used, found, words = judged_orbit(right, vehicle, telemetry)
     assert used is not None and found.angle_residual_rad < 0.1
@@ -106,7 +106,7 @@ def test_turned_axes_are_named_and_calibrated(folder):
     assert not check_orbit(mounted[2], *mounted[:2]).turned_axes
 
 
-def test_elements_that_the_angle_contradicts_do_not_fit(folder, monkeypatch):
+def test_elements_that_the_sun_field_angle_contradicts_do_not_fit(folder, monkeypatch):
     vehicle, telemetry, right, *_ = spinner(folder, number=3)
     seen = seen_in(assess(vehicle, telemetry))
     rng, shown = np.random.default_rng(0), np.flatnonzero(np.isfinite(seen.sun).all(axis=1))
@@ -120,7 +120,7 @@ def test_elements_that_the_angle_contradicts_do_not_fit(folder, monkeypatch):
         assert check_orbit(right, vehicle, telemetry).verdict is verdict
 
 
-def test_the_readings_show_the_zero_across_the_axis_of_the_spin(folder):
+def test_readings_of_a_spinner_determine_the_zero_across_its_axis(folder):
     vehicle, telemetry, *_, truth = spinner(folder, number=1)
     terms, _ = read_terms(assess(vehicle, telemetry), "panels")
     read = next(term for term in terms if type(term) is Magnetometer)
@@ -159,7 +159,7 @@ def scale(searched, telemetry):
     return np.unique((after.sigma[read] / before.sigma[read]).round(9))
 
 
-def test_panels_are_taken_for_as_good_as_their_readings_scatter(searched):
+def test_the_panel_noise_is_estimated_from_the_scatter_of_readings(searched):
     telemetry = searched[1]
     (as_read,) = scale(searched, telemetry)
     assert 0.2 <= as_read < 0.8  # 1 % of noise, where 2 to 3 % are presumed
@@ -169,7 +169,7 @@ def test_panels_are_taken_for_as_good_as_their_readings_scatter(searched):
     assert (scale(searched, noisy) == 1.0).all()
 
 
-def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between(searched):
+def test_revolutions_between_kept_samples_contradict_the_magnetometer_in_between(searched):
     vehicle, telemetry, index, kept, track, motion = searched
     o = observations(vehicle, telemetry)[0]
     part, place, best = o.take(kept).freed(), np.searchsorted(index, kept), track.take(slice(1))
@@ -189,7 +189,7 @@ def test_whole_turns_between_kept_samples_do_not_fit_the_magnetometer_in_between
     assert np.isfinite(right["magnetometer"]).sum() > 10 * len(kept)
 
 
-def test_a_pass_that_begins_in_the_shadow_is_dense_where_it_shows_the_sun():
+def test_samples_kept_of_a_pass_from_shadow_are_dense_in_sunlight():
     kept = thinned(np.arange(2800), 2300)
     assert len(kept) <= 40 and kept[0] == 0 and kept[-1] == 2799
     steps = np.diff(kept)

@@ -101,7 +101,7 @@ def test_right_elements_with_a_clock_off_by_seconds_do_not_contradict_the_light(
 
 
 @pytest.mark.parametrize("late_s", [-1500.0, -400.0, 400.0, 1500.0])
-def test_a_clock_off_by_minutes_puts_the_sun_into_the_shadow(late_s):
+def test_a_clock_off_by_minutes_is_contradicted_by_sunlight_in_shadow(late_s):
     for seed in SEEDS:
         flight = Flight(seed)
         data = flight.telemetry(late_s)
@@ -115,7 +115,7 @@ def test_a_clock_off_by_minutes_puts_the_sun_into_the_shadow(late_s):
         assert ("behind UTC" in str(found)) is (late_s > 0)
 
 
-def test_an_offset_within_the_prior_is_no_contradiction():
+def test_an_along_track_offset_within_the_prior_is_not_contradicted_by_sunlight():
     flight = Flight(1)
     data = flight.telemetry(400.0)
     assert flight.against(data).samples
@@ -126,7 +126,7 @@ def test_an_offset_within_the_prior_is_no_contradiction():
     assert not sun_in_shadow(orbit, assess(CUBE, data), SPAN).samples
 
 
-def test_three_samples_are_not_enough_and_four_are():
+def test_four_sunlit_samples_in_shadow_refuse_elements_and_three_do_not():
     flight = Flight(1)
     power = flight.telemetry(0.0)["power_W"].values
     dark = np.flatnonzero(~flight.lit)
@@ -138,7 +138,7 @@ def test_three_samples_are_not_enough_and_four_are():
         assert flight.against(flight.dataset(changed)).samples == (count if count > FEW else 0)
 
 
-def test_what_is_not_sunlight_in_the_shadow_is_no_contradiction():
+def test_stray_light_and_noise_in_shadow_contradict_no_elements():
     flight = Flight(1)
     day = flight.telemetry(0.0)["power_W"].values
     dark, n = np.flatnonzero(~flight.lit), len(CUBE_NORMALS)
@@ -154,7 +154,7 @@ def test_what_is_not_sunlight_in_the_shadow_is_no_contradiction():
         assert not flight.against(night(values)).samples
 
 
-def test_a_file_of_the_night_alone_is_no_contradiction_whatever_full_sun_is():
+def test_a_file_of_the_night_alone_contradicts_no_elements():
     flight = Flight(1)
     flight.telemetry(0.0)
     dark = ~flight.lit
@@ -167,7 +167,9 @@ def test_a_file_of_the_night_alone_is_no_contradiction_whatever_full_sun_is():
     assert flight.against(sunny.assign_coords(time=flight.t[dark]), RELATIVE).samples > 20
 
 
-def test_the_check_and_the_calibration_name_the_samples_and_the_orbit_is_left_out(monkeypatch):
+def test_check_and_calibration_name_the_sunlit_samples_in_shadow_and_leave_the_orbit_out(
+    monkeypatch,
+):
     monkeypatch.setattr(orbit_check, "COPIES", 5)
     monkeypatch.setattr(orbit_check, "HOURS", (1,))
     flight = Flight(1)
@@ -202,7 +204,7 @@ def run(*words: str):
     return CliRunner().invoke(cli, list(words), catch_exceptions=False)
 
 
-def test_check_says_that_the_elements_do_not_fit_and_rates_goes_on_without_them(satellite):
+def test_check_reports_elements_that_do_not_fit_and_rates_ignore_them(satellite):
     files = ("vehicle.toml", "telemetry.csv")
     done = run("check", *files, "--tle", "my.tle")
     assert "Orbit of MYCUBE (105544): elements not consistent with the telemetry" in done.output
@@ -238,7 +240,7 @@ def test_the_advice_to_correct_the_clock_makes_the_elements_usable(satellite):
     assert json.loads(wider.stdout)["orbit"]["verdict"] != "refused"
 
 
-def test_an_orbit_that_leaves_too_few_samples_with_sun_is_named_as_the_reason():
+def test_an_orbit_with_too_few_sunlit_samples_is_named_as_the_reason():
     flight = Flight(1)
     data = flight.telemetry(1500.0)
     shadow = ~flight.sky(0.0)[1]

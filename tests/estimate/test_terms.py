@@ -56,7 +56,7 @@ def both(samples=9, seed=4):
 
 
 @pytest.mark.evidence("rates", "verified", "differences of the cost of a gyro's readings")
-def test_the_gyros_gradient_is_that_of_its_cost():
+def test_the_gradient_by_gyro_parameters_is_that_of_the_cost():
     o, truth = both()
     gyro, rng = only(o, Gyro), np.random.default_rng(1)
     seen, error = (
@@ -81,7 +81,7 @@ def test_the_gyros_gradient_is_that_of_its_cost():
 @pytest.mark.evidence(
     "rates", "modelled", "a magnetometer whose zero is off by what its file states"
 )
-def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
+def test_an_uncertain_magnetometer_zero_is_estimated():
     """Taken for exact, a zero off by a third of the field bends the motion by many sigmas; with its sigma stated it does not."""
     o, truth = both()
     o = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, Gyro)))
@@ -111,7 +111,7 @@ def test_a_zero_of_the_magnetometer_that_is_not_well_known_is_an_unknown():
     "modelled",
     "a magnetometer with soft iron whose zero, and so its matrix, is not calibrated",
 )
-def test_a_matrix_of_the_magnetometer_that_is_not_known_is_an_unknown():
+def test_an_uncertain_magnetometer_matrix_is_estimated():
     """Of a fast spinner soft iron turns the axis by degrees: in every draw by more sigmas where the matrix is taken for exact."""
     rng, motion, o, truth = np.random.default_rng(3), Motion(Body.of(craft()), 1e-5, 0.1), *both()
     o = replace(o, terms=tuple(term for term in o.terms if not isinstance(term, Gyro)))
@@ -140,7 +140,7 @@ def test_a_matrix_of_the_magnetometer_that_is_not_known_is_an_unknown():
     ), pulls
 
 
-def test_what_the_matrix_adds_is_the_change_of_the_residuals():
+def test_the_derivative_by_the_matrix_is_the_change_of_the_residuals():
     o, truth = both(samples=4)
     term = replace(only(o, Magnetometer), matrix_sigma=0.03, turn_rate=0.0)
     relative = truth.attitude[:, 1:] @ np.swapaxes(truth.attitude[:, :-1], -1, -2)
@@ -151,7 +151,7 @@ def test_what_the_matrix_adds_is_the_change_of_the_residuals():
         np.testing.assert_allclose(columns[..., k - 9], change, atol=1e-9)
 
 
-def test_the_sensor_that_disagrees_is_left_out_by_evidence():
+def test_a_sensor_that_disagrees_is_left_out_by_evidence():
     """A gyro turned by 60 degrees: of all alternatives the one without it fits and is best; with a sound gyro all are worse."""
     o, truth = both(samples=20)
     motion = Motion(Body.of(craft()), 1e-5, 0.1)
@@ -177,7 +177,7 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
 
 
 @pytest.mark.long
-def test_panels_that_do_not_see_what_gyro_and_magnetometer_see_are_left_out(monkeypatch):
+def test_panels_that_contradict_gyro_and_magnetometer_are_left_out(monkeypatch):
     """Panels of another time: without the Sun the others fit, the attitude's free turns held weakly. No wiring is tried."""
     monkeypatch.setattr(estimate, "better", lambda *given: None)
     (data, _), (other, _) = (

@@ -62,7 +62,7 @@ def tumbling_telemetry() -> tuple[xr.Dataset, xr.Dataset]:
 @pytest.mark.evidence(
     "rates", "modelled", "a tumbling CubeSat; without the torque it must fit worse"
 )
-def test_rates_under_gravity_gradient_tell_the_turn_about_the_sun():
+def test_gravity_gradient_determines_the_rotation_about_the_sun_direction():
     data, run = tumbling_telemetry()
     found, errors, off_by = {}, {}, {}
     for torques in ((), TORQUES):
@@ -91,7 +91,7 @@ def test_rates_under_gravity_gradient_tell_the_turn_about_the_sun():
     )  # nothing but the torque says how the body stands about it
 
 
-def test_the_answer_of_a_step_to_turn_and_rate_at_its_start_is_that_of_differences():
+def test_derivatives_of_a_step_under_torques_agree_with_differences():
     body, rng = Body.of(CUBE, acting=acting(TORQUES, ORBIT)), np.random.default_rng(1)
     omega, attitude = rng.normal(size=(3, 3)) * 2e-3, Rotation.random(3, random_state=2).as_matrix()
     dt = np.array([300.0, 200.0, 100.0])
@@ -140,7 +140,7 @@ def likelihood() -> Likelihood:
     return Likelihood(unknown, data, 1e-9)
 
 
-def test_the_posterior_moves_as_the_reference_and_knows_its_slopes():
+def test_the_posterior_motion_under_torques_agrees_with_the_reference_and_its_differences():
     own = likelihood()
     u = np.zeros((1, len(own.model.unknowns)))
     u[:, own.model.where("turn")] = 0.3
@@ -178,7 +178,7 @@ def test_the_posterior_moves_as_the_reference_and_knows_its_slopes():
     assert np.abs(jacobian[0, :, 5 + place]).max() > 0.01  # the readings know of the turn
 
 
-def test_draws_under_torques_are_not_carried_on_without_them():
+def test_draws_under_torques_are_not_propagated_without_them():
     tree = xr.DataTree(xr.Dataset(attrs={"torques": json.dumps(TORQUES)}))
     with pytest.raises(
         ss.InputError, match="draws of a posterior under torques cannot be carried on yet"

@@ -13,7 +13,7 @@ from sunspin.estimate.verdict import Misfit, Speed, answers, misfit, upper_text
 SOUND = {"Sun": Misfit(40, 0.0, 1.0)}
 
 
-def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
+def test_a_pass_is_decided_if_all_checks_pass():
     said = answers(True, np.full(3, 0.1), 1.0, SOUND, True, True)
     assert said.decided and said.why_not == ""
 
@@ -35,7 +35,7 @@ def test_a_motion_is_decided_where_all_questions_are_answered_with_yes():
         ),
     ],
 )
-def test_one_no_is_enough(change, why):
+def test_one_failed_check_leaves_a_pass_undecided(change, why):
     given = {"unique": True, "sigma": np.full(3, 0.1), "prior_sigma": 1.0, "misfits": SOUND}
     said = answers(**(given | {"explained": True, "search_complete": True} | change))
     assert not said.decided and said.why_not == why
@@ -43,7 +43,7 @@ def test_one_no_is_enough(change, why):
     assert said.constrained[0] == (change.get("sigma", [0.1])[0] < 0.5)
 
 
-def test_spikes_are_forgiven_and_runs_are_not():
+def test_single_outliers_fit_and_runs_of_them_do_not():
     """Six of a hundred samples far off: strewn they are spikes, one after the other another motion."""
     strewn, together = np.ones(100), np.ones(100)
     strewn[[5, 21, 40, 58, 77, 93]] = 9.0
@@ -52,7 +52,7 @@ def test_spikes_are_forgiven_and_runs_are_not():
     assert misfit(strewn).share == misfit(together).share == pytest.approx(0.06)
 
 
-def test_the_chance_of_few_runs_is_that_of_all_arrangements():
+def test_the_probability_of_few_runs_is_that_over_all_arrangements():
     """Five of ten far off, in all 252 orders: mean and variance of their runs, and the chance of two by the normal law."""
     runs = []
     for far in itertools.combinations(range(10), 5):
@@ -62,7 +62,7 @@ def test_the_chance_of_few_runs_is_that_of_all_arrangements():
     assert misfit(np.repeat([1.0, 9.0], 5)).chance == pytest.approx(expected, rel=1e-12)
 
 
-def test_too_many_far_off_fit_nothing_however_they_are_strewn():
+def test_too_many_outliers_are_a_poor_fit_in_any_order():
     far = np.ones(100)
     far[::3] = 5.0
     assert (
@@ -72,7 +72,7 @@ def test_too_many_far_off_fit_nothing_however_they_are_strewn():
     )
 
 
-def test_a_quarter_far_off_in_stretches_is_another_motion():
+def test_a_quarter_of_outliers_in_runs_is_a_poor_fit():
     """Stop-and-go seen every second: 24 % of samples beyond three sigma, one stretch after the other."""
     far = np.ones(300)
     for begin in (20, 90, 150, 230):
@@ -80,18 +80,18 @@ def test_a_quarter_far_off_in_stretches_is_another_motion():
     assert misfit(far).share == pytest.approx(0.24) and not misfit(far).fits
 
 
-def test_one_spike_among_four_samples_is_forgiven_and_two_are_not():
+def test_one_outlier_among_four_samples_fits_and_two_do_not():
     assert (
         misfit(np.array([1.0, 9.0, 1.0, 1.0])).fits
         and not misfit(np.array([1.0, 9.0, 1.0, 9.0])).fits
     )
 
 
-def test_a_sensor_that_read_nothing_does_not_disagree():
+def test_a_sensor_without_readings_is_no_poor_fit():
     assert misfit(np.full(5, np.nan)) == Misfit(0, 0.0, 1.0) and misfit(np.full(5, np.nan)).fits
 
 
-def test_the_table_has_a_row_for_every_motion_and_leaves_out_what_is_not_there():
+def test_the_table_of_passes_has_a_row_for_each_solution_and_no_empty_one():
     said = answers(False, np.array([0.1, 0.9, 0.1]), 1.0, SOUND, True, True)
     omega, covariance = (
         np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]]),
@@ -137,7 +137,7 @@ def test_a_rate_smaller_than_its_error_is_an_upper_limit_and_not_decided():
     assert said.why_not == f"speed below {upper_text(np.degrees(said.speed.below))} deg/s (95 %)"
 
 
-def test_a_slow_body_with_a_wide_prior_has_an_upper_limit():
+def test_a_slow_body_with_a_wide_rate_prior_has_an_upper_limit():
     said = judged([0.01, 0.0, 0.0], [0.02, 0.02, 0.02], 60.0)
     exact = 0.02 * np.sqrt(ncx2(3, 0.25).ppf(0.95))
     assert np.degrees(said.speed.below) == pytest.approx(exact, rel=0.02)
@@ -153,7 +153,7 @@ def test_a_speed_larger_than_its_error_stays_decided():
         assert said.decided and said.speed.sigma < said.speed.value
 
 
-def test_error_and_limit_of_the_speed_are_those_of_draws():
+def test_error_and_upper_limit_of_the_speed_agree_with_draws():
     """At rest the speed has the Maxwell law; far from rest linear propagation holds; a mixture is sampled."""
     rest = judged([0.0, 0.0, 0.0], [1.0, 1.0, 1.0], 60.0).speed
     assert np.degrees(rest.below) == pytest.approx(chi(3).ppf(0.95), rel=0.02)
@@ -174,7 +174,7 @@ def test_error_and_limit_of_the_speed_are_those_of_draws():
     assert np.degrees(both.speed.sigma) == pytest.approx(rms, rel=0.02)
 
 
-def test_an_unlikely_alias_makes_no_upper_limit_of_a_known_speed():
+def test_an_unlikely_alias_does_not_turn_a_known_speed_into_an_upper_limit():
     said = judged([[0.5, 0, 0], [0, 9.0, 0]], [[0.01] * 3] * 2, 60.0, (0.96, 0.04))
     assert said.speed_constrained
     assert np.degrees(said.speed.sigma) == pytest.approx(0.01, rel=0.05)
@@ -188,7 +188,7 @@ def test_an_upper_limit_is_never_rounded_down(value, text):
     assert upper_text(value) == text
 
 
-def test_no_upper_limit_is_given_by_a_poor_fit_or_by_the_prior():
+def test_a_poor_fit_or_the_prior_alone_gives_no_upper_limit():
     slow = Speed(0.01, 0.02, 0.05)
     wide = np.full(3, 0.9)
     poor = answers(True, np.full(3, 0.1), 1.0, SOUND, False, True)._replace(speed=slow)
@@ -196,7 +196,7 @@ def test_no_upper_limit_is_given_by_a_poor_fit_or_by_the_prior():
     assert "below" not in poor.why_not + prior.why_not and not (poor.decided or prior.decided)
 
 
-def test_a_pass_with_an_upper_limit_shows_the_zero_of_a_gyro():
+def test_a_pass_with_an_upper_limit_determines_the_gyro_zero():
     names = "decided unique fits search_complete constrained_x constrained_y constrained_z"
     flags = {name: ("pass_id", np.array([name != "decided", False])) for name in names.split()}
     flags |= {"constrained_speed": ("pass_id", [False, True])}

@@ -72,7 +72,7 @@ def never(*_) -> float:
     raise AssertionError("wirings of panels are not asked for where a sensor explains it")
 
 
-def test_the_wirings_of_six_panels_are_fifteen_exchanges_and_six_reversals():
+def test_six_panels_have_fifteen_exchanges_and_six_reversals():
     data = seen("gyro_B", lambda read: read)
     found = column_changes(CUBE, data)
     assert len(found) == 21 and len({one.what for one in found}) == 21
@@ -85,7 +85,7 @@ def test_the_wirings_of_six_panels_are_fifteen_exchanges_and_six_reversals():
     assert CUBE.panels[5].normal_B[2] == -1
 
 
-def test_axes_have_48_wirings_and_a_quaternion_four_the_stated_one_first():
+def test_axes_have_48_assignments_and_a_quaternion_four_the_stated_one_first():
     data = seen("gyro_B", lambda read: read)
     read = [one.applied(CUBE, data)[1]["gyro_B"].values for one in of_sensor(CUBE, "gyro_B")]
     assert len({one.tobytes() for one in read}) == 48
@@ -137,7 +137,7 @@ def test_axes_have_48_wirings_and_a_quaternion_four_the_stated_one_first():
         ),
     ],
 )
-def test_a_sensor_read_wrongly_is_named(name, wrong, words, do):
+def test_wrong_axes_of_a_sensor_are_named(name, wrong, words, do):
     found = sought(CUBE, seen(name, wrong), never, lambda *_: motion())
     assert isinstance(found, Better) and found.gain > 10
     if (
@@ -158,7 +158,7 @@ def test_a_sensor_read_wrongly_is_named(name, wrong, words, do):
 
 
 @pytest.mark.parametrize("name", ["gyro_B", "field_B", "attitude_B_from_N"])
-def test_no_other_wiring_of_a_sensor_read_rightly_is_named(name):
+def test_right_axes_of_a_sensor_are_not_doubted(name):
     """What is in the way may still be that sensor: its zero, say."""
     found = sought(CUBE, seen(name, lambda read: read), never, lambda *_: motion())
     assert (
@@ -168,7 +168,7 @@ def test_no_other_wiring_of_a_sensor_read_rightly_is_named(name):
     )
 
 
-def test_a_gyro_whose_zero_is_off_is_the_culprit_and_where_it_is_not_panels_are_tried():
+def test_a_wrong_gyro_zero_is_tried_before_exchanged_panels():
     data = seen("gyro_B", lambda read: read + np.radians([0.3, -0.3, 0.3]))
 
     def run(fits_without: bool):
@@ -178,7 +178,7 @@ def test_a_gyro_whose_zero_is_off_is_the_culprit_and_where_it_is_not_panels_are_
     assert sought(CUBE, data, lambda *_: 0.0, run(False)) is None
 
 
-def test_exchanged_panels_that_look_like_turned_axes_of_a_sensor_are_named_beside_them():
+def test_exchanged_panels_and_the_equivalent_sensor_axes_are_both_named():
     """Two opposite panels' columns exchanged show the mirrored motion, in which a sound gyro seems to have two signs wrong."""
     data = seen("gyro_B", lambda read: read * [1, -1, -1])
     told = sought(CUBE, data, never, lambda *_: motion())
@@ -204,7 +204,7 @@ def test_exchanged_panels_that_look_like_turned_axes_of_a_sensor_are_named_besid
     assert "exchanged" not in told.words()
 
 
-def test_panels_and_not_the_quaternion_are_named_where_it_agrees_with_them_mirrored():
+def test_exchanged_panels_are_named_if_the_quaternion_agrees_with_their_mirror():
     data = seen(
         "attitude_B_from_N", lambda read: read * [1, -1, -1, 1]
     )  # the motion of the panels is that mirrored along x
@@ -222,7 +222,7 @@ def exchanged_columns(a: int, b: int) -> xr.Dataset:
     return data.assign(power_W=(("time", "panel"), power))
 
 
-def test_another_wiring_of_panels_must_be_clearly_better_and_fit():
+def test_another_column_assignment_must_be_clearly_better_and_fit():
     data = exchanged_columns(1, 5)
     right = next(
         one
@@ -266,7 +266,7 @@ def test_samples_by_themselves_show_some_exchanges():
     assert not implausible(unequal, right.assign(power_W=right["power_W"] * unequal.panel_gains))
 
 
-def test_panels_that_stay_dark_tell_an_exchange_from_its_mirror_image():
+def test_unlit_panels_distinguish_an_exchange_from_its_mirror():
     """The Sun near +y: as written -y is lit between two dark panels, which a mirror would leave dark, and no Sun can do that."""
     sides = [
         Panel(name, np.array(n) / np.sqrt(2), 1.0)
@@ -290,7 +290,7 @@ def test_panels_that_stay_dark_tell_an_exchange_from_its_mirror_image():
     ]
 
 
-def test_changes_that_look_the_same_are_named_together_with_their_rates_and_none_is_recommended():
+def test_equivalent_column_changes_are_named_with_their_rates_and_none_is_recommended():
     sphere = replace(
         CUBE, inertia_kg_m2=0.04 * np.eye(3)
     )  # here +y with -z exchanged is -y with +z, seen in a mirror

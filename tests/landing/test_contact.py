@@ -21,12 +21,12 @@ def unit(x):
     return x / np.linalg.norm(x, axis=-1, keepdims=True)
 
 
-def test_support_of_a_box_is_the_sum_of_its_half_sides():
+def test_the_support_function_of_a_box_is_the_sum_of_its_half_sides():
     d = unit(np.random.default_rng(1).normal(size=(100, 3)))
     np.testing.assert_allclose(c.support(BOX, d)[0], np.abs(d) @ [1, 2, 3], rtol=1e-14)
 
 
-def test_philae_stands_on_three_legs_and_shares_corners_between_panels():
+def test_philae_rests_on_three_legs_and_panels_share_corners():
     shape = c.shape_of(ss.load_vehicle("philae"))
     assert (shape.kind == 0).sum() == 3 and shape.complete
     lid = shape.panels[:, 5]
@@ -40,7 +40,7 @@ def test_philae_stands_on_three_legs_and_shares_corners_between_panels():
     )
 
 
-def test_a_corner_that_is_a_legs_end_counts_as_leg_and_a_bare_one_as_body():
+def test_a_hull_corner_at_a_leg_tip_counts_as_leg_and_others_as_body():
     panel = Panel("top", [0, 0, 1], 1.0)
     vehicle = Vehicle(
         "v",
@@ -53,7 +53,7 @@ def test_a_corner_that_is_a_legs_end_counts_as_leg_and_a_bare_one_as_body():
     assert sorted(shape.kind) == [0, 1, 1, 2, 2, 2, 2, 2]
 
 
-def test_a_centred_box_rests_on_the_face_that_its_plumb_line_meets_unless_a_wider_one_takes_it():
+def test_a_centred_box_rests_on_the_face_below_its_centre_of_mass_unless_it_tips_over():
     shape = box()
     assert len(shape.outward_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
     up = unit(np.random.default_rng(2).normal(size=(300, 3)))
@@ -65,7 +65,7 @@ def test_a_centred_box_rests_on_the_face_that_its_plumb_line_meets_unless_a_wide
     assert np.all(np.sum(shape.outward_B[facet] * -up, axis=1) > 0)
 
 
-def test_a_tower_that_leans_out_over_its_foot_falls():
+def test_a_tower_whose_centre_of_mass_is_outside_its_foot_tips_over():
     """The centre of mass is beyond the edge of the small foot: standing upright is no rest."""
     foot, top = (
         [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]],
@@ -78,7 +78,7 @@ def test_a_tower_that_leans_out_over_its_foot_falls():
     np.testing.assert_array_equal(inside, facet)
 
 
-def test_a_centre_of_mass_outside_the_hull_has_no_rest():
+def test_a_centre_of_mass_outside_the_hull_gives_no_resting_face():
     shape = box(shift=(5.0, 0, 0))
     assert shape.outward_B is None
     with pytest.raises(ss.InputError, match="no facet"):
@@ -94,7 +94,7 @@ def spin(rate, t, phase):
     return up, np.broadcast_to(np.stack([rate, 0 * rate, 0 * rate], axis=-1)[:, None], up.shape)
 
 
-def test_without_turning_the_lowest_point_touches_at_its_own_time():
+def test_without_rotation_the_lowest_point_touches_at_its_height_over_speed():
     rng, shape, t = np.random.default_rng(3), box(), np.linspace(0, 60, 301)
     up = np.broadcast_to(unit(rng.normal(size=(50, 1, 3))), (50, 301, 3))
     found = c.first_contact(shape, t, up, np.zeros_like(up), np.full(50, 0.1))
@@ -103,7 +103,7 @@ def test_without_turning_the_lowest_point_touches_at_its_own_time():
     np.testing.assert_allclose(found.t_s, 60 - reach / 0.1, atol=0.2 / c.REFINE + 1e-9)
 
 
-def test_the_rate_at_the_contact_is_that_of_its_time():
+def test_the_rate_at_contact_is_that_at_the_contact_time():
     """About the ground's normal, growing evenly: at 0.01 rad/s2 the rate is a hundredth of the time."""
     shape, t = box(), np.linspace(0, 60, 7)
     up = np.broadcast_to([0.0, 0.0, 1.0], (1, 7, 3))
@@ -113,7 +113,7 @@ def test_the_rate_at_the_contact_is_that_of_its_time():
 
 
 @pytest.mark.evidence("outcomes", "verified", "a dense search in time")
-def test_a_turning_rod_touches_where_a_dense_search_says():
+def test_the_contact_of_a_rotating_rod_agrees_with_a_dense_search():
     """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""
     rng, n, t = np.random.default_rng(4), 60, np.linspace(0, 40, 101)
     shape = c.shape_of(Vehicle("rod", hull=[HullPart("rod", [[0, 0, -1.5], [0, 0, 1.5]])]))
@@ -151,12 +151,12 @@ def test_a_turning_rod_touches_where_a_dense_search_says():
         (lambda: Vehicle("v", hull=[HullPart("a", BOX)] * 2), "two hull share the name 'a'"),
     ],
 )
-def test_bad_shapes_are_named(change, text):
+def test_bad_hulls_are_refused_by_name(change, text):
     with pytest.raises(ss.VehicleError, match=text.replace("(", r"\(")):
         change()
 
 
-def test_philaes_antenna_and_walls_are_those_of_the_paper():
+def test_antenna_and_walls_of_philae_are_those_of_the_paper():
     case = ss.load_case("philae")
     assert np.degrees(case.vehicle.antenna.opening_rad) == pytest.approx(
         case.published["antenna_cone"].value

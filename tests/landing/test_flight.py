@@ -24,7 +24,7 @@ def rows(n=6, seed=0) -> Rows:
 
 
 @pytest.mark.parametrize("name", SCHEDULES)
-def test_a_chain_is_the_reference_with_that_schedule(name):
+def test_a_chain_of_kernel_runs_agrees_with_the_reference_schedule(name):
     """Rates, Sun, wheel speed and any other fixed direction, also after the brake has stopped the wheel."""
     vehicle, start, times = (
         ss.load_vehicle("philae"),
@@ -60,7 +60,7 @@ def test_a_chain_is_the_reference_with_that_schedule(name):
     np.testing.assert_allclose(np.linalg.norm(carried, axis=-1), 1.0, atol=1e-9)
 
 
-def test_back_and_forth_is_the_identity():
+def test_a_flight_backward_and_forward_returns_to_its_start():
     vehicle, start = ss.load_vehicle("philae"), rows()
     back = fly(vehicle, start, ((-np.inf, "coast"),), 56.0, np.array([0.0]))
     again = fly(vehicle, back.at(0), SCHEDULES["off"], 0.0, np.array([56.0]))
@@ -69,7 +69,7 @@ def test_back_and_forth_is_the_identity():
     assert np.all(back.wheel_speed_rad_s > 890)
 
 
-def test_shares_of_time_are_those_of_a_dense_track_and_sum_to_one():
+def test_shares_of_time_agree_with_a_dense_track_and_sum_to_one():
     vehicle, start = ss.load_vehicle("philae"), rows(3)
     share, outcome = sun_height_shares(vehicle, start, SCHEDULES["delayed"], 0.0, 1400.0, 80)
     np.testing.assert_allclose(share.sum(axis=1), 1.0, rtol=1e-12)
@@ -89,7 +89,7 @@ def test_shares_of_time_are_those_of_a_dense_track_and_sum_to_one():
         assert np.abs(np.cumsum(share[i]) - np.cumsum(dense)).max() < 0.01
 
 
-def test_shares_of_time_count_each_leg_by_its_length():
+def test_shares_of_time_weigh_each_part_of_the_flight_by_its_duration():
     """At rest for 700 s with the wheel held; friction then turns the body about x by torque t^2 / (2 inertia) for 300 s more."""
     wheel = Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 0.0))
     craft = Vehicle("wheel on x", np.diag([3.0, 2.5, 2.0]), wheels=[wheel])

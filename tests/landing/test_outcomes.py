@@ -39,7 +39,7 @@ def rows_of(case, n=24, strategy="off", **changes) -> OutcomeRows:
 
 
 @pytest.mark.evidence("outcomes", "verified", "other threads and chunks")
-def test_the_same_for_any_workers_and_chunks_and_for_single_rows(case):
+def test_outcomes_do_not_depend_on_workers_chunks_and_other_rows(case):
     rows = rows_of(case)
     whole, cut, some = (
         ensemble(rows, chunk=24),
@@ -53,7 +53,7 @@ def test_the_same_for_any_workers_and_chunks_and_for_single_rows(case):
     assert other["contact_speed"][0] != whole["contact_speed"][3]
 
 
-def test_a_store_resumes_and_refuses_another_seed(case, tmp_path):
+def test_an_outcomes_store_is_resumed_and_refused_for_another_seed(case, tmp_path):
     options = {"scenario": sc.case_scenario(case), "chunk": 8, "store": tmp_path / "s"}
     first = ss.outcomes(case.vehicle, [[0.1, 0.2, 0.1]], "off", 16, 0, **options)
     again = ss.outcomes(case.vehicle, [[0.1, 0.2, 0.1]], "off", 16, 0, **options)
@@ -82,7 +82,7 @@ def test_probabilities_sum_to_one_and_densities_to_area_one(paper):
     "validated",
     "the paper, section 3.3; its bound on r_z with the wheel held is not reproduced",
 )
-def test_published_figures_of_section_3_3(paper, reached):
+def test_outcomes_agree_with_the_figures_of_section_3_3(paper, reached):
     """PHYSICS of the paper: off reaches all heights; held does go below -0.5 in a few per cent of the runs, unlike stated."""
     off, held = tally(paper["off"]), tally(paper["held"])
     assert (
@@ -108,7 +108,7 @@ def test_published_figures_of_section_3_3(paper, reached):
     )
 
 
-def test_without_the_collision_the_sun_never_sinks_so_low(case):
+def test_without_the_collision_r_z_stays_above_its_published_range(case):
     """Negative control: the wide distribution is the collision's doing, not the tumbling's before it."""
     scenario = replace(sc.paper_scenario(case), collision_speed_m_s=None)
     runs = ss.outcomes(case.vehicle, published_candidates(case), "off", 300, 7, scenario=scenario)
@@ -118,7 +118,7 @@ def test_without_the_collision_the_sun_never_sinks_so_low(case):
     )
 
 
-def test_a_plumb_fall_without_turning_is_known(case):
+def test_a_vertical_fall_without_rotation_agrees_with_the_closed_form(case):
     """At rest in space, no collision: what is lowest touches, legs down, at the landing speed."""
     scenario = sc.Scenario(
         (0.6, 0.0, 0.8), (0.0,), 100.0, landing_speed_m_s=0.2, vertical=(0, 0, 1), orbiter=(0, 0, 1)
@@ -147,7 +147,7 @@ def box_with_feet() -> Vehicle:
     )
 
 
-def test_fast_spins_touch_where_closer_samples_say(monkeypatch):
+def test_contacts_of_fast_spins_agree_with_closer_samples(monkeypatch):
     """At 3 rad/s samples 0.4 s apart are 1.2 rad apart: a tenth of the runs once touched with the wrong point, legs too rarely."""
     scenario = sc.Scenario((0.36, 0.48, 0.8), (), 600.0, vertical="any")
     rates, options = [[2.151, 1.076, 1.793]], {"scenario": scenario, "chunk": 64}
@@ -161,7 +161,7 @@ def test_fast_spins_touch_where_closer_samples_say(monkeypatch):
     )
 
 
-def test_a_landing_too_slow_for_its_flight_is_not_told():
+def test_a_landing_speed_too_slow_for_the_flight_gives_no_contact():
     """Once it 'touched' at the first instant that was looked at, far above the ground."""
     scenario = sc.Scenario((0.36, 0.48, 0.8), (), 600.0, landing_speed_m_s=0.001, vertical="any")
     runs = ss.outcomes(box_with_feet(), [[0.1, 0.2, 0.1]], "off", 20, 0, scenario=scenario)
@@ -170,7 +170,7 @@ def test_a_landing_too_slow_for_its_flight_is_not_told():
     np.testing.assert_allclose(runs["rz_share"].values.sum(axis=1), 1, atol=1e-5)
 
 
-def test_what_cannot_be_computed_or_told_is_one_sentence(case):
+def test_outcomes_that_cannot_be_computed_are_one_sentence(case):
     """No traceback where every run fails, no silence where momentum and Sun are parallel, no best delay without a wheel."""
     wheel = case.vehicle.wheels[0]
     two = replace(
@@ -195,7 +195,7 @@ def test_what_cannot_be_computed_or_told_is_one_sentence(case):
         best_delay(box_with_feet(), [[0.1, 0.0, 0.2]], n=4, scenario=along)
 
 
-def test_what_happened_in_all_runs_or_in_none_is_not_certain():
+def test_an_outcome_of_all_or_no_runs_has_an_uncertain_probability():
     """Rule of succession: about 1 / n; and one run tells no error at all."""
     for happened in (0.0, 1.0):
         found = probability(np.full(400, happened))
@@ -209,7 +209,7 @@ def test_what_happened_in_all_runs_or_in_none_is_not_certain():
     )
 
 
-def test_the_antenna_sees_a_quarter_of_a_sphere(case):
+def test_the_antenna_view_is_a_quarter_of_the_sphere(case):
     """Cone of 120 degrees: (1 - cos 60) / 2 of all directions, in flight, at contact and at rest alike."""
     scenario = replace(sc.case_scenario(case), orbiter="any", vertical="any")
     found = tally(
@@ -219,7 +219,7 @@ def test_the_antenna_sees_a_quarter_of_a_sphere(case):
         assert abs(found[name].value - 0.25) < 4 * found[name].error
 
 
-def test_candidates_may_come_with_their_own_sun_wheel_and_weight(case):
+def test_candidates_can_have_their_own_sun_wheel_speed_and_weight(case):
     """A posterior: the unlikely half is hardly drawn, and each run starts from its own Sun and wheel speed."""
     import xarray as xr
 
@@ -272,7 +272,7 @@ COMPILES = [
 
 
 @pytest.mark.parametrize("kind", ["no wheel", "no legs", "no mass", "no panels", *COMPILES])
-def test_other_vehicles_run_and_say_what_they_cannot_tell(kind):
+def test_outcomes_of_other_vehicles_name_what_is_unknown(kind):
     vehicle = craft(kind)
     speeds = tuple(wheel.speed_rad_s for wheel in vehicle.wheels)
     scenario = sc.Scenario(
@@ -291,13 +291,13 @@ def test_other_vehicles_run_and_say_what_they_cannot_tell(kind):
         assert "rest_leg" not in tally(runs)
 
 
-def test_attributes_tell_the_run(paper):
+def test_attributes_of_outcomes_describe_the_run(paper):
     runs = paper["held"]
     assert (runs.attrs["seed"], runs.attrs["strategy"]) == (7, "held")
     assert json.loads(runs.attrs["scenario"])["collision_speed_m_s"] == 0.2355
 
 
-def test_estimates_and_their_errors():
+def test_estimated_outcomes_have_the_documented_errors():
     rng = np.random.default_rng(0)
     hits = rng.random(4000) < 0.3
     found = estimate(hits)
@@ -323,7 +323,7 @@ def test_estimates_and_their_errors():
         ({"candidates": [[0.1, 0.2, np.nan]]}, "candidates must be rates"),
     ],
 )
-def test_bad_arguments_are_named(case, change, text):
+def test_bad_arguments_of_outcomes_are_named(case, change, text):
     given = {"candidates": [[0.1, 0.2, 0.3]], "strategy": "off", "n": 4, "seed": 0} | change
     with pytest.raises(ss.SunspinError, match=text):
         ss.outcomes(case.vehicle, **given)
@@ -341,11 +341,11 @@ def test_bad_arguments_are_named(case, change, text):
         ({"collision_axis_B": (0, 0, 0)}, "collision_axis_B must be three numbers"),
     ],
 )
-def test_bad_scenarios_are_named(case, change, text):
+def test_bad_landing_scenarios_are_named(case, change, text):
     with pytest.raises(ss.InputError, match=text):
         rows_of(case, **change)
 
 
-def test_a_vehicle_of_no_case_needs_a_scenario():
+def test_a_vehicle_without_a_case_needs_a_scenario():
     with pytest.raises(ss.InputError, match="nothing is known of what happens to 'a'"):
         ss.outcomes(craft("no wheel"), [[0.1, 0, 0]], n=4)

@@ -82,7 +82,7 @@ def studies(tmp_path):
     )
 
 
-def test_entries_of_the_study_against_the_wider_interval(studies):
+def test_entries_of_two_studies_are_compared_with_the_wider_interval(studies):
     data = ss.compare(*studies)
     size = dict(zip(data["row"].values.tolist(), data["size"].values, strict=True))
     known = {"far": 1.2 / 0.3, "pair": 1.5 / 0.5, "tolerated": 0.1 / 0.5, "near": 0.1}
@@ -97,7 +97,7 @@ def test_entries_of_the_study_against_the_wider_interval(studies):
     assert not same["beyond"].values.any() and not same["change"].values.any()
 
 
-def test_a_comparison_is_printed_drawn_and_written(studies, tmp_path):
+def test_a_comparison_is_printed_drawn_and_saved(studies, tmp_path):
     out = tmp_path / "out"
     run = CliRunner().invoke(Group("sunspin"), ["compare", *map(str, studies), "--out", str(out)])
     assert run.exit_code == 0
@@ -141,7 +141,7 @@ def test_passes_that_overlap_are_compared_in_sigmas_of_both(tmp_path, command):
 
 
 @pytest.mark.parametrize("decided", [True, False])
-def test_another_likeliest_solution_is_no_change_of_an_undecided_pass(tmp_path, decided):
+def test_a_new_likeliest_solution_does_not_change_an_undecided_pass(tmp_path, decided):
     """Two solutions 8 deg/s apart, each known to 0.1, whose probabilities of 0.5 and 0.4 change places."""
     slow, fast = (a_pass(0, 1, rate)["solutions"][0] for rate in (1.0, 9.0))
     lesser = {"probability": 0.4}
@@ -154,7 +154,7 @@ def test_another_likeliest_solution_is_no_change_of_an_undecided_pass(tmp_path, 
         assert bool(data.sel(row=row)["beyond"]) is decided
 
 
-def test_shares_of_runs_of_the_strategies_in_common(tmp_path):
+def test_comparisons_of_outcomes_use_the_strategies_in_common(tmp_path):
     def strategies(value, *more):
         estimates = {"touch_leg": {"value": value, "error": 0.03}}
         estimates["rate_after"] = {"value": np.radians(10.0), "error": np.radians(0.5)}
@@ -169,7 +169,7 @@ def test_shares_of_runs_of_the_strategies_in_common(tmp_path):
     assert "telemetry" not in str(data.sunspin.summary())
 
 
-def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
+def test_results_with_nothing_in_common_are_refused(studies, tmp_path):
     rates = folder(tmp_path / "rates", "rates", passes=[a_pass(0, 1, 1.0)])
     others = folder(tmp_path / "others", "rates", passes=[a_pass(0, 9, 1.0)])
     simulated = folder(tmp_path / "simulated", "simulate")
@@ -194,7 +194,7 @@ def test_what_has_nothing_in_common_is_refused(studies, tmp_path):
 
 @pytest.mark.parametrize("command", ["reproduce", "rates", "posterior", "outcomes"])
 @pytest.mark.parametrize("key", ["strategies", "figures", "passes", "inputs", "changes"])
-def test_summaries_of_any_content_end_in_a_sentence(tmp_path, command, key):
+def test_summaries_of_any_content_are_compared_or_refused_in_one_sentence(tmp_path, command, key):
     estimate = {"off": {"touch_leg": {"value": "x", "error": 1e-300}}}
     damaged = [entry("x", 1e300, [[1], 2], 1, unit="\ud800", agrees=[])]
     lists = [[], [3], [{"id": 1}], [a_pass({}, 1, 1.0, solutions=[{"probability": "x"}])], damaged]

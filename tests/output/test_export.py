@@ -54,7 +54,7 @@ def quaternions(text, form):
 
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_the_message_read_back_by_its_standard(form, result, tmp_path):
+def test_an_attitude_message_read_by_its_standard_gives_the_motion(form, result, tmp_path):
     text = write_aem(tmp_path / "a.aem", attitude_of(result), form).read_text()
     rotations = np.array([matrix_of_standard(q) for q in quaternions(text, form)])
     assert np.abs(rotations - body_from_n(result)).max() < 1e-9
@@ -72,7 +72,7 @@ def test_the_message_read_back_by_its_standard(form, result, tmp_path):
 
 @pytest.mark.evidence("export", "validated", "ccsds-ndm reads the message back")
 @pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_another_library_reads_the_message(form, result, tmp_path):
+def test_another_library_reads_the_attitude_message(form, result, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
     path = write_aem(tmp_path / "a.aem", attitude_of(result), form)
     segments = ndm_io.NdmIo().from_path(path).body.segment
@@ -128,7 +128,7 @@ def test_spice_reads_its_kernels_back(result, tmp_path, reached):
 @pytest.mark.evidence(
     "compare", "verified", "kernels of our own in which the rates were changed by 2 %"
 )
-def test_comparison_with_kernels_finds_what_was_changed(result, tmp_path, reached):
+def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reached):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
     pytest.importorskip("spiceypy")
     result = result.assign_attrs(celestial_frame="J2000")
@@ -158,7 +158,7 @@ def test_comparison_with_kernels_finds_what_was_changed(result, tmp_path, reache
         ("2014-11-12T15:34:04", 469078511.183),  # 67.184 s of TDB - UTC, as of the landing kernel
     ],
 )
-def test_ephemeris_time(utc, et):
+def test_ephemeris_time_agrees_with_spice(utc, et):
     assert ephemeris_time(utc) == pytest.approx(et, abs=2e-3)
 
 
@@ -187,13 +187,13 @@ def sparse():
 
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_no_quaternion_changes_its_sign_from_a_neighbour(form, sparse, tmp_path):
+def test_exported_quaternions_never_change_sign_between_neighbours(form, sparse, tmp_path):
     text = write_aem(tmp_path / "a.aem", attitude_of(sparse), form).read_text()
     for q in np.split(quaternions(text, form), [6]):
         assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
 
 
-def test_attitudes_on_a_grid_follow_the_motion_between_the_samples(sparse, tmp_path):
+def test_exported_attitudes_on_a_grid_follow_the_motion_between_samples(sparse, tmp_path):
     dense = attitude_of(sparse, step_s=0.7)
     assert [len(samples) for samples in dense.passes()] == [76, 76]
     assert np.ptp(dense.t_s[:76]) == pytest.approx(52.5)
@@ -208,7 +208,7 @@ def test_attitudes_on_a_grid_follow_the_motion_between_the_samples(sparse, tmp_p
         assert np.array_equal(data["B_from_N"].values, dense.quaternion)
 
 
-def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
+def test_a_motion_too_coarse_to_interpolate_is_refused_in_one_sentence(sparse):
     bare = sparse.drop_dims("curve_time")
     assert len(attitude_of(bare, step_s=5.0).t_s) == 22  # 37 degrees apart
     coarse = bare.isel(time=slice(None, None, 3)).drop_vars("pass_of")
@@ -222,7 +222,7 @@ def test_a_motion_too_coarse_to_interpolate_is_a_sentence(sparse):
 
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_object_and_centre_are_those_of_the_elements(form, sparse, tmp_path):
+def test_object_and_centre_of_a_message_come_from_the_elements(form, sparse, tmp_path):
     def said(key, **attrs):
         text = write_aem(
             tmp_path / "a.aem", attitude_of(sparse.assign_attrs(**attrs)), form
@@ -244,7 +244,7 @@ def test_object_and_centre_are_those_of_the_elements(form, sparse, tmp_path):
     assert said("OBJECT_NAME", orbit=42789) == "made up"  # two lines without a name
 
 
-def test_netcdf_and_parquet_carry_frame_and_units(result, tmp_path):
+def test_exported_netcdf_and_parquet_state_frame_and_units(result, tmp_path):
     attitude = attitude_of(result)
     with xr.open_dataset(write_cf(tmp_path / "a.nc", result, attitude), engine="h5netcdf") as data:
         assert data.attrs["Conventions"].startswith("CF-") and data.attrs["frame"] == LOCAL_FRAME
@@ -257,7 +257,7 @@ def test_netcdf_and_parquet_carry_frame_and_units(result, tmp_path):
     assert np.array_equal(table["q_w_B_from_N"].to_numpy(), attitude.quaternion[:, 3])
 
 
-def test_results_without_a_usable_attitude_are_a_sentence(result, tmp_path):
+def test_results_without_a_usable_attitude_are_refused_in_one_sentence(result, tmp_path):
     with pytest.raises(ss.InputError, match="not a results folder"):
         read_results(tmp_path)
     vehicle, telemetry = ss.load_example()

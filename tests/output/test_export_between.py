@@ -78,7 +78,7 @@ def degrees_off(attitude, truth):
 
 @pytest.mark.evidence("export", "validated", "NAIF's SPICE between the records of the kernels")
 @pytest.mark.parametrize("name", MOTIONS)
-def test_kernels_follow_the_motion_between_their_records(name, tmp_path, reached):
+def test_exported_kernels_follow_the_motion_between_their_records(name, tmp_path, reached):
     run, between, truth = simulated(name)
     attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
     found, rates = by_spice(write_ck(tmp_path, attitude), EPOCH, between)
@@ -91,7 +91,7 @@ def test_kernels_follow_the_motion_between_their_records(name, tmp_path, reached
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 @pytest.mark.parametrize("name", ["12 deg/s every 20 s", "tumbling fast, far apart"])
-def test_a_reader_of_the_message_that_interpolates_follows_the_motion(name, form, tmp_path):
+def test_an_interpolated_attitude_message_follows_the_motion(name, form, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
     run, between, truth = simulated(name)
     path = write_aem(tmp_path / "a", attitude_of(run, epoch_utc=EPOCH, dense=True), form)
@@ -112,7 +112,7 @@ def states(segment):
 
 
 @pytest.mark.parametrize("duration", [600, -600])
-def test_the_commands_give_a_kernel_of_the_motion(duration, tmp_path, undrawn):
+def test_simulate_and_export_give_a_kernel_of_the_motion(duration, tmp_path, undrawn):
     """240 degrees from one output to the next, of which every reader goes 120 degrees back."""
     sunspin(tmp_path, "init", "sat")
     start = "--omega-deg-s=0,0,12", "--sun=1,0,0", f"--duration={duration}", "--step=20"
@@ -145,7 +145,7 @@ def test_the_commands_give_a_kernel_of_the_motion(duration, tmp_path, undrawn):
     assert compared["covered"] >= 30 and max(compared["rms_deg_s"]) < 1e-4
 
 
-def test_a_step_across_half_a_revolution_is_refused_and_the_advice_holds(tmp_path, undrawn):
+def test_a_step_over_half_a_revolution_is_refused_and_the_suggested_step_works(tmp_path, undrawn):
     sunspin(tmp_path, "init", "sat")
     start = "--omega-deg-s=0,0,12", "--sun=1,0,0", "--duration=600", "--step=20"
     sunspin(tmp_path, "simulate", "sat/vehicle.toml", *start, "--wheel-mode=hold", "--out=sim")
@@ -167,7 +167,7 @@ def sunspin(folder, *arguments, code=0):
     return told
 
 
-def test_a_trajectory_too_coarse_to_interpolate_names_the_step_that_is_not():
+def test_a_trajectory_too_coarse_to_interpolate_is_refused_with_a_step_that_works():
     motion = propagated(TRIAXIAL, [0, 0, 12], "coast")
     with pytest.raises(ss.InputError, match=r"up to 240 degrees between.*again with --step 2\.1"):
         attitude_of(motion(np.arange(0, 601, 20.0)), epoch_utc=EPOCH, dense=True)
@@ -219,7 +219,7 @@ def test_an_attitude_is_not_interpolated_across_a_gap(tmp_path):
         attitude_of(lone, epoch_utc=EPOCH, dense=True)
 
 
-def test_samples_that_a_uniform_rotation_follows_are_exported_as_they_are():
+def test_samples_of_a_uniform_rotation_are_exported_unchanged():
     motion = propagated(TRIAXIAL, [0.2, 0.1, 2], "coast")
     run = motion(np.arange(0, 601, 2.0))
     attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
@@ -227,19 +227,19 @@ def test_samples_that_a_uniform_rotation_follows_are_exported_as_they_are():
     assert "curve_time" not in with_curve(run, TRIAXIAL.inertia_kg_m2, motion)
 
 
-def test_a_curve_has_the_kinks_where_a_wheel_stops():
+def test_the_interpolation_has_a_knot_where_a_wheel_stops():
     run, _, _ = simulated("a wheel runs down and stops")
     assert run.sizes["event"] == 1 and run["event_time_s"].values[0] in run["curve_time"].values
 
 
 @pytest.mark.parametrize("step", ["inf", "nan", "1e-9"])
-def test_a_step_that_is_no_time_is_a_sentence(step):
+def test_a_step_that_is_no_duration_is_refused_in_one_sentence(step):
     run = propagated(TRIAXIAL, [0, 0, 1], "coast")(np.arange(0, 61, 2.0))
     with pytest.raises(ss.InputError, match="--step"):
         attitude_of(run, epoch_utc=EPOCH, step_s=float(step), dense=True)
 
 
-def test_what_simulate_stores_has_units(tmp_path, undrawn):
+def test_variables_of_simulate_have_units(tmp_path, undrawn):
     run, _, _ = simulated("12 deg/s every 20 s")
     data = xr.load_dataset(run.sunspin.save(tmp_path / "run") / "trajectory.nc", engine="h5netcdf")
     for name in ("curve_time", "curve_omega_B", "curve_B_from_N"):

@@ -14,7 +14,7 @@ from sunspin.output.kinds.telemetry import connected, sun_directions_figure
 from tests.support.figures import covered
 
 
-def test_a_legend_on_a_curve_is_seen():
+def test_the_test_for_legends_on_curves_detects_one():
     """The check that the figures of the study pass does accuse."""
     for place, said in (("upper left", []), ("lower right", []), ("center", ["rising"])):
         axes = (figure := Figure()).subplots()
@@ -45,7 +45,7 @@ def directions(hours: list[float], known: list[int], phase: list[str] | None = N
         ([0, 1], [], None, []),
     ],
 )
-def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(
+def test_lines_connect_successive_directions_of_a_phase_and_cross_no_gap(
     hours, known, phase, pieces
 ):
     found = connected(np.array(hours, dtype=float), directions(hours, known, phase))
@@ -53,14 +53,14 @@ def test_a_line_connects_successive_directions_of_a_phase_and_crosses_no_pause(
 
 
 @pytest.mark.parametrize("turned", [10, 50, 70, 180])
-def test_no_line_connects_directions_so_far_apart_that_the_way_between_is_not_known(turned):
+def test_no_line_connects_directions_too_far_apart_to_interpolate(turned):
     sun = directions(list(range(6)), list(range(6)))
     sun["sun_B"].values[3:] = Rotation.from_euler("x", turned, degrees=True).apply([0.0, 0.6, 0.8])
     found = [piece.tolist() for piece in connected(np.arange(6.0), sun)]
     assert found == ([[0, 1, 2, 3, 4, 5]] if turned < 60 else [[0, 1, 2], [3, 4, 5]])
 
 
-def test_no_error_bar_leads_out_of_the_range_of_a_probability():
+def test_error_bars_of_a_probability_stay_between_zero_and_one():
     rng = np.random.default_rng(0)
     value, error = rng.uniform(size=200).round(1), rng.uniform(size=200)
     low, high = within_one(value, error)
@@ -71,7 +71,7 @@ def test_no_error_bar_leads_out_of_the_range_of_a_probability():
     )
 
 
-def test_the_figure_of_the_directions_draws_these_lines():
+def test_the_figure_of_sun_directions_draws_the_connecting_lines():
     case = ss.load_case("philae")
     sun, telemetry = ss.sun_directions(case.vehicle, case.telemetry), case.telemetry
     figure = sun_directions_figure(sun, telemetry)

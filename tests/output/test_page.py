@@ -44,7 +44,7 @@ PARTS = {
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_every_command_gets_its_parts_and_labels_from_outside_stay_text(user_runs, name):
+def test_the_page_of_each_command_has_its_sections_and_escapes_foreign_labels(user_runs, name):
     read = Page(user_runs[name] / "report.html")
     assert read.ids("section") == PARTS[name]
     assert "could not be" not in read.text and f"sunspin {name}" in read.text
@@ -61,7 +61,7 @@ def test_every_command_gets_its_parts_and_labels_from_outside_stay_text(user_run
     assert all(attrs["src"].startswith("data:image/") and attrs["alt"] for attrs in shown)
 
 
-def test_the_study_has_every_part_and_says_what_its_summary_says(study, page):
+def test_the_page_of_the_study_has_every_section_and_the_figures_of_its_summary(study, page):
     parts = ["summary", "motion", "sun", "rate-space", "tables", "comparison", "provenance"]
     assert [i for i in page.ids("section") if i != "figures"] == parts
     summary = json.loads((study / "summary.json").read_text("utf-8"))
@@ -74,7 +74,7 @@ def test_the_study_has_every_part_and_says_what_its_summary_says(study, page):
         assert text in page.text
 
 
-def test_it_stands_alone_and_is_small(study, page):
+def test_the_page_loads_nothing_and_is_small(study, page):
     assert (study / "report.html").stat().st_size < 15e6
     for tag, attrs in page.tags:
         for name in ("src", "href", "action", "poster", "data"):
@@ -87,7 +87,7 @@ def test_it_stands_alone_and_is_small(study, page):
     assert "MIT License" in page.text or "MIT license" in page.text
 
 
-def test_every_view_has_words_and_axes_with_units(user_runs, page):
+def test_every_view_of_the_page_has_a_text_and_axes_with_units(user_runs, page):
     for read in (page, Page(user_runs["posterior"] / "report.html")):
         words = {
             attrs["data-plot"]: attrs["aria-label"]
@@ -106,7 +106,7 @@ def test_every_view_has_words_and_axes_with_units(user_runs, page):
 
 
 @pytest.mark.parametrize("text", ["</script>", "<!--<script>", "\u2028\u2029", "a&b'\"\\", "]]>"])
-def test_no_label_ends_the_script_it_stands_in(text):
+def test_no_label_ends_the_script_that_contains_it(text):
     made = _json({"label": text, text: 1})
     assert not re.search(r"[<>&\u2028\u2029]", made)
     assert json.loads(made) == {"label": text, text: 1}
@@ -121,7 +121,7 @@ def corners_of(view):
 @pytest.mark.evidence(
     "report", "verified", "the drawn attitude, rates and Sun against the result file"
 )
-def test_the_drawn_attitude_is_the_stored_one(user_runs):
+def test_the_attitude_on_the_page_is_the_stored_one(user_runs):
     """The rotation is recovered from the drawn corners; the Sun's arrow, carried back by it, is the stored Sun."""
     results = read_results(user_runs["simulate"])
     (view,) = body_in_motion(results, motions_of(results))
@@ -142,7 +142,7 @@ def test_the_drawn_attitude_is_the_stored_one(user_runs):
     assert f"{speed:.3g} deg/s, wheel 300 rad/s" in label
 
 
-def test_faster_motions_are_shown_in_part_and_standing_ones_whole():
+def test_the_page_shows_fast_motions_in_part_and_motions_at_rest_whole():
     """No two frames are a third of a radian apart, whatever the rate; a body that does not turn has frames too."""
     cube = Vehicle(
         "cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 0, 1], 1.0))
@@ -157,7 +157,7 @@ def test_faster_motions_are_shown_in_part_and_standing_ones_whole():
         assert max(np.abs(np.diff(corners, axis=0)).max(axis=(1, 2))) < 0.5 * size
 
 
-def test_a_slow_motion_is_shown_to_its_end_and_a_coarse_one_not_at_all():
+def test_the_page_shows_a_slow_motion_to_its_end_and_a_coarse_one_not_at_all():
     """Of few instants all are shown; where the body turns by more than 2 rad between two, nobody knows which way."""
     cube = Vehicle("cube", np.eye(3), panels=(Panel("a", [1, 0, 0], 1.0),))
     for rate, number in ((0.05, 1), (0.3, 0)):
@@ -170,7 +170,7 @@ def test_a_slow_motion_is_shown_to_its_end_and_a_coarse_one_not_at_all():
             assert len(labels) == 20 and labels[-1].startswith("190.0 s")
 
 
-def test_panels_on_one_input_are_lit_one_by_one():
+def test_the_page_lights_panels_of_a_shared_input_one_by_one():
     """The view colours panels, not inputs: a pair of opposite panels on one channel is lit on one side at a time."""
     cube = replace(
         Vehicle(
@@ -186,7 +186,7 @@ def test_panels_on_one_input_are_lit_one_by_one():
     assert len(set(colours[:, 0])) > 5
 
 
-def test_panels_of_one_side_have_one_label_on_the_sphere():
+def test_panels_of_one_side_share_a_label_on_the_sphere():
     panels = (Panel("a", [1, 0, 0], 1.0), Panel("b", [1, 0, 0], 1.0), Panel("c", [0, 0, 1], 1.0))
     cube = Vehicle("cube", np.eye(3), panels=panels)
     run = ss.propagate(cube, [0, 0, 0.1], [1, 0, 0], None, np.arange(9.0))
@@ -195,7 +195,7 @@ def test_panels_of_one_side_have_one_label_on_the_sphere():
     assert sorted(view.figure.data[-1].text) == ["a, b", "c"]
 
 
-def test_the_axis_of_the_studys_first_picture_holds_every_motion(study):
+def test_the_speed_axis_of_the_study_contains_every_motion(study):
     speed = xr.load_dataset(study / "speed.nc", engine="h5netcdf")
     parts = ("speed", "speed_after_collision")
     low, high = speed_figure(load_case("philae"), speed, True).axes[0].get_ylim()
@@ -207,7 +207,7 @@ def test_the_axis_of_the_studys_first_picture_holds_every_motion(study):
     assert 0 < low < 1e-4 and high > 5
 
 
-def test_tables_are_those_of_the_files(user_runs):
+def test_tables_on_the_page_are_those_of_the_files(user_runs):
     folder = user_runs["rates"]
     passes = pd.read_csv(folder / "passes.csv", comment="#")
     text = Page(folder / "report.html").part("tables")
@@ -219,7 +219,7 @@ def test_tables_are_those_of_the_files(user_runs):
     )
 
 
-def test_only_our_folders_are_taken(tmp_path):
+def test_report_refuses_folders_that_sunspin_did_not_write(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
         write_report(tmp_path / "none")
     (tmp_path / "report.html").write_text("mine", "utf-8")
@@ -232,7 +232,7 @@ def test_only_our_folders_are_taken(tmp_path):
 
 
 @pytest.mark.evidence("report", "verified", "the draws and the best motion of a posterior's files")
-def test_the_best_motion_of_a_posterior_is_its_likeliest_draw(user_runs):
+def test_the_motion_shown_of_a_posterior_is_its_likeliest_draw(user_runs):
     folder = user_runs["posterior"]
     tree = xr.load_datatree(folder / "posterior.nc")
     motion = xr.load_dataset(folder / "motion-solution-1.nc")
@@ -247,7 +247,7 @@ def test_the_best_motion_of_a_posterior_is_its_likeliest_draw(user_runs):
     assert np.abs(scale * modelled - samples.values).max() < 6 * 0.02  # of its noise, 0.02 W
 
 
-def test_the_command_names_the_page(user_runs):
+def test_report_prints_the_path_of_the_page(user_runs):
     done = CliRunner().invoke(
         cli, ["report", str(user_runs["scan"]), "--json"], catch_exceptions=False
     )

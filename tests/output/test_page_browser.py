@@ -31,7 +31,7 @@ def text(browser: Browser, selector: str) -> str:
 
 @pytest.mark.long
 @pytest.mark.evidence("report", "validated", "Chromium: no error, no request, every view drawn")
-def test_it_is_quiet_and_asks_nobody(page):
+def test_the_page_prints_no_error_and_requests_nothing(page):
     assert page.complaints() == []
     assert [url for url in page.requests() if not url.startswith(("file:", "data:", "blob:"))] == []
     drawn = "[...document.querySelectorAll('details[open] [data-plot]')].every(e => e.dataset.drawn === 'yes')"
@@ -39,7 +39,7 @@ def test_it_is_quiet_and_asks_nobody(page):
 
 
 @pytest.mark.long
-def test_rows_can_be_filtered(page, study):
+def test_entries_on_the_page_can_be_filtered(page, study):
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     labels = page.js(
         "[...document.querySelectorAll('button[data-filter]')].map(b => [b.dataset.filter, b.textContent])"
@@ -61,7 +61,7 @@ def test_rows_can_be_filtered(page, study):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("width", "dark"), [(400, True), (400, False), (1300, True)])
-def test_narrow_and_dark(browser, study, width, dark):
+def test_the_page_is_legible_in_a_narrow_and_a_dark_window(browser, study, width, dark):
     browser.open(study / "report.html", width, 844, dark)
     browser.show(MOTION)
     assert browser.js("document.documentElement.scrollWidth <= innerWidth")
@@ -89,7 +89,7 @@ def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusio
     "name",
     ["simulate", *(pytest.param(name, marks=pytest.mark.long) for name in ("rates", "posterior"))],
 )
-def test_a_users_run_with_a_hostile_name_moves(browser, user_runs, name):
+def test_the_page_of_a_vehicle_with_a_hostile_name_animates_its_motion(browser, user_runs, name):
     browser.open(user_runs[name] / "report.html", 640, 480)  # the processor paints each pixel
     browser.show(MOTION)
     assert browser.js("window.hacked === undefined") and browser.complaints() == []
@@ -120,7 +120,7 @@ def contrast(a: str, b: str) -> float:
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_the_time_of_the_moving_body_is_legible_in_both_themes(browser, user_runs, dark):
+def test_the_time_of_the_animation_is_legible_in_both_themes(browser, user_runs, dark):
     browser.open(user_runs["simulate"] / "report.html", 640, 480, dark)
     browser.show(MOTION)
     label = f'getComputedStyle(document.querySelector("{MOTION} .slider-label"))'
@@ -139,7 +139,7 @@ def test_the_time_of_the_moving_body_is_legible_in_both_themes(browser, user_run
     assert measured() > 4.5
 
 
-def test_a_request_would_be_noticed(browser, tmp_path):
+def test_the_browser_test_detects_a_request(browser, tmp_path):
     """A negative control of the tests above."""
     path = tmp_path / "bad.html"
     page = (

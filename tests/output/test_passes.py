@@ -48,7 +48,7 @@ def found():
     )
 
 
-def test_every_motion_is_a_row_with_the_columns_that_scripts_read(found, tmp_path):
+def test_passes_csv_has_a_row_for_each_solution_and_the_documented_columns(found, tmp_path):
     contents = Contents(tables=[passes_table(found)], synthetic=True)
     write_contents(tmp_path, {}, contents)
     text = (tmp_path / "passes.csv").read_text("utf-8")
@@ -69,7 +69,7 @@ def test_every_motion_is_a_row_with_the_columns_that_scripts_read(found, tmp_pat
 
 
 @pytest.mark.parametrize("digits", [0, 1, 3])
-def test_a_time_is_rounded_and_not_the_seconds_since_the_epoch(digits):
+def test_passes_csv_rounds_times_after_adding_the_epoch(digits):
     """The part of a second at which the file begins must not appear in a time that is printed to the second."""
     rng = np.random.default_rng(digits)
     for seconds, begin in zip(1e4 * rng.uniform(size=50), rng.integers(1000, size=50), strict=True):
@@ -83,14 +83,14 @@ def test_a_time_is_rounded_and_not_the_seconds_since_the_epoch(digits):
         )
 
 
-def test_the_summary_has_the_same_names(found):
+def test_the_summary_has_the_names_of_passes_csv(found):
     told = pass_numbers(found, 0) | motion_numbers(found, 0, 1)
     assert set(COLUMNS) <= set(told) and told["omega_x"] == 0.2
     assert told["omega_x_deg_s"] == pytest.approx(11.459, abs=1e-3) and told["decided"] is False
     assert told["why_not_decided"] == "several solutions; constrained: x z only"
 
 
-def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
+def test_printed_numbers_have_no_minus_zero_and_a_fitting_unit():
     assert number_text([-0.0, -1e-9]) == "(0, -1e-09)" and with_sigma(-0.0004, 0.1).startswith(
         "0.00 "
     )
@@ -102,7 +102,7 @@ def test_numbers_are_read_without_a_minus_zero_and_sizes_in_a_fitting_unit():
     assert with_range(3.0, 3.0, 3.0) == "3.000 (3.000 to 3.000)"
 
 
-def test_a_set_of_names_with_signs_can_be_read():
+def test_printed_sets_of_signed_names_are_unambiguous():
     assert set_text(("-X", "+Y", "-Y", "+Z")) == "-X, +Y, -Y, +Z"
     assert set_text(("2", "3", "6")) == "2-3-6"  # as the paper writes it
     assert number_text([["+X", "-Z"], ["-Y"]]) == "+X, -Z; -Y"
@@ -111,11 +111,11 @@ def test_a_set_of_names_with_signs_can_be_read():
 @pytest.mark.parametrize(
     ("value", "text"), [(1083.4, "1080"), (0.02, "0.02"), (12.0, "12"), (2.5e-6, "2.5e-06")]
 )
-def test_the_size_of_an_error_is_printed_without_an_exponent(value, text):
+def test_errors_are_printed_without_an_exponent(value, text):
     assert size_text(value) == text
 
 
-def test_impossible_patterns_are_printed_as_sets():
+def test_impossible_illumination_patterns_are_printed_as_sets():
     many = {
         "impossible": {"-X, +Y, -Y": 3, "+X, -X": 1},
         "explanations": [],
@@ -126,7 +126,7 @@ def test_impossible_patterns_are_printed_as_sets():
     assert "2-3-6 (4)" in health_lines(many | {"impossible": {"2-3-6": 4}})[0]
 
 
-def test_panels_on_pictures_have_short_and_different_names():
+def test_panels_in_figures_have_short_and_different_names():
     long = [f"{'solar_panel_' * 8}{k}" for k in range(3)] + ["+X"]
     labels = labels_of(long)
     assert max(map(len, labels)) <= 14 and len(set(labels)) == 4 and labels[3] == "+X"

@@ -62,7 +62,7 @@ def tumble(
     return result, samples
 
 
-def test_the_speed_is_no_size_of_a_mean():
+def test_the_speed_of_a_pass_is_the_mean_of_speeds():
     result, _ = tumble()
     rate = rate_at(result, 0)
     speed = np.degrees(np.linalg.norm(result["omega_B"].values, axis=1))
@@ -96,7 +96,7 @@ def test_residuals_are_drawn_by_sensor_with_the_share_beyond_the_limit(tmp_path)
         (False, False, "probability 1.00, poor fit"),
     ],
 )
-def test_the_rates_of_a_pass_that_must_not_be_used_say_so(fits, decided, said):
+def test_a_pass_that_must_not_be_used_is_marked_in_its_figure(fits, decided, said):
     result, _ = tumble(20, 30.0)
     found = result.assign(
         probability=(("pass_id", "solution"), [[1.0]]),
@@ -110,7 +110,7 @@ def test_the_rates_of_a_pass_that_must_not_be_used_say_so(fits, decided, said):
     ("used", "said"),
     [((), "panel signals"), (("gyro", "field"), "panel signals, gyro and magnetometer")],
 )
-def test_the_sensors_used_are_named(used, said):
+def test_the_summary_of_rates_names_the_sensors_used(used, said):
     result, _ = tumble()
     assert sources(result.assign_attrs({f"{name}_used": 1 for name in used})) == said
     assert sources(result.assign_attrs(source="field", field_used=1)) == "magnetometer"
@@ -133,7 +133,7 @@ def with_curve(result: xr.Dataset, omega=OMEGA) -> xr.Dataset:
     ).assign_coords(curve_time=t)
 
 
-def test_rates_are_drawn_as_the_motion_bends_and_fill_their_axes():
+def test_drawn_rates_follow_the_motion_and_fill_their_axes():
     """No straight lines between samples, and no axis stretched to a zero that is out of sight."""
     result, _ = tumble(20, 30.0)
     result = with_curve(result)
@@ -169,7 +169,7 @@ def test_the_attitude_is_drawn_where_an_orbit_gives_it():
 
 
 @pytest.mark.parametrize("passes", [2, 5, 30])
-def test_passes_far_apart_stand_side_by_side(passes):
+def test_passes_far_apart_are_drawn_side_by_side(passes):
     one = np.arange(0.0, 600.0, 30.0)
     time = np.concatenate([one + 5700 * k for k in range(passes)])
     place = passes_together(time)
@@ -190,7 +190,7 @@ def test_passes_far_apart_stand_side_by_side(passes):
     )
 
 
-def test_values_are_told_in_words():
+def test_values_of_a_pass_are_printed_in_words():
     assert number_text([[2], [2, 3]]) == "((2); (2, 3))"
     assert number_text([["2"], ["2", "3"]]) == "2; 2-3"
     assert number_text(True) == "yes" and number_text([None, False]) == "(none, no)"
@@ -199,7 +199,7 @@ def test_values_are_told_in_words():
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
 )
-def test_names_that_look_like_formulas_are_drawn_as_they_are(seed, tmp_path):
+def test_names_that_look_like_formulas_are_drawn_unchanged(seed, tmp_path):
     rng = random.Random(seed)
     names = []
     while len(names) < 6:

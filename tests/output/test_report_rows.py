@@ -72,7 +72,7 @@ def test_only_an_informative_test_agrees_or_differs(given, verdict):
 @pytest.mark.evidence(
     "report", "verified", "the counts of summary.json, recounted from the rows that the page shows"
 )
-def test_rows_and_filters_have_the_counts_of_the_summary(study):
+def test_entries_and_filters_have_the_counts_of_the_summary(study):
     summary, page = (
         json.loads((study / "summary.json").read_text("utf-8")),
         Page(study / "report.html"),
@@ -111,7 +111,7 @@ def test_contradictions_are_a_table_of_the_unchanged_study_alone(study, no_concl
     assert "contradicts itself" not in Page(no_conclusion / "report.html").text
 
 
-def test_a_row_shows_its_interval_what_was_possible_and_what_made_it(tmp_path):
+def test_an_entry_shows_its_interval_the_possible_range_and_its_source(tmp_path):
     rows = [
         row(
             id="a",
@@ -139,7 +139,7 @@ def test_a_row_shows_its_interval_what_was_possible_and_what_made_it(tmp_path):
     assert between([1, 2], 3) == "(1, 2) to 3" and between("x", None) == ""
 
 
-def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):
+def test_texts_of_entries_and_of_the_first_screen_are_escaped(tmp_path):
     texts = tuple("what unit note source chain part section published ours low high".split())
     rows = [row(id=f"{HOSTILE}{k}", **dict.fromkeys(texts, HOSTILE)) for k in range(2)]
     rows.append(row(id="rate_at_touchdown_bound", ours=1.0, unit=HOSTILE, chain=HOSTILE))
@@ -187,7 +187,7 @@ def test_the_first_screen_of_a_study_has_headline_and_score(study):
 @pytest.mark.evidence(
     "report", "verified", "a file that carries no conclusion: each panel's readings in random order"
 )
-def test_a_page_without_conclusions_gives_the_reason_and_claims_nothing(no_conclusion):
+def test_a_page_without_conclusions_gives_the_reason_and_no_result(no_conclusion):
     summary, page = (
         json.loads((no_conclusion / "summary.json").read_text("utf-8")),
         Page(no_conclusion / "report.html"),

@@ -47,7 +47,7 @@ def test_each_published_figure_is_compared_or_marked_as_used(summary, reached):
     reached("published figures", len(CASE.published))
 
 
-def test_the_telemetry_used_is_written_to_copy_and_change(study: Path):
+def test_reproduce_writes_the_telemetry_that_it_used(study: Path):
     assert (study / "telemetry.csv").read_bytes() == (CASE.folder / "telemetry.csv").read_bytes()
 
 
@@ -62,7 +62,7 @@ def test_telemetry_in_the_results_folder_is_refused_and_kept(tmp_path):
     assert mine.is_file()
 
 
-def test_another_vehicles_file_is_refused_in_a_sentence(tmp_path, monkeypatch):
+def test_telemetry_of_another_vehicle_is_refused_in_one_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = CliRunner()
     assert run.invoke(cli, ["init", "mine"]).exit_code == 0
@@ -81,7 +81,7 @@ def test_another_vehicles_file_is_refused_in_a_sentence(tmp_path, monkeypatch):
     assert not Path("out").exists()
 
 
-def test_another_body_takes_the_place_of_philae(tmp_path):
+def test_a_vehicle_file_replaces_philae(tmp_path):
     """A heavier lander in a file of its own: the case has its inertia, and the telemetry is read with its columns."""
     text = (
         (CASE.folder / "vehicle.toml").read_text("utf-8").replace("value = 97.63", "value = 120.0")
@@ -93,7 +93,7 @@ def test_another_body_takes_the_place_of_philae(tmp_path):
     assert reproduction._inputs(case, path)[1]["file"] == "heavy.toml"
 
 
-def test_the_summary_has_the_public_form(summary):
+def test_the_summary_of_the_study_has_the_documented_keys(summary):
     """API: the keys of each figure, null where nothing is judged, and the counts."""
     assert set("version seed synthetic_telemetry seconds headline chain figures".split()) <= set(
         summary
@@ -123,7 +123,7 @@ def test_the_summary_has_the_public_form(summary):
             assert row["prior_low"] is None and row["informative"], row["id"]
 
 
-def test_figures_that_were_put_in_are_told_apart_and_neither_agree_nor_differ(summary):
+def test_input_figures_are_marked_and_neither_agree_nor_differ(summary):
     put_in = {row["id"] for row in summary["figures"] if row["kind"] == "put_in"}
     assert {
         "delta_mean",
@@ -159,7 +159,7 @@ def test_only_informative_tests_agree_or_differ(summary):
     ) == len(judged)
 
 
-def test_no_tolerance_admits_anything(summary):
+def test_no_tolerance_is_half_of_its_figure_or_more(summary):
     """A tolerance of half of the figure or more would pass nearly whatever this run found."""
     loose = set()
     for row in summary["figures"]:

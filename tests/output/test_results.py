@@ -101,7 +101,7 @@ MADE = {
 
 
 @pytest.mark.parametrize("kind", MADE)
-def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_path, framed):
+def test_every_result_is_summarised_drawn_and_saved_by_its_kind(kind, tmp_path, framed):
     result = MADE[kind]()
     given = result.copy(deep=True)
     assert result.attrs["kind"] == kind and result.attrs["sunspin_version"] == ss.__version__
@@ -126,7 +126,7 @@ def test_every_result_knows_its_kind_and_says_draws_and_saves_itself(kind, tmp_p
     assert json.loads((folder / "summary.json").read_text("utf-8"))["version"] == ss.__version__
 
 
-def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
+def test_a_posterior_and_its_predictions_are_summarised_and_saved(user_runs, tmp_path, framed):
     tree = xr.load_datatree(user_runs["posterior"] / "posterior.nc")
     assert tree.attrs["kind"] == "posterior" and tree["predictions"].attrs["kind"] == "predictions"
     summary = tree.sunspin.summary()
@@ -142,7 +142,7 @@ def test_a_posterior_and_its_predictions(user_runs, tmp_path, framed):
     assert {"posterior.nc", "solutions.csv", "corner.svg", "predicted.csv"} <= names
 
 
-def test_a_panel_that_was_left_out_of_the_rates_is_said():
+def test_rates_name_a_panel_that_was_left_out():
     result = rates()
     assert result.attrs["panels_left_out"] == "" and "left out" not in str(result.sunspin.summary())
     said = result.assign_attrs(panels_left_out="+X, -Y").sunspin.summary()
@@ -168,7 +168,7 @@ def test_rates_are_printed_in_degrees_a_second(user_runs):
     )
 
 
-def test_strategies_side_by_side(user_runs):
+def test_outcomes_of_strategies_are_printed_side_by_side(user_runs):
     table = xr.load_dataset(user_runs["outcomes"] / "strategies.nc")
     assert table.attrs["kind"] == "strategies" and isinstance(table.sunspin.plot(), Figure)
     printed = json.loads((user_runs["outcomes"] / "summary.json").read_text("utf-8"))
@@ -181,7 +181,7 @@ def test_strategies_side_by_side(user_runs):
     )
 
 
-def test_twins_are_telemetry():
+def test_simulated_telemetry_is_saved_as_telemetry():
     truth = {
         "omega_B": [0.1, 0.0, 0.2],
         "sun_B": [0.0, 0.6, 0.8],
@@ -190,7 +190,7 @@ def test_twins_are_telemetry():
     assert ss.twin(vehicle(), truth, seed=1).attrs["kind"] == "telemetry"
 
 
-def test_the_health_of_panels_keeps_its_names_beside_its_variables():
+def test_panel_health_keeps_its_panel_names():
     """Scripts ask a health by these names and iterate over them; a Dataset is what is stored."""
     health = ss.panel_health(vehicle(), telemetry())
     assert isinstance(health, xr.Dataset) and health["lost"].values.tolist() == [
@@ -216,7 +216,7 @@ def test_the_health_of_panels_keeps_its_names_beside_its_variables():
 
 
 @pytest.mark.parametrize("attrs", [{}, {"kind": "house"}, {"kind": 3}])
-def test_what_is_no_result_is_refused_in_one_sentence(attrs, tmp_path):
+def test_a_dataset_that_is_no_result_is_refused_in_one_sentence(attrs, tmp_path):
     data = xr.Dataset(attrs=attrs)
     for use in (
         data.sunspin.summary,
@@ -229,7 +229,7 @@ def test_what_is_no_result_is_refused_in_one_sentence(attrs, tmp_path):
     assert not (tmp_path / "never").exists()
 
 
-def test_the_accessor_comes_with_xarray_and_draws_nothing():
+def test_the_accessor_registers_with_xarray_without_importing_matplotlib():
     code = (
         "import sys, sunspin as ss; bare = sorted(m for m in sys.modules if m.startswith('sunspin.'));"
         "import xarray as xr; kinds = (xr.Dataset, xr.DataArray, xr.DataTree);"

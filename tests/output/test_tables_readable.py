@@ -19,7 +19,7 @@ def columns(path):
     return cells, frame
 
 
-def test_texts_of_a_table_hold_nothing_that_parts_cells(tmp_path):
+def test_texts_in_a_table_hold_no_separator(tmp_path):
     names = ['panel "x", outer', "no mark", "panel #2,\nagain"]
     frame = pd.DataFrame({"name": names, "value": [1.5, -2.0, 3.25], "sure": [True, False, True]})
     table = Table("t", frame, comment="time_s from 2026-01-01; body axes, N: z to the Sun, local")
@@ -33,7 +33,7 @@ def test_texts_of_a_table_hold_nothing_that_parts_cells(tmp_path):
     assert names == frame["name"].tolist()  # the table itself is as it was
 
 
-def test_sentences_keep_their_commas_between_quotation_marks():
+def test_sentences_in_a_table_keep_their_commas_in_quotation_marks():
     frame = pd.DataFrame({"sentence": ["first, second"]})
     assert table_text(Table("t", frame, prose=True), False) == 'sentence\n"first, second"\n'
 
@@ -59,7 +59,7 @@ def test_decoded_beacons_of_a_station_with_commas_are_read_by_numpy(tmp_path):
 
 
 @pytest.mark.parametrize("place", [0, 1, 2, 3])
-def test_comments_of_telemetry_stand_anywhere(place, tmp_path):
+def test_comments_in_telemetry_can_be_on_any_line(place, tmp_path):
     lines = ["time_s,px", "0,1.5", "10,2.5"]
     lines.insert(place, "# synthetic: made up, for tests")
     (tmp_path / "t.csv").write_text("\n".join(lines) + "\n", "utf-8")

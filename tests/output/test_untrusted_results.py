@@ -42,7 +42,7 @@ def page_of(folder) -> str:
     return write_report(folder).read_text("utf-8", "replace")
 
 
-def test_a_folder_as_written_is_shown_whole(folder):
+def test_an_unchanged_results_folder_is_shown_whole(folder):
     assert read_results(folder).problems == [] and "trajectory.nc" not in exported(folder)[0].attrs
     files = {path.name for path in folder.iterdir()} - {MANIFEST}
     assert {*json.loads((folder / MANIFEST).read_text())["sha256"]} == files
@@ -50,7 +50,7 @@ def test_a_folder_as_written_is_shown_whole(folder):
 
 @pytest.mark.parametrize("way", ["a byte", "cut", "empty", "another", "link", "folder", "gone"])
 @pytest.mark.parametrize("name", ["summary.json", "vehicle.toml", "trajectory.nc", "figure"])
-def test_a_file_that_is_not_as_written_is_named_and_the_rest_is_shown(name, way, folder):
+def test_a_changed_file_is_named_and_the_rest_is_shown(name, way, folder):
     manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
     name = manifest["figures"][0]["file"] if name == "figure" else name
     path, content = folder / name, (folder / name).read_bytes()
@@ -79,7 +79,7 @@ def test_a_file_that_is_not_as_written_is_named_and_the_rest_is_shown(name, way,
             exported(folder)
 
 
-def test_a_marker_that_is_a_link_makes_no_results_folder(folder):
+def test_a_folder_whose_marker_is_a_link_is_no_results_folder(folder):
     (folder / MARKER).unlink()
     (folder.parent / "secret").write_text(SECRET)
     (folder / MARKER).symlink_to("../secret")
@@ -91,7 +91,7 @@ def test_a_marker_that_is_a_link_makes_no_results_folder(folder):
     "text",
     ["[]", "3", "{", '{"data": 3}', "[" * 10_000, '{"data": [], "figures": [], "tables": []}'],
 )
-def test_a_manifest_of_another_form_is_one_sentence(text, folder):
+def test_a_manifest_of_another_form_is_refused_in_one_sentence(text, folder):
     (folder / MANIFEST).write_text(text, "utf-8")
     for reader in (read_results, exported):
         with pytest.raises(InputError, match="is damaged; run the"):
@@ -99,7 +99,7 @@ def test_a_manifest_of_another_form_is_one_sentence(text, folder):
 
 
 @pytest.mark.parametrize("text", ["[1]", "3", "{", "[" * 10_000])
-def test_a_summary_that_is_no_object_is_named(text, folder):
+def test_a_summary_that_is_no_json_object_is_named(text, folder):
     manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
     manifest["sha256"]["summary.json"] = hashlib.sha256(text.encode()).hexdigest()
     (folder / MANIFEST).write_text(json.dumps(manifest), "utf-8")
@@ -115,7 +115,7 @@ def test_a_large_drawing_is_shown_as_png(written, tmp_path, monkeypatch):
     assert figures and all(figure.name.endswith(".png") for figure in figures)
 
 
-def test_entries_of_a_manifest_lead_to_no_other_file(folder):
+def test_manifest_entries_outside_the_folder_are_not_read(folder):
     (folder.parent / "secret").write_text(SECRET)
     manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
     odd = [3, None, "../secret", "/etc/hostname", "a\nb", {}, {"file": "../secret"}, "x" * 999]
@@ -127,7 +127,7 @@ def test_entries_of_a_manifest_lead_to_no_other_file(folder):
     assert SECRET not in page_of(folder)
 
 
-def test_larger_data_are_named_and_not_read(folder, monkeypatch):
+def test_data_larger_than_the_limit_are_named_and_not_read(folder, monkeypatch):
     monkeypatch.setattr(read, "MAX_DATA_BYTES", 100)
     assert "trajectory.nc could not" in read_results(folder).problems[0]
 
@@ -144,7 +144,7 @@ def test_hostile_text_of_a_variable_is_escaped_on_the_page(text, written, tmp_pa
 
 
 @pytest.mark.parametrize("way", ["external link", "external storage", "virtual"])
-def test_no_netcdf_file_takes_data_from_another(way, tmp_path):
+def test_netcdf_files_with_external_data_are_refused(way, tmp_path):
     secret, path = tmp_path / "secret.h5", tmp_path / "file.nc"
     with h5py.File(secret, "w") as file:
         file["x"] = np.frombuffer(SECRET.encode(), dtype="u1")
@@ -162,7 +162,7 @@ def test_no_netcdf_file_takes_data_from_another(way, tmp_path):
         read_netcdf(path, "file.nc", InputError)
 
 
-def test_an_attribute_that_is_no_text_of_utf_8_is_refused(tmp_path):
+def test_an_attribute_that_is_not_utf_8_is_refused(tmp_path):
     path = tmp_path / "file.nc"
     xr.Dataset(attrs={"title": "abcd"}).to_netcdf(path, engine="h5netcdf")
     assert read_netcdf(path, "file.nc", InputError).attrs["title"] == "abcd"
@@ -171,7 +171,7 @@ def test_an_attribute_that_is_no_text_of_utf_8_is_refused(tmp_path):
         read_netcdf(path, "file.nc", InputError)
 
 
-def test_how_a_file_was_packed_is_not_handed_on(tmp_path):
+def test_saved_files_do_not_keep_the_packing_of_their_source(tmp_path):
     """A fill value that is a text ended the export in a traceback."""
     path = tmp_path / "rates.nc"
     xr.Dataset({"sigma_x": ("x", [0.5])}).to_netcdf(path, engine="h5netcdf")

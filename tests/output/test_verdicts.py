@@ -18,7 +18,7 @@ from sunspin.telemetry.sun import RECONSTRUCTED, STATUS_TEXT
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_label_is_on_the_page_and_is_its_headings_anchor_on_github_too():
+def test_every_label_is_on_the_page_and_matches_the_anchor_of_its_heading():
     text = (ROOT / PAGE).read_text("utf-8")
     sections = re.findall(r"^\(([a-z-]+)\)=\n## (.+)", text, re.MULTILINE)
     assert sorted(label for label, _ in sections) == sorted(ANCHORS)
@@ -61,13 +61,13 @@ def test_a_warning_is_explained_by_its_section(text, label):
     assert label in explained("rates", [text]) and not explained("compare", [text])
 
 
-def test_every_status_has_a_section_and_a_good_one_has_none():
+def test_every_bad_status_has_a_section_and_a_good_one_has_none():
     assert all(explained("rates", [text]) for text in statuses())
     good = [Verdict.FITS.value, *(STATUS_TEXT[status] for status in RECONSTRUCTED)]
     assert not explained("rates", good)
 
 
-def test_the_last_line_and_the_summary_name_the_section(tmp_path):
+def test_the_last_line_and_the_summary_name_the_section_to_read(tmp_path):
     out = str(tmp_path / "sun")
     for words in (["check", "philae", "philae"], ["sun", "philae", "philae", "--out", out]):
         lines = CliRunner().invoke(cli, words, catch_exceptions=False).output.splitlines()

@@ -60,7 +60,7 @@ def truth_of(omega, found):
         pytest.param("another motion", controls.TUMBLING, marks=pytest.mark.slow),
     ],
 )
-def test_what_is_concluded_holds_the_truth(found, name, omega):
+def test_conclusions_from_telemetry_contain_the_truth(found, name, omega):
     one = found(name)
     assert one.carries.one_sun and one.chain is not None, one.why
     chosen = one.chain.chosen
@@ -74,7 +74,7 @@ def test_what_is_concluded_holds_the_truth(found, name, omega):
 
 
 @pytest.mark.long
-def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
+def test_a_lander_that_never_tumbled_is_distinguished_from_one_that_did(found):
     """Its r_z is constant: the momentum lies along z or along the Sun; it may have stood still, and no upper bound follows."""
     still, tumbled = found("never tumbled"), found("as it is")
     small = [np.degrees(one.chain.chosen.angle_range(0)) for one in (still, tumbled)]
@@ -93,7 +93,7 @@ def test_a_lander_that_never_tumbled_is_told_from_one_that_did(found):
 
 
 @pytest.mark.long
-def test_readings_of_no_sun_conclude_nothing(found):
+def test_readings_without_sunlight_give_no_conclusion(found):
     """Each panel shuffled in time, two columns exchanged: Delta and forbidden patterns catch it, and no conclusion is left."""
     for name in ("each panel shuffled", "panels 1 and 2 exchanged"):
         one = found(name)
@@ -109,14 +109,14 @@ def test_readings_of_no_sun_conclude_nothing(found):
 @pytest.mark.parametrize(
     ("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")]
 )
-def test_any_two_exchanged_panels_are_noticed(first, second):
+def test_an_exchange_of_any_two_panels_is_detected(first, second):
     case = rb.with_telemetry(CASE, controls.exchanged_panels(CASE, first, second))
     assert not data_check.compute(
         case, ss.sun_directions(case.vehicle, case.telemetry), None
     ).one_sun
 
 
-def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
+def test_panel_misalignment_within_its_sigma_does_not_reject_a_file():
     """Six samples of this twin have patterns forbidden to panels as drawn, more than 2 %; with the stated sigmas one."""
     case = rb.with_telemetry(CASE, ss.twin("philae", seed=8))
     found = data_check.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None)
@@ -128,7 +128,7 @@ def test_panels_that_stand_off_as_stated_are_not_held_against_a_file():
 
 
 @pytest.mark.long
-def test_a_telemetry_that_no_motion_makes_is_refused(quick):
+def test_telemetry_that_no_motion_explains_is_refused(quick):
     """The Sun stands high at the first sample and low ever after, as in no free motion: the smallest EMD is far beyond noise."""
     data = controls.with_motion(CASE, controls.STILL)
     later = np.flatnonzero(data["phase"].values == "first_rebound")[1:]
@@ -142,7 +142,7 @@ def test_a_telemetry_that_no_motion_makes_is_refused(quick):
 
 
 @pytest.mark.long
-def test_candidates_from_a_table(tmp_path, quick):
+def test_candidates_are_read_from_a_table(tmp_path, quick):
     path = tmp_path / "mine.csv"
     path.write_text("omega_x,omega_y,omega_z\n0.1,0.2,0.1\n0.11,0.2,0.1\n", "utf-8")
     one = chain_of(source=str(path), coarser=20)
@@ -160,12 +160,12 @@ def test_candidates_from_a_table(tmp_path, quick):
         candidates.rates_of(tmp_path / "none.csv")
 
 
-def test_without_a_calibration_nothing_is_concluded(quick):
+def test_without_a_calibration_there_is_no_conclusion(quick):
     one = chain_of(None, coarser=20, twins=0)
     assert one.chain is None and "not calibrated for these data" in one.why
 
 
-def test_a_vehicle_without_a_wheel_is_refused():
+def test_the_study_refuses_a_vehicle_without_a_wheel():
     from sunspin.philae.study import require_wheel
 
     with pytest.raises(InputError, match="one wheel and legs"):

@@ -26,7 +26,7 @@ def rows(results):
     return {row["id"]: SimpleNamespace(**({"note": ""} | row)) for row in made["statements"]}
 
 
-def test_the_package_ships_what_the_study_writes(results):
+def test_the_packaged_contradictions_are_those_that_the_study_writes(results):
     """All but the date; numbers to 1e-6, as another machine rounds otherwise."""
     texts = [
         (folder / "contradictions.json").read_text("utf-8") for folder in (results, CASE.folder)
@@ -40,7 +40,7 @@ def test_the_package_ships_what_the_study_writes(results):
             assert ours[key] == (pytest.approx(theirs[key]) if numbers else theirs[key])
 
 
-def test_the_table_has_the_strong_ones_first_and_a_picture_stands_beside_it(results):
+def test_the_table_lists_strong_contradictions_first_and_has_a_figure(results):
     lines = (results / "contradictions.md").read_text("utf-8").splitlines()[2:]
     weak = ["; weak |" in line for line in lines]
     assert len(lines) == len(STRONG | WEAK) and weak == sorted(weak) and sum(weak) == len(WEAK)
@@ -86,31 +86,31 @@ WEAK = set(
 
 
 @pytest.mark.parametrize("name", BY_HAND)
-def test_by_hand(rows, name):
+def test_contradictions_agree_with_figures_worked_out_by_hand(rows, name):
     value, tolerance, stands = BY_HAND[name]
     assert np.all(np.abs(np.asarray(rows[name].ours) - np.asarray(value)) <= tolerance)
     assert rows[name].holds is stands
 
 
-def test_the_cubic_has_the_range_of_its_extremes(rows):
+def test_the_published_cubic_has_the_range_of_its_extremes(rows):
     """Its derivative 5.161e-8 - 6.378e-12 t + ... vanishes at 9324 s."""
     low, high = rows["cubic_range"].ours
     assert (low, high) == (pytest.approx(0.01201, abs=5e-6), pytest.approx(0.01239, abs=5e-6))
     assert "9324 s" in rows["cubic_range"].note and rows["cubic_range"].holds is False
 
 
-def test_the_swing_of_the_axis_at_the_printed_points(rows):
+def test_the_axis_swing_at_the_published_points_contradicts_the_paper(rows):
     """Twice (47.5, 46.9, 31.7, 31.6) degrees, found with another program."""
     assert rows["axis_swing"].ours == pytest.approx([95.0, 93.8, 63.4, 63.2], abs=0.3)
     assert "61, 61, 63, 63" in rows["axis_swing"].note
 
 
-def test_the_sign_of_friction(rows):
+def test_the_sign_of_friction_in_the_paper_contradicts_its_spin_down(rows):
     wrong, right = rows["friction_sign"].published, rows["friction_sign"].ours
     assert right == pytest.approx(-0.582, abs=1e-3) and wrong == pytest.approx(-right, rel=1e-6)
 
 
-def test_the_appendix_cancels_two_errors():
+def test_two_errors_of_the_appendix_cancel():
     """Each of the two steps fails for a wheel that is not the same about every axis; their sum holds."""
     inertia, axis, omega, speed = (
         np.diag([3.2e-3, 3.2e-3, 5.8e-3]),

@@ -48,7 +48,7 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
         )
 
 
-def test_rates_at_the_end_are_those_of_the_reference():
+def test_rates_at_the_end_of_the_rebound_agree_with_the_reference():
     starts = np.array([[0.1, -0.3, 0.2], [0.0, 0.0, 0.0], [-0.4, 0.6, -0.2]])
     back = rb.at_touchdown(CASE, starts, 865.0)
     for omega, found in zip(starts, back, strict=True):
@@ -58,7 +58,7 @@ def test_rates_at_the_end_are_those_of_the_reference():
         np.testing.assert_allclose(found, run["omega_B"].values[-1], atol=1e-9)
 
 
-def test_rates_at_the_end_follow_a_wheel_that_stops_but_not_back_into_one_that_is_stuck():
+def test_rates_at_the_end_follow_a_wheel_to_its_stop_and_not_back_from_it():
     omega, sun = np.array([[0.1, 0.0, 0.0]]), rb.first_sun(CASE)
     run = propagate(CASE.vehicle, omega[0], sun, 865.0, [0.0, 3000.0])
     assert run["wheel_speed_rad_s"].values[-1] == 0
@@ -81,14 +81,14 @@ def grid():
     return study.make_grid(CASE, COARSE)
 
 
-def test_too_few_twins_are_refused():
+def test_too_few_simulated_rebounds_are_refused():
     with pytest.raises(InputError, match="too few twins.*ask for more"):
         threshold.holding(np.ones(10), 0.95)
     with pytest.raises(InputError, match="between 0 and 1"):
         threshold.check_confidence(100, 1.0)
 
 
-def test_shares_and_the_table_by_hand():
+def test_coverage_shares_and_their_table_agree_with_figures_by_hand():
     """Wilson's interval of 0 of 10 ends at z^2 / (n + z^2) = 0.2775."""
     assert study.share(np.zeros(10, dtype=bool)) == "0.0% (0.0% to 27.8%)"
     row = {
@@ -106,7 +106,7 @@ def test_shares_and_the_table_by_hand():
     assert f"| {at / 160:.0%} | 0.050 | 6, 6, 6, 6 |" in text
 
 
-def test_the_study_resumes_and_writes_table_and_picture(tmp_path, capsys, framed):
+def test_the_coverage_study_resumes_and_writes_table_and_figure(tmp_path, capsys, framed):
     arguments = [str(tmp_path), "--twins=20", f"--coarser={COARSE}"]
     assert study.main(arguments) == 0
     assert "| truth on the published lines | 20 |" in capsys.readouterr().out
@@ -147,7 +147,7 @@ def test_a_scan_takes_a_calibrated_threshold():
     )
 
 
-def test_the_readme_states_what_the_study_gives():
+def test_the_readme_states_the_coverage_of_the_study_page():
     """The README counts the sets that held the truth; the page of the study gives their share."""
     root = Path(__file__).parents[2]
     readme = re.sub(r"\s+", " ", (root / "README.md").read_text("utf-8"))

@@ -27,12 +27,12 @@ def test_the_samples_of_the_fit_are_those_of_the_paper(result):
 
 
 @pytest.mark.parametrize("sigmas", [3.0, 4.0, 5.0, 6.0])
-def test_the_rule_does_not_hang_on_its_threshold(sigmas, monkeypatch):
+def test_the_choice_of_descent_samples_does_not_depend_on_its_threshold(sigmas, monkeypatch):
     monkeypatch.setattr(descent, "DELTA_SIGMAS", sigmas)
     assert descent.clean_from(SUN_AS_DRAWN.isel(time=slice(0, 147)))[0] == 9
 
 
-def test_whole_panels_from_the_first_sample_leave_none_out():
+def test_telemetry_without_shadow_keeps_all_descent_samples():
     """Negative control: the same telemetry without its first nine samples, and with single outliers."""
     clean = SUN.isel(time=slice(9, 147))
     assert descent.clean_from(clean)[0] == 0
@@ -45,7 +45,7 @@ def test_whole_panels_from_the_first_sample_leave_none_out():
 @pytest.mark.evidence(
     "reproduce", "validated", "the paper's fit of the descent, on synthetic telemetry"
 )
-def test_the_published_cubic_is_found(result):
+def test_the_descent_fit_recovers_the_published_cubic(result):
     rows = {row.id: row for row in descent.rows(result)}
     assert rows["descent_rate_cubic"].agrees and rows["descent_unique"].agrees
     assert rows["descent_behind"].ours > 0.97
@@ -57,7 +57,7 @@ def test_the_published_cubic_is_found(result):
     assert rows["descent_rate_range"].agrees is False
 
 
-def test_a_telemetry_with_another_cubic_is_told_from_the_published_one(result):
+def test_telemetry_with_another_cubic_differs_from_the_published_one(result):
     """Negative control of the comparison: directions turned by a drift of 0.5 rad over the descent."""
     t = CASE.telemetry["time"].values - CASE.telemetry["time"].values[9]
     angle = 0.5 * np.clip(t / 23400.0, 0, None) ** 2
@@ -68,7 +68,7 @@ def test_a_telemetry_with_another_cubic_is_told_from_the_published_one(result):
     assert rows["descent_rate_cubic"].agrees is False
 
 
-def test_the_figure_says_that_the_telemetry_is_synthetic(result):
+def test_the_descent_figure_states_that_the_telemetry_is_synthetic(result):
     assert "synthetic telemetry" in descent.draw(result)._suptitle.get_text()
     real = result._replace(sun=result.sun.assign_attrs(synthetic=0))
     assert "synthetic" not in descent.draw(real)._suptitle.get_text()

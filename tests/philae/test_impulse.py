@@ -20,7 +20,7 @@ def collisions(size, to_sun, about):
     return xr.Dataset({name: ("run", np.atleast_1d(values)) for name, values in each.items()})
 
 
-def test_a_collision_weighs_by_as_many_numbers_as_are_asked_for():
+def test_collision_weights_use_the_requested_number_of_components():
     off = SEEN.direction_sigma_rad
     runs = collisions(
         [0.2246, 0.2246 + 2 * 0.02, 0.2246, 0.2246, np.nan],
@@ -34,7 +34,7 @@ def test_a_collision_weighs_by_as_many_numbers_as_are_asked_for():
     assert np.degrees(off) == pytest.approx(5.5, abs=0.1)
 
 
-def test_the_kernel_is_read_in_space(tmp_path, monkeypatch):
+def test_the_landing_kernel_is_read_in_inertial_axes(tmp_path, monkeypatch):
     """States made so that the change of velocity in J2000 stands 40 degrees from a Sun along x, at a place 3 km out."""
     tdb, landed = tdb_of(CASE, "collision"), tdb_of(CASE, "first_touchdown")
     change = 0.2 * np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
@@ -73,7 +73,7 @@ def drawn():
     return runs
 
 
-def test_the_study_writes_table_and_picture(drawn, tmp_path, monkeypatch, capsys):
+def test_the_impulse_study_writes_table_and_figure(drawn, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(im, "seen_in", lambda case, folder: SEEN)
     monkeypatch.setattr(im, "motions", lambda source, seed: SimpleNamespace())
     monkeypatch.setattr(im, "collisions", lambda chain, n, seed: drawn)
@@ -83,14 +83,14 @@ def test_the_study_writes_table_and_picture(drawn, tmp_path, monkeypatch, capsys
     assert text in capsys.readouterr().out and "0.2246 m/s, 18.7 deg from the Sun" in text
 
 
-def test_without_the_data_it_is_one_sentence(tmp_path, monkeypatch, capsys):
+def test_the_impulse_study_without_its_data_ends_with_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("SUNSPIN_DATA", raising=False)
     assert im.main([str(tmp_path / "out")]) == 2
     assert "SUNSPIN_DATA" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 @pytest.mark.real_data
-def test_the_landing_kernel_s_impulse(data_dir):
+def test_the_impulse_of_the_landing_kernel_is_the_recorded_one(data_dir):
     pytest.importorskip("spiceypy")
     seen = im.seen_in(CASE, data_dir)
     assert seen.change_m_s == pytest.approx(

@@ -44,7 +44,7 @@ def test_strategies_share_their_draws_and_differ_only_in_the_wheel(strategies):
     )
 
 
-def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
+def test_a_wheel_off_delay_of_zero_equals_off_at_touchdown_and_a_long_one_equals_held():
     case = ss.load_case("philae")
     options = {"candidates": published_candidates(case), "n": 60, "seed": 5}
     runs = {
@@ -58,7 +58,7 @@ def test_no_delay_is_off_at_touchdown_and_a_long_one_is_held():
     )
 
 
-def test_the_best_delay_is_the_largest_and_as_good_as_itself(strategies):
+def test_the_best_wheel_off_delay_has_the_largest_probability(strategies):
     search = strategies.delay
     at = int(np.argmax(search["value"].sel(quantity="touch_leg").values))
     assert search.attrs["best_s"] == search["delay_s"][at] and bool(search["as_good"][at])
@@ -80,7 +80,7 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
     assert way["brake"]["friction_coefficient"] > 5 * way["off"]["friction_coefficient"]
 
 
-def test_weights_prefer_what_the_kernel_shows(collision):
+def test_collision_weights_prefer_runs_near_the_landing_kernel(collision):
     found = collision.known
     facts, weight = facts_of(found), found["weight"].values
     near = np.hypot(
@@ -116,7 +116,7 @@ def test_weights_prefer_what_the_kernel_shows(collision):
     )
 
 
-def test_rows_say_what_is_reproduced_and_what_is_not(collision, strategies):
+def test_entries_of_the_landing_agree_or_differ_as_recorded(collision, strategies):
     every = [*co.rows(collision), *sg.rows(strategies)]
     rows = {row.id: settled(row) for row in every}
     assert rows["leg_tip_speed"].holds and rows["leg_tip_speed"].ours == pytest.approx(
@@ -148,7 +148,7 @@ def test_rows_say_what_is_reproduced_and_what_is_not(collision, strategies):
     assert len(rows) == len(every)
 
 
-def test_a_missing_or_damaged_kernel_is_one_sentence(tmp_path):
+def test_a_missing_or_damaged_landing_kernel_is_one_sentence(tmp_path):
     pytest.importorskip("spiceypy")
     with pytest.raises(ss.InputError, match="the trajectory kernel is not there"):
         co.kernel_facts(ss.load_case("philae"), tmp_path)
@@ -160,7 +160,7 @@ def test_a_missing_or_damaged_kernel_is_one_sentence(tmp_path):
 
 
 @pytest.mark.real_data
-def test_the_facts_that_ship_are_those_of_the_kernel(data_dir):
+def test_the_packaged_collision_facts_are_those_of_the_landing_kernel(data_dir):
     pytest.importorskip("spiceypy")
     case = ss.load_case("philae")
     read, shipped = co.kernel_facts(case, data_dir), co.published_facts(case)

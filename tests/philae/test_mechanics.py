@@ -45,7 +45,7 @@ def test_an_asymmetric_body_without_the_wheel_s_momentum_does_not_keep_its_nutat
     assert np.ptp(motion["nutation"]) > 170.0
 
 
-def test_philae_against_figures_computed_elsewhere(result):
+def test_nutation_and_axis_swing_of_philae_agree_with_figures_computed_elsewhere(result):
     """PHYSICS, section 8: nutation 26 to 36 deg on L3, L4 and 39 to 58 on L1, L2; [0.1, 0, 0]: 0.634..0.942, 0.605..0.955."""
     wander = result.lines["nutation"][:, 3:]
     for angle, low, high in zip(wander, (39, 39, 26, 26), (58, 58, 36, 36), strict=True):
@@ -55,7 +55,7 @@ def test_philae_against_figures_computed_elsewhere(result):
     np.testing.assert_allclose(result.examples["z_last"][1], [0.605, 0.955], atol=1.5e-3)
 
 
-def test_rows(result):
+def test_entries_of_the_precession_agree_with_the_paper_except_the_axis_swing(result):
     rows = {row.id: row for row in mechanics.precession_rows(result)}
     assert {"range_of_z_lines", "axis_swing"} <= set(rows)
     for key in ("sun_height_lines", "range_of_z_examples", "nutation_constant", "rz_peaks"):
@@ -68,7 +68,7 @@ def test_rows(result):
 
 
 @pytest.mark.parametrize(("phase", "expected"), [(np.linspace(0, 200, 20001), 2), (None, 1)])
-def test_peaks_are_counted(phase, expected):
+def test_peaks_of_r_z_are_counted(phase, expected):
     """A sinusoid has two, at its turning points; a bell has one."""
     z = 0.5 * np.sin(phase) if phase is not None else np.random.default_rng(0).normal(0, 0.1, 20000)
     assert mechanics.count_peaks(z) == expected

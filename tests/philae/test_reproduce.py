@@ -45,7 +45,7 @@ def quick():
 
 
 @pytest.mark.long
-def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
+def test_telemetry_without_the_descent_reproduces_the_rest_and_names_the_gap(quick):
     found = quick(rb.with_telemetry(CASE, without("descent", "deployment")), coarser=20)
     assert (
         list(found.missing) == ["descent"]
@@ -78,7 +78,7 @@ def test_telemetry_without_the_descent_reproduces_the_rest_and_says_so(quick):
 
 
 @pytest.mark.long
-def test_with_measured_telemetry_they_are_tests(quick):
+def test_with_measured_telemetry_input_figures_become_tests(quick):
     data = CASE.telemetry.copy()
     data.attrs = {key: value for key, value in CASE.telemetry.attrs.items() if key != "synthetic"}
     rows = quick(rb.with_telemetry(CASE, data), coarser=20).rows
@@ -90,7 +90,7 @@ def test_with_measured_telemetry_they_are_tests(quick):
 
 
 @pytest.mark.long
-def test_what_needs_no_telemetry_does_not_change_with_it(quick):
+def test_entries_that_need_no_telemetry_do_not_change_with_it(quick):
     """A lander that never tumbled: the section on the printed lines stays to the digit, what follows from the telemetry moves."""
     # every tenth point of the grid misses the motion that stands still
     own = quick(CASE, coarser=5)
@@ -113,7 +113,7 @@ def test_what_needs_no_telemetry_does_not_change_with_it(quick):
 
 
 @pytest.mark.long
-def test_a_wheel_that_stands_still_leaves_a_study(quick):
+def test_the_study_runs_with_a_wheel_at_rest(quick):
     found = quick(load_case("philae", changes={"wheel.speed_rad_s": 0}), coarser=20)
     assert not found.missing
     rows = {row.id: row for row in found.rows}
@@ -122,7 +122,7 @@ def test_a_wheel_that_stands_still_leaves_a_study(quick):
 
 
 @pytest.mark.long
-def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
+def test_telemetry_of_no_landing_gives_no_conclusion(quick):
     found = quick(
         rb.with_telemetry(CASE, controls.CONTROLS["panels 1 and 2 exchanged"](CASE)), coarser=20
     )
@@ -134,7 +134,7 @@ def test_a_file_that_is_no_landing_leaves_no_conclusion(quick):
     assert not pictures.drawing(found, "fig12_touchdown") and pictures.drawing(found, "fig12_lines")
 
 
-def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
+def test_every_numbered_figure_of_the_paper_has_an_entry(tmp_path):
     names = ["fig03_measured", "fig09_lines", "fig09_telemetry", "fig10_11_descent", "growth"]
     rows = figure_rows([Drawing(name, Figure, "alt", f"{name}.") for name in names])
     assert [row.id for row in rows] == [f"figure_{number}" for number in range(1, 14)]
@@ -149,7 +149,7 @@ def test_every_numbered_figure_of_the_paper_has_a_row(tmp_path):
     )
 
 
-def test_what_a_run_changes_is_not_called_used_as_published():
+def test_a_changed_value_is_not_marked_as_used_from_the_paper():
     """And the paper's tables stay the paper's, whatever body the run has."""
     changed = load_case("philae", ["body.mass_kg=100", "wheel.speed_rad_s=833"])
     rows = [{row.id: row for row in inputs.rows(case)} for case in (CASE, changed)]
@@ -172,7 +172,7 @@ def failing(_):
     raise MotionError("no motion")
 
 
-def test_steps_end_in_any_order(monkeypatch):
+def test_steps_of_the_study_can_end_in_any_order(monkeypatch):
     """The slow one is in the results where it stands in the list; what needs a step that failed is left out and nothing else."""
     fast_is_seen, seen = threading.Event(), []
 
@@ -199,7 +199,7 @@ def test_steps_end_in_any_order(monkeypatch):
     assert list(study.missing) == ["failing", "lost"]
 
 
-def test_a_step_that_is_needed_ends_the_study(monkeypatch):
+def test_a_failed_step_that_is_needed_ends_the_study(monkeypatch):
     ended = []
     after = step("after", ended.append, uses=("failing",))
     monkeypatch.setattr(rp, "STEPS", (step("failing", failing, needed=True), after))

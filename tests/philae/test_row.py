@@ -45,7 +45,7 @@ def test_each_table_has_the_keys_of_a_comparison_entry():
         assert set(table) <= KEYS | notes | {"value", "used", "compared"}, name
 
 
-def test_texts_are_filled_and_numbers_judged(case):
+def test_an_entry_fills_its_texts_and_is_judged_by_its_tolerance(case):
     row = rw.row(case, "turns", 2.4, says=("note", "note_late"), who="us")
     assert row.what == "turns of us" and row.source == "paper, section 9" and row.agrees is True
     assert row.note == "by us, within 0.5; the paper's scan has steps of 0.015 rad/s, late"
@@ -53,7 +53,7 @@ def test_texts_are_filled_and_numbers_judged(case):
     assert rw.row(case, "turns", 9.0, who="us", agrees=True).agrees is True
 
 
-def test_ours_may_be_bounded_from_above(case):
+def test_an_entry_with_at_most_is_judged_from_above(case):
     row = rw.row(case, "grows", [0.0, 0.1])
     assert row.agrees is True and row.tolerance == 0.1
     assert row.note == "" and row.source == "elsewhere"

@@ -36,7 +36,7 @@ def result():
 
 
 @pytest.mark.parametrize(("craft", "speed"), CRAFT, ids=["no wheel", "wheel on x"])
-def test_maps_agree_with_single_runs(craft, speed):
+def test_maps_of_E_agree_with_single_runs(craft, speed):
     times, omega = np.array([0.0, 50.0, 130.0, 210.0]), [0.1, 0.05, -0.08]
     track = own_track(craft, omega, speed, times)
     axes = [np.array([0.09, 0.1]), np.array([0.05, 0.07]), np.array([-0.08])]
@@ -62,7 +62,7 @@ def test_maps_agree_with_single_runs(craft, speed):
     assert parameters.values.min() > 1e-6  # not among these
 
 
-def test_e_of_a_start_that_is_no_unit_vector():
+def test_E_of_a_start_direction_that_is_no_unit_vector_has_its_bound():
     """The Sun's motion is linear in its start: E by the formula, and by scaling the track."""
     track = np.array([[0.6, 0, 0.8], [0, 1, 0]])
     measured = np.array([[0, 0, 1], [0, 0.8, 0.6]])
@@ -73,7 +73,7 @@ def test_e_of_a_start_that_is_no_unit_vector():
     assert gr.of_length(0.0, 0.9646) == pytest.approx(0.0177, abs=5e-5)  # the bound
 
 
-def test_parameters_are_replaced_and_nothing_else():
+def test_a_varied_parameter_changes_nothing_else_of_the_vehicle():
     craft = CASE.vehicle
     changed = pm.varied(pm.varied(craft, "mu_0", 2e-3), "theta_xy", -0.3)
     assert changed.wheels[0].friction == Friction(2e-3, craft.wheels[0].friction.viscous_N_m_s)
@@ -96,12 +96,12 @@ def test_parameters_are_replaced_and_nothing_else():
         ),
     ],
 )
-def test_bad_input_is_named(call, text):
+def test_bad_input_of_maps_and_error_growth_is_named(call, text):
     with pytest.raises(ss.SunspinError, match=text):
         call()
 
 
-def test_growth_of_a_plain_spin_is_the_closed_form():
+def test_error_growth_of_a_pure_spin_agrees_with_the_closed_form():
     """A body that spins about its axis of symmetry: the Sun at right angles to it errs by t times the error of the rate."""
     motion = gr.Motion.of(ROUND, [0, 0, 0.1], [1, 0, 0], None, 600.0)
     table = gr.growth(motion)
@@ -118,7 +118,7 @@ def test_growth_of_a_plain_spin_is_the_closed_form():
     assert " ".join(table["input"].values) == names
 
 
-def test_friction_makes_the_error_grow_with_the_square():
+def test_friction_makes_the_error_grow_with_the_square_of_time():
     """Wheel and body on one axis: the body gains mu_0 t / (Theta - J), the angle mu_0 t^2 / (2 (Theta - J))."""
     wheel = Wheel("w", [0, 0, 1], 0.01, 100.0, Friction(1e-4, 0.0))
     craft = Vehicle("one axis", np.diag([2.0, 2.0, 3.0]), panels=FACES, wheels=[wheel])
@@ -131,7 +131,7 @@ def test_friction_makes_the_error_grow_with_the_square():
     assert float(table["power"].sel(input="mu_0")) == pytest.approx(2.0, abs=0.01)
 
 
-def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
+def test_the_valley_width_is_inverse_to_the_window_and_agrees_with_the_closed_form():
     """Plain spin, Sun across it: E = (1 - sinc) / 2 of change times window, half its depth at about 1.9 rad."""
     motion = gr.Motion.of(ROUND, [0.1, 0, 0], [0, 0.6, 0.8], None, 400.0)
     motion = gr.Motion(
@@ -150,7 +150,7 @@ def test_the_valley_narrows_as_one_over_the_window_and_as_its_closed_form():
     assert wide / narrow == pytest.approx(2.0, abs=0.1)
 
 
-def test_one_percent_moves_e_and_not_emd(result):
+def test_a_change_of_one_percent_moves_E_and_not_EMD(result):
     """Paper, section 2.3; PHYSICS: 180 to 2000 rad per rad/s at 45 min; the printed start allows no E below 0.0177."""
     rows = {row.id: row for row in metrics.sensitivity_rows(result)}
     assert {"E_map_rates", "E_map_parameters"} <= set(rows)
@@ -164,7 +164,7 @@ def test_one_percent_moves_e_and_not_emd(result):
     assert min(result.rates.min(), result.parameters.min()) >= rows["E_study_bound"].ours
 
 
-def test_one_percent_is_the_larger_of_more_and_less():
+def test_the_effect_of_one_percent_is_the_larger_of_both_signs():
     motion = gr.Motion.of(ROUND, [0.1, 0.02, 0.05], [0.6, 0.0, 0.8], None, 120.0)
     t = np.arange(0.0, 121.0, 20.0)
     both = [

@@ -29,7 +29,7 @@ def test_phases_come_from_the_timeline_and_hold_every_sample(result):
 @pytest.mark.evidence(
     "reproduce", "validated", "the paper's statistics of Delta, on synthetic telemetry"
 )
-def test_rows_agree_with_the_paper():
+def test_entries_on_sun_directions_agree_with_the_paper():
     """With panels as drawn; where they are turned the folded legs stand out less."""
     drawn = rows(AS_DRAWN)
     assert rows(CASE)["lit_patterns_before"].agrees
@@ -38,7 +38,7 @@ def test_rows_agree_with_the_paper():
     assert drawn["lit_patterns_noise"].ours < -50
 
 
-def test_a_panel_that_fails_in_the_descent_is_noticed():
+def test_a_panel_that_fails_in_the_descent_is_detected():
     """Negative control: panel 3 dead from the first sample on."""
     broken = CASE.telemetry.copy(deep=True)
     broken["power_W"].loc[{"panel": "3"}] = 0.0

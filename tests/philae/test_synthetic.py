@@ -36,7 +36,7 @@ def free_flight():
 
 
 @pytest.mark.evidence("twin", "verified", "the file that comes with the package")
-def test_the_committed_file_follows_from_its_seed(made):
+def test_the_built_in_telemetry_follows_from_its_seed(made):
     # the file holds 6 decimals and whole milliseconds
     np.testing.assert_allclose(
         committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6
@@ -53,7 +53,7 @@ def test_the_committed_file_follows_from_its_seed(made):
 @pytest.mark.evidence(
     "twin", "verified", "the file that came with the package before, panels as drawn"
 )
-def test_the_former_file_follows_from_its_seed():
+def test_the_telemetry_of_panels_as_drawn_follows_from_its_seed():
     again = philae_twin(AS_DRAWN_TRUTH["seed"], tilt_rad=0.0, turned_rad=0.0, rest_seen=False)
     np.testing.assert_allclose(
         AS_DRAWN.telemetry["power_W"].values, again["power_W"].values, rtol=0, atol=0.51e-6
@@ -73,7 +73,7 @@ def test_the_former_file_follows_from_its_seed():
     )
 
 
-def test_the_committed_file_says_that_it_is_synthetic_and_how_it_was_made():
+def test_the_built_in_telemetry_states_that_it_is_synthetic_and_how_it_was_made():
     comments = committed.attrs["comments"].splitlines()
     assert committed.attrs["synthetic"] == 1
     assert all(comment.startswith("synthetic:") for comment in comments)
@@ -94,7 +94,7 @@ def test_the_first_direction_after_the_touchdown_is_the_published_one(sun):
     )  # what turned panels show is not where the Sun stands
 
 
-def test_without_noise_the_directions_come_back():
+def test_sun_directions_of_noise_free_telemetry_are_the_true_ones():
     clean = philae_twin(truth["seed"], noise=0.0, tilt_rad=0.0, turned_rad=0.0)
     found = ss.sun_directions(vehicle, clean)
     at = free_flight() & is_reconstructed(found["status"])
@@ -116,7 +116,7 @@ def tilted():
     "modelled",
     "turned panels: the published first direction, forbidden patterns, directions at rest",
 )
-def test_a_landing_with_turned_panels_shows_what_flew(tilted):
+def test_a_landing_simulated_with_misaligned_panels_shows_their_misfit(tilted):
     """Of turned panels the first direction is still what is shown; the truth lies behind it; no pattern becomes forbidden."""
     at, seen = tilted["phase"].values, ss.sun_directions(vehicle, tilted)
     first, expected = np.flatnonzero(at == "first_rebound")[0], np.array(published["first_sun"])
@@ -142,7 +142,7 @@ def test_a_landing_with_turned_panels_shows_what_flew(tilted):
     ) > np.radians(1)
 
 
-def test_turns_of_the_panels_that_cannot_be_are_refused():
+def test_impossible_panel_misalignments_are_refused():
     with pytest.raises(ss.InputError, match="no Sun makes panels turned so far"):
         ss.twin(case, seed=0, turned_rad=2.0)
     with pytest.raises(ss.InputError, match="no options of the landing .found tilt_rad"):
@@ -155,7 +155,7 @@ def test_turns_of_the_panels_that_cannot_be_are_refused():
 
 
 @pytest.mark.evidence("twin", "modelled", "its own inverse")
-def test_a_twin_of_any_vehicle_carries_its_truth_and_gives_it_back():
+def test_simulated_telemetry_of_any_vehicle_stores_its_truth_and_gives_it_back():
     normals = np.concatenate([np.eye(3), -np.eye(3)])
     faces = [Panel(str(k), normal, 2.0) for k, normal in enumerate(normals)]
     cube = Vehicle("cube", np.diag([0.01, 0.012, 0.015]), 1.0, panels=faces, gain_unit="W")
@@ -186,7 +186,7 @@ def test_a_twin_of_any_vehicle_carries_its_truth_and_gives_it_back():
         ({"scale": 0.0}, "scale of a twin must be positive"),
     ],
 )
-def test_a_truth_that_is_none(change, text):
+def test_a_truth_without_valid_rates_and_sun_is_refused(change, text):
     known = {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}
     with pytest.raises(ss.InputError, match=text):
         ss.twin(case, known | change)
@@ -196,7 +196,7 @@ def test_a_truth_that_is_none(change, text):
         ss.twin(vehicle)
 
 
-def test_the_command_writes_the_committed_file_and_replaces_nothing_unasked(tmp_path, capsys):
+def test_synthesise_writes_the_built_in_telemetry_and_overwrites_nothing_unasked(tmp_path, capsys):
     out = tmp_path / "telemetry.csv"
     assert main(["--seed", str(truth["seed"]), str(out)]) == 0
     again = ss.read_telemetry(out, vehicle)

@@ -35,7 +35,7 @@ def made(n, seed):
 
 
 @pytest.mark.evidence("reproduce", "verified", "order statistics of 4,000 drawn calibrations")
-def test_a_factor_holds_a_further_truth_as_often_as_it_says(reached):
+def test_a_calibrated_factor_contains_a_new_truth_as_often_as_stated(reached):
     rng, n, studies = np.random.default_rng(5), 59, 4000
     held = np.mean([rng.gamma(2.0) < made(n, 10 + i).factor()[0] for i in range(studies)])
     assert held == pytest.approx(0.9, abs=4 * np.sqrt(0.09 / studies))
@@ -44,7 +44,7 @@ def test_a_factor_holds_a_further_truth_as_often_as_it_says(reached):
     assert low < value < high
 
 
-def test_an_unusually_large_emd_is_noticed_and_a_usual_one_is_not():
+def test_an_unusually_large_emd_is_reported_and_a_usual_one_is_not():
     found = made(60, 1)
     assert not any(found.unusual(x) for x in found.emd_min) and found.unusual(
         10 * found.emd_min.max()
@@ -63,7 +63,7 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
 
 
 @pytest.mark.evidence("reproduce", "verified", "fresh synthetic rebounds of known truth")
-def test_fresh_truths_lie_in_the_calibrated_set(table, reached):
+def test_new_truths_lie_in_the_calibrated_set(table, reached):
     """Another seed's rebounds: about nine in ten of their truths lie below the factor."""
     factor = th.calibrate(REBOUND, table, rb.Options(twins=100)).factor()[0]
     fresh = th.calibrate(REBOUND, table, rb.Options(twins=100, seed=1))
@@ -73,7 +73,7 @@ def test_fresh_truths_lie_in_the_calibrated_set(table, reached):
     reached("share of 100 fresh truths in the 90 % set", held)
 
 
-def test_rebounds_of_a_calibration_have_panels_that_stand_off_where_the_file_says_so():
+def test_rebounds_of_a_calibration_have_misaligned_panels_if_the_file_states_a_sigma():
     """The same truths and the same first direction as measured; what follows is seen elsewhere, by some of 0.09 rad."""
     case = rb.with_telemetry(
         replace(CASE, vehicle=with_panels_as_drawn(CASE.vehicle)), CASE.telemetry
@@ -89,7 +89,7 @@ def test_rebounds_of_a_calibration_have_panels_that_stand_off_where_the_file_say
         assert 1e-3 < abs(one.seen_B[1:, 2].mean() - other.seen_B[1:, 2].mean()) < 0.3
 
 
-def test_the_key_is_that_of_the_data(table):
+def test_the_key_of_a_calibration_depends_on_the_data(table):
     """Anything that changes what a calibration depends on changes its key: noise, times, which samples tell, the body, the scan."""
     own, keys = th.key_of(REBOUND, table), set()
     assert th.key_of(REBOUND, table) == own
@@ -112,7 +112,7 @@ def test_the_key_is_that_of_the_data(table):
     assert len(keys) == 6 and own not in keys
 
 
-def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
+def test_the_packaged_calibration_is_used_if_its_key_matches(table, monkeypatch):
     path = CASE.folder / th.SHIPPED
     shipped = th.read(path)
     assert len(shipped.ratio) == 400 and 4.0 < shipped.factor()[0] < 5.1
@@ -137,7 +137,7 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
     )  # asked for, it is made
 
 
-def test_a_file_of_a_calibration_can_be_read_again(tmp_path):
+def test_a_saved_calibration_is_read_again(tmp_path):
     calibration, path = made(40, 2), tmp_path / th.SHIPPED
     th.write(calibration, path)
     np.testing.assert_allclose(th.read(path).ratio, calibration.ratio, rtol=1e-5)
@@ -149,13 +149,13 @@ def test_a_file_of_a_calibration_can_be_read_again(tmp_path):
             th.read(path)
 
 
-def test_brightness_and_noise_are_those_that_the_telemetry_was_made_with():
+def test_estimated_brightness_and_noise_are_those_of_the_simulation():
     assert th.scale(REBOUND) == pytest.approx(CELL_W, rel=0.05)
     assert NOISE.lit == pytest.approx(0.09, rel=0.15) and NOISE.lit_threshold == 0.001
 
 
 @pytest.mark.parametrize("kind", ["both signs", "cut at zero", "size only"])
-def test_noise_on_dark_panels_lights_none(kind):
+def test_noise_on_unlit_panels_lights_none(kind):
     """20 mW on dark panels: with the vehicle file's threshold most samples could not be lit together."""
     case = ss.load_case("philae")
     data, rng = case.telemetry.copy(deep=True), np.random.default_rng(0)
@@ -185,7 +185,7 @@ def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
     assert found.lit == case.vehicle.telemetry.noise and "too few samples" in found.about
 
 
-def test_what_a_calibration_depends_on_is_in_its_key():
+def test_the_key_of_a_calibration_contains_all_that_it_depends_on():
     """A change of body, wheel, panels, mask or weights asks for another calibration; one of the blow, or of mass, legs and names,
     on which a scan does not depend, does not."""
     shipped = th.read(CASE.folder / th.SHIPPED).key

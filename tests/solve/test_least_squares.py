@@ -93,7 +93,9 @@ def solved(function, starts, steps=400, tolerance=0.0, **options):
         ),
     ],
 )
-def test_certified_values_of_nist(function, starts, certified, deviations, squares):
+def test_the_solver_reaches_the_certified_values_of_nist(
+    function, starts, certified, deviations, squares
+):
     found = solved(function, starts)
     free = len(function(np.array([certified]))[0][0]) - len(certified)
     sigma = np.sqrt(
@@ -108,7 +110,7 @@ def test_certified_values_of_nist(function, starts, certified, deviations, squar
     assert np.all(found.stop == Stop.STUCK)  # at rounding: with no tolerance nothing arrives
 
 
-def test_a_bent_valley_and_a_singular_minimum():
+def test_the_solver_follows_a_curved_valley_and_reaches_a_singular_minimum():
     assert solved(rosenbrock, [[-1.2, 1.0], [1.2, 1.2]]).state == pytest.approx(
         np.ones((2, 2)), abs=1e-9
     )
@@ -116,7 +118,7 @@ def test_a_bent_valley_and_a_singular_minimum():
     assert np.abs(flat.state).max() < 1e-6 and flat.system.cost[0] < 1e-20
 
 
-def test_a_batch_is_each_alone_bit_for_bit():
+def test_a_batch_equals_each_problem_alone_bit_for_bit():
     starts = np.random.default_rng(0).uniform(-3, 3, (40, 2))
     together = solved(rosenbrock, starts, tolerance=1e-6)
     halted = [
@@ -194,7 +196,7 @@ def whole(system, damping):
 
 
 @pytest.mark.evidence("rates", "verified", "NumPy's solution of the whole matrix")
-def test_a_chain_with_a_border_is_the_whole_matrix(reached):
+def test_a_bordered_chain_solves_as_the_whole_matrix(reached):
     rng = np.random.default_rng(7)
     system = Chain.drawn(rng, 3).bordered((rng.normal(size=(3, 5, 2)), rng.normal(size=(3, 3))))
     matrix, right = whole(system, 0.3)
@@ -226,7 +228,7 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
     assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
 
 
-def test_what_cannot_be_linearised_is_stepped_back_from():
+def test_the_solver_steps_back_from_points_without_derivatives():
     """log x - 3 from x = 200: steps go below zero, where there is no logarithm. One start is there, another has no derivative."""
 
     def linearise(x):
@@ -242,13 +244,13 @@ def test_what_cannot_be_linearised_is_stepped_back_from():
     assert found.state[3, 0] == 5.0 and found.stop[3] == Stop.STUCK
 
 
-def test_a_singular_matrix_stops_nobody_else():
+def test_a_singular_problem_does_not_stop_the_others_of_a_batch():
     matrix = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
     step = dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))[0]
     assert np.isnan(step[1]).all() and np.array_equal(step[[0, 2]], [[-1, -1], [-0.5, -0.5]])
 
 
-def test_no_state_is_beyond_its_limit_and_no_step_too_long():
+def test_states_keep_within_limits_and_steps_within_their_length():
     seen = []
 
     def linearise(b):
@@ -276,7 +278,7 @@ def test_no_state_is_beyond_its_limit_and_no_step_too_long():
     )  # the least on the limit, nearly: the step is not along it
 
 
-def test_nothing_that_is_handed_in_is_changed_and_no_problem_is_none():
+def test_the_solver_changes_no_argument_and_accepts_an_empty_batch():
     start = np.array([[-1.2, 1.0], [1.0, 1.0]])
     before = start.copy()
     found = solved(rosenbrock, start)
@@ -284,7 +286,7 @@ def test_nothing_that_is_handed_in_is_changed_and_no_problem_is_none():
     assert solved(rosenbrock, np.zeros((0, 2))).stop.shape == (0,)
 
 
-def test_extreme_eigenvalues_are_those_of_lapack():
+def test_extreme_eigenvalues_agree_with_lapack():
     """Random matrices to rounding; spheres, and two moments alike or nearly so, to what the closed form can."""
     root = np.random.default_rng(5).normal(size=(500, 3, 3))
     axes = np.linalg.qr(root)[0]
@@ -302,7 +304,7 @@ def test_extreme_eigenvalues_are_those_of_lapack():
             assert np.abs(found - wanted).max() <= allowed * max(np.abs(expected).max(), 1e-300)
 
 
-def test_symmetric_inverses_are_those_of_lapack():
+def test_symmetric_inverses_agree_with_lapack():
     """Bodies whose moments differ by up to a thousand, in any axes; and a product with the inverse undoes the matrix."""
     rng = np.random.default_rng(6)
     axes, moments = (

@@ -23,7 +23,7 @@ def units(n, seed=0):
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def test_a_body_that_turns_about_z_sees_the_sun_go_round_backward():
+def test_a_body_that_rotates_about_z_sees_the_sun_move_backward():
     quarter = np.array([0.0, 0.0, np.pi / 2])
     assert seen_turned(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx(
         [0.0, -1.0, 0.0], abs=1e-15
@@ -35,7 +35,7 @@ def test_a_body_that_turns_about_z_sees_the_sun_go_round_backward():
     )
 
 
-def test_turns_of_any_shape_are_found_again():
+def test_rotation_vectors_of_any_shape_are_recovered_from_their_rotation():
     angle = np.random.default_rng(1).uniform(-1.5, 1.5, (2, 5, 3))
     start = turn(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
     end = turn(start, angle)
@@ -46,7 +46,7 @@ def test_turns_of_any_shape_are_found_again():
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-3, 1.0, 3.0, np.pi - 1e-9, np.pi, 5.0])
-def test_turns_are_those_of_scipy(size):
+def test_rotations_agree_with_scipy(size):
     """As matrices where half a turn one way is one the other way, too."""
     angle, start = size * units(50, 7), Rotation.random(50, rng=8).as_matrix()
     end = turn(start, angle)
@@ -63,14 +63,14 @@ def test_turns_are_those_of_scipy(size):
     )
 
 
-def test_the_smallest_turn_takes_one_direction_to_the_other_and_leaves_what_is_across():
+def test_the_smallest_rotation_between_directions_leaves_their_normal_fixed():
     a, b = units(20, 3), units(20, 4)
     across = np.cross(a, b)
     assert smallest_turn(a, b, a) == pytest.approx(b, abs=1e-12)
     assert smallest_turn(a, b, across) == pytest.approx(across, abs=1e-12)
 
 
-def test_steps_on_the_sphere_are_as_long_as_they_say():
+def test_steps_on_the_sphere_have_the_stated_length():
     a, step = units(20, 5), np.random.default_rng(6).normal(size=(20, 2))
     e1, e2 = tangents(a)
     assert np.einsum("ni,ni->n", np.cross(e1, e2), a) == pytest.approx(np.ones(20))

@@ -58,7 +58,7 @@ def test_a_command_asks_each_question_about_a_file_once(command, files, asked, t
 @pytest.mark.parametrize(
     "command", [check, pytest.param(rates, marks=pytest.mark.long)], ids=lambda c: c.name
 )
-def test_nor_twice_with_elements(command, tmp_path, asked):
+def test_a_command_with_elements_asks_each_question_about_a_file_once(command, tmp_path, asked):
     make(cases(7, 4)[3], tmp_path)
     files = [str(tmp_path / name) for name in ("vehicle.toml", "telemetry.csv")]
     done = CliRunner().invoke(command, [*files, "--tle", str(tmp_path / "right.tle"), "--quiet"])

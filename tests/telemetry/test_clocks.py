@@ -93,7 +93,7 @@ def test_a_row_without_a_received_time_belongs_to_the_boot_of_its_neighbours(tmp
     np.testing.assert_allclose(utc(data), received, atol=0.01)
 
 
-def test_an_epoch_in_the_vehicle_file_is_that_of_the_boot_nearest_to_it(tmp_path):
+def test_an_epoch_in_the_vehicle_file_dates_the_nearest_boot(tmp_path):
     uptime, received = two_boots()
     epoch = datetime.fromtimestamp(received[0] - 260_040, UTC).isoformat()
     form = f'{UPTIME}\nepoch_utc = "{epoch}"\ncounts_leap_seconds = false'
@@ -102,7 +102,7 @@ def test_an_epoch_in_the_vehicle_file_is_that_of_the_boot_nearest_to_it(tmp_path
 
 
 @pytest.mark.parametrize(("early", "says"), [(43_200, True), (70, True), (30, False), (0, False)])
-def test_an_epoch_that_contradicts_received_times_is_said(tmp_path, early, says):
+def test_an_epoch_that_contradicts_received_times_is_reported(tmp_path, early, says):
     uptime = 100 + 20.0 * np.arange(40)
     epoch = datetime.fromtimestamp(START - early, UTC).isoformat()
     form = f'{UPTIME}\nepoch_utc = "{epoch}"\ncounts_leap_seconds = false'
@@ -135,7 +135,7 @@ LATE = {
 
 @pytest.mark.parametrize("how", LATE)
 @pytest.mark.parametrize("first", [0.0, 500.0, 1e6])
-def test_late_downlinks_are_no_boot(tmp_path, how, first):
+def test_late_downlinks_are_not_taken_for_a_boot(tmp_path, how, first):
     """Received minus uptime varies by as much as the rows were stored; the least delay dates them."""
     uptime = first + 20.0 * np.arange(60)
     sent = LATE[how](uptime - first)
@@ -155,7 +155,7 @@ def test_live_frames_with_stored_ones_in_between_are_dated_by_the_live_ones():
     )
 
 
-def test_a_playback_at_the_rate_of_real_time_is_no_boot_if_the_uptime_is_longer_than_its_delay():
+def test_a_real_time_playback_is_not_taken_for_a_boot_if_uptime_exceeds_its_delay():
     uptime = 1e6 + 20.0 * np.arange(60)
     received = START + uptime + np.where(np.arange(60) < 30, 3000.0, 0.0)
     np.testing.assert_allclose(
@@ -163,7 +163,7 @@ def test_a_playback_at_the_rate_of_real_time_is_no_boot_if_the_uptime_is_longer_
     )
 
 
-def test_frames_of_a_station_whose_clock_is_an_hour_wrong_are_no_boot():
+def test_frames_of_a_station_an_hour_off_are_not_taken_for_a_boot():
     uptime = np.tile(10.0 + 20.0 * np.arange(30), 2)
     received = START + uptime + np.repeat([0.0, 3600.0], 30)
     same = Frames(np.tile(frames(30).cells, (2, 1)))
@@ -171,7 +171,7 @@ def test_frames_of_a_station_whose_clock_is_an_hour_wrong_are_no_boot():
     assert len(boot_starts(uptime, received, frames(60))) == 2
 
 
-def test_telemetry_stored_for_days_is_counted(tmp_path):
+def test_rows_of_telemetry_stored_for_days_are_counted(tmp_path):
     uptime = np.concatenate([1e6 + 20.0 * np.arange(30), 5e5 + 20.0 * np.arange(10)])
     received = START + np.concatenate([20.0 * np.arange(30), 700 + np.arange(10)])
     data = read(tmp_path, uptime.tolist(), UPTIME, rx=received.tolist())
@@ -206,7 +206,7 @@ def test_elapsed_times_that_fall_without_overlap_are_noted(tmp_path):
     assert "elapsed times fall by 3.0 days at line 24" in notes(data)
 
 
-def test_stations_and_playbacks_do_not_start_the_uptime_again():
+def test_stations_and_playbacks_are_not_taken_for_a_restart():
     live = 3000 + 20.0 * np.arange(40)
     again = Frames(np.vstack([frames(40).cells, frames(40).cells[::2]]))
     assert uptime_restart(np.concatenate([live, live[::2]]), again) is None
@@ -242,9 +242,7 @@ ZONES = {
 @pytest.mark.parametrize("zone", ZONES)
 @pytest.mark.parametrize("newest", [False, True])
 @pytest.mark.parametrize("bad_rows", ["flag", "refuse"])
-def test_a_clock_that_was_set_back_is_no_disorder_and_a_zone_dates_it(
-    tmp_path, zone, newest, bad_rows
-):
+def test_times_of_a_clock_set_back_are_dated_by_its_zone(tmp_path, zone, newest, bad_rows):
     moments = local(ZONES[zone])
     cells = shown(moments, zone)
     given = cells[::-1] if newest else cells
@@ -260,7 +258,7 @@ def test_a_clock_that_was_set_back_is_no_disorder_and_a_zone_dates_it(
     assert read(tmp_path, given, "", "sort").attrs["rows_sorted"] > 0
 
 
-def test_a_pass_before_and_one_after_the_clock_was_set_back_are_not_interleaved(tmp_path):
+def test_passes_before_and_after_a_clock_is_set_back_are_not_interleaved(tmp_path):
     before = local(datetime(2026, 10, 25, 0, 10, tzinfo=UTC), 30)
     after = local(datetime(2026, 10, 25, 1, 13, tzinfo=UTC), 30, seed=8)
     cells = shown([*before, *after], "Europe/Berlin")
@@ -272,7 +270,7 @@ def test_a_pass_before_and_one_after_the_clock_was_set_back_are_not_interleaved(
     )
 
 
-def test_times_that_name_their_zone_pass_the_end_of_summer_time(tmp_path):
+def test_times_with_a_zone_increase_through_the_end_of_summer_time(tmp_path):
     from zoneinfo import ZoneInfo
 
     moments = local(SUMMER_ENDS)
@@ -290,7 +288,7 @@ def test_unix_times_of_a_clock_that_was_set_back_are_refused(tmp_path):
 
 @pytest.mark.parametrize("hours", [(1, 0), (0, 2, 1), (2, 1, 0), (1, 2, 0), (1, 0, 2), (2, 0)])
 @pytest.mark.parametrize("form", ["", 'time_format = "unix"'])
-def test_hours_in_the_wrong_order_are_no_clock_that_was_set_back(tmp_path, hours, form):
+def test_hours_in_the_wrong_order_are_not_taken_for_a_clock_set_back(tmp_path, hours, form):
     """Sorted they join without overlap."""
     times = np.concatenate([START + 3600 * hour + 60.0 * np.arange(60) for hour in hours])
     cells = times.tolist() if form else [f"{datetime.fromtimestamp(t, UTC)}" for t in times]
@@ -328,7 +326,7 @@ SET_BACK = {
 
 @pytest.mark.parametrize("what", SET_BACK)
 @pytest.mark.parametrize("bad_rows", ["flag", "refuse"])
-def test_a_clock_that_was_set_back_is_refused_with(tmp_path, what, bad_rows):
+def test_a_clock_set_back_without_a_zone_is_refused_with_its_times(tmp_path, what, bad_rows):
     cells, place = SET_BACK[what]()
     with pytest.raises(ss.TelemetryError, match=f"go back by 1 h, as a clock.*{place}"):
         read(tmp_path, cells, "", bad_rows)
@@ -358,13 +356,13 @@ def test_times_that_do_not_exist_in_the_zone_are_refused(tmp_path):
 
 @pytest.mark.parametrize("zone", ["Europe/Berlin", "America/New_York", "Pacific/Auckland"])
 @pytest.mark.parametrize("day", ["0001-01-01 00:00:00", "9999-12-31 23:59:59"])
-def test_ends_of_the_calendar_have_no_zone(tmp_path, zone, day):
+def test_dates_at_the_ends_of_the_calendar_are_refused_with_a_zone(tmp_path, zone, day):
     good = [f"2026-01-01 12:0{k}:00" for k in range(8)]
     data = read(tmp_path, [day, *good], f'time_zone = "{zone}"')
     assert data.attrs["rows_misdated"] == 1 and data.sizes["time"] == 8
 
 
-def test_disorder_is_no_clock_that_was_set_back():
+def test_unordered_rows_are_not_taken_for_a_clock_set_back():
     t = 20.0 * np.arange(60)
     stations = np.concatenate([t, t[::3]])
     again = Frames(np.vstack([frames(60).cells, frames(60).cells[::3]]))
@@ -388,7 +386,7 @@ def test_disorder_is_no_clock_that_was_set_back():
         assert clock_set_back(near, frames(60), local=True) is None
 
 
-def test_a_fall_of_local_times_that_may_be_a_clock_is_noted(tmp_path):
+def test_a_fall_of_local_times_that_may_be_a_clock_set_back_is_reported(tmp_path):
     before = local(datetime(2026, 10, 25, 0, 40, tzinfo=UTC), 10)
     after = local(datetime(2026, 10, 25, 1, 16, tzinfo=UTC), 10)
     data = read(tmp_path, shown([*before, *after], "Europe/Berlin"), "")
@@ -406,13 +404,13 @@ def test_a_fall_of_local_times_that_may_be_a_clock_is_noted(tmp_path):
         (["2026-01-01 00:00:00 UTC", "2026-01-01T00:01:00 GMT"], ""),
     ],
 )
-def test_times_without_a_zone_are_said_to_be_taken_as_utc(tmp_path, cells, words):
+def test_times_without_a_zone_are_reported_as_utc(tmp_path, cells, words):
     data = read(tmp_path, cells, "", "refuse")
     assert notes(data) == words
     assert data["time"].values.tolist() == [0, 60] and utc(data)[0] == START
 
 
-def test_results_say_what_their_telemetry_took_for_granted(tmp_path):
+def test_results_state_the_assumptions_of_their_telemetry(tmp_path):
     data = read(tmp_path, ["2026-01-01 00:00:00", "2026-01-01T00:01:00"], "")
     sun = ss.sun_directions(craft(""), data)
     summary = sun.sunspin.summary()
@@ -446,7 +444,7 @@ def test_gps_seconds_and_weeks_are_read_as_erfa_counts_leap_seconds(tmp_path, da
     np.testing.assert_allclose(utc(data), expected, atol=1e-5)
 
 
-def test_weeks_that_began_again_are_refused_until_it_is_said_how_often(tmp_path):
+def test_gps_weeks_that_rolled_over_are_refused_until_the_rollovers_are_stated(tmp_path):
     week, tow = [2399 % 1024] * 3, [345_618.0, 345_638.0, 345_658.0]
     form = 'time_format = "gps"\nweek_column = "week"'
     with pytest.raises(ss.TelemetryError, match=r"gps_rollovers .* 2 for 2026-01-01, 1 for"):
@@ -483,7 +481,7 @@ def test_times_increase_through_a_leap_second():
     assert leap_seconds_between(before, before + 20) == 1 and tai_ahead(4e9) >= 37
 
 
-def test_elapsed_times_over_leap_seconds_say_that_they_do_not_count_them(tmp_path):
+def test_elapsed_times_over_leap_seconds_are_reported_as_not_counting_them(tmp_path):
     seconds = [gps_of(datetime(2026, 1, 1, 0, 0, k, tzinfo=UTC)) for k in (0, 20, 40)]
     form = 'time_format = "elapsed"\nepoch_utc = "1980-01-06T00:00:00Z"'
     data = read(tmp_path, seconds, form)
@@ -497,7 +495,7 @@ def test_elapsed_times_over_leap_seconds_say_that_they_do_not_count_them(tmp_pat
 
 
 @pytest.mark.parametrize("zero", ["1970-01-01T00:00:{:02d}Z", "2000-01-01T00:00:{:02d}Z"])
-def test_rows_dated_decades_from_the_others_are_named_and_left_out(tmp_path, zero):
+def test_rows_dated_decades_apart_are_named_and_left_out(tmp_path, zero):
     good = [f"2026-01-01T00:{k:02d}:00Z" for k in range(10)]
     cells = [*good[:5], zero.format(3), zero.format(23), *good[5:]]
     data = read(tmp_path, cells, "")
@@ -508,7 +506,7 @@ def test_rows_dated_decades_from_the_others_are_named_and_left_out(tmp_path, zer
         read(tmp_path, [zero.format(3), zero.format(23), *good], "", "refuse")
 
 
-def test_a_reset_clock_goes_back_even_with_most_rows(tmp_path):
+def test_rows_of_a_reset_clock_are_left_out_even_if_they_are_most(tmp_path):
     good = [f"2026-01-01T00:{k:02d}:00Z" for k in range(10)]
     cells = [*(f"2000-01-01T00:{k:02d}:00Z" for k in range(12)), *good]
     data = read(tmp_path, cells, "")
@@ -522,7 +520,7 @@ def test_a_reset_clock_goes_back_even_with_most_rows(tmp_path):
     assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and data.sizes["time"] == 10
 
 
-def test_the_line_that_is_named_is_of_the_rows_that_the_sentence_is_about(tmp_path):
+def test_a_message_on_times_names_a_line_of_the_rows_concerned(tmp_path):
     good = [f"2026-01-01T00:{k:02d}:00Z" for k in range(10)]
     ends = {"2": "1970-01-01T00:00:03Z", "13": "2038-01-01T00:00:03Z"}
     for first, last in (("2", "13"), ("13", "2")):
@@ -530,7 +528,7 @@ def test_the_line_that_is_named_is_of_the_rows_that_the_sentence_is_about(tmp_pa
             read(tmp_path, [ends[first], *good, ends[last]], "", "refuse")
 
 
-def test_passes_of_several_years_are_not_misdated(tmp_path):
+def test_passes_in_several_years_are_not_called_misdated(tmp_path):
     cells = [f"{year}-01-01T00:0{k}:00Z" for year in (2020, 2023, 2026) for k in range(3)]
     data = read(tmp_path, cells, "", "refuse")
     assert not notes(data) and data.sizes["time"] == 9
@@ -548,7 +546,7 @@ def test_passes_of_several_years_are_not_misdated(tmp_path):
         (f"{UPTIME}\ncounts_leap_seconds = true", "counts_leap_seconds needs epoch_utc"),
     ],
 )
-def test_keys_of_the_clock_that_make_no_sense_are_refused(form, words):
+def test_contradictory_clock_keys_are_refused(form, words):
     with pytest.raises(ss.VehicleError, match=words):
         craft(form)
 
@@ -560,7 +558,7 @@ def test_keys_of_the_clock_that_make_no_sense_are_refused(form, words):
         ([1.0, 7e5], ["2399", "2399"], "line 3, column 't': seconds of the week are from 0"),
     ],
 )
-def test_gps_weeks_that_are_none_are_refused(tmp_path, times, week, words):
+def test_invalid_gps_weeks_are_refused(tmp_path, times, week, words):
     with pytest.raises(ss.TelemetryError, match=words):
         read(tmp_path, times, 'time_format = "gps"\nweek_column = "week"', week=week)
 
@@ -573,12 +571,12 @@ def test_a_fixed_offset_is_a_zone(tmp_path):
     assert utc(zoned)[0] == START and not notes(zoned)
 
 
-def test_a_cell_that_is_no_number_is_refused_in_words(tmp_path):
+def test_a_time_cell_that_is_no_number_is_refused_in_plain_words(tmp_path):
     with pytest.raises(ss.TelemetryError, match="column 't': GPS seconds are expected"):
         read(tmp_path, ["nan", "1451260838"], 'time_format = "gps"')
 
 
-def test_starts_of_passes_have_the_year_if_they_do_not_share_it():
+def test_starts_of_passes_show_the_year_if_years_differ():
     data = xr.Dataset(attrs={"epoch_utc": "2025-12-31T23:50:00Z"})
     assert starts_text(data, [0.0, 60.0]) == ["12-31 23:50", "12-31 23:51"]
     assert starts_text(data, [0.0, 660.0]) == ["2025-12-31 23:50", "2026-01-01 00:01"]
@@ -602,7 +600,7 @@ def test_sparse_rows_in_order_keep_their_order_while_a_local_clock_is_set_back(t
     np.testing.assert_allclose(utc(data), true, rtol=0, atol=1e-6)
 
 
-def test_a_pass_alone_in_the_doubled_hour_is_named(tmp_path):
+def test_a_pass_alone_in_the_repeated_hour_is_named(tmp_path):
     """Four passes 95 min apart: the neighbours are too far away to decide which of the two hours it was."""
     starts = FALL_BACK - 900 + 5700 * np.array([-1, 0, 1, 2])
     true = np.concatenate([start + 20.0 * np.arange(24) for start in starts])
@@ -620,7 +618,7 @@ def test_received_times_that_cannot_be_read_are_refused(tmp_path, format_, cell)
         read(tmp_path, range(0, 200, 20), form, rx=[cell] * 10)
 
 
-def test_seconds_of_the_week_without_a_week_are_named_so(tmp_path):
+def test_gps_seconds_without_a_week_are_named(tmp_path):
     for more in ("", "\ngps_rollovers = 2"):
         with pytest.raises(TelemetryError, match="seconds of the week.*set week_column"):
             read(tmp_path, range(604_000, 604_200, 20), f'time_format = "gps"{more}')
@@ -636,7 +634,7 @@ def test_a_gps_week_that_stays_the_same_over_its_end_is_refused(tmp_path):
     np.testing.assert_allclose(np.diff(data["time"].values), 20.0, rtol=0, atol=1e-6)
 
 
-def test_dates_may_name_tai_as_their_scale(tmp_path):
+def test_dates_can_name_tai_as_their_time_scale(tmp_path):
     times = [f"2023-08-14 06:30:{37 + k} TAI" for k in range(10)]
     data = read(tmp_path, times, 'time_format = "tai"')
     assert data.attrs["epoch_utc"].startswith("2023-08-14T06:30:00")

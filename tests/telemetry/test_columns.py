@@ -75,7 +75,7 @@ def test_a_misspelt_sensor_column_is_named(tmp_path, seed):
     )
 
 
-def test_the_nearest_name_is_told(tmp_path):
+def test_a_missing_column_is_reported_with_the_nearest_name(tmp_path):
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
     for name, other in (("mw_rpm", "MW-rpm"), ("I_px", "I_pxx")):
         wrong = tmp_path / "wrong.csv"
@@ -84,7 +84,7 @@ def test_the_nearest_name_is_told(tmp_path):
             read(made.vehicle.read_text(), wrong)
 
 
-def test_a_sensor_of_which_the_file_has_nothing_is_listed_and_no_error(tmp_path):
+def test_a_sensor_without_any_column_in_the_file_is_listed_and_no_error(tmp_path):
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
     rows = [line.split(",") for line in made.telemetry.read_text().splitlines()]
     bare = tmp_path / "bare.csv"
@@ -96,7 +96,7 @@ def test_a_sensor_of_which_the_file_has_nothing_is_listed_and_no_error(tmp_path)
     )
 
 
-def test_columns_that_nothing_uses(tmp_path):
+def test_columns_that_nothing_uses_are_listed(tmp_path):
     path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,battery,phase")
     assert read(BASE.format(telemetry="", tables=""), path).attrs["unused_columns"] == "battery"
 
@@ -125,7 +125,7 @@ def test_power_is_current_times_voltage(tmp_path, telemetry, tables, volts):
     assert samples.attrs["unused_columns"] == ("" if tables else "w")
 
 
-def test_a_voltage_that_is_none(tmp_path):
+def test_a_missing_voltage_reading_leaves_no_power(tmp_path):
     text = BASE.format(telemetry='voltage_column = "u"', tables="")
     path = file_with(
         tmp_path / "t.csv", "time,i_px,i_mx,u", [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")]
@@ -147,12 +147,12 @@ def test_a_voltage_that_is_none(tmp_path):
         ('voltage_column = "u"\nvoltage_scale = 0', "", "voltage_scale must be positive"),
     ],
 )
-def test_wrong_voltages_in_the_vehicle_file(telemetry, tables, said):
+def test_wrong_voltage_columns_in_the_vehicle_file_are_refused(telemetry, tables, said):
     with pytest.raises(ss.VehicleError, match=said):
         parse_vehicle(BASE.format(telemetry=telemetry, tables=tables), "v.toml")
 
 
-def test_a_missing_voltage_column(tmp_path):
+def test_a_missing_voltage_column_is_named(tmp_path):
     path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,bus_v")
     with pytest.raises(
         ss.TelemetryError, match="'bus_V' .voltage of panel .X.*did you mean 'bus_v'"

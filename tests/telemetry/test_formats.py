@@ -53,7 +53,7 @@ def read(folder, text, vehicle):
 
 
 @pytest.mark.parametrize("form", ["lines", "list", "page", "decoded"])
-def test_a_json_file_says_what_the_csv_does(form, tmp_path):
+def test_a_json_file_reads_as_the_csv(form, tmp_path):
     text = TEMPLATE.joinpath("telemetry.csv").read_text("utf-8")
     vehicle = parse_vehicle(TEMPLATE.joinpath("vehicle.toml").read_text("utf-8"), "template")
     expected = read(tmp_path, text, vehicle)
@@ -104,13 +104,13 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize(("text", "told"), HOSTILE.values(), ids=HOSTILE)
-def test_json_that_is_no_telemetry_is_a_sentence(text, told, tmp_path):
+def test_json_that_is_no_telemetry_is_refused_in_one_sentence(text, told, tmp_path):
     with pytest.raises(ss.TelemetryError, match=told) as error:
         read(tmp_path, text, craft())
     assert "\n" not in str(error.value) and len(str(error.value)) < 1000
 
 
-def test_what_is_no_number_in_json_is_flagged(tmp_path):
+def test_json_values_that_are_no_numbers_are_flagged(tmp_path):
     rows = [
         ROW,
         ROW.replace("00Z", "10Z").replace("1,", "NaN,"),
@@ -119,7 +119,7 @@ def test_what_is_no_number_in_json_is_flagged(tmp_path):
     assert read(tmp_path, "\n".join(rows), craft())["flag"].values.tolist() == [0, 1, 1]
 
 
-def test_sun_vectors_of_any_length_are_directions_and_short_ones_are_none(tmp_path):
+def test_sun_vectors_of_any_length_are_directions_except_short_ones(tmp_path):
     vectors = ["0,300,400", "0,0,0", "30,0,0", "-500,0,0", "a,1,1"]
     text = "t,sx,sy,sz\n" + "".join(
         f"2026-01-01T00:00:0{k}Z,{vector}\n" for k, vector in enumerate(vectors)
@@ -133,7 +133,7 @@ def test_sun_vectors_of_any_length_are_directions_and_short_ones_are_none(tmp_pa
     np.testing.assert_allclose(np.sqrt(np.diag(across)), [0.02, 0.02, 0.02], rtol=1e-9)
 
 
-def test_rates_from_sun_vectors(tmp_path):
+def test_rates_are_estimated_from_sun_vectors(tmp_path):
     t = 5.0 * np.arange(20)
     omega = np.array([0.02, -0.01, 0.03])
     sun = ss.propagate(
@@ -154,7 +154,7 @@ def test_rates_from_sun_vectors(tmp_path):
     )
 
 
-def test_stations_that_heard_one_frame_are_one_row_and_both_clocks_are_kept(tmp_path):
+def test_a_frame_received_by_two_stations_is_one_row_with_both_clocks(tmp_path):
     form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
     rows = [
         "500,2026-01-01T00:00:10,A,1,0",
@@ -174,13 +174,13 @@ def test_stations_that_heard_one_frame_are_one_row_and_both_clocks_are_kept(tmp_
         read(tmp_path, text.replace("rx", "received at"), craft(form))
 
 
-def test_an_epoch_that_nothing_tells_is_asked_for(tmp_path):
+def test_a_missing_epoch_is_asked_for(tmp_path):
     form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
     with pytest.raises(ss.TelemetryError, match="epoch_utc"):
         read(tmp_path, "up,rx,pa,pb\n1,,1,0\n", craft(form))
 
 
-def test_panels_read_in_turn_and_averaged():
+def test_panels_can_be_read_in_turn_or_averaged():
     offsets = Instants(np.array([0.0, 2.0, 0.0]), 3.0)
     shifts = list(offsets.shifts())
     np.testing.assert_allclose(sum(weight for _, weight in shifts), 1.0, rtol=1e-12)
@@ -193,7 +193,7 @@ def test_panels_read_in_turn_and_averaged():
 @pytest.mark.parametrize(
     "text", ["[telemetry.offset_s]\nc = 1", "averaged_s = -1", "[telemetry.offset_s]\na = inf"]
 )
-def test_offsets_that_make_no_sense_are_a_sentence(text):
+def test_invalid_reading_offsets_are_refused_in_one_sentence(text):
     with pytest.raises(
         ss.VehicleError, match="panel that the vehicle does not have|must not be negative|number"
     ):
@@ -236,7 +236,7 @@ def test_a_minus_before_a_column_reverses_it_after_its_zero(tmp_path):
     assert data.attrs["unused_columns"] == "" and data.attrs["missing_sensors"] == ""
 
 
-def test_what_is_to_be_written_reads_a_sensor_so():
+def test_suggested_keys_read_a_sensor_as_suggested():
     """For each of the 48 ways: the keys that the sentence names, in the vehicle file, give the readings that were meant."""
     base = tomllib.loads(REVERSED)
     base["gyro"]["zero"] = {"value": [2, 1, 3], "sigma": [0.1, 0.2, 0.3]}
@@ -269,7 +269,7 @@ def test_what_is_to_be_written_reads_a_sensor_so():
     ("columns", "words"),
     [(["gx", "-gx", "gz"], "a column twice"), (["-", "gy", "gz"], "no column after it")],
 )
-def test_columns_with_a_minus_that_make_no_sense_are_a_sentence(columns, words):
+def test_invalid_columns_with_a_minus_are_refused_in_one_sentence(columns, words):
     text = VEHICLE.format(telemetry='time_column = "t"') + SENSORS.replace(
         '["gx", "gy", "gz"]', json.dumps(columns)
     )
@@ -289,7 +289,7 @@ def stored(tmp_path):
     return vehicle, data, write_netcdf(tmp_path / "telemetry.nc", data)
 
 
-def test_what_a_results_folder_holds_is_read_as_it_was(stored):
+def test_telemetry_of_a_results_folder_is_read_unchanged(stored):
     vehicle, data, path = stored
     again = ss.read_telemetry(path, vehicle)
     xr.testing.assert_identical(again.drop_attrs(), data.drop_attrs())
@@ -314,7 +314,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize("how", SPOILT)
-def test_whatever_is_spoilt_in_stored_telemetry_is_named(stored, how):
+def test_any_damage_of_stored_telemetry_is_named(stored, how):
     """Every variable, its values in another form or beyond all measure; and with a dimension of its own."""
     vehicle, data, path = stored
     for name in ("flag", "power_W", "gyro_B", "sun_sensor_B", "sun_sensor_cov_B", "time"):
@@ -331,7 +331,7 @@ def test_whatever_is_spoilt_in_stored_telemetry_is_named(stored, how):
             stored_telemetry(other, vehicle, path)
 
 
-def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(stored):
+def test_stored_telemetry_that_was_changed_or_is_of_another_vehicle_is_refused(stored):
     vehicle, data, path = stored
     spoilt = (
         (data.assign_coords(panel=["a", "c"]), "other panels.*vehicle.toml"),

@@ -23,7 +23,7 @@ def readings(craft, n, rng, noise=0.01):
     )
 
 
-def test_gains_are_found_and_cover_the_truth_although_a_tenth_of_the_samples_is_spoiled():
+def test_estimated_gains_cover_the_truth_with_a_tenth_of_outliers():
     rng = np.random.default_rng(1)
     square = []
     for _ in range(10):
@@ -36,7 +36,7 @@ def test_gains_are_found_and_cover_the_truth_although_a_tenth_of_the_samples_is_
     assert 0.2 < np.mean(square) < 2.0
 
 
-def test_sigmas_go_with_the_gains_they_are_of():
+def test_gain_sigmas_are_in_the_order_of_their_gains():
     """The same readings against gains of +x stated right and at half: it is found twice as large, as is its sigma."""
     wide = replace(CUBE, facts={f"panel.p{k}.gain_W": Fact(2.0, 2.0, "assumed") for k in range(6)})
     value = readings(CUBE, 150, np.random.default_rng(4))
@@ -47,7 +47,7 @@ def test_sigmas_go_with_the_gains_they_are_of():
     np.testing.assert_allclose(half.sigma / right.sigma, [2, 1, 1, 1, 1, 1], rtol=0.1)
 
 
-def test_what_cannot_be_told_is_said_and_left_alone():
+def test_gains_that_are_not_determined_are_named_and_unchanged():
     rng = np.random.default_rng(2)
     sides = Vehicle("sides", gain_unit="W", panels=CUBE.panels[:2] + CUBE.panels[3:5])
     for craft, n, word in ((sides, 60, "do not cover all directions"), (CUBE, 8, "fewer than")):
@@ -71,7 +71,7 @@ def earthlit(rng: np.random.Generator, gains: np.ndarray, albedo: float, n: int 
     return 2 * gains * (lit + albedo * by_earth / height.sum()) + 0.02 * rng.normal(size=(n, 6))
 
 
-def test_the_light_of_the_earth_changes_no_gain():
+def test_albedo_changes_no_estimated_gain():
     """The difference of light on two sides of a plane is linear in its normal, whatever gives the light."""
     rng = np.random.default_rng(5)
     errors = []
@@ -100,7 +100,7 @@ def test_a_weak_panel_is_named_and_gains_that_merely_scatter_are_not(count):
     assert named >= 0.8 * count and others == 0 and accused <= count / 60
 
 
-def test_a_stated_sigma_excuses_a_panel():
+def test_a_gain_within_its_stated_sigma_gives_no_warning():
     wide = replace(CUBE, facts={"panel.p2.gain_W": Fact(2.0, 0.2, "assumed")})
     value = earthlit(np.random.default_rng(7), np.array([1, 1, 0.85, 1, 1, 1]), 0.1)
     assert estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE, 0.0).weak.tolist() == [

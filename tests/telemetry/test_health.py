@@ -37,7 +37,7 @@ def test_allowed_patterns_of_philae_are_the_sixteen_of_its_geometry():
     assert allowed == without | {(*p, "6") for p in without}
 
 
-def test_four_panels_on_a_tetrahedron_show_all_but_none_and_all():
+def test_four_panels_on_a_tetrahedron_allow_every_pattern_except_none_and_all():
     """One to three faces of a tetrahedron see the Sun: 14 patterns."""
     craft = tetrahedron()
     allowed = ss.panel_health(craft, panel_power(craft, random_suns(5)), noise=1.0)["allowed"]
@@ -60,14 +60,14 @@ def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns()
         assert set(patterns) <= shown if name == "1" else not set(patterns) <= shown
 
 
-def test_a_pair_is_found_only_where_no_single_panel_will_do():
+def test_a_pair_of_dead_panels_is_named_only_if_no_single_one_explains_the_patterns():
     """Panel 2 alone wants panel 1 and panel 4 alone wants panel 5, by symmetry; opposite panels nothing can explain."""
     assert explanations(PHILAE, [("2",), ("4",)]) == [("1", "5")]
     assert explanations(PHILAE, [("1", "5")]) == []
 
 
 @pytest.mark.evidence("panel_health", "verified", "SciPy's Nelder-Mead from 25 starts")
-def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds(reached):
+def test_the_noise_verdict_agrees_with_a_direct_search(reached):
     rng = np.random.default_rng(3)
     power = np.maximum(
         panel_power(PHILAE, random_suns(4, 2)) + SIGMA * rng.normal(size=(4, 6)), 0.0
@@ -96,7 +96,7 @@ def test_noise_verdict_is_the_smallest_distance_that_a_direct_search_finds(reach
     "panel_health", "modelled", "500 noisy samples of whole panels, and of one panel dead"
 )
 @pytest.mark.parametrize("craft", [PHILAE, tetrahedron()], ids=["philae", "tetrahedron"])
-def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
+def test_a_dead_panel_is_nearly_always_named_and_a_good_one_seldom(craft):
     """The bound holds over many noisy samples of whole panels; the negative control has one panel dead."""
     rng, sun = np.random.default_rng(8), random_suns(500, 5)
     clean = panel_power(craft, sun)
@@ -117,7 +117,7 @@ def test_whole_panels_are_seldom_accused_and_a_lost_one_nearly_always(craft):
         assert np.median(noise_alone(craft, lost[accused], SIGMA, 2 * SIGMA).probability) < 1e-4
 
 
-def test_patterns_that_noise_may_have_made_are_told_from_those_of_a_dead_panel():
+def test_patterns_caused_by_noise_are_distinguished_from_a_dead_panel():
     rng = np.random.default_rng(1)
     grazing = np.tile([0.9, 0.02, 0.43], (200, 1))  # panel 1 near its edge
     power = np.maximum(
@@ -139,7 +139,7 @@ def test_patterns_that_noise_may_have_made_are_told_from_those_of_a_dead_panel()
     "modelled",
     "300 samples of panels turned within their stated sigmas; one of them dead",
 )
-def test_panels_turned_within_their_stated_sigmas_are_not_accused():
+def test_panels_misaligned_within_their_sigmas_are_not_called_dead():
     """Opposite panels that lean to one side are lit together. The same file is accused where no sigma is stated, and a dead panel
     is named whatever the sigmas."""
     normals = np.vstack([np.eye(3), -np.eye(3), np.ones(3) / np.sqrt(3)])
@@ -175,6 +175,6 @@ def test_panels_turned_within_their_stated_sigmas_are_not_accused():
         ((np.zeros((2, 6)), 1.0, -0.1), "lit_threshold must be zero or positive"),
     ],
 )
-def test_bad_input_is_named(arguments, text):
+def test_bad_input_of_panel_health_is_named(arguments, text):
     with pytest.raises(ss.SunspinError, match=text):
         noise_alone(PHILAE, *arguments)

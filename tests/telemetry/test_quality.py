@@ -37,7 +37,7 @@ def clean(n, seed=0):
     return ss.panel_power(CUBE, sun) + 0.002 * rng.uniform(size=(n, 6)), sun
 
 
-def test_clean_samples_are_used():
+def test_clean_samples_are_all_used():
     quality = panel_quality(CUBE, telemetry(clean(40)[0]))
     assert np.all(quality["use"] == USED) and not quality["dead"].any()
     assert set(quality["why"].values) == {"used"}
@@ -58,7 +58,7 @@ def test_a_dead_panel_is_named_and_left_out():
     )
 
 
-def test_a_panel_that_was_never_in_the_sun_is_not_accused():
+def test_a_panel_that_was_never_in_the_sun_is_not_called_dead():
     sun = clean(60)[1]
     power = ss.panel_power(CUBE, np.where(np.arange(3) == 2, -np.abs(sun), sun))
     quality = panel_quality(
@@ -68,7 +68,7 @@ def test_a_panel_that_was_never_in_the_sun_is_not_accused():
     assert not quality["missed"].any()
 
 
-def test_in_few_samples_only_light_that_is_missed_on_a_path_is_ground_to_call_a_panel_dead():
+def test_in_few_samples_a_panel_is_called_dead_only_for_missing_light_on_a_path():
     angle = np.linspace(-1.2, 1.2, 10)
     sun = np.stack([np.cos(angle), 0.3 * np.ones(10), np.sin(angle)], axis=1) / np.sqrt(1.09)
     value = ss.panel_power(CUBE, sun)
@@ -93,7 +93,7 @@ def test_in_few_samples_only_light_that_is_missed_on_a_path_is_ground_to_call_a_
     ("share", "use", "word"),
     [(0.6, DOWNWEIGHTED, "battery-limited current"), (0.2, DROPPED, "far below")],
 )
-def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_sun(share, use, word):
+def test_power_limited_samples_are_distinguished_from_sunlight(share, use, word):
     value, _ = clean(40)
     value[10:20] *= share
     quality = panel_quality(CUBE, telemetry(value))
@@ -105,7 +105,7 @@ def test_currents_that_follow_the_battery_are_told_from_those_that_follow_the_su
 
 
 @pytest.mark.evidence("panel_quality", "modelled", "faults put into clean samples")
-def test_spikes_stale_late_and_empty_frames_are_said():
+def test_outliers_and_stale_late_and_empty_frames_are_reported():
     value, _ = clean(40)
     value[3, 1] = 65.535
     value[6] = value[5]
@@ -121,7 +121,7 @@ def test_spikes_stale_late_and_empty_frames_are_said():
 
 
 @pytest.mark.parametrize("told", ["stated", "below zero", "cut to zero"])
-def test_noise_in_the_shadow_is_no_sun_that_stands_aside(told):
+def test_noise_in_shadow_is_not_taken_for_an_oblique_sun(told):
     """Four sides see nothing of a Sun along z, so noise on them looks like one; in the dark nothing but noise is read."""
     sides = Vehicle(
         "sides",
@@ -140,12 +140,12 @@ def test_noise_in_the_shadow_is_no_sun_that_stands_aside(told):
     assert (use[~lit] == DROPPED).all() and (use[lit & seen] == USED).all()
 
 
-def test_a_body_at_rest_is_not_stale():
+def test_readings_of_a_body_at_rest_are_not_called_stale():
     value = np.tile(ss.panel_power(CUBE, [0.6, 0.0, 0.8]), (30, 1))
     assert np.all(panel_quality(CUBE, telemetry(value))["use"] == USED)
 
 
-def test_albedo_is_estimated_from_faces_opposite_to_lit_ones():
+def test_albedo_is_estimated_from_panels_opposite_to_lit_ones():
     value, sun = clean(300)
     rng = np.random.default_rng(1)
     dark = sun @ NORMALS.T < 0
@@ -158,6 +158,6 @@ def test_albedo_is_estimated_from_faces_opposite_to_lit_ones():
     assert panel_quality(CUBE, telemetry(value[:3])).attrs["albedo"] == ALBEDO_DEFAULT
 
 
-def test_without_panels_it_is_a_sentence():
+def test_panel_quality_without_panels_is_refused_in_one_sentence():
     with pytest.raises(ss.InputError, match="no panel powers or currents"):
         panel_quality(CUBE, telemetry(clean(4)[0]).drop_vars("current_A"))

@@ -73,7 +73,7 @@ def with_copies(t, value, late_s, every):
 
 
 @pytest.mark.parametrize("count", [7, 26, 80])
-def test_a_frozen_end_is_left_out_and_named_however_long(count):
+def test_a_frozen_end_of_any_length_is_named_and_left_out(count):
     t, value = tumbling(40)
     t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, count + 1)])
     frozen = looked_at(t, np.concatenate([value, np.tile(value[-1], (count, 1))]))
@@ -85,7 +85,7 @@ def test_a_frozen_end_is_left_out_and_named_however_long(count):
 
 @pytest.mark.parametrize("fill", [np.nan, 999.0], ids=["empty", "999"])
 @pytest.mark.parametrize("cells", [0, 1, 2, 6])
-def test_a_frozen_half_is_named_whatever_cells_of_it_are_empty(cells, fill):
+def test_a_frozen_half_is_named_even_with_empty_cells(cells, fill):
     t, value = tumbling(80)
     value[40:] = value[39]
     value[[50, 60, 45, 55, 65, 70][:cells], 1] = fill
@@ -96,7 +96,7 @@ def test_a_frozen_half_is_named_whatever_cells_of_it_are_empty(cells, fill):
 
 
 @pytest.mark.parametrize("frames", [2, 3, 4])
-def test_a_buffer_that_loops_over_its_last_frames_is_named(frames):
+def test_frames_repeated_by_a_looping_buffer_are_named(frames):
     t, value = tumbling(40)
     t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, 61)])
     looped = looked_at(t, np.concatenate([value, np.tile(value[-frames:], (60 // frames, 1))]))
@@ -121,7 +121,7 @@ def test_rows_of_fill_values_between_samples_are_no_directions(fill):
     assert worth(looked_at(between, rows))[0]["directions"] == 60
 
 
-def test_rates_that_a_gyro_holds_are_no_samples_of_the_motion():
+def test_held_gyro_readings_are_not_used_as_samples():
     t, value = tumbling(120)
     gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
     in_shadow = np.arange(120) % 5 > 0
@@ -129,7 +129,7 @@ def test_rates_that_a_gyro_holds_are_no_samples_of_the_motion():
     assert worth(looked_at(t, value, gyro_B=gyro))[0]["directions"] == 24
 
 
-def test_a_frozen_stretch_parts_the_pass_and_holds_no_middle():
+def test_a_frozen_time_range_splits_the_pass():
     t, value = tumbling(80)
     value[30:50] = value[29]
     o, why, _ = observations(CUBE, looked_at(t, value))
@@ -142,7 +142,7 @@ def test_a_frozen_stretch_parts_the_pass_and_holds_no_middle():
     [(2.0, 1), (3.0, 3), (25.0, 1), (45.0, 2)],
     ids="next third after far".split(),
 )
-def test_copies_of_a_frame_are_left_out_whatever_their_share(late_s, every):
+def test_copies_of_a_frame_are_left_out_at_any_share(late_s, every):
     t, value, copies = with_copies(*tumbling(40), late_s, every)
     found = looked_at(t, value)
     assert np.array_equal(found.repeats.frozen, copies)
@@ -151,7 +151,7 @@ def test_copies_of_a_frame_are_left_out_whatever_their_share(late_s, every):
     assert every_own["samples_by_lit_faces"] == worth(own)[0]["samples_by_lit_faces"]
 
 
-def test_copies_are_left_out_in_many_short_passes_too():
+def test_copies_of_a_frame_are_left_out_in_many_short_passes():
     t, value = tumbling(48, step=COUNT)
     t = t + 5000.0 * (np.arange(48) // 4)
     t, value, copies = with_copies(t, value, 2.0, 1)
@@ -167,7 +167,7 @@ def test_held_samples_are_left_out_and_their_number_is_reported(times):
     assert repeat_lines(found)[0]["repeated_each"] == times
 
 
-def test_with_too_few_readings_left_to_tell_the_repeats_are_doubted_and_kept():
+def test_repeats_among_too_few_readings_are_reported_and_kept():
     t, value = tumbling(3, apart=200.0)
     each = (t[:, None] + 20.0 * np.arange(9)).ravel()
     found = looked_at(each, np.repeat(value, 9, axis=0))
@@ -175,7 +175,7 @@ def test_with_too_few_readings_left_to_tell_the_repeats_are_doubted_and_kept():
     assert repeat_lines(found)[1][0].startswith("  each reading is repeated 9 times: held values?")
 
 
-def test_rates_decide_no_pass_of_readings_that_may_be_held():
+def test_rates_of_readings_that_may_be_held_are_never_decided():
     t, value = tumbling(3, apart=200.0)
     each = (t[:, None] + 20.0 * np.arange(9)).ravel()
     result = ss.rates(CUBE, looked_at(each, np.repeat(value, 9, axis=0)), effort=0.02)
@@ -185,7 +185,7 @@ def test_rates_decide_no_pass_of_readings_that_may_be_held():
     )
 
 
-def test_samples_used_are_those_of_the_passes():
+def test_the_number_of_samples_used_is_that_of_the_passes():
     t, value = tumbling(120)
     t[118:] += 10_000.0  # two samples alone
     said: list[str] = []
@@ -208,13 +208,13 @@ def test_samples_used_are_those_of_the_passes():
     ],
     ids="slow usual coarse rest noisy".split(),
 )
-def test_coarse_counts_and_bodies_at_rest_are_not_accused(made):
+def test_coarse_counts_and_bodies_at_rest_are_not_called_frozen(made):
     for seed in range(10):
         repeats = looked_at(*tumbling(300, seed, **made)).repeats
         assert not repeats.frozen.any() and not repeats.columns.any()
 
 
-def test_zeros_in_the_shadow_are_no_repeats():
+def test_zeros_in_shadow_are_not_called_repeats():
     t, value = tumbling(60)
     value[20:45] = 0.0
     found = looked_at(t, value)
@@ -225,7 +225,7 @@ def test_zeros_in_the_shadow_are_no_repeats():
 @pytest.mark.parametrize("count", [12, 60])
 @pytest.mark.parametrize("longer", [1.0, 0.9999, 0.9997, 0.999])
 @pytest.mark.parametrize("each_turn", [3, 6])
-def test_a_spinner_that_meets_its_samples_is_not_accused(each_turn, longer, count):
+def test_a_spinner_in_step_with_its_sampling_is_not_called_frozen(each_turn, longer, count):
     """Without noise, a turn of about 20 s shows the same few directions again and again."""
     t = 20.0 / each_turn * np.arange(count)
     for seed in range(3):
@@ -237,7 +237,7 @@ def test_a_spinner_that_meets_its_samples_is_not_accused(each_turn, longer, coun
             assert not looked_at(t, value).repeats.frozen.any()
 
 
-def test_panels_that_repeat_while_the_gyro_changes_are_held_and_not_frozen():
+def test_panels_that_repeat_while_the_gyro_changes_are_called_held():
     t, value = tumbling(120)
     value[60:100] = value[59]
     gyro = 0.05 + 0.001 * np.random.default_rng(1).normal(size=(120, 3))
@@ -247,7 +247,7 @@ def test_panels_that_repeat_while_the_gyro_changes_are_held_and_not_frozen():
     assert not repeats.held["gyro_B"].any()
 
 
-def test_a_gyro_that_repeats_while_panels_change_is_left_out_there():
+def test_a_gyro_that_repeats_while_panels_change_is_left_out():
     t, value = tumbling(120)
     gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
     found = looked_at(t, value, gyro_B=gyro)
@@ -257,7 +257,7 @@ def test_a_gyro_that_repeats_while_panels_change_is_left_out_there():
     assert "the gyro repeats the last reading in 96 samples" in repeat_lines(found)[1][0]
 
 
-def test_a_panel_that_is_read_less_often_is_named_and_its_held_values_left_out():
+def test_held_values_of_a_panel_read_less_often_are_named_and_left_out():
     t, value = tumbling(120, apart=5.0)
     k = brightest(value)
     value[:, k] = np.repeat(value[::4, k], 4)
@@ -332,7 +332,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("noise", [0.002, None], ids=["noise stated", "not stated"])
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_is_no_reading_is_measured_for_no_command(fault, noise):
+def test_repeated_readings_are_used_by_no_command(fault, noise):
     t, value = tumbling(60)
     rows, panel = FAULTS[fault](t, value)
     vehicle = replace(CUBE, telemetry=replace(CUBE.telemetry, noise=noise))

@@ -80,7 +80,7 @@ def blamed(craft: Vehicle, data: xr.Dataset) -> set[str]:
     "modelled",
     "files of panels turned within their stated sigmas, whole and with a dead one",
 )
-def test_a_dead_panel_is_named_although_panels_are_turned_and_a_whole_one_never(count, named):
+def test_with_misaligned_panels_a_dead_one_is_named_and_a_good_one_never(count, named):
     found = [
         (blamed(craft, data), lost)
         for craft, data, lost in (drawn(0, i, True) for i in range(count))
@@ -100,7 +100,7 @@ def test_a_dead_panel_is_named_although_panels_are_turned_and_a_whole_one_never(
     "modelled",
     "whole files in which the battery dims samples, here and there or in a stretch",
 )
-def test_a_whole_panel_is_not_missed_where_the_battery_dims_samples(count, apart):
+def test_a_good_panel_is_not_called_dead_in_power_limited_samples(count, apart):
     accused = 0
     for i in range(count):
         craft, data, _ = drawn(9, i, False)
@@ -118,7 +118,7 @@ def test_a_whole_panel_is_not_missed_where_the_battery_dims_samples(count, apart
     assert accused <= count // 60
 
 
-def test_samples_that_the_battery_limits_accuse_no_panel_that_was_never_lit():
+def test_power_limited_samples_call_no_panel_dead_that_was_never_lit():
     craft = Vehicle(
         "cube",
         gain_unit="W",

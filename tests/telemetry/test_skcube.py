@@ -33,7 +33,7 @@ def numbers(kind):
     return list(range(len(KINDS[kind][1])))
 
 
-def test_the_decoder_undoes_the_escapes_and_counts_what_it_cannot_read(tmp_path):
+def test_the_decoder_removes_escapes_and_counts_unreadable_frames(tmp_path):
     adcs, form = numbers("ADCS"), KINDS["ADCS"][0]
     adcs[2] = -16320  # C0 40 in two bytes, little endian: an escape inside a field
     raw = tmp_path / "raw.zip"
@@ -55,7 +55,7 @@ def test_the_decoder_undoes_the_escapes_and_counts_what_it_cannot_read(tmp_path)
 
 
 @pytest.mark.parametrize("form", ["csv", "page", "lines"])
-def test_every_kind_of_beacon_of_a_satnogs_export_is_written(form, tmp_path):
+def test_decode_writes_every_kind_of_beacon_of_a_satnogs_export(form, tmp_path):
     beacons = {
         kind: bytes(16) + bytes([TYPE[kind]]) + KINDS[kind][0].pack(*numbers(kind))
         for kind in KINDS
@@ -96,7 +96,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
-def test_a_damaged_export_is_a_sentence(text, tmp_path):
+def test_a_damaged_satnogs_export_is_refused_in_one_sentence(text, tmp_path):
     raw = tmp_path / "export"
     raw.write_text(text)
     with pytest.raises(ss.TelemetryError, match="export") as told:
@@ -104,7 +104,7 @@ def test_a_damaged_export_is_a_sentence(text, tmp_path):
     assert "\n" not in str(told.value)
 
 
-def test_unescape():
+def test_ax25_escapes_are_removed_by_hand():
     assert unescape(b"\x01\xdb\xdc\x02\xdb\xdd\xdb") == b"\x01\xc0\x02\xdb\xdb"
     assert KINDS["ADCS"][0].size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
     assert all(
@@ -113,7 +113,7 @@ def test_unescape():
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off"])
-def test_a_file_that_is_no_zip_is_a_sentence(content, tmp_path):
+def test_decode_refuses_a_file_that_is_no_zip_in_one_sentence(content, tmp_path):
     path = tmp_path / "raw.zip"
     path.write_bytes(content)
     with pytest.raises(ss.TelemetryError, match="raw beacons cannot be read"):
@@ -125,7 +125,7 @@ def test_a_file_that_is_no_zip_is_a_sentence(content, tmp_path):
 
 @pytest.mark.evidence("decode", "validated", "the published table of skCUBE's attitude beacons")
 @pytest.mark.real_data
-def test_the_decoder_gives_the_published_table_number_by_number(data_dir, reached):
+def test_the_decoded_table_equals_the_published_one(data_dir, reached):
     beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
     assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301} and set(beacons.unread) == {
         "too short for a beacon"
@@ -218,7 +218,7 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
 )
 @pytest.mark.real_data
 @pytest.mark.long  # the quick test of the gyro's scale is that of the rates above, which are held against it
-def test_scale_and_zero_of_the_gyro_are_those_that_carry_the_sun_along(data_dir, reached):
+def test_scale_and_zero_of_the_gyro_propagate_the_measured_sun(data_dir, reached):
     """140 pairs of beacons, the gyro of 28 June not read; the vehicle file's values agree within two sigma of both."""
     spec = importlib.util.spec_from_file_location(
         "skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py"

@@ -27,7 +27,7 @@ PHILAE = ss.load_vehicle("philae")
 
 
 @pytest.mark.evidence("panel_power", "verified", "computed by hand from Philae's table of panels")
-def test_power_by_hand():
+def test_panel_power_by_hand():
     power = panel_power(PHILAE, [0.6, 0.0, 0.8])
     np.testing.assert_allclose(
         power,
@@ -39,7 +39,7 @@ def test_power_by_hand():
 @pytest.mark.parametrize(
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))]
 )
-def test_lit_patterns_of_any_vehicle_are_those_that_random_directions_show(seed):
+def test_illumination_patterns_of_any_vehicle_are_those_of_random_directions(seed):
     vehicle = random_panels(seed, 5)
     names = np.array(vehicle.panel_names)
     shown = {
@@ -53,7 +53,7 @@ def test_lit_patterns_of_any_vehicle_are_those_that_random_directions_show(seed)
 
 
 @pytest.mark.evidence("sun_directions", "verified", "5/16 of the sphere, from the normals by hand")
-def test_philae_sees_five_sixteenths_of_the_sphere(reached):
+def test_philae_reconstructs_the_sun_in_five_sixteenths_of_the_sphere(reached):
     n = directions(40_000)
     azimuth = np.degrees(np.arctan2(n[:, 1], n[:, 0]))
     expected = (n[:, 2] > 0) & (azimuth > -135) & (azimuth < 90)
@@ -69,7 +69,7 @@ def test_philae_sees_five_sixteenths_of_the_sphere(reached):
     "sun_directions", "verified", "5,000 directions through the forward model and back"
 )
 @pytest.mark.parametrize("case", ["philae", "skcube"])
-def test_noise_free_powers_give_the_direction_back(case, reached):
+def test_noise_free_powers_give_the_true_direction(case, reached):
     vehicle, n = ss.load_vehicle(case), directions(5000, 3)
     sun = ss.sun_directions(vehicle, panel_power(vehicle, n), lit_threshold=1e-9)
     told = is_reconstructed(sun["status"])
@@ -90,7 +90,7 @@ def misfit(vehicle, n, power):
     "sun_directions", "verified", "SciPy's Nelder-Mead over the sphere, inconsistent powers too"
 )
 @pytest.mark.parametrize("seed", range(8))
-def test_the_minimum_is_global_whatever_the_powers(seed, reached):
+def test_the_best_direction_is_the_global_minimum_for_any_powers(seed, reached):
     """Random, also inconsistent powers, against a dense search with local polish."""
     rng = np.random.default_rng(seed)
     vehicle = PHILAE if seed % 2 else random_panels(seed, int(rng.integers(3, 7)))
@@ -118,7 +118,7 @@ def test_the_minimum_is_global_whatever_the_powers(seed, reached):
     assert misfit(vehicle, n[0], power[0]) == pytest.approx(delta[0], abs=1e-12)
 
 
-def test_a_swapped_or_scaled_panel_shows_where_more_than_three_are_lit():
+def test_a_swapped_or_scaled_panel_raises_the_misfit_if_more_than_three_are_lit():
     n = directions(3000, 5)
     power = panel_power(PHILAE, n)
     four = (power > 0).sum(axis=1) >= 5
@@ -128,7 +128,7 @@ def test_a_swapped_or_scaled_panel_shows_where_more_than_three_are_lit():
     assert ss.sun_directions(PHILAE, power[four])["delta"].values.max() < 1e-9
 
 
-def test_three_lit_panels_are_said_to_be_unchecked():
+def test_three_lit_panels_are_reported_as_unchecked():
     sun = ss.sun_directions(PHILAE, panel_power(PHILAE, [[-0.3, -0.6, 0.7]]), lit_threshold=1e-6)
     assert sun["status"].values[0] == SunStatus.UNCHECKED
     assert "exactly three" in sun["status_text"].values[0]
@@ -147,13 +147,13 @@ def test_three_lit_panels_are_said_to_be_unchecked():
         ([np.nan, 1, 1, 0, 0, 1], SunStatus.MISSING),
     ],
 )
-def test_every_sample_without_a_direction_says_why(lit, status):
+def test_every_sample_without_a_direction_has_a_status(lit, status):
     sun = ss.sun_directions(PHILAE, np.array([lit], dtype=float), lit_threshold=0.1)
     assert sun["status"].values[0] == status
     assert len(sun["status_text"].values[0]) > 10
 
 
-def test_with_nothing_dark_to_bound_it_the_arc_is_half_a_circle():
+def test_an_arc_of_directions_without_dark_panels_is_half_a_circle():
     """Two lit panels in one plane and no other: from one pole of that plane over what they see to the other."""
     craft = Vehicle("two", panels=[Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 1, 0], 1.0)])
     sun = ss.sun_directions(craft, [[0.6, 0.8]], lit_threshold=1e-9)
@@ -162,7 +162,7 @@ def test_with_nothing_dark_to_bound_it_the_arc_is_half_a_circle():
     np.testing.assert_allclose(ends, [[0, 0, -1], [0, 0, 1]], rtol=0, atol=1e-12)
 
 
-def test_below_the_side_panels_the_answer_is_an_arc():
+def test_a_sun_seen_by_side_panels_only_is_known_to_an_arc():
     """At z < 0 the side powers fix the azimuth only: the arc runs from the horizon to the nadir."""
     n = np.array([0.7, -0.3, -0.5]) / np.linalg.norm([0.7, -0.3, -0.5])
     arc = ss.sun_directions(PHILAE, panel_power(PHILAE, n[None]), lit_threshold=1e-9)[
@@ -176,7 +176,7 @@ def test_below_the_side_panels_the_answer_is_an_arc():
 @pytest.mark.evidence(
     "sun_directions", "verified", "4,000 noisy samples; half the noise assumed is noticed"
 )
-def test_covariance_covers_as_stated_and_notices_a_wrong_noise(reached):
+def test_direction_covariance_covers_as_stated_and_detects_a_wrong_noise(reached):
     rng = np.random.default_rng(0)
     n = np.array([0.5, 0.3, 0.81]) / np.linalg.norm([0.5, 0.3, 0.81])
     power = panel_power(PHILAE, n)
@@ -206,7 +206,7 @@ def test_covariance_covers_as_stated_and_notices_a_wrong_noise(reached):
     ) == pytest.approx(rms, rel=0.1)
 
 
-def test_noise_is_estimated_where_panels_are_redundant():
+def test_panel_noise_is_estimated_if_panels_are_redundant():
     rng = np.random.default_rng(1)
     vehicle = Vehicle("philae without noise", panels=PHILAE.panels)
     power = panel_power(vehicle, np.tile([[0.8, 0.1, 0.59]], (4000, 1)))
@@ -218,7 +218,7 @@ def test_noise_is_estimated_where_panels_are_redundant():
     "normals",
     [[[1, 0, 0]], [[1, 0, 0], [-1, 0, 0]], [[1, 0, 0], [1, 0, 0]], [[1, 0, 0], [0, 1, 0]]],
 )
-def test_degenerate_vehicles_are_answered(normals):
+def test_vehicles_with_degenerate_panels_get_a_status(normals):
     vehicle = Vehicle("few", panels=[Panel(str(k), p, 1.0) for k, p in enumerate(normals)])
     sun = ss.sun_directions(vehicle, panel_power(vehicle, directions(50)), lit_threshold=1e-9)
     assert not is_reconstructed(sun["status"]).any()

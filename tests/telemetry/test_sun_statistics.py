@@ -42,7 +42,7 @@ def misfit(**change) -> float:
     return float(kstest(distances(**change), chi2(2).cdf).statistic)
 
 
-def test_the_covariance_covers_over_all_directions():
+def test_direction_covariance_covers_over_all_directions():
     found = distances()
     assert len(found) > 300
     for level in (0.5, 0.68, 0.95):
@@ -68,5 +68,5 @@ def scaled(factor):
     ],
     ids=["noise too large", "noise too small", "a gain 5 % off", "an offset"],
 )
-def test_it_fails_where_the_model_is_wrong(wrong):
+def test_the_coverage_test_fails_if_the_model_is_wrong(wrong):
     assert misfit(**wrong) > 3.0 / np.sqrt(len(distances()))

@@ -30,7 +30,7 @@ def read(tmp_path, text, craft=None):
 
 
 @pytest.mark.evidence("read_telemetry", "verified", "a file written by hand")
-def test_a_good_file(tmp_path):
+def test_a_good_telemetry_file_is_read(tmp_path):
     data = read(tmp_path, "# synthetic: made up\n" + GOOD)
     np.testing.assert_array_equal(data["power_W"].values, [[1, 2], [1.5, 0]])
     np.testing.assert_array_equal(data["time"].values, [0, 120])
@@ -110,7 +110,7 @@ def test_elapsed_seconds_need_and_keep_their_epoch(tmp_path):
         ('time,a,b\n"2026,1,2\n', ["CSV"]),
     ],
 )
-def test_bad_files_are_refused_in_one_sentence(tmp_path, text, parts):
+def test_bad_telemetry_files_are_refused_in_one_sentence(tmp_path, text, parts):
     with pytest.raises(ss.TelemetryError) as error:
         read(tmp_path, text)
     message = str(error.value)
@@ -119,7 +119,7 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, text, parts):
         assert part in message, message
 
 
-def test_missing_file_and_folder(tmp_path):
+def test_a_missing_telemetry_file_or_a_folder_is_refused(tmp_path):
     with pytest.raises(ss.TelemetryError, match="cannot be read"):
         ss.read_telemetry(tmp_path / "none.csv", vehicle())
     with pytest.raises(ss.TelemetryError, match="folder"):
@@ -161,7 +161,7 @@ def test_a_file_without_an_epoch_begins_at_its_earliest_row(tmp_path):
     ]
 
 
-def test_times_without_a_zone_beside_local_ones_are_refused(tmp_path):
+def test_times_without_a_zone_next_to_local_ones_are_refused(tmp_path):
     """Nobody knows whether they are UTC; beside times in UTC they are."""
     rows = "time,a,b\n2026-01-01T00:00:00{},2,1\n2026-01-01T00:01:00,1,1\n"
     with pytest.raises(
@@ -172,12 +172,12 @@ def test_times_without_a_zone_beside_local_ones_are_refused(tmp_path):
     assert read(tmp_path, rows.format("Z"))["time"].values.tolist() == [0, 60]
 
 
-def test_small_negative_values_are_noise_where_noise_is_stated(tmp_path):
+def test_small_negative_readings_are_accepted_within_the_stated_noise(tmp_path):
     data = read(tmp_path, GOOD.replace("0.0", "-0.02"), vehicle(noise=0.01))
     assert data["power_W"].values[1, 1] == -0.02
 
 
-def test_without_a_stated_noise_the_file_tells_what_is_noise(tmp_path):
+def test_without_a_stated_noise_negative_readings_are_judged_by_the_scatter(tmp_path):
     """Dark panels of a real file read a little below zero now and then; a panel with its sign turned reads far below."""
     rng = np.random.default_rng(2)
     lit = np.maximum(0, np.sin(np.arange(40)[:, None] + [0.0, np.pi]))
@@ -201,7 +201,7 @@ def test_without_a_stated_noise_the_file_tells_what_is_noise(tmp_path):
 
 @pytest.mark.evidence("read_telemetry", "validated", "real beacons of skCUBE")
 @pytest.mark.real_data
-def test_skcube_beacons_read_and_say_what_they_can_tell(data_dir):
+def test_skcube_beacons_are_read_with_a_summary_of_their_content(data_dir):
     craft = ss.load_vehicle("skcube")
     data = ss.read_telemetry(data_dir / "skcube" / "skcube_pwr.csv", craft)
     assert data.sizes["time"] == 55

@@ -24,7 +24,7 @@ TEMPLATE = resources.files("sunspin").joinpath("template", "vehicle.toml").read_
         ("nan", "write it as 2026-01-31T23:59:59Z"),
     ],
 )
-def test_a_time_that_is_none_says_how_to_write_it(tmp_path, time, words):
+def test_an_invalid_time_is_refused_with_the_form_to_write(tmp_path, time, words):
     file = tmp_path / "t.csv"
     file.write_text(f"time_utc,px,mx,py,my,pz\n{time},1,0,1,0,1\n")
     with pytest.raises(
@@ -37,7 +37,7 @@ def test_a_time_that_is_none_says_how_to_write_it(tmp_path, time, words):
 @pytest.mark.parametrize(
     "first", ["2026-01-01T00:00:00Z,0.000,0.000,1,2,3", "2026-01-01T00:00:00Z,,,1,2,3"]
 )
-def test_a_file_without_a_header_says_so(tmp_path, first):
+def test_a_file_without_a_header_is_reported(tmp_path, first):
     file = tmp_path / "t.csv"
     file.write_text(f"{first}\n{first}\n")
     with pytest.raises(
@@ -46,6 +46,6 @@ def test_a_file_without_a_header_says_so(tmp_path, first):
         ss.read_telemetry(file, parse_vehicle(TEMPLATE, "v.toml"))
 
 
-def test_light_of_any_size_has_a_share():
+def test_shares_of_light_are_printed_for_any_size():
     """A scale that is off by hundreds of powers of ten: squares of Python's numbers would end in an error."""
     assert _earth_light(1e200, 100, 0.0) > 1e199 and _earth_light(0.1, 100, 0.2) == 0.0

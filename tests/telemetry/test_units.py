@@ -48,7 +48,7 @@ def satellite(request, tmp_path):
 
 @pytest.mark.parametrize("rows", [8, 20])
 @pytest.mark.parametrize("make", MAKERS)
-def test_of_a_hundred_small_files_of_the_shadow_at_most_one_is_in_a_wrong_unit(
+def test_at_most_one_of_a_hundred_small_files_in_shadow_is_called_a_wrong_unit(
     make, rows, tmp_path
 ):
     """Whatever their size, cut off at zero or not, with noise alike for all panels or with their gains."""
@@ -85,12 +85,12 @@ def with_scale(text: str) -> str:
     return text if has else text.replace("[telemetry]", "[telemetry]\nscale = 1.0")
 
 
-def test_right_files_are_not_accused(satellite):
+def test_files_in_the_right_unit_get_no_warning(satellite):
     assert judged(satellite.vehicle.read_text(), satellite.telemetry) == []
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_thousandths_read_as_wholes(satellite, factor):
+def test_milliwatts_read_as_watts_are_named(satellite, factor):
     text = with_scale(satellite.vehicle.read_text())
     right = parse_vehicle(text, "v.toml").telemetry.scale
     (found,) = judged(changed(text, "telemetry", "scale", factor), satellite.telemetry)
@@ -102,7 +102,7 @@ def test_thousandths_read_as_wholes(satellite, factor):
 
 @pytest.mark.parametrize("key", ["scale", "voltage_scale"])
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key, factor):
+def test_a_wrong_unit_of_currents_or_of_voltages_is_named(tmp_path, key, factor):
     """The product tells that one is, and not which: no value is put into anybody's mouth."""
     made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     lines = [line for line in made.telemetry.read_text().splitlines() if not line.startswith("#")]
@@ -121,7 +121,7 @@ def test_of_currents_with_voltages_either_may_be_in_the_wrong_unit(tmp_path, key
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(satellite, factor):
+def test_a_wrong_unit_is_named_instead_of_no_panel_lit(satellite, factor):
     vehicle = parse_vehicle(
         changed(with_scale(satellite.vehicle.read_text()), "telemetry", "scale", factor), "v.toml"
     )
@@ -131,7 +131,7 @@ def test_the_wrong_unit_stands_where_reading_would_say_that_no_panel_is_lit(sate
     assert "no panel lit" not in sun_directions(vehicle, samples)["status_text"].values
 
 
-def test_rates_name_it_too(tmp_path):
+def test_rates_name_the_wrong_unit(tmp_path):
     made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     vehicle = parse_vehicle(
         changed(with_scale(made.vehicle.read_text()), "telemetry", "scale", 1e-3), "v.toml"
@@ -142,7 +142,7 @@ def test_rates_name_it_too(tmp_path):
 
 @pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180])
 @pytest.mark.parametrize("seed", range(4))
-def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
+def test_a_gyro_in_degrees_or_radians_is_named(tmp_path, factor, seed):
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
     text = made.vehicle.read_text()
     right = parse_vehicle(text, "v.toml").sensors.gyro.scale_rad_s
@@ -153,7 +153,7 @@ def test_degrees_and_radians_of_a_gyro(tmp_path, factor, seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_axes_of_a_gyro(tmp_path, seed):
+def test_wrong_axes_of_a_gyro_are_named(tmp_path, seed):
     """As stated they are believed; in another order or with other signs they are named so that it turns the Sun as seen."""
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
     vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
@@ -173,7 +173,7 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
 
 
 @pytest.mark.parametrize("factor", [60 / (2 * np.pi), 2 * np.pi / 60])
-def test_revolutions_of_a_wheel(tmp_path, factor):
+def test_a_wheel_speed_in_revolutions_is_named(tmp_path, factor):
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(3), form="csv")
     text = changed(made.vehicle.read_text(), "wheel", "speed_scale_rad_s", factor)
     (found,) = judged(text, made.telemetry)
@@ -209,7 +209,7 @@ IN_TESLA = {
     ("key", "at_fault"),
     [("zero", 1e3), ("noise", 1e6), ("noise", 1e-9), ("zero", 1e9), ("dipole", 1e6)],
 )
-def test_units_of_a_magnetometer(tmp_path, unit, key, at_fault):
+def test_a_wrong_unit_of_a_magnetometer_is_named(tmp_path, unit, key, at_fault):
     """The columns may be in any unit, but zero, noise and dipole are in the same one (the dipole per unit)."""
     rng = np.random.default_rng(5)
     field = rng.normal(size=(60, 3))
@@ -239,7 +239,7 @@ def test_units_of_a_magnetometer(tmp_path, unit, key, at_fault):
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("reach_deg", [40.0, 90.0])
-def test_degrees_of_a_sun_sensor(tmp_path, seed, reach_deg):
+def test_a_sun_sensor_in_degrees_is_named(tmp_path, seed, reach_deg):
     """Also of a sensor that reads something while the Sun stands behind it."""
     rng = np.random.default_rng(seed)
     sun = rng.normal(size=(60, 3))
@@ -264,7 +264,7 @@ def test_degrees_of_a_sun_sensor(tmp_path, seed, reach_deg):
     )
 
 
-def test_the_line_of_a_key():
+def test_the_line_to_change_is_found_for_a_key():
     text = 'name = "v"\n[telemetry]\n# scale = 3\nscale = 2 # x\n[telemetry.columns]\nscale = "b"\n[[wheel]]\nname = "w"\n'
     assert line_of(text, "telemetry", "scale") == (4, "scale = 2 # x")
     assert line_of(text, "telemetry", "noise") == (2, "[telemetry]")

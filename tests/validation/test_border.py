@@ -41,7 +41,7 @@ LONG = [pytest.param(suite, 30, marks=pytest.mark.long) for suite in (Fuzz, Corr
 
 
 @pytest.mark.parametrize(("suite", "n"), [(Fuzz, 20), *LONG])
-def test_hostile_input_is_a_result_or_a_sentence(suite, n, monkeypatch):
+def test_hostile_input_gives_a_result_or_one_sentence(suite, n, monkeypatch):
     monkeypatch.setattr("validation.fuzz.SEARCH_S", 0.5)
     with suite(seed=20, memory=None) as case:
         verdicts = [case(index) for index in range(n)]
@@ -51,7 +51,7 @@ def test_hostile_input_is_a_result_or_a_sentence(suite, n, monkeypatch):
 
 
 @pytest.mark.long
-def test_every_whole_table_that_is_odd_is_a_result_or_a_sentence(home):
+def test_every_hostile_table_gives_a_result_or_one_sentence(home):
     """Also those with a leap second, years from 1 to 9999, other forms of time, other encodings, readings of any size."""
     good, told = (home / "telemetry.csv").read_bytes(), []
     for bomb in TABLE_BOMBS:
@@ -75,7 +75,7 @@ def test_every_whole_table_that_is_odd_is_a_result_or_a_sentence(home):
         (Told(None, "", "", "Traceback"), "traceback"),
     ],
 )
-def test_the_judge_would_notice(told, what):
+def test_the_judge_of_the_campaigns_detects_each_kind_of_failure(told, what):
     assert judge(told).what == what and judge(told).bad == (what not in ("fine", "refused"))
 
 
@@ -94,19 +94,19 @@ class Broken(pool.Suite):
 
 
 @pytest.mark.long
-def test_the_watch_notices_crashes_and_hangs_and_goes_on():
+def test_the_pool_of_a_campaign_detects_crashes_and_hangs_and_continues():
     report = pool.run(Broken, 5, workers=1, cpu_s=0.3)
     assert report.counts == {"fine": 3, "crash": 1, "hang": 1}
     assert {index: verdict.what for index, verdict in report.findings} == {1: "crash", 2: "hang"}
 
 
-def test_text_from_outside_obeys_no_terminal():
+def test_text_from_outside_cannot_control_the_terminal():
     assert printable("a\x1b[2J\u202eb\n c\udce9 é") == "a\\x1b[2J\\u202eb c\\udce9 é"
     assert sentence("x", got=10**5000).isprintable()
     assert "\\x1b[31m" in refused("check", "\x1b[31m.toml")
 
 
-def test_a_defect_is_said_to_be_one(monkeypatch, home):
+def test_an_unexpected_exception_is_reported_as_a_fault_of_sunspin(monkeypatch, home):
     def broken(*_):
         raise TypeError("oops")
 
@@ -136,7 +136,7 @@ def test_a_defect_is_said_to_be_one(monkeypatch, home):
         ('name = "\\u001b[2J"', "printable"),
     ],
 )
-def test_vehicle_files_that_are_bombs_or_nonsense(text, said):
+def test_huge_or_nonsensical_vehicle_files_are_refused(text, said):
     with pytest.raises(ss.VehicleError, match=said.replace("+", r"\+")) as error:
         parse_vehicle(
             text if text.startswith(("a", "name")) else f"name = 'v'\n[body]\n{text}", "v.toml"
@@ -144,7 +144,7 @@ def test_vehicle_files_that_are_bombs_or_nonsense(text, said):
     assert str(error.value).isprintable()
 
 
-def test_a_vehicle_has_not_any_number_of_parts():
+def test_vehicles_with_too_many_parts_are_refused():
     with pytest.raises(ss.VehicleError, match="at most 32 panels"):
         Vehicle("many", panels=[Panel(str(k), [0, 0, 1], 1.0) for k in range(33)])
     with pytest.raises(ss.VehicleError, match="at most 8 wheels"):
@@ -164,7 +164,7 @@ def test_no_key_of_a_vehicle_file_names_a_file(home, tmp_path_factory):
 
 
 @pytest.mark.parametrize("command", ["check", "decode"])
-def test_devices_and_pipes_are_no_files(command, home):
+def test_devices_and_pipes_are_refused_as_files(command, home):
     os.mkfifo("pipe")
     for path in ("pipe", "/dev/zero", "/dev/null"):
         refused(command, path, words=["device or a pipe"])
@@ -172,7 +172,7 @@ def test_devices_and_pipes_are_no_files(command, home):
         refused("check", "vehicle.toml", "pipe", words=["device or a pipe"])
 
 
-def test_grids_by_typo_are_refused_with_an_estimate(home):
+def test_huge_grids_are_refused_with_an_estimate_of_their_cost(home):
     files = "scan", "vehicle.toml", "telemetry.csv", "--to=160"
     huge = [f"--omega-{x}-deg-s=-30:30:0.006" for x in "xyz"]
     assert "2.8e+04 h of one core and 3e+04 GB" in refused(*files, *huge)
@@ -206,7 +206,7 @@ def test_grids_by_typo_are_refused_with_an_estimate(home):
     )
 
 
-def test_results_that_no_machine_holds_are_refused_with_an_estimate():
+def test_results_larger_than_memory_are_refused_with_an_estimate():
     from tests.support.rows import Waves
 
     with pytest.raises(ss.InputError, match="GB of memory"):
@@ -214,7 +214,7 @@ def test_results_that_no_machine_holds_are_refused_with_an_estimate():
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "1e308", "1e-308"])
-def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
+def test_infinite_or_extreme_numbers_are_refused_by_every_command(value, home):
     refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "number"])
     refused(
         "simulate",
@@ -227,13 +227,13 @@ def test_numbers_beyond_all_measure_are_refused_by_every_command(value, home):
     refused("sun", "vehicle.toml", "telemetry.csv", f"--noise={value}", words=["--noise"])
 
 
-def test_a_lead_of_ages_is_a_sentence(home):
+def test_a_lead_of_ages_is_refused_in_one_sentence(home):
     """Back in time friction makes a wheel faster without bound."""
     given = ["--omega-deg-s=0,0,60", START[1], "--after=1", "--collision-speed=0", "--runs=4"]
     refused("outcomes", "vehicle.toml", *given, "--lead=1e20", words=["steps", "unit"])
 
 
-def test_too_many_turns_between_samples_are_refused(home):
+def test_too_many_revolutions_between_samples_are_refused(home):
     refused(
         "rates",
         "vehicle.toml",
@@ -250,7 +250,7 @@ def test_file_names_of_any_bytes_are_printed(home):
     assert sunspin("init", "caf\udce8").code == 0
 
 
-def test_results_and_their_page_in_a_folder_of_any_name(home, undrawn, framed):
+def test_results_and_their_page_are_written_to_a_folder_of_any_name(home, undrawn, framed):
     os.rename("telemetry.csv", "t\udce9.csv")
     folder = "caf\udce9 \u202e"
     for command in (
@@ -274,7 +274,7 @@ def test_results_and_their_page_in_a_folder_of_any_name(home, undrawn, framed):
     )
 
 
-def test_a_page_of_motions_that_are_partly_unknown(home, undrawn):
+def test_a_page_is_made_of_motions_with_missing_values(home, undrawn):
     assert sunspin("simulate", "philae", *START, "--duration=20", "--out=results").code == 0
     with xr.open_dataset("results/trajectory.nc", engine="h5netcdf") as data:
         data = data.load()
@@ -285,7 +285,7 @@ def test_a_page_of_motions_that_are_partly_unknown(home, undrawn):
     assert told.code == 0 and not told.err, told
 
 
-def test_files_in_columns_may_not_unpack_to_any_size(home, monkeypatch):
+def test_compressed_tables_that_unpack_to_huge_sizes_are_refused(home, monkeypatch):
     """A few kB of Parquet or NetCDF can hold a billion cells; here the limit is a hundredth of what it is."""
     from sunspin.base import tables
 
@@ -304,7 +304,7 @@ def test_files_in_columns_may_not_unpack_to_any_size(home, monkeypatch):
     refused("sun", "vehicle.toml", "bomb.nc", words=["GB of memory"])
 
 
-def test_a_scan_that_is_none_is_a_sentence(home):
+def test_a_file_that_is_no_scan_is_refused_in_one_sentence(home):
     xr.Dataset({"emd": ("x", [1.0])}).to_netcdf("scan.nc", engine="h5netcdf")
     refused(
         "outcomes",
@@ -316,7 +316,7 @@ def test_a_scan_that_is_none_is_a_sentence(home):
     )
 
 
-def test_kernels_that_are_none_are_a_sentence(home, undrawn):
+def test_files_that_are_no_kernels_are_refused_in_one_sentence(home, undrawn):
     pytest.importorskip("spiceypy")
     assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
     given = "compare", "results", "--frame=X", "--epoch=2026-01-01T00:00:00Z"
@@ -324,7 +324,7 @@ def test_kernels_that_are_none_are_a_sentence(home, undrawn):
     refused(*given, "telemetry.csv", words=["kernels cannot be used"])
 
 
-def test_an_archive_of_nameless_frames(home):
+def test_an_archive_of_nameless_frames_is_refused(home):
     with zipfile.ZipFile("frames.zip", "w") as archive:
         archive.writestr("x", b"")
     data = (home / "frames.zip").read_bytes().replace(b"\x01\x00\x00\x00x", b"\x00\x00\x00\x00\x00")
@@ -332,7 +332,7 @@ def test_an_archive_of_nameless_frames(home):
     refused("decode", "frames.zip", words=["raw"])
 
 
-def test_a_netcdf_file_on_which_the_library_computes_for_ever(home, monkeypatch):
+def test_a_netcdf_file_that_hangs_the_library_is_refused(home, monkeypatch):
     """The other process is ended after its time; here every file is such a one."""
     from sunspin.base import netcdf
 

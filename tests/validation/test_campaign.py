@@ -8,7 +8,7 @@ from sunspin.base.errors import InputError
 from validation.campaign import command, kept, rows_folder
 
 
-def test_a_row_is_made_once_and_a_failed_one_leaves_nothing(tmp_path):
+def test_a_row_of_a_study_is_computed_once_and_a_failed_one_is_not_kept(tmp_path):
     made = []
 
     def make() -> dict:
@@ -39,7 +39,7 @@ def test_a_damaged_row_is_named_and_not_used(tmp_path):
     ("error", "code", "text"),
     [(InputError("no such motion"), 2, "no such motion"), (KeyboardInterrupt(), 130, "goes on")],
 )
-def test_an_error_and_an_interruption_are_one_sentence(error, code, text, capsys):
+def test_errors_and_interruptions_of_a_study_are_one_sentence(error, code, text, capsys):
     @command
     def main(arguments: list[str] | None = None) -> None:
         raise error

@@ -37,7 +37,7 @@ def said(outcome, *words):
     assert all(word in complaint for word in words), complaint
 
 
-def test_no_room_for_results_is_said_and_no_half_file_stays(tmp_path):
+def test_a_full_disk_is_reported_and_leaves_no_partial_results(tmp_path):
     out = tmp_path / "out"
     given = ["sun", "philae", "philae", "--out", out]
     said(limited(resource.RLIMIT_FSIZE, 20_000, *given), "free space", "nothing")
@@ -45,7 +45,7 @@ def test_no_room_for_results_is_said_and_no_half_file_stays(tmp_path):
 
 
 @pytest.mark.long
-def test_no_room_for_a_store_is_said(tmp_path):
+def test_a_full_disk_is_reported_for_a_store(tmp_path):
     given = [
         "outcomes",
         "philae",
@@ -60,13 +60,13 @@ def test_no_room_for_a_store_is_said(tmp_path):
 
 
 @pytest.mark.long
-def test_too_little_memory_is_said():
+def test_too_little_memory_is_reported():
     given = ["simulate", "philae", *START, "--duration=200000", "--step=0.101"]
     said(limited(resource.RLIMIT_AS, 900_000_000, *given), "memory")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written_is_said(tmp_path):
+def test_a_folder_without_write_permission_is_reported(tmp_path):
     tmp_path.chmod(0o500)
     given = ["simulate", "philae", *START, "--duration=3", "--out", tmp_path / "out"]
     said(limited(resource.RLIMIT_CPU, 60, *given), "Permission denied")
@@ -85,7 +85,7 @@ def process_that_ended():
     return ended.pid
 
 
-def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
+def test_files_of_a_killed_run_are_removed_and_those_of_a_running_one_kept(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
     begun(folder, process_that_ended())
@@ -97,7 +97,7 @@ def test_what_a_killed_run_had_begun_is_swept_and_no_living_one(tmp_path):
     assert [path.name for path in folder.iterdir()] == [".sunspin-results"]
 
 
-def test_only_our_own_files_are_removed(tmp_path):
+def test_only_temporary_files_of_sunspin_are_removed(tmp_path):
     """What has not our temporary name stays, and so does a link that has it."""
     folder, ended = results_folder(tmp_path / "out", "sun"), process_that_ended()
     stems = (".thesis", "sun", f".sunspin-{ended}", f".sunspin-{ended}-{'0' * 15}", ".sunspin")
@@ -111,7 +111,7 @@ def test_only_our_own_files_are_removed(tmp_path):
     assert all(path.read_bytes() == b"mine" for path in (*theirs, link)) and not ours.exists()
 
 
-def test_a_file_that_cannot_be_written_leaves_the_old_one(tmp_path):
+def test_a_failed_write_keeps_the_old_file(tmp_path):
     target = tmp_path / "a.json"
     write_whole(target, lambda part: part.write_text("1"))
 
@@ -152,7 +152,7 @@ def test_results_do_not_depend_on_the_time_of_day(tmp_path, monkeypatch, undrawn
         ("a.nc", None, b"\x89HDF\r\n\x1a\n"),
     ],
 )
-def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
+def test_the_kill_campaign_detects_partial_files(name, whole, half, tmp_path):
     path = tmp_path / name
     path.write_bytes(half)
     assert not is_whole(path)
@@ -173,5 +173,5 @@ def test_the_campaign_would_notice_half_a_file(name, whole, half, tmp_path):
         (None, "x", False),
     ],
 )
-def test_results_are_the_same_to_nine_digits(ours, theirs, alike):
+def test_the_kill_campaign_compares_results_to_nine_digits(ours, theirs, alike):
     assert same(ours, theirs) is alike

@@ -72,7 +72,7 @@ def test_devices_pipes_and_files_of_the_kernel_are_refused(command, home, soon):
         assert judge(told).what == "refused", (path, told)
 
 
-def test_results_made_of_pipes_are_refused(home, soon):
+def test_results_folders_made_of_pipes_are_refused(home, soon):
     (home / ".sunspin-results").write_text("rates\n")
     (home / "manifest.json").write_text('{"data": ["rates.nc"]}')
     for name in ("rates.nc", "summary.json", "timeline.toml"):
@@ -81,7 +81,7 @@ def test_results_made_of_pipes_are_refused(home, soon):
     assert judge(sunspin("report", ".")).what == "refused"
 
 
-def test_telemetry_may_be_piped_in(home, monkeypatch):
+def test_telemetry_can_be_piped_in(home, monkeypatch):
     content = (home / "telemetry.csv").read_bytes()
     by_name = sunspin("sun", "vehicle.toml", "telemetry.csv", "--json")
     piped = sunspin("sun", "vehicle.toml", "-", "--json", piped=content)
@@ -94,7 +94,7 @@ def test_telemetry_may_be_piped_in(home, monkeypatch):
 
 
 @pytest.mark.parametrize("rate", [5.0, 1e3, 1e20, 1e30])
-def test_a_prior_with_more_starts_than_an_hour_has_names_them_and_the_limit(rate):
+def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit(rate):
     case = load_case("philae")
     data, _, _ = readings(case.vehicle, case.telemetry)
     scale = brightness(case.vehicle, data)
@@ -111,6 +111,6 @@ def test_a_prior_with_more_starts_than_an_hour_has_names_them_and_the_limit(rate
     assert tried(0.6).limit == 0.6  # the default is searched whole
 
 
-def test_the_command_says_so(home, soon):
+def test_the_command_posterior_refuses_a_prior_with_too_many_starts(home, soon):
     told = sunspin("posterior", "philae", "--prior", "max_rate_rad_s=1e20")
     assert judge(told).what == "refused" and "starts" in told.err and "hour" in told.err

@@ -33,7 +33,7 @@ def test_noise_on_dark_panels_does_not_change_the_brightness(number):
     )  # what starts are good for
 
 
-def test_the_speed_at_the_first_sample_is_that_with_which_a_motion_began():
+def test_the_wheel_speed_of_a_simulated_case_is_that_at_the_first_sample():
     unknown, _ = model(PHILAE, {"max_rate_rad_s": 0.3}, 0.01)
     after = 400.0
     run = ss.propagate(PHILAE, RATE, SUN, [WHEEL.speed_rad_s], [0.0, after])
@@ -45,7 +45,9 @@ def test_the_speed_at_the_first_sample_is_that_with_which_a_motion_began():
     assert speed[0] == pytest.approx(np.linalg.norm(RATE), rel=2e-3)
 
 
-def test_a_long_search_for_starts_is_announced_with_a_rate_that_takes_a_minute(caplog, monkeypatch):
+def test_a_long_search_for_starts_is_reported_with_a_rate_limit_that_takes_a_minute(
+    caplog, monkeypatch
+):
     """The advice followed: nothing is announced, as a minute needs no announcement."""
     case = list(posterior_cases.cases(0))[1]
     data, _, _ = readings(PHILAE, posterior_cases.simulated(case)[0])
@@ -66,7 +68,7 @@ def test_a_long_search_for_starts_is_announced_with_a_rate_that_takes_a_minute(c
     assert announced(float(rate)) == []
 
 
-def test_more_motions_than_can_be_fitted_are_announced_with_a_rate_that_needs_no_more(caplog):
+def test_too_many_motions_to_fit_are_reported_with_a_rate_limit_that_avoids_it(caplog):
     """The advice followed: motions grow with the cube of the largest rate."""
     search, most = Search(1, None, False), MOST_WORK // 5
     chosen = Plan(2, np.array([1, 3]), 0.01, SUN[None], 0.4, given=0.3)

@@ -43,7 +43,7 @@ def counting(path, outcome):
     return {"outcome": outcome}
 
 
-def test_rows_are_kept_and_a_traceback_is_a_defect(tmp_path):
+def test_rows_of_the_scoreboard_are_kept_and_a_traceback_is_a_defect(tmp_path):
     count = tmp_path / "count"
     tasks = [
         Task("rates", "kind", "0/1", partial(counting, count, "right")),
@@ -59,7 +59,7 @@ def test_rows_are_kept_and_a_traceback_is_a_defect(tmp_path):
     assert "a defect" in rows["rates: kind"]["0/2"]["says"]
 
 
-def test_figures_count_decided_cases_only():
+def test_figures_of_the_scoreboard_count_decided_cases_only():
     rows = [
         measured("right", [0.5, -1.5], [1.0, 1.0]),
         measured("wrong", [6.0], [1.0]),
@@ -71,7 +71,7 @@ def test_figures_count_decided_cases_only():
     assert numbers["rms_pull"] == pytest.approx(np.sqrt((0.25 + 2.25 + 36) / 3))
 
 
-def test_a_case_that_got_worse_stands_first():
+def test_cases_that_got_worse_are_listed_first():
     def of(*outcomes):
         rows = {
             str(i): {"outcome": outcome, "processor_s": 1.0, "measured": {"a": 0.5}}
@@ -123,7 +123,7 @@ def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
 @pytest.mark.parametrize(
     ("kind", "outcome"), [("right model", "wrong"), ("columns exchanged", "open")]
 )
-def test_a_decided_mirror_image_is_wrong_but_where_columns_are_exchanged(
+def test_a_decided_mirror_solution_is_wrong_unless_columns_are_exchanged(
     monkeypatch, kind, outcome
 ):
     row = {"decided": True, "wrong": False, "mirrored": True, "empty": False, "leads": True}
@@ -132,7 +132,7 @@ def test_a_decided_mirror_image_is_wrong_but_where_columns_are_exchanged(
     assert _pass(kind, 0, 0)["outcome"] == outcome
 
 
-def test_the_state_of_a_changed_tree_is_not_that_of_its_commit(monkeypatch):
+def test_a_changed_working_tree_has_another_state_than_its_commit(monkeypatch):
     clean = {"rev-parse": "abc", "status": ""}
     monkeypatch.setattr(scoreboard, "_git", lambda command, *_: clean[command])
     assert scoreboard.state_of_package() == "abc"
@@ -153,14 +153,14 @@ def test_every_area_draws_cases_that_another_process_can_run(name):
     ("name", "kind"),
     [("files", "right file"), ("files", "fault: thousandths"), ("passes", "few samples")],
 )
-def test_a_case_gives_a_row(name, kind):
+def test_a_case_of_the_scoreboard_gives_a_row(name, kind):
     task = next(task for task in AREAS[name]("quick", 0) if task.kind == kind)
     row = scoreboard.timed(task.run)
     assert row["outcome"] in OUTCOMES and row["outcome"] not in ("defect", "wrong")
     assert row["processor_s"] > 0
 
 
-def test_a_file_of_several_passes_is_wrong_where_a_decided_pass_is():
+def test_a_file_of_several_passes_is_wrong_if_a_decided_pass_is():
     of = {  # decided and wrong, of each pass
         "wrong": [(True, False), (True, True)],
         "right": [(True, False), (False, True)],

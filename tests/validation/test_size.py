@@ -3,7 +3,7 @@
 from validation import size
 
 
-def test_the_counts_of_a_small_package(tmp_path):
+def test_the_size_report_counts_a_small_package(tmp_path):
     (tmp_path / "room").mkdir()
     (tmp_path / "__init__.py").write_text("from pkg.room import shown\n", "utf-8")
     (tmp_path / "room" / "first.py").write_text(

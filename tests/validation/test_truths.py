@@ -27,7 +27,7 @@ def test_wrong_is_five_sigmas_and_a_tenth_of_a_degree_or_a_fifth_of_a_slow_rate(
     assert is_wrong(omega, np.radians(np.full(3, sigma_deg_s)), truth) is wrong
 
 
-def test_a_truth_is_listed_by_any_solution_that_a_user_reads():
+def test_a_truth_is_listed_if_any_printed_solution_contains_it():
     omega = np.stack([FAST + np.radians([2.0, 0, 0]), FAST, np.full(3, np.nan)])
     sigma = np.stack([SHARP, SHARP, np.full(3, np.nan)])
     assert is_listed(omega, sigma, np.array([0.99, 0.01, np.nan]), FAST)

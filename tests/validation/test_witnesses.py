@@ -33,14 +33,14 @@ LONG = ("paper_equations",)
         for w in WITNESSES
     ],
 )
-def test_the_witness_agrees(witness, reached):
+def test_a_witness_agrees_to_its_stated_digits(witness, reached):
     rows = said(witness)
     for row in rows:
         reached(f"{row.witness}: {row.what}", row.error, "", row.wanted)
     assert rows and [row for row in rows if not row.holds] == []
 
 
-def test_a_wrong_moment_of_inertia_shows_in_the_phase():
+def test_a_moment_of_inertia_off_by_a_millionth_changes_the_phase():
     """A part in a million of one moment is 1e-4 rad after 200 turns: invariants alone would not tell."""
     moments, omega, t = (
         np.array([0.7, 1.0, 1.6]),
