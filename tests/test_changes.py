@@ -217,7 +217,7 @@ def test_assumptions_follow_into_the_study():
     assert len(case.changes) == 3 and usual.assumptions == read_assumptions()
 
 
-def test_results_for_another_body_are_not_reused_after_a_change():
+def test_a_change_of_a_wheel_makes_another_body_and_one_of_a_leg_does_not():
     """The published lines hold for the case as it is; legs do not enter them."""
     case = ss.load_case("philae", ["wheel.speed_rad_s=833"])
     own = rb.moving_and_seeing(OWN)

@@ -101,7 +101,7 @@ def test_slopes_of_a_response_are_those_of_its_powers(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_every_response_keeps_its_bounds_and_best_direction(law):
+def test_every_response_scales_with_gain_and_light_and_keeps_its_bounds(law):
     response, sun = under(law).response_in(), directions(60, 4)
     power = response.power(sun)
     assert power.min() >= 0 and np.isnan(response.power(np.full((2, 3), np.nan))).all()

@@ -49,7 +49,7 @@ def test_rows_computed_on_a_cluster_equal_those_computed_here(client):
     assert client.status == "running"  # what was not opened here is not closed here
 
 
-def test_a_local_cluster_ends_its_processes():
+def test_a_local_cluster_computes_the_rows_and_leaves_no_thread():
     before = set(threading.enumerate())
     assert whole(scheduler="local", workers=2, chunk=50)
     assert not [

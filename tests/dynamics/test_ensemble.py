@@ -150,7 +150,7 @@ def test_a_histogram_counts_time_and_is_the_same_forward_and_backward():
     assert np.abs(np.cumsum(forward - back)).max() < 2.0  # s
 
 
-def test_a_direction_error_that_is_too_small_is_refused():
+def test_invalid_error_tolerances_of_the_kernel_are_refused():
     vehicle, rows = random_vehicle(np.random.default_rng(8), 0), rows_of([[0.3, -0.4, 0.5]], [])
     for options in (
         {"direction_error": 0.0},

@@ -300,7 +300,7 @@ def test_the_error_of_a_drifting_along_track_offset_grows_away_from_mid_file():
     np.testing.assert_allclose(np.degrees(orbit.at(t).nadir_sigma_rad), turning, rtol=0.02)
 
 
-def test_torques_along_an_orbit_are_the_same_in_J2000_and_in_sun_axes():
+def test_an_orbit_gives_torques_in_J2000_and_the_same_surroundings_with_the_sun_along_z():
     elements = parse_elements(VZLUSAT, "case")
     orbit = in_orbit(elements, EPOCH, [0.0, 600.0], shift_sigma_s=10)
     cube = ss.Vehicle("cube", inertia_kg_m2=np.diag([0.002, 0.005, 0.006]))
@@ -500,7 +500,7 @@ def test_published_OMMs_are_read_with_and_without_the_keys_of_their_theory(form)
         assert dict(elements.given) == dict(plain.given)
 
 
-def test_an_OMM_with_a_nine_digit_number_gives_the_same_orbit_as_with_five():
+def test_catalogue_numbers_of_up_to_nine_digits_in_an_OMM_are_read():
     for number in (999999999, 799500123, "000025544", " 25544 ", 25544.0, "A5544", 340000):
         (elements,) = parse_elements(json.dumps(ISS | {"NORAD_CAT_ID": number}), "case")
         assert elements.number == {"A5544": 105544}.get(number, int(float(str(number).strip("A"))))

@@ -91,7 +91,7 @@ def test_the_advice_to_raise_the_effort_completes_the_search():
     assert printed(r"--effort ([\d.e+]+)", more_effort(20.0)) == 200.0
 
 
-def test_the_advice_to_lower_the_largest_rate_makes_the_search_possible():
+def test_the_advice_to_lower_the_largest_rate_makes_the_grid_of_starts_fine_enough():
     """With the rate that the sentence names the grid of starts is fine; with one a little larger it is not."""
     vehicle, data, _ = fast_body(60.0, np.random.default_rng(5), samples=5)
     from sunspin.estimate.rates.observe import observations
@@ -279,7 +279,7 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
         return check_words.about_orbit(assess(vehicle, data), None, None)[1]
 
 
-def test_no_advice_on_torques_if_most_passes_of_the_file_have_them():
+def test_torques_of_most_passes_are_not_called_stronger_than_in_the_rest_of_the_file():
     def passes(*models: str) -> list[Pass]:
         nothing = Pass(*([None] * 7))
         return [nothing._replace(model=(model, 0.9)) for model in models]

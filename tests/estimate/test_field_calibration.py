@@ -79,7 +79,7 @@ def test_the_calibration_depends_on_the_along_track_offset():
     np.testing.assert_allclose((found.errors[:, 12] ** 2).sum(), 1.0, rtol=1e-9)
 
 
-def test_the_noise_of_a_reading_is_at_least_that_of_its_field_strength():
+def test_a_reading_whose_field_strength_is_off_has_a_larger_noise():
     calibration = FieldCalibration(1e-9 * np.eye(3), np.zeros(3), np.zeros((13, 13)), 5e-7, 1e-9)
     field = 3e-5 * np.array([[1.0, 0, 0], [0, 0.6, 0.8], [0, 1, 0], [0, 0, 1]])
     reading = 1e9 * field * np.array([1.0, 1.4, 0.8, np.nan])[:, None]

@@ -398,7 +398,7 @@ def test_a_pass_into_shadow_is_named_and_no_panel_is_called_dead(cube, telemetry
     assert off @ np.linalg.solve(lit["solutions"]["omega_cov_B"].values[0], off) < 16.3
 
 
-def test_the_search_widens_if_rates_reach_their_limit(cube, telemetry):
+def test_the_advice_to_raise_the_rate_limit_gives_a_decided_pass(cube, telemetry):
     """A body near a sphere, whose largest rate is given 3 % too small: what is asked for is done, and the motion is decided."""
     ball = replace(cube, inertia_kg_m2=np.diag([0.010, 0.0102, 0.0101]))
     data = ss.twin(

@@ -140,6 +140,6 @@ def all_rows(rows, *_):
     return rows(np.arange(rows.n_rows))
 
 
-def test_a_mixture_component_without_possible_draws_has_no_sample():
+def test_there_is_no_sample_if_the_prior_allows_no_proposed_rate():
     """All draws are faster than the prior allows: that ends in nothing to weigh, and not in an error."""
     assert sample(*cube_and_modes(0.05, [0.0]), 0, all_rows, 1000) is None

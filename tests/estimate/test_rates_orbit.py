@@ -86,7 +86,7 @@ def test_the_gradient_by_attitude_gains_albedo_and_zeros_is_that_of_the_cost():
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-5, rtol=1e-4, atol=1e-4)
 
 
-def test_without_albedo_no_albedo_gradient_is_computed():
+def test_without_albedo_no_albedo_is_estimated_and_powers_stay_unchanged():
     data, _ = cube_with_faults((), np.random.default_rng(1))
     o = pass_of(CUBE, data)
     panels = o.of_sun[0]

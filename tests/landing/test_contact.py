@@ -53,7 +53,7 @@ def test_a_hull_corner_at_a_leg_tip_counts_as_leg_and_others_as_body():
     assert sorted(shape.kind) == [0, 1, 1, 2, 2, 2, 2, 2]
 
 
-def test_a_centred_box_rests_on_the_face_below_its_centre_of_mass_unless_it_tips_over():
+def test_a_centred_box_rests_on_the_face_below_its_centre_of_mass():
     shape = box()
     assert len(shape.outward_B) == 6 and sorted(shape.distances_m) == [1, 1, 2, 2, 3, 3]
     up = unit(np.random.default_rng(2).normal(size=(300, 3)))
@@ -94,7 +94,7 @@ def spin(rate, t, phase):
     return up, np.broadcast_to(np.stack([rate, 0 * rate, 0 * rate], axis=-1)[:, None], up.shape)
 
 
-def test_without_rotation_the_lowest_point_touches_at_its_height_over_speed():
+def test_without_rotation_the_lowest_point_touches_earlier_by_its_reach_over_the_speed():
     rng, shape, t = np.random.default_rng(3), box(), np.linspace(0, 60, 301)
     up = np.broadcast_to(unit(rng.normal(size=(50, 1, 3))), (50, 301, 3))
     found = c.first_contact(shape, t, up, np.zeros_like(up), np.full(50, 0.1))

@@ -158,7 +158,7 @@ def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reac
         ("2014-11-12T15:34:04", 469078511.183),  # 67.184 s of TDB - UTC, as of the landing kernel
     ],
 )
-def test_ephemeris_time_agrees_with_spice(utc, et):
+def test_ephemeris_time_of_a_utc_is_the_known_one(utc, et):
     assert ephemeris_time(utc) == pytest.approx(et, abs=2e-3)
 
 

@@ -105,7 +105,7 @@ def test_the_axis_swing_at_the_published_points_contradicts_the_paper(rows):
     assert "61, 61, 63, 63" in rows["axis_swing"].note
 
 
-def test_the_sign_of_friction_in_the_paper_contradicts_its_spin_down(rows):
+def test_the_sign_of_friction_in_the_paper_is_the_opposite_of_ours(rows):
     wrong, right = rows["friction_sign"].published, rows["friction_sign"].ours
     assert right == pytest.approx(-0.582, abs=1e-3) and wrong == pytest.approx(-right, rel=1e-6)
 

@@ -62,7 +62,7 @@ def test_maps_of_E_agree_with_single_runs(craft, speed):
     assert parameters.values.min() > 1e-6  # not among these
 
 
-def test_E_of_a_start_direction_that_is_no_unit_vector_has_its_bound():
+def test_E_of_a_scaled_start_direction_agrees_with_the_formula():
     """The Sun's motion is linear in its start: E by the formula, and by scaling the track."""
     track = np.array([[0.6, 0, 0.8], [0, 1, 0]])
     measured = np.array([[0, 0, 1], [0, 0.8, 0.6]])

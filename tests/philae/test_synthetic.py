@@ -116,7 +116,7 @@ def tilted():
     "modelled",
     "turned panels: the published first direction, forbidden patterns, directions at rest",
 )
-def test_a_landing_simulated_with_misaligned_panels_shows_their_misfit(tilted):
+def test_a_landing_simulated_with_misaligned_panels_has_the_published_misfit(tilted):
     """Of turned panels the first direction is still what is shown; the truth lies behind it; no pattern becomes forbidden."""
     at, seen = tilted["phase"].values, ss.sun_directions(vehicle, tilted)
     first, expected = np.flatnonzero(at == "first_rebound")[0], np.array(published["first_sun"])

@@ -26,7 +26,7 @@ SMOKE = (
     "tests/dynamics/test_propagate.py",
     "tests/dynamics/test_impact.py",
     "tests/estimate/test_metrics.py",
-    "tests/cli/test_cli_border.py",
+    "tests/cli/test_cli_system.py",
 )
 """One file of each layer that compiles no kernel."""
 

@@ -125,7 +125,7 @@ def test_power_is_current_times_voltage(tmp_path, telemetry, tables, volts):
     assert samples.attrs["unused_columns"] == ("" if tables else "w")
 
 
-def test_a_missing_voltage_reading_leaves_no_power(tmp_path):
+def test_a_missing_voltage_is_refused_or_flagged(tmp_path):
     text = BASE.format(telemetry='voltage_column = "u"', tables="")
     path = file_with(
         tmp_path / "t.csv", "time,i_px,i_mx,u", [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")]

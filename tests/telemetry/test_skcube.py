@@ -104,7 +104,7 @@ def test_a_damaged_satnogs_export_is_refused_in_one_sentence(text, tmp_path):
     assert "\n" not in str(told.value)
 
 
-def test_ax25_escapes_are_removed_by_hand():
+def test_escapes_of_a_frame_are_removed_and_beacon_forms_have_their_sizes():
     assert unescape(b"\x01\xdb\xdc\x02\xdb\xdd\xdb") == b"\x01\xc0\x02\xdb\xdb"
     assert KINDS["ADCS"][0].size == struct.calcsize("<BBhhh") + 6 * 5 + 32 + 8
     assert all(
@@ -218,7 +218,7 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
 )
 @pytest.mark.real_data
 @pytest.mark.long  # the quick test of the gyro's scale is that of the rates above, which are held against it
-def test_scale_and_zero_of_the_gyro_propagate_the_measured_sun(data_dir, reached):
+def test_scale_and_zero_of_the_gyro_are_those_that_propagate_the_measured_sun(data_dir, reached):
     """140 pairs of beacons, the gyro of 28 June not read; the vehicle file's values agree within two sigma of both."""
     spec = importlib.util.spec_from_file_location(
         "skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py"

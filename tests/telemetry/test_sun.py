@@ -218,7 +218,7 @@ def test_panel_noise_is_estimated_if_panels_are_redundant():
     "normals",
     [[[1, 0, 0]], [[1, 0, 0], [-1, 0, 0]], [[1, 0, 0], [1, 0, 0]], [[1, 0, 0], [0, 1, 0]]],
 )
-def test_vehicles_with_degenerate_panels_get_a_status(normals):
+def test_degenerate_panels_give_no_direction(normals):
     vehicle = Vehicle("few", panels=[Panel(str(k), p, 1.0) for k, p in enumerate(normals)])
     sun = ss.sun_directions(vehicle, panel_power(vehicle, directions(50)), lit_threshold=1e-9)
     assert not is_reconstructed(sun["status"]).any()

@@ -177,7 +177,9 @@ def test_small_negative_readings_are_accepted_within_the_stated_noise(tmp_path):
     assert data["power_W"].values[1, 1] == -0.02
 
 
-def test_without_a_stated_noise_negative_readings_are_judged_by_the_scatter(tmp_path):
+def test_without_a_stated_noise_small_negative_readings_are_accepted_and_large_ones_refused(
+    tmp_path,
+):
     """Dark panels of a real file read a little below zero now and then; a panel with its sign turned reads far below."""
     rng = np.random.default_rng(2)
     lit = np.maximum(0, np.sin(np.arange(40)[:, None] + [0.0, np.pi]))

@@ -46,6 +46,6 @@ def test_a_file_without_a_header_is_reported(tmp_path, first):
         ss.read_telemetry(file, parse_vehicle(TEMPLATE, "v.toml"))
 
 
-def test_shares_of_light_are_printed_for_any_size():
+def test_the_albedo_estimate_takes_readings_of_any_size():
     """A scale that is off by hundreds of powers of ten: squares of Python's numbers would end in an error."""
     assert _earth_light(1e200, 100, 0.0) > 1e199 and _earth_light(0.1, 100, 0.2) == 0.0

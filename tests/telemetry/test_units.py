@@ -90,7 +90,7 @@ def test_files_in_the_right_unit_get_no_warning(satellite):
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_milliwatts_read_as_watts_are_named(satellite, factor):
+def test_readings_off_by_a_factor_of_a_thousand_are_named(satellite, factor):
     text = with_scale(satellite.vehicle.read_text())
     right = parse_vehicle(text, "v.toml").telemetry.scale
     (found,) = judged(changed(text, "telemetry", "scale", factor), satellite.telemetry)

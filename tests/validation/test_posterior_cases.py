@@ -33,7 +33,7 @@ def test_noise_on_dark_panels_does_not_change_the_brightness(number):
     )  # what starts are good for
 
 
-def test_the_wheel_speed_of_a_simulated_case_is_that_at_the_first_sample():
+def test_the_first_angular_speed_of_a_later_state_is_that_at_the_begin_of_its_motion():
     unknown, _ = model(PHILAE, {"max_rate_rad_s": 0.3}, 0.01)
     after = 400.0
     run = ss.propagate(PHILAE, RATE, SUN, [WHEEL.speed_rad_s], [0.0, after])

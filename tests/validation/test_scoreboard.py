@@ -177,7 +177,7 @@ def test_a_file_of_several_passes_is_wrong_if_a_decided_pass_is():
 
 
 @pytest.mark.parametrize("folder", ["validation", "studies", "bench"])
-def test_every_module_beside_the_package_can_be_imported(folder):
+def test_every_module_next_to_the_package_can_be_imported(folder):
     """Campaigns import their parts when they run: a name that has moved would be missed only then."""
     for path in sorted((ROOT / folder).glob("*.py")):
         if path.stem != "__main__":

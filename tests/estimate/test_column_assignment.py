@@ -168,7 +168,7 @@ def test_right_axes_of_a_sensor_are_not_doubted(name):
     )
 
 
-def test_a_wrong_gyro_zero_is_tried_before_exchanged_panels():
+def test_a_gyro_with_a_wrong_zero_is_named_only_if_the_rest_fits_without_it():
     data = seen("gyro_B", lambda read: read + np.radians([0.3, -0.3, 0.3]))
 
     def run(fits_without: bool):

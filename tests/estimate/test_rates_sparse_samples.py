@@ -14,7 +14,7 @@ from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rate
     "modelled",
     "a body at 4.9 deg/s seen every 52 s: not mistaken for one that turns a whole turn less",
 )
-def test_sparse_samples_list_the_true_alias_among_others():
+def test_sparse_samples_are_decided_for_the_true_alias_once_the_inertia_is_free():
     """That one costs 41; the truth, a whole turn more, is found once the inertia is free, and costs 9."""
     vehicle, data, _, truth, about = rates_case(11, 7, **SPARSE)
     found = pass_against_truth(

@@ -60,7 +60,7 @@ def refused(outcome, *words):
         ),
     ],
 )
-def test_the_help_of_an_option_shows_the_form_of_its_value(read, text):
+def test_an_invalid_option_value_is_refused_with_its_form(read, text):
     with pytest.raises(InputError, match=text):
         read()
 
@@ -84,7 +84,7 @@ BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHON
 @pytest.mark.parametrize(
     ("closed", "said"), [(">&-", True), ("2>&-", False), (">&- 2>&-", False), (">/dev/full", True)]
 )
-def test_closed_or_full_standard_output_ends_the_program_with_one_sentence(tmp_path, closed, said):
+def test_closed_or_full_output_ends_the_program_without_a_traceback(tmp_path, closed, said):
     shell = f'"{sys.executable}" -m sunspin.cli'
     for words, code in (
         (f"init {tmp_path / 'mine'} {closed}", 2 if "full" in closed else 0),
