@@ -44,10 +44,9 @@ class Block(NamedTuple):
 
 
 def pages() -> list[Path]:
-    """All documents, but not those that the build of the site writes, nor the records of measurements."""
+    """Return all documents but those that the build of the site writes."""
     paths = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    apart = {"build", "records"}
-    return sorted(path for path in paths if path.name not in WRITTEN and not apart & {*path.parts})
+    return sorted(path for path in paths if path.name not in WRITTEN and "build" not in path.parts)
 
 
 def blocks(text: str) -> list[Block]:
