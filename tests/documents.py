@@ -45,8 +45,9 @@ class Block(NamedTuple):
 
 def pages() -> list[Path]:
     """Return all documents but those that the build of the site writes."""
-    paths = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    return sorted(path for path in paths if path.name not in WRITTEN and "build" not in path.parts)
+    written = {ROOT / "docs" / name for name in WRITTEN}
+    paths = {*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")} - written
+    return sorted(path for path in paths if "build" not in path.parts)
 
 
 def blocks(text: str) -> list[Block]:

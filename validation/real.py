@@ -208,8 +208,8 @@ readings of 28 June are not in this file. The scales of the sensors and the stre
 (`cases/skcube/vehicle.toml`), which favours these passes. While the coils are driven (until 25 June 18:41) a torque acts that is
 not modelled.
 
-The normalised error is the difference of a pass's mean rate divided by both sigmas together. The range behind a share is that of nine
-in ten resamplings of whole passes, because the components of one pass are not independent.
+The normalised error is the difference of a pass's mean rate divided by both sigmas together. The range behind a share is that of
+nine in ten resamplings of whole passes, because the components of one pass are not independent.
 
 ## Summary
 """
