@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 
 import sunspin as ss
-from docs.skcube_gyro import FREE_S, fit, pairs
+from studies.skcube_data import FREE_S
+from studies.skcube_gyro import fit, neighbouring_beacons
 from sunspin.compute.pool import worker_count
 
 PAGE = Path(__file__).parents[1] / "build" / "real-data.md"
@@ -81,8 +82,8 @@ def main(options: Any) -> int:
 
 
 def of_other_days(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
-    """Of each day with a gyro: its scale and zero as the Sun of all other days tells them (`docs/skcube_gyro.py`)."""
-    every = pairs(craft, data)
+    """Return, for each day with a gyro, its scale and zero as fitted to the Sun sensors of all other days."""
+    every = neighbouring_beacons(craft, data)
     noise = craft.sensors.disturbance.acceleration_noise
     found = {}
     for day in np.unique(every.day):
