@@ -24,10 +24,10 @@ help:
 	@echo "make test-all    make test, the tests marked long, a smoke test on other versions of Python"
 	@echo "make test-slow   the campaigns marked slow"
 	@echo "make docs        the documentation into build/site/, with what the last tests have shown"
-	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; docs/records/bench.md)"
-	@echo "make studies     what else was asked of the paper, into $(STUDIES)/, about 15 minutes (docs/studies.md)"
+	@echo "make bench       speed against other software, about 6 minutes (make bench BENCH=--quick: one; decisions: docs/records/bench.md)"
+	@echo "make studies     the studies of the paper, into $(STUDIES)/, about 15 minutes (docs/studies.md)"
 	@echo "make scoreboard  what must not get worse, case by case (make scoreboard SCOREBOARD='--full --against FILE'); resumable"
-	@echo "make validate-real  rates of real satellites against what was withheld, where SUNSPIN_DATA has them (docs/records/real-data.md)"
+	@echo "make validate-real  rates of real satellites against a sensor not used, into build/real-data.md; needs SUNSPIN_DATA (docs/data.md)"
 	@echo "make lock        write requirements.lock anew from pyproject.toml"
 	@echo "make clean       remove the environment and built files"
 
@@ -94,7 +94,7 @@ docs: $(READY)
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
 
-# the first goes on where it was stopped; the last needs other people's data
+# the first resumes where it was stopped; the last needs third-party data; the other modules of studies/ have a --help
 studies: $(READY)
 	$(BIN)/python -m studies.coverage $(STUDIES)/coverage
 	$(BIN)/python -m studies.contradictions $(STUDIES)/contradictions
@@ -105,7 +105,7 @@ studies: $(READY)
 scoreboard: $(READY)
 	$(BIN)/python -m validation scoreboard $(SCOREBOARD)
 
-# writes the page anew; needs other people's data
+# writes build/real-data.md; needs other people's data
 validate-real: $(READY)
 	$(BIN)/python -m validation real
 

@@ -1,1 +1,1 @@
-"""Benchmarks of sunspin against what else could do its work: ``python -m bench``. What the numbers mean: docs/records/bench.md."""
+"""Benchmarks of sunspin against what else could do its work: ``python -m bench``. Decisions and results: docs/records/bench.md."""

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 ROOT = Path(__file__).parents[1]
 
 KINDS = {
-    "validated": "against something that this project did not write: the paper, a published truth, real telemetry, another library",
-    "verified": "against mathematics: invariants, closed forms, order of accuracy, another method of ours",
-    "modelled": "only against itself: synthetic data of its own model, or the same answer twice",
+    "validated": "compared with an external source: the paper, published values, real telemetry or another library",
+    "verified": "compared with mathematics: invariants, closed forms, order of accuracy, or a second method of sunspin",
+    "modelled": "compared with sunspin itself only: synthetic data of its own model, or a repetition",
 }
 
 
@@ -97,18 +97,18 @@ def page(file: str | None) -> str:
 
 def _head(run: dict) -> list[str]:
     made = (
-        f"Outcomes and figures are of a run of the tests of version {run['version']} on Python {run['python']}, {run['machine']}."
+        f"Results of the tests of version {run['version']}, run with Python {run['python']} on {run['machine']}."
         if run["tests"]
-        else "**The tests were not run before this page was built: it shows what they declare and no figure.** "
-        "`make test` runs them and builds it again."
+        else "**The tests were not run before this page was built, so it lists the tests without their results.** "
+        "`make test` runs the tests and builds the page again."
     )
     return [
         "# Evidence",
         "",
-        "Every capability of sunspin and the tests that speak for it. The tests write this page: no figure on it was typed.",
+        "This page lists the capabilities of sunspin and the tests of each. All numbers on it are written by the tests.",
         "",
         *(f"- **{kind}**: {meaning};" for kind, meaning in KINDS.items()),
-        "- **none**: no test claims to be evidence. It may still work.",
+        "- **none**: no test is marked as evidence for the capability.",
         "",
         made,
         "",
@@ -129,8 +129,8 @@ def _overview(found: list[Declared], able: dict[str, str], run: dict) -> list[st
 def _section(name: str, about: str, items: list[Declared], runs: dict) -> list[str]:
     lines = [f"({name.replace('_', '-')})=", f"## {name}", "", about, ""]
     if not items:
-        return [*lines, "**No evidence**: no test claims any.", ""]
-    lines += ["| kind | what was shown | against | reached |", "|---|---|---|---|"]
+        return [*lines, "**No evidence**: no test is marked as evidence.", ""]
+    lines += ["| kind | what the test shows | compared with | result |", "|---|---|---|---|"]
     for kind in KINDS:
         for item in (item for item in items if item.kind == kind):
             claim = item.test.split("::test_")[1].replace("_", " ")

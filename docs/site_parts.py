@@ -38,7 +38,7 @@ def commands() -> str:
     from sunspin.cli import cli
     from sunspin.cli.common import COMMANDS
 
-    parts = ["# The command line", "", "Written by the commands' own `--help`.", ""]
+    parts = ["# Command line", "", "The text that `--help` prints for each command.", ""]
     top = click.Context(cli, info_name="sunspin", max_content_width=100)
     for name, (_, line) in COMMANDS.items():
         command = cli.get_command(top, name)
@@ -59,7 +59,7 @@ def examples() -> str:
     parts = [
         "# Examples",
         "",
-        "Short programs that run as they stand: `python examples/01_....py`. The tests run them.",
+        "Short programs, run as `python examples/01_sun_from_powers.py`. The tests run all of them.",
         "",
     ]
     for path in sorted((ROOT / "examples").glob("[0-9]*.py")):

@@ -1,4 +1,4 @@
-"""Where is the Sun? Powers of six panels -> a direction, or the reason why there is none."""
+"""Sun direction from the powers of six panels, or the reason why there is none."""
 
 import numpy as np
 

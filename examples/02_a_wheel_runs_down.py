@@ -1,4 +1,4 @@
-"""A wheel runs down and turns the body: Philae's flywheel after its motor was switched off."""
+"""A wheel slows down and rotates the body: Philae's flywheel after its motor was switched off."""
 
 import numpy as np
 

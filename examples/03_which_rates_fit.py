@@ -1,4 +1,4 @@
-"""Which initial rates fit? A small scan of synthetic data, against distributions and against directions."""
+"""Scan of initial rates: a small grid, compared with the distribution of r_z and with Sun directions (synthetic)."""
 
 import numpy as np
 

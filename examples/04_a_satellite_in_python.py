@@ -1,4 +1,4 @@
-"""A satellite built in Python: tumbling, seen by six faces, and its rate found again."""
+"""A satellite described in Python: simulated powers of six panels, and the body rate estimated from them."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A leg hits the ground and sticks for an instant: what the blow does to the tumbling."""
+"""A leg hits the ground and sticks for an instant: how the impact changes the rotation."""
 
 import numpy as np
 

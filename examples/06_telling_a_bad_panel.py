@@ -1,4 +1,4 @@
-"""Which panel is in the shade? Lit patterns that the Sun cannot make, and what would explain them."""
+"""A shaded panel, found from sets of lit panels that no Sun direction explains."""
 
 import sunspin as ss
 

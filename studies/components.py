@@ -8,7 +8,6 @@ each 90 % set is calibrated on the same synthetic rebounds. A component says muc
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.output.figures import COLOURS
 from sunspin.philae import rebound as rb
 from sunspin.philae.threshold import CONFIDENCE, alike_rebounds, check_confidence
-from validation.campaign import command, rows_folder
+from validation.campaign import command, rows_folder, study_parser
 from validation.controls import case_of
 
 STEP_S = 4.0
@@ -91,7 +90,7 @@ def draw(each: list[dict]) -> Figure:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.components", description=__doc__)
+    parser = study_parser("components", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     parser.add_argument("--twins", type=int, default=60, help="synthetic rebounds")
     parser.add_argument("--coarser", type=int, default=5, help="every n-th point of the grid only")

@@ -10,7 +10,6 @@ Statements marked `weak` are matters of wording, harmless, or nearly explained b
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tomllib
@@ -25,7 +24,7 @@ from studies.paper_numbers import Lines, motions_on_lines, of_descent, of_motion
 from sunspin.cases import Case, load_case
 from sunspin.output.figures import COLOURS
 from sunspin.output.text import number_text
-from validation.campaign import command, rows_folder
+from validation.campaign import command, rows_folder, study_parser
 
 COMMAND = "python -m studies.contradictions OUT"
 TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
@@ -100,7 +99,7 @@ def draw(case: Case, lines: Lines) -> Figure:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.contradictions", description=__doc__)
+    parser = study_parser("contradictions", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     out, case = rows_folder(parser.parse_args(arguments).out), load_case("philae")
     lines = motions_on_lines(case)

@@ -9,7 +9,6 @@ resumes where it stopped, and holds the table and the picture.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from functools import partial
 from pathlib import Path
@@ -31,7 +30,7 @@ from sunspin.philae.metrics import near_minimum_set, run_grid
 from sunspin.philae.telemetry import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
-from validation.campaign import command, kept, rows_folder
+from validation.campaign import command, kept, rows_folder, study_parser
 
 FACTOR = 1.1
 """Of the near-minimum set (paper, eq. 14)."""
@@ -191,7 +190,7 @@ def draw(rebounds: dict[str, dict[str, np.ndarray]]) -> Figure:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.coverage", description=__doc__)
+    parser = study_parser("coverage", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     parser.add_argument("--twins", type=int, default=300, help="simulated rebounds of each kind")
     parser.add_argument("--seed", type=int, default=0)

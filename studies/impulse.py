@@ -10,7 +10,6 @@ the lander turned once in seconds.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ from sunspin.output.figures import COLOURS
 from sunspin.philae import candidates, data_check, metrics
 from sunspin.philae.collision import KERNEL, SIGMA_M_S, states_of, tdb_of
 from sunspin.philae.rebound import Options
-from validation.campaign import command, rows_folder
+from validation.campaign import command, rows_folder, study_parser
 from validation.controls import case_of
 
 SUN = ("philae_spk", "sun_from_67p_20141112.csv")
@@ -218,7 +217,7 @@ def draw(each: dict[str, xr.Dataset], seen: Seen) -> Figure:
 
 @command
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m studies.impulse", description=__doc__)
+    parser = study_parser("impulse", __doc__)
     parser.add_argument("out", type=Path, help="folder of the results")
     data = os.environ.get("SUNSPIN_DATA")
     parser.add_argument("--data", type=Path, default=data, help="default: SUNSPIN_DATA")

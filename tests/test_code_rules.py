@@ -100,11 +100,3 @@ def test_the_package_opens_no_listening_socket():
     for path in PYTHON:
         if "src" in path.parts:
             assert not listeners & {name_of(call) for call in calls(path, *listeners)}, path
-
-
-def test_every_campaign_is_on_the_page():
-    from validation.__main__ import CAMPAIGNS
-
-    text = (ROOT / "docs" / "records" / "validation.md").read_text("utf-8")
-    for name in CAMPAIGNS:
-        assert f"python -m validation {name}" in text

@@ -1,1 +1,1 @@
-"""Campaigns that try to break sunspin; see docs/records/validation.md. Not part of the package: run as ``python -m validation``."""
+"""Campaigns that try to break sunspin: ``python -m validation``. Not part of the package; decisions: docs/records/validation.md."""

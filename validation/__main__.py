@@ -13,16 +13,14 @@ CAMPAIGNS = {
     "corrupt": "binary files damaged and opened: NetCDF, Parquet, stores of rows, SPICE kernels, zip",
     "kill": "runs killed at random moments and resumed, compared with undisturbed ones",
     "witnesses": "closed forms, published values and other software beside ours, digits matched",
-    "real": "rates of real satellites against what was withheld from them, where the data are; writes docs/records/real-data.md",
+    "real": "rates of real satellites against a sensor not used, where the data are; writes build/real-data.md",
     "scoreboard": "what must not get worse: outcomes of cases of every kind, beside an earlier state's",
     "size": "lines by folder, functions, names: how large the package is",
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    told = (
-        "Campaigns that judge sunspin, most by trying to break it; see docs/records/validation.md."
-    )
+    told = "Campaigns that judge sunspin, most by trying to break it; results: docs/accuracy.md."
     parser = argparse.ArgumentParser(prog="python -m validation", description=told)
     commands = parser.add_subparsers(dest="campaign", required=True)
     for name, told in CAMPAIGNS.items():

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
+import textwrap
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -28,6 +30,19 @@ def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
         return 0
 
     return main
+
+
+def study_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
+    """Return the parser of `python -m studies.NAME`, whose help shows the paragraphs of the module's docstring."""
+    command = f"python -m studies.{name}"
+    paragraphs = [
+        text for text in (doc or "").split("\n\n") if not text.strip().startswith(command)
+    ]
+    return argparse.ArgumentParser(
+        prog=command,
+        description="\n\n".join(map(textwrap.fill, paragraphs)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
 
 
 def rows_folder(folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""``python -m validation real``: rates of real satellites against what was withheld from them, and the page that says so."""
+"""``python -m validation real``: rates of real satellites against a sensor that was not used, as a page in Markdown."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import numpy as np
 import xarray as xr
 
 import sunspin as ss
-from docs.skcube_gyro import FREE_S, fit, pairs
+from studies.skcube_data import FREE_S
+from studies.skcube_gyro import fit, neighbouring_beacons
 from sunspin.compute.pool import worker_count
 
-PAGE = Path(__file__).parents[1] / "docs" / "records" / "real-data.md"
+PAGE = Path(__file__).parents[1] / "build" / "real-data.md"
+"""Where the page is written, unless `--page` names another place; its main figures are in `docs/accuracy.md`."""
 
 SIDES = {"Sun sensors and magnetometer": ["gyro_B"], "Sun sensors alone": ["gyro_B", "field_B"]}
 """What `rates` is given, and the variables that are taken away for it."""
@@ -73,14 +75,15 @@ def main(options: Any) -> int:
             craft, data, ss.rates(craft, data.drop_vars(without), workers=worker_count(None)), gyros
         )
         print(f"{name}: {len(found[name])} passes", flush=True)
+    options.page.parent.mkdir(parents=True, exist_ok=True)
     options.page.write_text(page(found, gyros), "utf-8")
     print(f"written: {options.page}")
     return 0
 
 
 def of_other_days(craft: ss.Vehicle, data: xr.Dataset) -> dict[str, Gyro]:
-    """Of each day with a gyro: its scale and zero as the Sun of all other days tells them (`docs/skcube_gyro.py`)."""
-    every = pairs(craft, data)
+    """Return, for each day with a gyro, its scale and zero as fitted to the Sun sensors of all other days."""
+    every = neighbouring_beacons(craft, data)
     noise = craft.sensors.disturbance.acceleration_noise
     found = {}
     for day in np.unique(every.day):
@@ -146,10 +149,10 @@ def figures(rows: list[Compared]) -> str:
 
 
 SHORT = (
-    "| given | passes | with gyro | decided | in 1 sigma (68 %) | in 2 sigma (95 %) | rms pull | largest "
-    "| median sigma, deg/s | median miss, deg/s |"
+    "| given | passes | with gyro | decided | in 1 sigma (68 %) | in 2 sigma (95 %) | rms normalised error "
+    "| largest | median sigma, deg/s | median error, deg/s |"
 )
-ALL = "| began (UTC) | samples | coils | status | rate, deg/s | one sigma | off by, deg/s | largest pull |"
+ALL = "| began (UTC) | samples | coils | status | rate, deg/s | one sigma | error, deg/s | largest normalised error |"
 
 KINDS = {
     "free, decided": (True, True),
@@ -190,29 +193,28 @@ def page(found: dict[str, list[Compared]], gyros: dict[str, Gyro]) -> str:
     return "\n".join(lines) + "\n"
 
 
-HEAD = """# How right is it on real data
+HEAD = """# Accuracy on real data
 
-Written by `make validate-real` (`python -m validation real`), which repeats the comparison wherever the data lie in `SUNSPIN_DATA`;
-[Data](../data.md) says what the folder looks like. Telemetry that everybody may have, of a motion that something else
-has measured too, is rare: skCUBE's is the one set so far.
+Written by `make validate-real` (`python -m validation real`) from the data in the folder `SUNSPIN_DATA`, whose layout is in
+`docs/data.md`. skCUBE's telemetry is the only public set so far in which another sensor has measured the motion.
 
 - **skCUBE**, a 1U CubeSat, 23 to 28 June 2017: Sun sensors, magnetometer, gyro of unknown scale, 40 s apart in passes of ten
-  minutes. *Where*: raw frames in the public repository `yangwao/skCube-data-collector` (MIT licence, commit
+  minutes. *Source*: raw frames in the public repository `yangwao/skCube-data-collector` (MIT licence, commit
   59258b0de91c7828915a3137cc758bbdbec15402), folder `rawdata`; `sunspin decode ZIP --out skcube` makes tables of them.
-  *Compared*: rates from the Sun sensors, with and without the magnetometer, against the gyro, which is withheld from them.
+  *Compared*: rates from the Sun sensors, with and without the magnetometer, with the gyro, which these rates do not use.
 
-**The gyro is not independent of the Sun sensors.** Its scale and zero are in no document: they were fitted to how these sensors saw
-the Sun go round. So for each day the fit is made on all *other* days, and its own uncertainty counts. The gyro readings of 28 June
-are not in this file. The sensors' scales and the strength of torques were chosen on 23 to 27 June too
-(`cases/skcube/vehicle.toml`), which flatters these passes. While the coils were driven (until 25 June 18:41) a torque acts that is
+**The gyro is not independent of the Sun sensors.** Its scale and zero are in no document; they were fitted to the Sun directions of
+these sensors. Each day is therefore compared with a fit on all *other* days, and the uncertainty of this fit counts. The gyro
+readings of 28 June are not in this file. The scales of the sensors and the strength of the torques were chosen on 23 to 27 June too
+(`cases/skcube/vehicle.toml`), which favours these passes. While the coils are driven (until 25 June 18:41) a torque acts that is
 not modelled.
 
-A pull is the difference of a pass's mean rate over both sigmas together. The range behind a share is that of nine in ten
-resamplings of whole passes: components of one pass are not independent.
+The normalised error is the difference of a pass's mean rate divided by both sigmas together. The range behind a share is that of
+nine in ten resamplings of whole passes, because the components of one pass are not independent.
 
-## In short
+## Summary
 """
 
 GYRO = """
-The gyro of each day, as the Sun of the other days tells it:
+Scale and zero of the gyro for each day, fitted to the Sun directions of the other days:
 """

@@ -44,10 +44,10 @@ class Block(NamedTuple):
 
 
 def pages() -> list[Path]:
-    """All documents, but not those that the build of the site writes, nor the records of measurements."""
-    paths = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
-    apart = {"build", "records"}
-    return sorted(path for path in paths if path.name not in WRITTEN and not apart & {*path.parts})
+    """Return all documents but those that the build of the site writes."""
+    written = {ROOT / "docs" / name for name in WRITTEN}
+    paths = {*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")} - written
+    return sorted(path for path in paths if "build" not in path.parts)
 
 
 def blocks(text: str) -> list[Block]:

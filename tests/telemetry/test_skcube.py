@@ -1,17 +1,16 @@
 """skCUBE, June 2017, real telemetry: the decoder, the currents against the Sun sensors, rates against the gyro."""
 
 import csv
-import importlib.util
 import json
 import struct
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import sunspin as ss
+from studies.skcube_gyro import fit, neighbouring_beacons
 from sunspin.cli.decode import decode
 from sunspin.telemetry.decoders.skcube import KINDS, beacons_csv, decode_beacons, unescape
 
@@ -214,21 +213,18 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
 @pytest.mark.evidence(
     "rates",
     "validated",
-    "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of docs/skcube_gyro.py",
+    "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of studies/skcube_gyro.py",
 )
 @pytest.mark.real_data
 @pytest.mark.long  # the quick test of the gyro's scale is that of the rates above, which are held against it
 def test_scale_and_zero_of_the_gyro_are_those_that_propagate_the_measured_sun(data_dir, reached):
     """140 pairs of beacons, the gyro of 28 June not read; the vehicle file's values agree within two sigma of both."""
-    spec = importlib.util.spec_from_file_location(
-        "skcube_gyro", Path(__file__).parents[2] / "docs" / "skcube_gyro.py"
-    )
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     craft = ss.load_vehicle("skcube")
-    found = script.pairs(craft, ss.read_telemetry(data_dir / "skcube" / "skcube_adcs.csv", craft))
+    found = neighbouring_beacons(
+        craft, ss.read_telemetry(data_dir / "skcube" / "skcube_adcs.csv", craft)
+    )
     assert len(found.t_s) == 140 and found.day.max() < np.datetime64("2017-06-28")
-    value, sigma, cost = script.fit(found, craft.sensors.disturbance.acceleration_noise)
+    value, sigma, cost = fit(found, craft.sensors.disturbance.acceleration_noise)
     gyro = craft.sensors.gyro
     stated = np.array([np.degrees(gyro.scale_rad_s), *gyro.zero])
     both = np.hypot(sigma, [np.degrees(gyro.scale_sigma), *gyro.zero_sigma])
@@ -237,4 +233,4 @@ def test_scale_and_zero_of_the_gyro_are_those_that_propagate_the_measured_sun(da
     turned = found._replace(
         first=found.second, second=found.first
     )  # the control: the Sun carried the wrong way fits worse
-    assert script.fit(turned, craft.sensors.disturbance.acceleration_noise)[2] > cost + 10
+    assert fit(turned, craft.sensors.disturbance.acceleration_noise)[2] > cost + 10
