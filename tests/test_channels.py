@@ -332,7 +332,7 @@ def test_the_posterior_of_three_channels_lists_the_truth_among_symmetric_solutio
 @pytest.mark.evidence(
     "posterior",
     "modelled",
-    "passes whose samples are lowered to 20 to 100 % by factors that nobody knows",
+    "simulated passes whose samples are lowered to 20 to 100 % by unknown factors",
 )
 def test_the_posterior_of_power_limited_panels_uses_their_ratios():
     """The truth is found and decided; there is no brightness to be told."""

@@ -114,7 +114,7 @@ def test_sunspin_without_arguments_shows_the_help(sunspin):
     assert out.startswith("Usage: sunspin") and "reproduce" in out
 
 
-@pytest.mark.evidence("check", "modelled", "samples with a panel that reads nothing")
+@pytest.mark.evidence("check", "modelled", "samples with a dead panel")
 def test_check_names_the_panel_that_explains_impossible_patterns(sunspin):
     """The paper's own conclusion: after the second touchdown panel 1 was shaded."""
     telemetry = Path(__file__).parents[1] / "philae" / "panels_as_drawn.csv"

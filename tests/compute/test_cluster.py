@@ -84,7 +84,7 @@ def is_socket(pid: int, fd: str) -> bool:
         return False
 
 
-@pytest.mark.evidence("scan", "verified", "a worker killed on the way")
+@pytest.mark.evidence("scan", "verified", "a worker killed during the computation")
 def test_the_rows_of_a_killed_worker_are_computed_again(client, tmp_path):
     """Result and store, with one of the two processes killed in the middle of the work."""
     log, store = tmp_path / "rows", tmp_path / "store"

@@ -20,7 +20,9 @@ from tests.support.rows import ELSEWHERE, Waves, heed_interrupts, same
 ROWS = Waves()
 
 
-@pytest.mark.evidence("scan", "verified", "all rows at once, for any chunk and number of threads")
+@pytest.mark.evidence(
+    "scan", "verified", "all rows in one chunk, for any chunk size and number of threads"
+)
 @pytest.mark.parametrize(("workers", "chunk"), [(1, 1), (1, 5000), (2, 7), (5, 333)])
 def test_rows_do_not_depend_on_chunks_and_workers(workers, chunk):
     assert same(ensemble(ROWS, workers=workers, chunk=chunk), ROWS(np.arange(1000)))

@@ -118,7 +118,7 @@ ensemble(Waves(n_rows=int(sys.argv[2]), seconds_per_row=0.004), store=sys.argv[1
 """
 
 
-@pytest.mark.evidence("scan", "verified", "a run that was never stopped")
+@pytest.mark.evidence("scan", "verified", "the same run without an interruption")
 @pytest.mark.parametrize(
     ("n_rows", "least"), [(350, 2), pytest.param(900, 4, marks=pytest.mark.long)]
 )

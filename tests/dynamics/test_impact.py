@@ -31,7 +31,9 @@ cases = settings(max_examples=60, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
-@pytest.mark.evidence("impact", "verified", "the condition itself, on random vehicles")
+@pytest.mark.evidence(
+    "impact", "verified", "zero velocity of the contact point, on random vehicles"
+)
 @cases
 @given(seeds, st.integers(0, 3), st.sampled_from(["coast", "brake", "hold"]))
 def test_the_contact_point_is_at_rest_after_the_impact(seed, n_wheels, mode):
@@ -57,7 +59,7 @@ def test_momentum_about_the_contact_point_is_conserved(seed, n_wheels, mode):
     np.testing.assert_allclose(after["impulse_B"].values, change, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.evidence("impact", "verified", "energy may only fall")
+@pytest.mark.evidence("impact", "verified", "kinetic energy, which an impact must not raise")
 @cases
 @given(seeds, st.integers(0, 3))
 def test_free_wheels_keep_their_inertial_spin_and_an_impact_never_adds_energy(seed, n_wheels):
@@ -91,7 +93,7 @@ def test_a_held_wheel_keeps_its_speed_and_its_motor_may_do_work():
     assert work.max() > 0 > work.min()
 
 
-@pytest.mark.evidence("impact", "verified", "a blow worked out by hand")
+@pytest.mark.evidence("impact", "verified", "an impact worked out by hand")
 def test_a_rod_that_lands_on_one_end_moves_as_worked_out_by_hand():
     """A body with unit mass and inertia falls at speed 1 along -z on its end at distance 2 along x.
 

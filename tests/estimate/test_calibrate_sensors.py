@@ -26,32 +26,34 @@ from tests.support.calibration_cases import calibration_case, deviations
 
 @cache
 def few(off: float = 1.0):
-    """A twin with every second sample; nobody changes it."""
-    twin = calibration_case(1, 0, off, gyro=False)
-    return twin._replace(telemetry=twin.telemetry.isel(time=slice(None, None, 2)))
+    """Return a simulated case with every second sample; it is shared and never changed."""
+    case = calibration_case(1, 0, off, gyro=False)
+    return case._replace(telemetry=case.telemetry.isel(time=slice(None, None, 2)))
 
 
-def calibrated(twin, monkeypatch, verdict=Verdict.FITS):
+def calibrated(case, monkeypatch, verdict=Verdict.FITS):
     """With the orbit check's answer given: it has tests of its own."""
     start = OrbitCheck(0.0, 10.0, verdict, matrix=1e-9 * np.eye(3), zero=np.zeros(3))
     monkeypatch.setattr(calibrate, "check_orbit", lambda *_: start)
-    elements = parse_elements("\n".join(twin.elements), "twin")
-    time = twin.telemetry["time"].values
+    elements = parse_elements("\n".join(case.elements), "twin")
+    time = case.telemetry["time"].values
     orbit = in_orbit(
-        elements, twin.telemetry.attrs["epoch_utc"], time, shift_sigma_s=twin.shift_sigma_s
+        elements, case.telemetry.attrs["epoch_utc"], time, shift_sigma_s=case.shift_sigma_s
     )
-    return ss.calibrate_sensors(twin.vehicle, twin.telemetry, orbit)
+    return ss.calibrate_sensors(case.vehicle, case.telemetry, orbit)
 
 
 @pytest.mark.evidence(
-    "calibrate_sensors", "modelled", "sensors off by known amounts in an orbit, and sound ones"
+    "calibrate_sensors",
+    "modelled",
+    "simulated sensors in orbit with known errors, and without errors",
 )
 @pytest.mark.long
 @pytest.mark.parametrize("off", [1.0, 0.0])
 def test_calibration_finds_sensor_errors_within_sigmas_and_changes_no_good_sensor(off, monkeypatch):
-    twin = few(off)
-    found = calibrated(twin, monkeypatch)
-    z = deviations(twin, found)
+    case = few(off)
+    found = calibrated(case, monkeypatch)
+    z = deviations(case, found)
     kinds = {name.split(".")[0] for name in z}
     assert (
         kinds == {"panel", "magnetometer", "sun_sensor"}
@@ -71,22 +73,22 @@ def test_calibration_finds_sensor_errors_within_sigmas_and_changes_no_good_senso
 
 
 @pytest.mark.evidence(
-    "calibrate_sensors", "modelled", "a magnetometer off by a known zero, scale and matrix"
+    "calibrate_sensors", "modelled", "a simulated magnetometer with known zero, scale and matrix"
 )
 def test_a_magnetometer_alone_gets_zero_scale_and_a_symmetric_matrix(monkeypatch):
     """Its y is reversed, so a zero that the reversed column has is that of the other sign."""
-    twin = calibration_case(1, 0, gyro=False)
-    part = replace(twin.vehicle.sensors.magnetometer, columns=("x", "-y", "z"))
-    twin = twin._replace(
-        truth=twin.truth | {"magnetometer.zero": twin.truth["magnetometer.zero"] * part.sign}
+    case = calibration_case(1, 0, gyro=False)
+    part = replace(case.vehicle.sensors.magnetometer, columns=("x", "-y", "z"))
+    case = case._replace(
+        truth=case.truth | {"magnetometer.zero": case.truth["magnetometer.zero"] * part.sign}
     )
-    sensors = replace(twin.vehicle.sensors, sun_sensors=(), magnetometer=part)
-    data = twin.telemetry.drop_vars(["power_W", "panel", "sun_sensor_angle", "sun_sensor_y_turned"])
+    sensors = replace(case.vehicle.sensors, sun_sensors=(), magnetometer=part)
+    data = case.telemetry.drop_vars(["power_W", "panel", "sun_sensor_angle", "sun_sensor_y_turned"])
     data = data.isel(time=slice(None, None, 3))
     found = calibrated(
-        twin._replace(vehicle=replace(twin.vehicle, sensors=sensors), telemetry=data), monkeypatch
+        case._replace(vehicle=replace(case.vehicle, sensors=sensors), telemetry=data), monkeypatch
     )
-    z = deviations(twin, found)
+    z = deviations(case, found)
     assert set(z) == {"magnetometer.zero", "magnetometer.matrix", "magnetometer.scale_T"}
     assert np.abs(np.concatenate(list(z.values()))).max() < 4
     matrix = found["value"].values[found["key"].values == "magnetometer.matrix"].reshape(3, 3)
@@ -107,20 +109,20 @@ def test_a_magnetometer_of_the_wrong_sign_is_not_calibrated(monkeypatch):
         0.0, 10.0, Verdict.FITS, matrix=1e-9 * np.eye(3), zero=np.zeros(3), sign_turned=True
     )
     monkeypatch.setattr(calibrate, "check_orbit", lambda *_: check)
-    twin = few()
-    data = twin.telemetry.drop_vars(["power_W", "panel"])
+    case = few()
+    data = case.telemetry.drop_vars(["power_W", "panel"])
     orbit = in_orbit(
-        parse_elements("\n".join(twin.elements), "twin"),
+        parse_elements("\n".join(case.elements), "twin"),
         data.attrs["epoch_utc"],
         data["time"].values,
     )
     with pytest.raises(ss.InputError, match="has the opposite sign.* change the sign of `matrix`"):
-        ss.calibrate_sensors(twin.vehicle, data, orbit)
+        ss.calibrate_sensors(case.vehicle, data, orbit)
 
 
 def test_without_an_orbit_only_the_panels_are_calibrated():
-    twin = few()
-    found = ss.calibrate_sensors(twin.vehicle, twin.telemetry)
+    case = few()
+    found = ss.calibrate_sensors(case.vehicle, case.telemetry)
     assert {name.split(".")[0] for name in found["key"].values} == {"panel"}
     assert "not determined without an orbit" in found.attrs["notes"]
 
@@ -128,7 +130,7 @@ def test_without_an_orbit_only_the_panels_are_calibrated():
 @pytest.mark.evidence(
     "calibrate_sensors",
     "modelled",
-    "a gyro off by a known zero and scale beside rates found without it",
+    "a simulated gyro with known zero and scale, and rates estimated without it",
 )
 def test_a_gyro_is_calibrated_by_rates_estimated_without_it():
     rng = np.random.default_rng(1)

@@ -74,7 +74,7 @@ def test_a_magnetometer_with_stated_noise_replaces_the_sun_direction():
         observations(blunt, data)
 
 
-@pytest.mark.evidence("rates", "modelled", "a magnetometer alone, without an orbit")
+@pytest.mark.evidence("rates", "modelled", "a simulated magnetometer alone, without an orbit")
 @pytest.mark.long
 def test_rates_from_the_field_alone_are_right_and_name_what_is_unknown(tmp_path):
     pulls = []

@@ -73,7 +73,7 @@ def odd(i: int, speed_rad_s: float) -> Odd:
 @pytest.mark.evidence(
     "rates",
     "modelled",
-    "one axis of a gyro reversed where a strong wheel turns the rate round between samples",
+    "a gyro with one axis reversed on a body whose wheel rotates the rate between samples",
 )
 def test_a_reversed_gyro_axis_is_named_even_if_a_wheel_rotates_the_rate_between_samples(
     count, named

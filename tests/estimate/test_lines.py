@@ -81,7 +81,7 @@ def test_one_line_reaches_the_smallest_sum_of_distances(guess, reached):
     reached("relative excess of the sum", ours / best - 1, "", 1e-6)
 
 
-@pytest.mark.evidence("fit_lines", "verified", "all 128 ways to share the points")
+@pytest.mark.evidence("fit_lines", "verified", "all 128 assignments of the points")
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))]
 )

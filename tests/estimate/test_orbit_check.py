@@ -19,7 +19,7 @@ from tests.support.orbits import with_node_turned
 
 
 @pytest.fixture(scope="module")
-def twin():
+def case():
     return check_case(1, 1)
 
 
@@ -36,11 +36,11 @@ def one_clock(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def judged(twin):
+def judged(case):
     """The right elements as they are used, and what is said of them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(orbit_check, "COPIES", 20)
-        return judged_orbit(orbit(twin), *twin[:2])
+        return judged_orbit(orbit(case), *case[:2])
 
 
 @pytest.fixture(scope="module")
@@ -48,16 +48,16 @@ def fits(judged):
     return judged[1]
 
 
-def orbit(twin, by_deg=0.0, **options):
-    _, data, given, about = twin
+def orbit(case, by_deg=0.0, **options):
+    _, data, given, about = case
     elements = parse_elements("\n".join((given[0], with_node_turned(given[1], by_deg))), "twin")
     options = {"shift_sigma_s": about["sigma_s"]} | options
     return in_orbit(elements, data.attrs["epoch_utc"], data["time"].values, **options)
 
 
-def test_right_elements_fit_and_their_along_track_offset_is_estimated(twin, judged):
+def test_right_elements_fit_and_their_along_track_offset_is_estimated(case, judged):
     used, found, _ = judged
-    about = twin[3]
+    about = case[3]
     assert (
         used.shift_s == found.shift_s
         and np.hypot(used.shift_sigma_s, used.clock_sigma_s) < 1.01 * found.shift_sigma_s
@@ -79,18 +79,18 @@ def test_right_elements_fit_and_their_along_track_offset_is_estimated(twin, judg
     np.testing.assert_allclose(scale, 1e-9, rtol=0.1)  # readings are in nT
 
 
-def test_elements_of_another_plane_are_refused(twin, few_copies, one_clock):
-    vehicle, data, _, _ = twin
-    used, found, words = judged_orbit(orbit(twin, by_deg=70.0), vehicle, data)
+def test_elements_of_another_plane_are_refused(case, few_copies, one_clock):
+    vehicle, data, _, _ = case
+    used, found, words = judged_orbit(orbit(case, by_deg=70.0), vehicle, data)
     assert found.verdict is Verdict.REFUSED and found.turn_times > 1.3
     assert used is None and words.startswith(
         "the orbit is NOT USED: elements not consistent with the telemetry"
     )
 
 
-def test_a_magnetometer_of_the_wrong_sign_is_detected_by_the_sun(twin, fits, few_copies):
-    vehicle, data, _, _ = twin
-    found = check_orbit(orbit(twin), vehicle, data.assign(field_B=-data["field_B"]))
+def test_a_magnetometer_of_the_wrong_sign_is_detected_by_the_sun(case, fits, few_copies):
+    vehicle, data, _, _ = case
+    found = check_orbit(orbit(case), vehicle, data.assign(field_B=-data["field_B"]))
     assert found.sign_turned and not fits.sign_turned
 
 
@@ -109,10 +109,10 @@ def test_a_magnetometer_of_the_wrong_sign_is_detected_even_if_calibration_revers
     assert mirrored == [False, True]
 
 
-def test_few_data_leave_the_orbit_check_inconclusive_and_the_offset_at_its_prior(twin, one_clock):
-    vehicle, data, _, about = twin
+def test_few_data_leave_the_orbit_check_inconclusive_and_the_offset_at_its_prior(case, one_clock):
+    vehicle, data, _, about = case
     few = data.isel(time=slice(0, 12))
-    given = orbit(twin)
+    given = orbit(case)
     used, found, words = judged_orbit(given, vehicle, few)
     assert (
         found.verdict is Verdict.UNDECIDED
@@ -120,7 +120,7 @@ def test_few_data_leave_the_orbit_check_inconclusive_and_the_offset_at_its_prior
         and "the telemetry cannot judge it" in words
     )
     dark = check_orbit(
-        orbit(twin, shift_sigma_s=30.0), vehicle, data.drop_vars("field_B").isel(time=slice(0, 25))
+        orbit(case, shift_sigma_s=30.0), vehicle, data.drop_vars("field_B").isel(time=slice(0, 25))
     )
     assert (
         dark.verdict is Verdict.UNDECIDED
@@ -129,15 +129,15 @@ def test_few_data_leave_the_orbit_check_inconclusive_and_the_offset_at_its_prior
     )
     assert 10 < dark.shift_sigma_s < 45
     nothing = check_orbit(
-        orbit(twin, shift_s=4.0, shift_sigma_s=30.0),
+        orbit(case, shift_s=4.0, shift_sigma_s=30.0),
         vehicle,
         data.drop_vars(["field_B", "power_W", "panel"]),
     )
     assert nothing.verdict is Verdict.UNDECIDED and nothing.shift_s == 4.0 and nothing.samples == {}
 
 
-def test_elements_of_the_command_line_override_those_of_the_vehicle_file(twin, tmp_path):
-    vehicle, data, given, _ = twin
+def test_elements_of_the_command_line_override_those_of_the_vehicle_file(case, tmp_path):
+    vehicle, data, given, _ = case
     assert orbit_of(vehicle, data) is None
     with pytest.raises(
         ss.InputError, match="an along-track offset needs elements; give --tle FILE"

@@ -1,4 +1,4 @@
-"""The posterior of twins: the truth is in it, and telemetry of another model is refused."""
+"""The posterior of simulated telemetry: the truth is in it, and telemetry of another model is refused."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def tree(cube, telemetry):
     return ss.posterior(cube, telemetry, PRIORS, seed=0, draws=1000, workers=2)
 
 
-@pytest.mark.evidence("posterior", "modelled", "the truth of a twin without wheel, six faces")
+@pytest.mark.evidence("posterior", "modelled", "simulated telemetry of a cube without a wheel")
 def test_the_posterior_is_unique_and_contains_the_truth(tree, reached):
     modes = tree["solutions"]
     off = RATE - modes["omega_B"].values[0]
@@ -129,7 +129,7 @@ def test_the_posterior_has_the_documented_groups_and_names(tree, telemetry):
     )
 
 
-@pytest.mark.evidence("posterior", "verified", "one and two threads, and a stored run, bit by bit")
+@pytest.mark.evidence("posterior", "verified", "one and two threads, and a resumed run, bit by bit")
 def test_the_posterior_is_bit_identical_for_any_workers_and_when_resumed(cube, telemetry, tmp_path):
     given = cube, telemetry.isel(time=slice(0, 9)), SMALL
     first, *others = (
@@ -147,7 +147,9 @@ def test_the_posterior_is_bit_identical_for_any_workers_and_when_resumed(cube, t
         assert other.attrs["verdict"] == first.attrs["verdict"]
 
 
-@pytest.mark.evidence("posterior", "modelled", "a wrong model, faces exchanged: it must be refused")
+@pytest.mark.evidence(
+    "posterior", "modelled", "a wrong model (panels exchanged), which must be refused"
+)
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("samples", "max_rate"), [(8, 0.2), pytest.param(15, 0.4, marks=pytest.mark.slow)]
@@ -249,7 +251,7 @@ def test_an_outlier_and_an_unstated_noise_do_not_bias_the_posterior(cube, teleme
 
 
 @pytest.mark.evidence(
-    "posterior", "verified", "differences of another step, through the wheel's stop"
+    "posterior", "verified", "finite differences of another step size, through the wheel stop"
 )
 def test_derivatives_of_the_posterior_agree_with_those_of_another_step_size(reached):
     case = ss.load_case("philae")

@@ -61,7 +61,7 @@ def within(tree, rate) -> np.ndarray:
 @pytest.mark.evidence(
     "posterior",
     "verified",
-    "the symmetry of four side panels: two mirror images of half the weight",
+    "the symmetry of four side panels: two mirror solutions of equal probability",
 )
 def test_the_mirror_solution_of_side_panels_has_half_the_probability():
     vehicle = craft(4)

@@ -41,7 +41,7 @@ def cube() -> Vehicle:
     )
 
 
-def twin(cube, seed):
+def simulated(cube, seed):
     t = 20.0 * np.arange(12) + np.concatenate([[0.0], np.random.default_rng(0).uniform(-3, 3, 11)])
     return ss.twin(
         cube, {"omega_B": RATE, "sun_B": SUN, "t_s": t, "scale": 0.5, "tilt_B_rad": TILT}, seed=seed
@@ -50,11 +50,11 @@ def twin(cube, seed):
 
 @pytest.fixture(scope="module")
 def tilted(cube):
-    return twin(cube, 3)
+    return simulated(cube, 3)
 
 
 @pytest.mark.evidence(
-    "posterior", "verified", "differences of the misfit, of each panel's turns and of one in common"
+    "posterior", "verified", "finite differences by each panel's misalignment and by the common one"
 )
 def test_derivatives_by_panel_misalignment_agree_with_differences(cube, tilted):
     data, _, _ = readings(cube, tilted)
@@ -114,13 +114,13 @@ def test_misalignment_sigmas_come_from_the_file_unless_given(cube):
 @pytest.mark.evidence(
     "posterior",
     "modelled",
-    "best fits of twins with tilted panels: known of, and as a negative control unknown",
+    "best fits of simulated telemetry with tilted panels; negative control: tilt not modelled",
 )
 def test_a_misalignment_sigma_widens_the_rates_by_as_much_as_it_moves_them(cube, reached):
     """Squared distances of true rates from best fits, three degrees of freedom each: right where tilts are unknowns only."""
     found = {0.0: [], TILT: []}
     for seed in range(8):
-        data, _, _ = readings(cube, twin(cube, seed))
+        data, _, _ = readings(cube, simulated(cube, seed))
         for tilt, squares in found.items():
             unknown, _ = model(cube, PRIORS | {"tilt": tilt, "noise": 0.0}, 0.5)
             start = State(RATE[None], SUN[None], np.zeros((1, len(unknown.unknowns))))
@@ -137,7 +137,7 @@ def test_a_misalignment_sigma_widens_the_rates_by_as_much_as_it_moves_them(cube,
 @pytest.mark.evidence(
     "posterior",
     "verified",
-    "turns drawn given the motion: the integral over them, by draws of the prior",
+    "the integral over misalignments by draws of the prior",
 )
 def test_misalignments_drawn_given_the_motion_have_the_stated_density(cube, tilted, reached):
     data, _, _ = readings(cube, tilted)

@@ -29,7 +29,7 @@ def craft():
 @pytest.mark.evidence(
     "posterior",
     "verified",
-    "predictions against the reference propagator, through the stop and backward",
+    "the reference propagator, through the wheel stop and backward",
 )
 def test_predicted_draws_agree_with_the_reference_through_the_wheel_stop_and_backward(craft):
     """Each with its own inertia, friction and wheel speed; the wheel stops at about 2500 s."""
@@ -57,7 +57,7 @@ def test_predicted_draws_agree_with_the_reference_through_the_wheel_stop_and_bac
 
 
 def test_predicted_rates_before_and_after_the_collision_agree_with_the_simulated_truth(craft):
-    """One draw at the truth: 16:20 is as in the twin's file, and what comes after is one of the three legs' many outcomes."""
+    """One draw at the truth: 16:20 is as in the truth of the file, and what comes after is one of the three legs' many outcomes."""
     truth = AS_DRAWN_TRUTH
     tree, _ = philae_draws(400)
     found = predicted(craft, tree, [COLLISION, LATER], seed=3)

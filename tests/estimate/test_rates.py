@@ -1,4 +1,4 @@
-"""Rates from sparse directions or powers: twins with a known truth, coverage, aliases, sentences. All telemetry is synthetic."""
+"""Rates from sparse Sun directions or powers, simulated with a known truth: coverage, aliases, messages. All data are synthetic."""
 
 import json
 from dataclasses import replace
@@ -49,13 +49,15 @@ def test_parameters_estimated_with_the_motion_cover_the_truth():
     }
 
 
-@pytest.mark.evidence("rates", "modelled", "two tumbling twins with albedo, and twelve")
-@pytest.mark.parametrize("twins", [2, pytest.param(12, marks=pytest.mark.long)])
-def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
+@pytest.mark.evidence(
+    "rates", "modelled", "two simulated tumbling cubes with albedo; twelve in the long test"
+)
+@pytest.mark.parametrize("passes", [2, pytest.param(12, marks=pytest.mark.long)])
+def test_rates_from_powers_with_albedo_cover_the_truth(passes, reached):
     """Tumbling cubes seen every 20 s with Earth's light on dark faces: the truth lies where the sigmas say."""
     rng = np.random.default_rng(8)
     square = []
-    for _ in range(twins):
+    for _ in range(passes):
         data, run = simulated_pass(
             CUBE_WITHOUT_NOISE_STATED,
             0.03 * rng.normal(size=3),
@@ -73,7 +75,9 @@ def test_rates_from_powers_with_albedo_cover_the_truth(twins, reached):
     assert result.attrs["synthetic"] == 1
 
 
-@pytest.mark.evidence("rates", "modelled", "a twin with a wheel; without its wheel it must not fit")
+@pytest.mark.evidence(
+    "rates", "modelled", "a simulated body with a wheel; without its wheel it must not fit"
+)
 def test_rates_of_a_body_with_a_wheel_cover_the_truth():
     wheel = ss.Wheel("w", [0, 0, 1], 3e-4, speed_rad_s=30.0)
     craft = replace(CUBE_WITHOUT_NOISE_STATED, wheels=(wheel,))
@@ -201,7 +205,7 @@ def test_evenly_spaced_samples_have_aliases_that_are_listed(evenly_spaced):
     assert "others" not in result.attrs["verdict"]  # there is one pass
 
 
-@pytest.mark.evidence("rates", "modelled", "a twin with a gyro")
+@pytest.mark.evidence("rates", "modelled", "simulated telemetry with a gyro")
 def test_a_gyro_decides_between_aliases_and_narrows_the_rate(evenly_spaced):
     from sunspin.vehicle.sensors import Gyro, Sensors
 

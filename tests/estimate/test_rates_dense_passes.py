@@ -145,9 +145,7 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share):
     np.testing.assert_allclose(np.diag(made), np.diag(both), rtol=1e-6)
 
 
-@pytest.mark.evidence(
-    "rates", "modelled", "the mean rate of a dense pass, of which the smoother keeps a part"
-)
+@pytest.mark.evidence("rates", "modelled", "the true mean rate of a simulated dense pass")
 def test_a_dense_pass_reports_all_samples_and_their_mean(pass_, reached):
     telemetry, run, _, _ = pass_
     found = ss.rates(CRAFT, telemetry, max_rate_rad_s=0.09, acceleration_noise=NOISE)

@@ -13,7 +13,9 @@ from sunspin.estimate.terms.term import facing
 from tests.support.simulate import fast_body, has_true_mean_rate
 
 
-@pytest.mark.evidence("rates", "modelled", "twins that turn by 5 to 30 deg/s, no largest rate told")
+@pytest.mark.evidence(
+    "rates", "modelled", "simulated bodies at 5 to 30 deg/s without a largest rate"
+)
 def test_a_fast_tumble_is_estimated_and_another_motion_is_not_accepted():
     vehicle, data, run = fast_body(
         1.0, np.random.default_rng(np.random.SeedSequence(11, spawn_key=(0,)))

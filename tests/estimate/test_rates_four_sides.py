@@ -46,7 +46,7 @@ def test_gains_are_estimated_only_if_brightness_does_not_determine_them():
     assert len(six.gain_errors) == 6 and not len(six.gain_unknowns)
 
 
-@pytest.mark.evidence("rates", "verified", "differences of the cost of the readings")
+@pytest.mark.evidence("rates", "verified", "finite differences of the cost of the readings")
 def test_the_gradient_by_gains_is_that_of_the_cost():
     """The Student law's cost, by differences of 1e-5 of each gain's sigma."""
     o, track = seen()

@@ -56,7 +56,9 @@ def pulls(vehicle: Vehicle, spin) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.evidence(
-    "rates", "modelled", "moments off by 4 and 6 %; taken for known, the answer must be wrong"
+    "rates",
+    "modelled",
+    "simulated moments of inertia off by 4 and 6 %; taken as exact, the result must be wrong",
 )
 def test_moments_of_inertia_with_a_sigma_are_estimated(spin, reached):
     pull = pulls(told(1e-4), spin)

@@ -12,7 +12,7 @@ from tests.support.orbit_cases import SPARSE, one_pass, pass_against_truth, rate
 @pytest.mark.evidence(
     "rates",
     "modelled",
-    "a body at 4.9 deg/s seen every 52 s: not mistaken for one that turns a whole turn less",
+    "a simulated body at 4.9 deg/s sampled every 52 s, and its alias one revolution slower",
 )
 def test_sparse_samples_are_decided_for_the_true_alias_once_the_inertia_is_free():
     """That one costs 41; the truth, a whole turn more, is found once the inertia is free, and costs 9."""

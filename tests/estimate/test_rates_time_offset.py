@@ -10,7 +10,7 @@ from tests.support.simulate import cube_with_late_sensor, cube_with_sensor
 
 
 @pytest.mark.evidence(
-    "rates", "modelled", "twins whose gyro or quaternion lags, and the same without a lag"
+    "rates", "modelled", "simulated gyros and quaternions with and without a time offset"
 )
 @pytest.mark.parametrize(
     ("kind", "seed", "late"),
@@ -58,7 +58,7 @@ def test_the_time_offset_of_a_vehicle_file_is_read():
 @pytest.mark.evidence(
     "rates",
     "modelled",
-    "a gyro read backwards looks late by half a turn: its axes are named, and no clock",
+    "a simulated gyro with reversed axes and no time offset",
 )
 def test_a_gyro_with_reversed_axes_gets_no_warning_on_a_time_offset():
     telemetry, _ = cube_with_late_sensor("gyro", 0.0, np.random.default_rng(0))

@@ -22,13 +22,13 @@ from sunspin.output.export import attitude_of
 from sunspin.solve.rotations import turn
 from tests.support.orbit_cases import orbit_of, pass_against_truth, rates_case
 
-TWIN = 3
+CASE_NUMBER = 3
 TIMES = np.arange(12) * 30.0
 
 
 @pytest.fixture(scope="module")
-def twin():
-    return rates_case(1, TWIN, patches=1000)
+def case():
+    return rates_case(1, CASE_NUMBER, patches=1000)
 
 
 def seen(rng: np.random.Generator) -> Seen:
@@ -96,8 +96,8 @@ def test_a_magnetic_torque_is_averaged_over_revolutions_between_samples(size, kn
     )
 
 
-def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
-    vehicle, data, given, truth, about = twin
+def test_a_magnetometer_is_calibrated_along_its_orbit(case):
+    vehicle, data, given, truth, about = case
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
     found = field_calibration(orbit, vehicle, data)
     assert isinstance(found, FieldCalibration) and 2e-7 < found.noise_T < 1.2e-6
@@ -110,8 +110,8 @@ def test_a_magnetometer_is_calibrated_along_its_orbit(twin):
     assert field_calibration(orbit, vehicle, data.drop_vars("field_B")) is None
 
 
-def test_a_sample_in_shadow_uses_its_field_and_requires_dark_panels(twin):
-    vehicle, data, given, _, about = twin
+def test_a_sample_in_shadow_uses_its_field_and_requires_dark_panels(case):
+    vehicle, data, given, _, about = case
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"])
     known, why, _ = observations(
         vehicle, data, None, SunAlongZ(orbit), field_calibration(orbit, vehicle, data)
@@ -126,9 +126,9 @@ def test_a_sample_in_shadow_uses_its_field_and_requires_dark_panels(twin):
     assert field_leads(known.take(dark[:6])) and not field_leads(known)
 
 
-def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(twin):
+def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(case):
     """The calibration has the zero's error, in tesla; that of the vehicle file is in the unit of the columns."""
-    vehicle, data, given, _, about = twin
+    vehicle, data, given, _, about = case
     orbit = orbit_of(given, data, about)
     calibration = field_calibration(orbit, vehicle, data)
     part = replace(vehicle.sensors.magnetometer, zero_sigma=np.full(3, 4.0))
@@ -143,8 +143,8 @@ def test_a_stated_zero_sigma_counts_once_if_the_orbit_calibrates(twin):
 
 
 @pytest.mark.long
-def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(twin):
-    vehicle, data, given, truth, about = twin
+def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(case):
+    vehicle, data, given, truth, about = case
     orbit = replace(orbit_of(given, data, about), shift_s=about["ahead_s"], shift_sigma_s=2.0)
     t = data["time"].values - about["begin_s"][0]
     calibration = field_calibration(orbit, vehicle, data)

@@ -71,7 +71,7 @@ def test_workers_do_not_change_a_scan():
     assert alone.item() == pytest.approx(runs[0].values[7, 3, 5], rel=1e-9)
 
 
-@pytest.mark.evidence("scan", "modelled", "a track of its own model")
+@pytest.mark.evidence("scan", "modelled", "a Sun track simulated by its own model")
 def test_the_track_metric_finds_the_truth():
     truth = np.array([0.1, -0.05, 0.02])
     t = np.array([0.0, 31.0, 64.0, 90.0, 131.0, 160.0])

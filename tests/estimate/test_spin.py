@@ -55,16 +55,16 @@ def test_the_spin_fit_finds_the_minimum_of_a_dense_search():
     assert abs(rates[np.argmin(direct)] - fit.coefficients[0]) < 2e-5
 
 
-@pytest.mark.parametrize("twins", [30, pytest.param(80, marks=pytest.mark.long)])
-def test_errors_of_the_spin_rate_are_calibrated(twins):
-    """Over so many twins the chi-square of the four coefficients has mean 4 within its own scatter."""
+@pytest.mark.parametrize("cases", [30, pytest.param(80, marks=pytest.mark.long)])
+def test_errors_of_the_spin_rate_are_calibrated(cases):
+    """Over the simulated cases the chi-square of the four coefficients has mean 4 within its own scatter."""
     found = []
-    for seed in range(twins):
+    for seed in range(cases):
         t, seen = samples(100 + seed, n=60)
         fit = fit_spin(t, seen, rate_range=(0.008, 0.016))
         off = fit.coefficients - CUBIC
         found.append(off @ np.linalg.solve(fit.covariance, off))
-    assert np.mean(found) == pytest.approx(4.0, abs=3 * np.sqrt(8 / twins))
+    assert np.mean(found) == pytest.approx(4.0, abs=3 * np.sqrt(8 / cases))
 
 
 def test_irregular_times_exclude_aliases_of_the_spin_rate():

@@ -55,7 +55,7 @@ def both(samples=9, seed=4):
     )  # z of N to the Sun
 
 
-@pytest.mark.evidence("rates", "verified", "differences of the cost of a gyro's readings")
+@pytest.mark.evidence("rates", "verified", "finite differences of the cost of a gyro's readings")
 def test_the_gradient_by_gyro_parameters_is_that_of_the_cost():
     o, truth = both()
     gyro, rng = only(o, Gyro), np.random.default_rng(1)
@@ -79,7 +79,7 @@ def test_the_gradient_by_gyro_parameters_is_that_of_the_cost():
 
 
 @pytest.mark.evidence(
-    "rates", "modelled", "a magnetometer whose zero is off by what its file states"
+    "rates", "modelled", "a simulated magnetometer whose zero is off by its stated sigma"
 )
 def test_an_uncertain_magnetometer_zero_is_estimated():
     """Taken for exact, a zero off by a third of the field bends the motion by many sigmas; with its sigma stated it does not."""
@@ -109,7 +109,7 @@ def test_an_uncertain_magnetometer_zero_is_estimated():
 @pytest.mark.evidence(
     "rates",
     "modelled",
-    "a magnetometer with soft iron whose zero, and so its matrix, is not calibrated",
+    "a simulated magnetometer with soft iron and an uncalibrated zero",
 )
 def test_an_uncertain_magnetometer_matrix_is_estimated():
     """Of a fast spinner soft iron turns the axis by degrees: in every draw by more sigmas where the matrix is taken for exact."""

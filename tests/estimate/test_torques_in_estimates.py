@@ -60,7 +60,7 @@ def tumbling_telemetry() -> tuple[xr.Dataset, xr.Dataset]:
 
 @pytest.mark.long
 @pytest.mark.evidence(
-    "rates", "modelled", "a tumbling CubeSat; without the torque it must fit worse"
+    "rates", "modelled", "a simulated tumbling CubeSat; without the torque it must fit worse"
 )
 def test_gravity_gradient_determines_the_rotation_about_the_sun_direction():
     data, run = tumbling_telemetry()

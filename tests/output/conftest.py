@@ -65,7 +65,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def make(folder: Path) -> None:
         with small():
-            reproduction.reproduce(folder, coarser=25, calibrate=TWINS)
+            reproduction.reproduce(folder, coarser=25, calibrate=REBOUNDS)
 
     return shared_folder(tmp_path_factory, "study", make)
 
@@ -90,12 +90,12 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "\n".join([*comments, head, *(",".join(row) for row in table)]) + "\n", "utf-8"
         )
         with small():
-            reproduction.reproduce(root / "results", telemetry, coarser=25, calibrate=TWINS)
+            reproduction.reproduce(root / "results", telemetry, coarser=25, calibrate=REBOUNDS)
 
     return shared_folder(tmp_path_factory, "shuffled", make) / "results"
 
 
-TWINS = 30
+REBOUNDS = 30
 """Synthetic rebounds of the calibration: enough for a 90 % level."""
 
 

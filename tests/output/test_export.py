@@ -125,9 +125,7 @@ def test_spice_reads_its_kernels_back(result, tmp_path, reached):
         sp.unload(kernels)
 
 
-@pytest.mark.evidence(
-    "compare", "verified", "kernels of our own in which the rates were changed by 2 %"
-)
+@pytest.mark.evidence("compare", "verified", "kernels written here with rates changed by 2 %")
 def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reached):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
     pytest.importorskip("spiceypy")

@@ -231,7 +231,9 @@ def test_report_refuses_folders_that_sunspin_did_not_write(tmp_path):
     assert (tmp_path / "report.html").read_text("utf-8") == "mine"
 
 
-@pytest.mark.evidence("report", "verified", "the draws and the best motion of a posterior's files")
+@pytest.mark.evidence(
+    "report", "verified", "the draws and the likeliest motion of a posterior's files"
+)
 def test_the_motion_shown_of_a_posterior_is_its_likeliest_draw(user_runs):
     folder = user_runs["posterior"]
     tree = xr.load_datatree(folder / "posterior.nc")

@@ -185,7 +185,7 @@ def test_the_first_screen_of_a_study_has_headline_and_score(study):
 
 @pytest.mark.long
 @pytest.mark.evidence(
-    "report", "verified", "a file that carries no conclusion: each panel's readings in random order"
+    "report", "verified", "telemetry without information: each panel's readings in random order"
 )
 def test_a_page_without_conclusions_gives_the_reason_and_no_result(no_conclusion):
     summary, page = (

@@ -50,7 +50,7 @@ def truth_of(omega, found):
 
 
 @pytest.mark.long
-@pytest.mark.evidence("reproduce", "verified", "motions that made the telemetry")
+@pytest.mark.evidence("reproduce", "verified", "the true motions of simulated telemetry")
 @pytest.mark.parametrize(
     ("name", "omega"),
     [
@@ -117,7 +117,7 @@ def test_an_exchange_of_any_two_panels_is_detected(first, second):
 
 
 def test_panel_misalignment_within_its_sigma_does_not_reject_a_file():
-    """Six samples of this twin have patterns forbidden to panels as drawn, more than 2 %; with the stated sigmas one."""
+    """Six samples of this simulated file have patterns forbidden to panels as drawn, more than 2 %; with the stated sigmas one."""
     case = rb.with_telemetry(CASE, ss.twin("philae", seed=8))
     found = data_check.compute(case, ss.sun_directions(case.vehicle, case.telemetry), None)
     assert (

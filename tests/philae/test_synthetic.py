@@ -35,7 +35,7 @@ def free_flight():
     return np.isin(phase, ["descent", "first_rebound", "second_rebound"])
 
 
-@pytest.mark.evidence("twin", "verified", "the file that comes with the package")
+@pytest.mark.evidence("twin", "verified", "the telemetry file of the package")
 def test_the_built_in_telemetry_follows_from_its_seed(made):
     # the file holds 6 decimals and whole milliseconds
     np.testing.assert_allclose(
@@ -50,9 +50,7 @@ def test_the_built_in_telemetry_follows_from_its_seed(made):
         )
 
 
-@pytest.mark.evidence(
-    "twin", "verified", "the file that came with the package before, panels as drawn"
-)
+@pytest.mark.evidence("twin", "verified", "a telemetry file simulated with panels as drawn")
 def test_the_telemetry_of_panels_as_drawn_follows_from_its_seed():
     again = philae_twin(AS_DRAWN_TRUTH["seed"], tilt_rad=0.0, turned_rad=0.0, rest_seen=False)
     np.testing.assert_allclose(
@@ -114,7 +112,7 @@ def tilted():
 @pytest.mark.evidence(
     "twin",
     "modelled",
-    "turned panels: the published first direction, forbidden patterns, directions at rest",
+    "misaligned panels: the published first direction, forbidden patterns, directions at rest",
 )
 def test_a_landing_simulated_with_misaligned_panels_has_the_published_misfit(tilted):
     """Of turned panels the first direction is still what is shown; the truth lies behind it; no pattern becomes forbidden."""

@@ -62,7 +62,7 @@ def test_the_study_of_components_counts_r_z_as_the_scan_does(table):
     assert [line.split("|")[-2].strip() for line in lines] == ["100.0%", "66.7%", "33.3%"]
 
 
-@pytest.mark.evidence("reproduce", "verified", "fresh synthetic rebounds of known truth")
+@pytest.mark.evidence("reproduce", "verified", "new simulated rebounds of known truth")
 def test_new_truths_lie_in_the_calibrated_set(table, reached):
     """Another seed's rebounds: about nine in ten of their truths lie below the factor."""
     factor = th.calibrate(REBOUND, table, rb.Options(twins=100)).factor()[0]

@@ -78,7 +78,7 @@ def blamed(craft: Vehicle, data: xr.Dataset) -> set[str]:
 @pytest.mark.evidence(
     "panel_quality",
     "modelled",
-    "files of panels turned within their stated sigmas, whole and with a dead one",
+    "simulated files of panels misaligned within their sigmas, with and without a dead one",
 )
 def test_with_misaligned_panels_a_dead_one_is_named_and_a_good_one_never(count, named):
     found = [
@@ -98,7 +98,7 @@ def test_with_misaligned_panels_a_dead_one_is_named_and_a_good_one_never(count, 
 @pytest.mark.evidence(
     "panel_quality",
     "modelled",
-    "whole files in which the battery dims samples, here and there or in a stretch",
+    "simulated files without a dead panel, power-limited in single samples or in a time range",
 )
 def test_a_good_panel_is_not_called_dead_in_power_limited_samples(count, apart):
     accused = 0

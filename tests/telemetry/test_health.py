@@ -93,7 +93,7 @@ def test_the_noise_verdict_agrees_with_a_direct_search(reached):
 
 
 @pytest.mark.evidence(
-    "panel_health", "modelled", "500 noisy samples of whole panels, and of one panel dead"
+    "panel_health", "modelled", "500 noisy samples of good panels, and of one dead panel"
 )
 @pytest.mark.parametrize("craft", [PHILAE, tetrahedron()], ids=["philae", "tetrahedron"])
 def test_a_dead_panel_is_nearly_always_named_and_a_good_one_seldom(craft):
@@ -137,7 +137,7 @@ def test_patterns_caused_by_noise_are_distinguished_from_a_dead_panel():
 @pytest.mark.evidence(
     "panel_health",
     "modelled",
-    "300 samples of panels turned within their stated sigmas; one of them dead",
+    "300 samples of panels misaligned within their sigmas; one of them dead",
 )
 def test_panels_misaligned_within_their_sigmas_are_not_called_dead():
     """Opposite panels that lean to one side are lit together. The same file is accused where no sigma is stated, and a dead panel

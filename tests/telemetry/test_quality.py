@@ -104,7 +104,7 @@ def test_power_limited_samples_are_distinguished_from_sunlight(share, use, word)
         assert np.all(quality["scale_sigma"].values[10:20] > 1)
 
 
-@pytest.mark.evidence("panel_quality", "modelled", "faults put into clean samples")
+@pytest.mark.evidence("panel_quality", "modelled", "known faults in clean simulated samples")
 def test_outliers_and_stale_late_and_empty_frames_are_reported():
     value, _ = clean(40)
     value[3, 1] = 65.535

@@ -213,7 +213,7 @@ def test_currents_of_28_june_agree_with_the_sun_sensors(data_dir, free_passes, r
 @pytest.mark.evidence(
     "rates",
     "validated",
-    "skCUBE's Sun sensors, 23 to 27 June: the plainer fit of studies/skcube_gyro.py",
+    "skCUBE's Sun sensors, 23 to 27 June: the simpler fit of studies/skcube_gyro.py",
 )
 @pytest.mark.real_data
 @pytest.mark.long  # the quick test of the gyro's scale is that of the rates above, which are held against it

@@ -174,7 +174,7 @@ def test_a_sun_seen_by_side_panels_only_is_known_to_an_arc():
 
 
 @pytest.mark.evidence(
-    "sun_directions", "verified", "4,000 noisy samples; half the noise assumed is noticed"
+    "sun_directions", "verified", "4,000 noisy samples; half of the true noise must be detected"
 )
 def test_direction_covariance_covers_as_stated_and_detects_a_wrong_noise(reached):
     rng = np.random.default_rng(0)
