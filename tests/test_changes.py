@@ -1,4 +1,4 @@
-"""Changing an assumption: by its key, within the file's ranges, said in the results, and followed by what depends on it."""
+"""Changed values of a vehicle: by key, within the ranges of the file, stated in the results."""
 
 import json
 import tomllib

@@ -1,4 +1,4 @@
-"""Panels that share an input of the power system: what the file says, what is read, and what that leaves open."""
+"""Panels that share an input of the power system: the file, the readings, and the remaining ambiguity."""
 
 from dataclasses import replace
 from importlib import resources

@@ -1,4 +1,4 @@
-"""What is installed with sunspin: what is imported is declared, what is declared is imported, and licences bind no user."""
+"""Dependencies: imports and declarations agree, licences bind no user, the lock is within the ranges."""
 
 from __future__ import annotations
 

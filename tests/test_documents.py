@@ -1,4 +1,4 @@
-"""The documents do what they say: every code block runs, or says to its reader why it is not run here."""
+"""The documents are true: every code block runs, or states why it does not."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""The page of evidence shows what was declared and reached, and what was not."""
+"""The page "Evidence" shows what the tests declare and reach."""
 
 import pytest
 

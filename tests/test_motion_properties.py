@@ -1,4 +1,4 @@
-"""Properties of the motion for many vehicles, wheels, axes and rates: what turns, mirrors, scales or reverses together.
+"""Properties of the motion for many vehicles, wheels, axes and rates: rotation, mirror, scale, reversal, conservation.
 
 Few examples each by default; SUNSPIN_EXAMPLES=300 tries many.
 """

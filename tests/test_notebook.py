@@ -1,4 +1,4 @@
-"""Vehicles, cases and results in a notebook: HTML that a parser accepts, in which nothing from a file is code."""
+"""Vehicles, cases and results in a notebook: valid HTML, with names from files escaped."""
 
 from html.parser import HTMLParser
 

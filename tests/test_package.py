@@ -1,4 +1,4 @@
-"""The package as others get it: what is in the wheel and the source archive, and that the wheel works on its own."""
+"""The wheel and the source archive: their content, and that the wheel works on its own."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Panels with noises of their own: what uses them, and that a noise stated of each panel is the same as one of all."""
+"""A noise for each panel: what uses it, and that equal ones are the same as a common noise."""
 
 from dataclasses import replace
 from importlib import resources

@@ -1,4 +1,4 @@
-"""How panels see light: by the cosine, as drawn and with a panel that stands turned; powers, slopes, bounds, the Earth's light."""
+"""How panels respond to light: the cosine law and tilted panels; powers, slopes, bounds, albedo."""
 
 from dataclasses import replace
 

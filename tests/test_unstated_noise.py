@@ -1,4 +1,4 @@
-"""Vehicle files with and without noise, whatever the readings: no defect, and no result holds a number beside an error of NaN."""
+"""Vehicle files with and without noise, for any readings: no defect, and no number with an error of NaN."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The vehicle and its file: what is refused, and in which words."""
+"""The vehicle and its file: what is refused, with which message."""
 
 import pickle
 from dataclasses import FrozenInstanceError, fields, replace

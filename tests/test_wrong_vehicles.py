@@ -1,4 +1,4 @@
-"""Vehicle and telemetry files that are wrong in one place, generated: each is refused with one sentence that names it."""
+"""Generated vehicle and telemetry files with one fault: each is refused with one sentence that names it."""
 
 from __future__ import annotations
 

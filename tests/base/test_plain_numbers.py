@@ -1,4 +1,4 @@
-"""A number from outside is a plain decimal in ASCII digits, wherever it stands: no other form that Python reads is one."""
+"""Numbers from files and options are plain decimals in ASCII digits; other forms that Python reads are refused."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""The same samples as CSV, Parquet and NetCDF read alike; what is damaged is a sentence."""
+"""Telemetry tables: CSV, Parquet and NetCDF read alike, damaged files are refused in one sentence, Sun sensors."""
 
 import numpy as np
 import pandas as pd

@@ -1,4 +1,4 @@
-"""What `sunspin check` says of the panels: faces and not panels are counted, few sets are named, a wrong unit silences the rest."""
+"""Lines on panels that `sunspin check` prints: sides, illumination patterns, a wrong unit."""
 
 import json
 

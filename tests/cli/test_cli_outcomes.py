@@ -1,4 +1,4 @@
-"""`sunspin outcomes`: a built-in case, a vehicle of one's own, results on disk, one sentence on errors."""
+"""`sunspin outcomes`: a built-in case, a user's vehicle, results on disk, one sentence on errors."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Where the command line meets the world: no arguments, interruption, a reader that goes away, folders, JSON."""
+"""The command line and the system: option values, interruption, closed pipes, folders, JSON."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Completion on Tab, as click writes it for each shell."""
+"""Completion on Tab for each shell."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What --help shows is true: every example can be given as it stands, and the cheap ones are run."""
+"""The help of the commands: every example is parsed, and the cheap ones are run."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Elements on the command line: what is wrong with them is one sentence, and what they are good for is said."""
+"""Elements on the command line and in the vehicle file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other people's satellites, as their operators would describe them, through every command; and their files corrupted.
+"""Every command on satellites as other operators would describe them, and on their corrupted files.
 
 All telemetry here is synthetic (tests/support/satellite_files.py) but skCUBE's, which is used where it is found.
 """

@@ -1,4 +1,4 @@
-"""A command that is refused leaves nothing behind and says one sentence."""
+"""A refused command leaves no files and prints one sentence."""
 
 import os
 import subprocess

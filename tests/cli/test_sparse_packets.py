@@ -1,4 +1,4 @@
-"""A file with one row for each packet: rows are counted as directions only if they give one, and the reason is said."""
+"""Files with one row for each packet: only rows that give a direction are counted, and messages name the reason."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The files that `sunspin init` writes are the complete example of their form."""
+"""The files that `sunspin init` writes: a complete and valid example."""
 
 import re
 import tomllib

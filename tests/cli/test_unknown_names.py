@@ -1,4 +1,4 @@
-"""A name that does not exist is answered with the nearest one that does."""
+"""Unknown commands, options and names are refused with the nearest known one."""
 
 import pytest
 

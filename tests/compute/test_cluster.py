@@ -1,4 +1,4 @@
-"""Rows on a Dask cluster: the same result, also when a worker is killed; nothing listens to the outside; plain refusals."""
+"""Rows on a Dask cluster: the same result with killed workers, no socket open to other machines, errors in one sentence."""
 
 import asyncio
 import os

@@ -1,4 +1,4 @@
-"""What a store's name depends on: the text of the package, too."""
+"""The identity of a store depends on the source of the package."""
 
 from sunspin.compute import identity
 

@@ -1,4 +1,4 @@
-"""Processes on this machine: copies where that is safe, and an end at once when it is asked for."""
+"""Processes on this machine: forking only if it is safe, errors and interruptions."""
 
 import os
 import threading

@@ -1,4 +1,4 @@
-"""Many rows on threads: the same result however they are cut, rows alone, errors and interruptions at once."""
+"""Rows on threads: the result depends on no chunk size, worker or other row; errors and interruptions."""
 
 import pickle
 import signal

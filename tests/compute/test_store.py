@@ -1,4 +1,4 @@
-"""Rows on disk: killed anywhere and resumed to the same result; anything that is not this run's store is left alone."""
+"""Rows on disk: a run killed at any step is resumed to the same result, and other folders are not touched."""
 
 import errno
 import hashlib

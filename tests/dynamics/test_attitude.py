@@ -1,4 +1,4 @@
-"""The compiled steps of attitude and momentum, against SciPy on equations of these tests' own."""
+"""Compiled steps of attitude and momentum, compared with SciPy on Euler's equations."""
 
 import numpy as np
 import pytest

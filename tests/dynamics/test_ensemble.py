@@ -1,4 +1,4 @@
-"""The ensemble kernel against the reference propagator; its bits against its neighbours."""
+"""The ensemble kernel compared with the reference propagator, and its independence of other rows."""
 
 from dataclasses import replace
 

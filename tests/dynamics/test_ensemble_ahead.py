@@ -1,4 +1,4 @@
-"""Kernels that another process compiles."""
+"""Kernels that are compiled in another process."""
 
 import os
 

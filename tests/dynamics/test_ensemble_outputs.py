@@ -1,4 +1,4 @@
-"""What the kernel tells at output times, and rows that have an inertia and friction of their own."""
+"""The kernel's output times, and rows with their own inertia and friction."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Friction from a spin-down curve, and the time a wheel runs, against closed forms and the propagator."""
+"""Friction from a spin-down curve and the running time of a wheel, compared with closed forms and the propagator."""
 
 import numpy as np
 import pytest

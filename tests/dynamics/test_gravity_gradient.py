@@ -1,4 +1,4 @@
-"""Gravity gradient in all that moves a body: reference, kernel, the step of rates, the posterior's motion."""
+"""Gravity gradient in the reference propagator, the kernel, the steps of `rates` and the motion of `posterior`."""
 
 import numpy as np
 import pytest

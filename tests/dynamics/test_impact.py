@@ -1,4 +1,4 @@
-"""The sticking impact: what must vanish, what must be conserved, what may only fall, and a blow worked out by hand."""
+"""The sticking impact: contact velocity, conserved momentum, energy, and an impact worked out by hand."""
 
 import numpy as np
 import pytest

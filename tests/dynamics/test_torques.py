@@ -1,4 +1,4 @@
-"""Torques from outside: the reference and the kernel under gravity gradient, against SciPy; what is refused."""
+"""External torques in the reference propagator and the kernel, compared with SciPy; what is refused."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The environment that is not known, and the names of frames on results with an attitude."""
+"""The unknown environment, frame names of results with an attitude, circular orbits."""
 
 import numpy as np
 import pytest

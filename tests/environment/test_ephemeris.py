@@ -1,4 +1,4 @@
-"""Orbits as tables of positions, against the elements that they were made from."""
+"""Orbits as tables of positions, compared with the elements they were made from."""
 
 from __future__ import annotations
 

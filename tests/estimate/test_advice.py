@@ -1,4 +1,4 @@
-"""Each sentence that tells a user what to do is followed as it stands, and what it promised comes. All telemetry is synthetic."""
+"""Each printed advice is followed literally and has the promised effect. All telemetry is synthetic."""
 
 from __future__ import annotations
 

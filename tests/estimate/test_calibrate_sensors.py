@@ -1,4 +1,4 @@
-"""Sensors calibrated by the telemetry itself, and the copy of the vehicle file that says so."""
+"""Sensor calibration from telemetry, and the copy of the vehicle file that states it."""
 
 from __future__ import annotations
 

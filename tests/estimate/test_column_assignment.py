@@ -1,4 +1,4 @@
-"""Which column is which: the wirings that are tried, and when another one is named. All telemetry is simulated."""
+"""Columns, axes and signs: which assignments are tried, and when another one is named. All telemetry is simulated."""
 
 from dataclasses import replace
 

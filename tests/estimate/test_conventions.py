@@ -1,4 +1,4 @@
-"""The conventions of docs/conventions.md that could be the other way round, each worked out by hand."""
+"""Conventions of docs/conventions.md that could be reversed, each worked out by hand."""
 
 import numpy as np
 import pytest

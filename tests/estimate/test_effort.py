@@ -1,4 +1,4 @@
-"""The effort of a search is counted and bounded: the best so far is kept, a cut search says so and is never decided."""
+"""The computing budget of a search: counting, limits, and the undecided result of a stopped search."""
 
 import numpy as np
 import pytest

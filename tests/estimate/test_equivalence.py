@@ -1,4 +1,4 @@
-"""Which changes of columns, signs and axes look the same: rotations and mirrors of the body, and what forbids them."""
+"""Changes of columns, signs and axes that no reading distinguishes: rotations and mirrors of the body."""
 
 from dataclasses import replace
 

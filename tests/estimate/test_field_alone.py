@@ -1,4 +1,4 @@
-"""A magnetometer alone, without an orbit: rates against axes that follow the field, and what is not known. All synthetic."""
+"""A magnetometer alone, without an orbit: rates relative to the field, and what stays unknown. All telemetry is synthetic."""
 
 from __future__ import annotations
 

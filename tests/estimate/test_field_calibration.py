@@ -1,4 +1,4 @@
-"""A magnetometer's calibration as `rates` uses it: taken from the fit that found the shift, with the noise of each reading."""
+"""The magnetometer calibration that `rates` uses: from the fit that estimated the along-track offset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strength of the field and its angle to the Sun: what a magnetometer's calibration makes of them. All telemetry is synthetic."""
+"""Field strength and the angle between field and Sun: calibration of a magnetometer. All telemetry is synthetic."""
 
 from __future__ import annotations
 

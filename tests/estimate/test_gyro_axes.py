@@ -1,4 +1,4 @@
-"""A gyro's axes on a body that a strong wheel turns round between two samples. All telemetry is synthetic."""
+"""Gyro axes on a body whose strong wheel rotates the rate between samples. All telemetry is synthetic."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The EMD of histograms against eq. 13 on a fine grid, and by hand."""
+"""The EMD of histograms compared with eq. 13 on a fine grid, and by hand."""
 
 import numpy as np
 import pytest

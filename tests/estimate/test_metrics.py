@@ -1,4 +1,4 @@
-"""E and EMD: closed forms, the axioms of a metric, an independent witness."""
+"""E and EMD: closed forms, the axioms of a metric, linear programming."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Elements against telemetry without attitude: right ones fit, those of another plane are refused, few data leave it open."""
+"""Elements compared with telemetry without attitude: right ones fit, those of another plane are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Panels that are read in turn: `rates` reckons the light at each reading's instant, where the file says so."""
+"""Panels that are read in turn: `rates` models the light at each reading's time. All telemetry is synthetic."""
 
 import numpy as np
 import pytest

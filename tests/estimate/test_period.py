@@ -1,4 +1,4 @@
-"""A period seen from outside: Euler's rates against closed forms, weights against the known answer."""
+"""Periods observed from outside: Euler's rates compared with closed forms, weights with known results."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The posterior of simulated telemetry: the truth is in it, and telemetry of another model is refused."""
+"""The posterior of simulated telemetry: it contains the truth, and telemetry of another model is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may be wrong with the model of a posterior: torques of any size, weighed by evidence. All telemetry is synthetic."""
+"""Alternative models of a posterior: torques of any size, weighted by evidence. All telemetry is synthetic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The posterior of vehicles unlike Philae: what four panels cannot tell, noise on dark panels, families of motions."""
+"""The posterior of vehicles unlike Philae: four panels, noise on unlit panels, families of trial solutions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file of a posterior opens in ArviZ, whichever line of it is installed: up to 0.x as InferenceData, from 1.0 as a DataTree."""
+"""The file of a posterior opens in ArviZ: up to 0.x as InferenceData, from 1.0 as a DataTree."""
 
 from __future__ import annotations
 

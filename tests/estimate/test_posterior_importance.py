@@ -1,4 +1,4 @@
-"""The mixture that proposes motions: the same densities however its components are kept, and regions by what they share."""
+"""The mixture that proposes draws: its densities, its quadratic transform, and solutions that share draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inertias of the posterior's priors that no body can have: they are cut off, in draws, fits and derivatives."""
+"""Unphysical inertias are cut off from the prior of the posterior, in draws, fits and derivatives."""
 
 from __future__ import annotations
 

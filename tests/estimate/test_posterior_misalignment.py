@@ -1,4 +1,4 @@
-"""Panels that stand off as drawn: an unknown of the posterior that all samples share, its sigma the file's or the caller's."""
+"""Panel misalignment as an unknown of the posterior, with a sigma from the file or the caller."""
 
 from __future__ import annotations
 

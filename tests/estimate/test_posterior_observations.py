@@ -1,4 +1,4 @@
-"""Other observations of the posterior: a magnetic direction."""
+"""Additional observations of the posterior: a magnetic direction."""
 
 from __future__ import annotations
 

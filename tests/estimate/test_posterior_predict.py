@@ -1,4 +1,4 @@
-"""The posterior predictive: the draws, run on as the reference integrator runs them, and what a collision does to them."""
+"""Predictions of the posterior: draws propagated as by the reference, and the effect of a collision."""
 
 from __future__ import annotations
 

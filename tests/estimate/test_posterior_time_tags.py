@@ -1,4 +1,4 @@
-"""Time tags that are off: the integral over their errors, and what the posterior makes of telemetry that has them."""
+"""Wrong time tags: the likelihood integrated over their errors, and posteriors of such telemetry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What may be wrong with the model of a pass: constant torques, steps, swinging, and how they are weighed.
+"""Alternative models of a pass: constant torques, rate steps, oscillation, and their probabilities.
 
 All telemetry is synthetic, made by the equations of `validation/passes.py` and not by the package's."""
 

@@ -1,4 +1,4 @@
-"""Dense passes: what is told of samples that the smoother has not kept, and of the mean over all of them."""
+"""Dense passes: samples between those that the smoother keeps, and the mean over all samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fast tumbles: is the true motion among those found, whatever hides between samples? The telemetry is synthetic."""
+"""Fast tumbles: the true solution is found although revolutions hide between samples. The telemetry is synthetic."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rates of a satellite with panels on its sides only, whose gains no brightness tells. All telemetry is synthetic."""
+"""Rates of a satellite with panels on its sides only, whose brightness does not determine the gains. All synthetic."""
 
 from dataclasses import replace
 

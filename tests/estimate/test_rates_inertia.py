@@ -1,4 +1,4 @@
-"""Rates of a body whose moments are not those of its file: estimated under the file's sigma, and confidently wrong without."""
+"""Rates of a body whose inertia differs from its file: right with the file's sigma, confidently wrong without."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Neighbouring passes tell aliases apart, where rates change slowly, and only there."""
+"""Neighbouring passes distinguish aliases if rates change slowly, and only then."""
 
 import numpy as np
 import pytest

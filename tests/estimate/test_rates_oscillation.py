@@ -1,4 +1,4 @@
-"""A body that swings at random between samples: its evidence by all ways, and that no even turn is believed in its place.
+"""A body that oscillates at random between samples: its evidence, and that it is not taken for uniform rotation.
 
 All telemetry is synthetic."""
 

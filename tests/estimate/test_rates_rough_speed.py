@@ -1,4 +1,4 @@
-"""A rough speed of each pass while it is worked on: right to two figures where one motion fits, and nothing that sounds decided."""
+"""The rough speed that each pass reports while it is computed: two digits, and nothing that sounds decided."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""A body that turns slowly, the Sun alone: the search finds it whatever the largest rate is, and lists what it listed before."""
+"""A slowly rotating body seen by the Sun alone: found for any largest rate, with the same list of solutions."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Passes whose samples are so far apart that whole turns hide between them. All telemetry is synthetic."""
+"""Passes with whole revolutions between samples. All telemetry is synthetic."""
 
 from __future__ import annotations
 

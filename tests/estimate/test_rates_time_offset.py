@@ -1,4 +1,4 @@
-"""Sensors that are late, and a gyro's zero and scale, as unknowns of the rates. All telemetry is synthetic."""
+"""Time offset of sensors, zero and scale of a gyro as unknowns of the rates. All telemetry is synthetic."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rates in an orbit that is known: what the terms make of it, and a pass end to end. All telemetry is synthetic."""
+"""Rates in a known orbit: field, shadow, torque and calibration, and whole passes. All telemetry is synthetic."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Passes estimated in one process or in several: the same result and the same effort."""
+"""Rates on one or several processes: the same result and the same computing budget."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The scan against the reference: tracks by heyoka, distances by SciPy; its target, its mask, its bits."""
+"""The scan compared with tracks by heyoka and distances by SciPy; its mask, its store and its independence of workers."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The spin fit: closed form against direct search, aliases of regular and irregular sampling, calibrated errors."""
+"""The spin fit: a dense search, aliases of regular and irregular sampling, calibrated errors."""
 
 import numpy as np
 import pytest

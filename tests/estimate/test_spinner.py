@@ -1,4 +1,4 @@
-"""Spinners with coarse Sun sensors that the Earth lights and a magnetometer with a large zero, simulated without the package."""
+"""Spinners with coarse Sun sensors under albedo and a magnetometer with a large zero, simulated without the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clear Sun in the Earth's shadow refuses elements or clock; right orbits, noise, frozen readings and an offset do not.
+"""Sunlight in the Earth's shadow refuses elements or clock; right orbits, noise, frozen readings and an offset do not.
 
 Telemetry of panels alone, in orbits of `tests/support/orbits.py`, whose SGP4, Sun and cylinder of shadow are not the package's.
 """

@@ -1,4 +1,4 @@
-"""Terms of the estimators and hypotheses about them: derivatives, a second magnetometer, a sensor left out. All synthetic."""
+"""Sensor models of the estimators: derivatives, a second magnetometer, a sensor left out. All telemetry is synthetic."""
 
 from __future__ import annotations
 

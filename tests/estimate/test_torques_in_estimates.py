@@ -1,4 +1,4 @@
-"""What rates and posterior make of telemetry of a body under gravity gradient. All telemetry is synthetic."""
+"""Rates and posterior of a body under gravity gradient. All telemetry is synthetic."""
 
 import json
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What may be believed of an estimate: three questions, one function. The passes are simulated."""
+"""The checks that decide a pass: uniqueness, constraints, fit, completeness, upper limits. The passes are simulated."""
 
 import itertools
 

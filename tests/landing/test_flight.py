@@ -1,4 +1,4 @@
-"""Chains of kernel runs against the reference propagator, which knows schedules and attitude."""
+"""Chains of kernel runs compared with the reference propagator, its schedules and its attitude."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Outcomes: the same result however the runs are cut, probabilities that add up, published figures, vehicles of every kind."""
+"""Outcomes: independence of chunks, probabilities, published figures, vehicles of every kind."""
 
 import json
 from dataclasses import replace

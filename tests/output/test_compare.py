@@ -1,4 +1,4 @@
-"""What changed between two results: each number against its error, the largest change first."""
+"""Comparison of two results: each change relative to its error, the largest first."""
 
 import json
 from hashlib import sha256

@@ -1,4 +1,4 @@
-"""Exports read back: by SPICE, by an independent reader of the CCSDS message, by xarray and pyarrow. Telemetry is synthetic."""
+"""Exports read by SPICE, by another reader of the CCSDS message, by xarray and pyarrow. Telemetry is synthetic."""
 
 from xml.etree import ElementTree
 

@@ -1,4 +1,4 @@
-"""Exports between their records: what SPICE, and a reader that interpolates, make of them is the motion that was propagated."""
+"""Exports interpolated between their records, by SPICE and by a reader of the message, follow the propagated motion."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""Drawn figures: what a line connects, how far an error bar leads."""
+"""Figures: which directions a line connects, and how long error bars are."""
 
 from __future__ import annotations
 

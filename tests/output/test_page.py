@@ -1,4 +1,4 @@
-"""The page of a results folder as text: whole, safe, true to the files, and never stopped by a damaged part."""
+"""The page of a results folder as text: complete, escaped, equal to the files, robust against damaged parts."""
 
 from __future__ import annotations
 

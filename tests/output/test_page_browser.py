@@ -1,4 +1,4 @@
-"""The page in a real browser: quiet, complete, moving, legible in a narrow and in a dark window."""
+"""The page in a real browser: no errors, complete, animated, legible in a narrow and in a dark window."""
 
 from __future__ import annotations
 

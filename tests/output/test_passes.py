@@ -1,4 +1,4 @@
-"""`passes.csv`: a row for every motion of every pass, with the columns that scripts outside read. The passes are made up."""
+"""`passes.csv`: a row for every solution of every pass, with the documented columns. The passes are made up."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""The rate of a pass in words; its page: residuals, left-out panels, no raw entries, passes far apart."""
+"""The rate of a pass in words, and the figures of rates: residuals, left-out panels, passes far apart."""
 
 from __future__ import annotations
 

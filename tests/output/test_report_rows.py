@@ -1,4 +1,4 @@
-"""Rows and first screen of a study's page: what each row is called, what is counted, what is shown where nothing is concluded."""
+"""Comparison entries and first screen of a study's page: names, counts, and a page without conclusions."""
 
 from __future__ import annotations
 

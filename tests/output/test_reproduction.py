@@ -1,4 +1,4 @@
-"""The command `reproduce` at its borders: whose telemetry and vehicle it takes, what it refuses before any work."""
+"""`sunspin reproduce`: its telemetry and vehicle, what it refuses, the figures of its summary."""
 
 import json
 from pathlib import Path

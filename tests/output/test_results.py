@@ -1,4 +1,4 @@
-"""What a user holds: every result knows its kind and where it comes from, and says, draws and saves itself."""
+"""Results in Python: each knows its kind and source, and is summarised, drawn and saved."""
 
 import json
 import re

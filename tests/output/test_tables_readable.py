@@ -1,4 +1,4 @@
-"""Tables of results as other programs read them: `numpy.genfromtxt`, which knows no quotation marks, and pandas."""
+"""Tables of results as `numpy.genfromtxt`, which knows no quotation marks, and pandas read them."""
 
 import numpy as np
 import pandas as pd

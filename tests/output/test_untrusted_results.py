@@ -1,4 +1,4 @@
-"""A results folder that somebody has changed, or sent: what is not as it was written is named, and nothing outside is read."""
+"""Results folders that somebody changed: changed files are named, and no file outside is read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of the paper: every table of `published.toml` is used, every row has one, and numbers are judged as it says."""
+"""Comparison entries of the paper: keys of `published.toml`, texts, and verdicts by tolerance."""
 
 import tomllib
 

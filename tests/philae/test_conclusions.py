@@ -1,4 +1,4 @@
-"""From telemetry to conclusions: what follows from a file, held against the truth that made it; negative controls."""
+"""Conclusions from telemetry compared with its true motion, and negative controls."""
 
 from dataclasses import replace
 

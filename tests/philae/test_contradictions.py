@@ -1,4 +1,4 @@
-"""Where the paper contradicts itself: what survives a fair reading, with figures checked by hand or by other programs."""
+"""Contradictions within the paper, with figures checked by hand or by other programs."""
 
 import json
 from types import SimpleNamespace

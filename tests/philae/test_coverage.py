@@ -1,4 +1,4 @@
-"""The study of the paper's method: its pieces against independent ones, its statistics, its program."""
+"""The study of coverage: its parts compared with independent ones, its statistics, its program."""
 
 import json
 import re

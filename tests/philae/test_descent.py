@@ -1,4 +1,4 @@
-"""The descent: which samples count, and the cubic against the published one."""
+"""The descent: which samples are fitted, and the published cubic."""
 
 import numpy as np
 import pytest

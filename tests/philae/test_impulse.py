@@ -1,4 +1,4 @@
-"""The collision's impulse as evidence: angles and weights with known answers, sentences, and the kernel where it is present."""
+"""The collision's impulse as evidence: angles and weights with known values, and the landing kernel if it is present."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Strategies, the collision against the trajectory kernel, the settling argument, rows and figures of the landing study."""
+"""Wheel strategies, the collision compared with the trajectory kernel, comparison entries of the landing."""
 
 import numpy as np
 import pytest

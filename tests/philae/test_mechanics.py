@@ -1,4 +1,4 @@
-"""The swing of an axis: closed forms for a symmetric body, Philae against figures computed elsewhere."""
+"""The axis swing: closed forms for a symmetric body, Philae compared with figures computed elsewhere."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The study's parts together: order, ids, figures; telemetry that does not hold everything."""
+"""The steps of the study together: order, ids, figures, and telemetry with missing parts."""
 
 import threading
 

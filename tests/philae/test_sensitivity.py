@@ -1,4 +1,4 @@
-"""Maps of E and the growth of errors: against single runs, closed forms and any vehicle."""
+"""Maps of E and growth of errors, compared with single runs and closed forms."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The telemetry phase by phase: what the paper says of Delta, n_z and lit patterns."""
+"""The telemetry phase by phase: Delta, r_z and illumination patterns of the paper."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Twins: reproducible from their seed, true to the published facts, and without noise exactly what was put in."""
+"""Simulated telemetry: reproducible from its seed, consistent with published facts, exact without noise."""
 
 import re
 import tomllib

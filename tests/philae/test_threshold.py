@@ -1,4 +1,4 @@
-"""The threshold of a confidence region: order statistics, its key, its file, noise and brightness taken from the data."""
+"""The threshold of a confidence set: order statistics, its key, its file, noise and brightness from the data."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Rotations: conventions checked by hand, and each helper against another."""
+"""Rotations: conventions worked out by hand, and each function compared with another."""
 
 from __future__ import annotations
 

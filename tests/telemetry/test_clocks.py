@@ -1,4 +1,4 @@
-"""Clocks: uptime that starts again, clocks set back, zones, GPS time and TAI, leap seconds, dates of a clock that was reset."""
+"""Clocks: restarted uptime, clocks set back, time zones, GPS time and TAI, leap seconds, reset clocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns by name: misspelt and missing ones, those that nothing uses, currents with voltages."""
+"""Columns by name: misspelt, missing and unused ones, currents with voltages."""
 
 from __future__ import annotations
 

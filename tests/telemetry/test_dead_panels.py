@@ -1,4 +1,4 @@
-"""Panels that are lost, told by the light that is missed: turned panels, battery, odd shapes. All telemetry is synthetic."""
+"""Dead panels detected by missing light, with misalignment and power limits. All telemetry is synthetic."""
 
 from dataclasses import replace
 

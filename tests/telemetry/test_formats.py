@@ -1,4 +1,4 @@
-"""Files as they come: JSON lines and pages, Sun vectors, two clocks, stations that heard the same frame, readings in turn."""
+"""Telemetry formats: JSON, Sun vectors, two clocks, frames received by several stations, panels read in turn."""
 
 import csv
 import io

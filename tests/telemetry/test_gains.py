@@ -1,4 +1,4 @@
-"""Gains of the panels from samples in full Sun. The readings are synthetic."""
+"""Panel gains estimated from samples in full Sun. The readings are synthetic."""
 
 from dataclasses import replace
 

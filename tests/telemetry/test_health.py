@@ -1,4 +1,4 @@
-"""Panel health: allowed patterns, the smallest explanation, and what noise alone may have done."""
+"""Panel health: allowed patterns, the smallest explanation, and the effect of noise alone."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Dirty panel readings: each fault is found, modelled, and said. The telemetry is synthetic."""
+"""Faulty panel readings: each fault is detected, modelled and reported. The telemetry is synthetic."""
 
 import numpy as np
 import pytest

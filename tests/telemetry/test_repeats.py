@@ -1,4 +1,4 @@
-"""Frozen telemetry, copies of a frame, held values; and that no command takes for measured what is no reading."""
+"""Frozen telemetry, copied frames and held values: none is used as a measurement."""
 
 from __future__ import annotations
 

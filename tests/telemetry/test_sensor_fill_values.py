@@ -1,4 +1,4 @@
-"""Numbers that stand for "not read" in the columns of a gyro or a magnetometer are no readings."""
+"""Fill values in the columns of a gyro or a magnetometer are not used as readings."""
 
 import numpy as np
 import pandas as pd

@@ -1,4 +1,4 @@
-"""skCUBE, June 2017, real telemetry: the decoder, the currents against the Sun sensors, rates against the gyro."""
+"""skCUBE, June 2017, real telemetry: the decoder, currents compared with Sun sensors, rates with the gyro."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Panels and Sun directions: geometry, the exact minimum against brute force, status, uncertainty."""
+"""Panels and Sun directions: geometry, the exact minimum compared with brute force, status, uncertainty."""
 
 import numpy as np
 import pytest

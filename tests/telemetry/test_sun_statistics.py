@@ -1,4 +1,4 @@
-"""The stated uncertainty of directions to the Sun, over many vehicles' worth of directions: it covers, and would notice if not."""
+"""The stated uncertainty of Sun directions over many vehicles: it covers, and the test detects wrong ones."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The telemetry reader: clocks, columns, units; and one sentence for everything that can be wrong."""
+"""The telemetry reader: clocks, columns, units, and one sentence for each fault."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Times and headers that are not what they should be: the sentence says what they look like and what to write."""
+"""Invalid times and headers: the message shows what they look like and what to write."""
 
 from importlib import resources
 

@@ -1,4 +1,4 @@
-"""A wrong unit in the vehicle file is named with the key to change; right files are accused of nothing."""
+"""A wrong unit in the vehicle file is named with the key to change; right files get no warning."""
 
 from __future__ import annotations
 

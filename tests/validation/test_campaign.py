@@ -1,4 +1,4 @@
-"""Studies run as `python -m`: rows that are kept, and one sentence where something is wrong."""
+"""Studies run as `python -m`: stored rows, and one sentence on errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What would never end: devices, pipes, files of the kernel, and priors that ask for more than can be tried."""
+"""Input that would never end: devices, pipes, system files, and priors with too many starts."""
 
 from __future__ import annotations
 

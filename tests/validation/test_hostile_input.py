@@ -1,4 +1,4 @@
-"""What hostile input found: a sentence each time. A small part of the campaigns of validation/, and a case for each mend."""
+"""Hostile input gives a result or one sentence: a part of the campaigns of validation/, and a case for each fault fixed."""
 
 import json
 import os

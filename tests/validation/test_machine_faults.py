@@ -1,4 +1,4 @@
-"""What the machine may do to a run: no room, no memory, another run on the same store, a clock that jumps, a kill."""
+"""Faults of the machine: full disk, little memory, killed runs, the time of day."""
 
 import os
 import resource

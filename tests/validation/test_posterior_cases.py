@@ -1,4 +1,4 @@
-"""Philae simulated without the package, for the posterior: the simulator agrees with the propagator, and what such files broke."""
+"""Simulated cases of Philae for the posterior: agreement with the propagator, and files that broke it once."""
 
 from __future__ import annotations
 

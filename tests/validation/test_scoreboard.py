@@ -1,4 +1,4 @@
-"""The engine of the scoreboard on cases of its own, and that every area draws cases that it can run."""
+"""The scoreboard: its rows, counts and comparisons, and that every area draws cases that run."""
 
 import json
 import pickle

@@ -1,4 +1,4 @@
-"""The counter of lines, functions and names."""
+"""The report of lines, functions and names."""
 
 from validation import size
 
