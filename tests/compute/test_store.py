@@ -16,7 +16,7 @@ import pytest
 import sunspin as ss
 import sunspin.compute.store as disk
 from rowsets import ELSEWHERE, Waves, same
-from sunspin.base.atomic_write import hold
+from sunspin.base.atomic_write import lock_file
 from sunspin.compute.rows import ensemble
 
 ROWS = Waves()
@@ -189,7 +189,7 @@ def test_an_empty_folder_will_do_and_missing_ones_are_made(tmp_path):
 
 def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, complete):
     with open(complete / "lock") as other:
-        hold(other)
+        lock_file(other)
         assert same(ensemble(ROWS, store=complete), WHOLE)
         sorted(complete.glob("rows-*.npz"))[0].unlink()
         refused(complete, "another run")

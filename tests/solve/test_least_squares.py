@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from sunspin.solve.least_squares import Stop, least_squares, shortened
+from sunspin.solve.least_squares import Stop, least_squares, limit_length
 from sunspin.solve.linear import (
     Bordered,
     Dense,
-    bordered,
-    dense,
+    solve_bordered,
+    solve_dense,
     extreme_eigenvalues,
-    spread,
+    invert_bordered,
     symmetric_inverse,
     symmetric_product,
 )
@@ -73,7 +73,7 @@ def solved(function, starts, steps=400, tolerance=0.0, **options):
     return least_squares(
         lambda b: Dense.of(*function(b)),
         lambda b, step: b + step,
-        dense,
+        solve_dense,
         np.array(starts, dtype=float),
         steps=steps,
         tolerance=tolerance,
@@ -198,13 +198,13 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
     rng = np.random.default_rng(7)
     system = Chain.drawn(rng, 3).bordered((rng.normal(size=(3, 5, 2)), rng.normal(size=(3, 3))))
     matrix, right = whole(system, 0.3)
-    (change, step), gain = bordered(system, np.full(3, 0.3))
+    (change, step), gain = solve_bordered(system, np.full(3, 0.3))
     assert step is not None
     assert gain[0] == pytest.approx(right @ np.linalg.solve(matrix, right) / 2)
     off = np.concatenate([change[0].ravel(), step[0]]) - np.linalg.solve(matrix, right)
     reached("difference of the steps", np.abs(off), "", 1e-10)
     assert np.abs(off).max() < 1e-10
-    matrix, told = whole(system, 0.0)[0], spread(system)
+    matrix, told = whole(system, 0.0)[0], invert_bordered(system)
     inverse = np.linalg.inv(matrix)
     assert (
         np.abs(
@@ -218,12 +218,12 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
         -np.linalg.solve(matrix[:10, :10], matrix[:10, 10:])
     )
     bare = system._replace(border=None, corner=None, border_slope=None)
-    (change, step), _ = bordered(bare, np.full(3, 0.3))
+    (change, step), _ = solve_bordered(bare, np.full(3, 0.3))
     assert step is None
     assert change[0].ravel() == pytest.approx(
         np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10])
     )
-    assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
+    assert np.abs(invert_bordered(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
 
 
 def test_what_cannot_be_linearised_is_stepped_back_from():
@@ -235,7 +235,7 @@ def test_what_cannot_be_linearised_is_stepped_back_from():
 
     start = np.array([[0.01], [200.0], [-1.0], [5.0]])
     found = least_squares(
-        linearise, lambda x, step: x + step, dense, start, steps=200, tolerance=1e-20
+        linearise, lambda x, step: x + step, solve_dense, start, steps=200, tolerance=1e-20
     )
     assert found.state[:2, 0] == pytest.approx(np.exp([3, 3]), rel=1e-8)
     assert found.state[2, 0] == -1.0 and found.stop[2] == Stop.LOST
@@ -244,7 +244,7 @@ def test_what_cannot_be_linearised_is_stepped_back_from():
 
 def test_a_singular_matrix_stops_nobody_else():
     matrix = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
-    step = dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))[0]
+    step = solve_dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))[0]
     assert np.isnan(step[1]).all() and np.array_equal(step[[0, 2]], [[-1, -1], [-0.5, -0.5]])
 
 
@@ -258,11 +258,11 @@ def test_no_state_is_beyond_its_limit_and_no_step_too_long():
     found = least_squares(
         linearise,
         lambda b, step: b + step,
-        dense,
+        solve_dense,
         np.array([[-0.4, 0.1], [0.1, 0.1]]),
         steps=300,
         tolerance=0.0,
-        limit=lambda b: shortened(b, 0.5),
+        limit=lambda b: limit_length(b, 0.5),
         longest=lambda b, step: np.linalg.norm(step, axis=1) / 0.05,
     )
     assert max(np.linalg.norm(b, axis=1).max() for b in seen) <= 0.5 * (1 + 1e-15)

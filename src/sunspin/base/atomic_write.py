@@ -11,9 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sunspin.base.untrusted import is_own
+from sunspin.base.untrusted import is_file_not_link
 
-PART = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
+TEMPORARY_NAME = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
 """A temporary name: the process that writes there, and what nobody guesses."""
 
 
@@ -25,7 +25,7 @@ def make_folder(folder: Path) -> None:
         raise OSError(errno.EINVAL, "no folder can have this name", str(folder)) from None
 
 
-def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
+def write_atomically(target: Path, write: Callable[[Path], Any]) -> Path:
     """Let `write` fill a temporary file, then give it its name. Raises what `write` raises, and OSError."""
     part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
     try:
@@ -38,11 +38,11 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     return target
 
 
-def sweep(folder: Path) -> None:
+def remove_abandoned(folder: Path) -> None:
     """Remove what killed runs had begun to write in a folder: files with a temporary name of a process that is no more."""
     for entry in folder.iterdir() if os.name != "nt" else ():  # where a signal of 0 ends a process
-        name = PART.fullmatch(entry.name)
-        if name and is_own(entry):
+        name = TEMPORARY_NAME.fullmatch(entry.name)
+        if name and is_file_not_link(entry):
             try:
                 os.kill(int(name[1]), 0)
             except ProcessLookupError:
@@ -51,7 +51,7 @@ def sweep(folder: Path) -> None:
                 pass  # it runs, for somebody else
 
 
-def hold(file: Any) -> None:
+def lock_file(file: Any) -> None:
     """Hold an open file alone until it is closed; `BlockingIOError` where another process holds it.
 
     The system lets go of it when the process ends, however it ends.
@@ -68,7 +68,7 @@ def hold(file: Any) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def is_writable(folder: Path) -> bool:
+def ensure_writable(folder: Path) -> bool:
     """Make a folder, for this user alone, where it is not there yet; whether files can be written into it."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -18,7 +18,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError
-from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
+from sunspin.base.untrusted import IsolatedRunError, run_isolated, is_nonempty_file
 
 MAX_BYTES = 2_000_000_000
 """Of files, and of all variables in memory: one that is compressed or nearly all fill value may name any size."""
@@ -26,7 +26,7 @@ MAX_BYTES = 2_000_000_000
 PROBE_S, PROBE_BYTES_PER_S = 4, 20_000_000
 """CPU time (s) that a file may take to be read the first time, and what a larger one may have besides."""
 
-MEND = "it is damaged or not NetCDF-4: write it again"
+REPAIR = "it is damaged or not NetCDF-4: write it again"
 
 
 def read_netcdf(path: Path, where: str, error_type: type[SunspinError]) -> xr.Dataset:
@@ -34,18 +34,18 @@ def read_netcdf(path: Path, where: str, error_type: type[SunspinError]) -> xr.Da
     return read_groups(path, where, error_type, times=True)["/"]
 
 
-def trouble(path: Path) -> str:
+def _read_failure(path: Path) -> str:
     """What goes wrong when another process reads this file; empty where nothing does."""
     try:
         size = path.stat().st_size
-        if not is_plain(path):
+        if not is_nonempty_file(path):
             return "it is empty, or no regular file"
         if size > MAX_BYTES:
             return f"it has more than {MAX_BYTES / 1e9:g} GB"
         if sys.executable:
             script = Path(__file__).with_name("netcdf_probe.py")
-            elsewhere(script, str(path), seconds=PROBE_S + size // PROBE_BYTES_PER_S)
-    except (OSError, Elsewhere) as error:
+            run_isolated(script, str(path), seconds=PROBE_S + size // PROBE_BYTES_PER_S)
+    except (OSError, IsolatedRunError) as error:
         return getattr(error, "strerror", None) or str(error)
     return ""
 
@@ -57,9 +57,9 @@ def read_groups(
 
     `probe` is false for a file that this program wrote or that another process has read.
     """
-    wrong = trouble(path) if probe else ""
+    wrong = _read_failure(path) if probe else ""
     if wrong:
-        raise error_type(f"this NetCDF file cannot be read ({wrong})", do=MEND, where=where)
+        raise error_type(f"this NetCDF file cannot be read ({wrong})", do=REPAIR, where=where)
     hook = sys.unraisablehook
     try:
         # without warnings of attributes that mean nothing to xarray
@@ -78,7 +78,7 @@ def read_groups(
                 every = " ".join(map(str, (*data.variables, *data.dims, *texts)))
                 if re.search("[\ud800-\udfff]", every):
                     what = "a name or an attribute in it is not UTF-8 text"
-                    raise error_type(what, do=MEND, where=where)
+                    raise error_type(what, do=REPAIR, where=where)
             # how a file from outside was packed is no rule for the files that are written from it
             return {name: data.load().drop_encoding() for name, data in groups.items()}
     except SunspinError:
@@ -88,4 +88,4 @@ def read_groups(
         wrong = f"{type(error).__name__}: {str(error)[:200]}"
     gc.collect()  # closes what was half opened, while nobody listens
     sys.unraisablehook = hook
-    raise error_type(f"this NetCDF file cannot be read ({wrong})", do=MEND, where=where)
+    raise error_type(f"this NetCDF file cannot be read ({wrong})", do=REPAIR, where=where)

@@ -4,7 +4,7 @@ import math
 import sys
 from typing import Any
 
-LARGEST = 1_500_000_000
+MAX_VARIABLE_BYTES = 1_500_000_000
 """Bytes of one variable that are read; what is larger is left to the reader's own limit."""
 
 
@@ -31,7 +31,7 @@ def main() -> None:
                 list(group.dimensions.items())
                 for variable in group.variables.values():
                     dict(variable.attrs)
-                    if math.prod(variable.shape) * variable.dtype.itemsize < LARGEST:
+                    if math.prod(variable.shape) * variable.dtype.itemsize < MAX_VARIABLE_BYTES:
                         variable[...]
                 nodes += group.groups.values()
 

@@ -7,19 +7,19 @@ from functools import cache
 from importlib import metadata, resources
 from typing import Any
 
-CARRIED = ("epoch_utc", "synthetic", "file", "sha256", "clock_notes")
+COPIED_ATTRIBUTES = ("epoch_utc", "synthetic", "file", "sha256", "clock_notes")
 """Attributes of telemetry that results made from it take over."""
 
 
 @cache
-def vocabulary() -> dict[str, dict[str, str]]:
+def read_vocabulary() -> dict[str, dict[str, str]]:
     """Name of a variable of results -> its `units` and `long_name`."""
     file = resources.files("sunspin.base").joinpath("variables.csv")
     lines = file.read_text("utf-8").splitlines()
     return {row.pop("name"): row for row in DictReader(lines)}
 
 
-def described(data: Any) -> Any:
+def with_units(data: Any) -> Any:
     """A copy of a Dataset or DataTree with unit and long name of each variable of the vocabulary; times say their epoch in UTC, if
     known."""
     data = data.copy()
@@ -27,7 +27,7 @@ def described(data: Any) -> Any:
     for node in getattr(data, "subtree", [data]):
         for name, variable in node.variables.items():
             timed = epoch if name in ("time", "curve_time") else {}
-            variable.attrs = vocabulary().get(name, {}) | timed | variable.attrs
+            variable.attrs = read_vocabulary().get(name, {}) | timed | variable.attrs
     return data
 
 
@@ -50,7 +50,7 @@ def provenance(kind: str, telemetry: Any = None, **said: Any) -> dict[str, Any]:
     given = getattr(telemetry, "attrs", {})
     return {
         "kind": kind,
-        **{key: given[key] for key in CARRIED if key in given},
+        **{key: given[key] for key in COPIED_ATTRIBUTES if key in given},
         **said,
         "sunspin_version": version(),
     }

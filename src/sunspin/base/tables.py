@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.untrusted import decoded, plain_number, read_bytes
+from sunspin.base.untrusted import decode_text, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -42,7 +42,7 @@ DELIMITERS = ",;\t"
 DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d*),(\d+([eE][-+]?\d+)?\s*)", re.ASCII)
 """A number as written where the semicolon parts the columns."""
 
-DEEPEST = 8
+MAX_DEPTH = 8
 """Objects of JSON inside of each other; no telemetry has more."""
 
 RAW_FRAME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\|[0-9A-Fa-f]+(\|[^|]*)*", re.ASCII)
@@ -101,29 +101,29 @@ def read_table(path: Path) -> Table:
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
     data, comments = None, []
     if content.startswith(b"PAR1"):
-        cells = _of_columns(_parquet(content, where))
+        cells = _text_cells(_read_parquet(content, where))
     elif content.startswith(b"\x89HDF\r\n\x1a\n"):
-        columns, data = _netcdf(path)
-        cells = _of_columns(columns)
+        columns, data = _read_netcdf(path)
+        cells = _text_cells(columns)
     elif content.startswith(b"CDF"):
         do = "convert it to NetCDF-4 (nccopy -k nc4)"
         raise TelemetryError("this is NetCDF of version 3", do=do, where=where)
     else:
-        text = decoded(content, where, TelemetryError, "save it as CSV in UTF-8")
+        text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
         if "\0" in text or not text.strip():
             what = "the file holds binary data" if text.strip() else "the file is empty"
             do = "give a CSV in UTF-8 with a header and one row per sample"
             raise TelemetryError(what, do=do, where=where)
         if text.lstrip()[0] in "{[":
-            cells = _json(text, where)
+            cells = _read_json(text, where)
         else:
-            cells, comments = _csv(text, where)
+            cells, comments = _read_csv(text, where)
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
     return Table(cells, comments, hashlib.sha256(content).hexdigest(), where, data)
 
 
-def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
+def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     """Cells and comments. Rows are checked before pandas reads them: it fills short ones up."""
     lines = text.splitlines()
     begin = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), len(lines))
@@ -171,7 +171,7 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     return cells, comments
 
 
-def _json(text: str, where: str) -> pd.DataFrame:
+def _read_json(text: str, where: str) -> pd.DataFrame:
     """Cells (empty where a row has no such key), indexed by the line of each row, or counted from one in a list or page; columns
     in the order in which they come."""
     texts = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -182,7 +182,7 @@ def _json(text: str, where: str) -> pd.DataFrame:
     lines: list[int] = []
     for number, line in texts:
         try:
-            item = json.loads(line, object_pairs_hook=_object)
+            item = json.loads(line, object_pairs_hook=_object_without_repeats)
         except (ValueError, RecursionError) as error:  # of a key twice too, or thousands of digits
             why = getattr(error, "msg", str(error))[:100]
             why = "it is nested too deeply" if isinstance(error, RecursionError) else why
@@ -210,7 +210,7 @@ def _require_size(rows: int, columns: int, where: str) -> None:
         raise TelemetryError(what, got=got, do="cut it into parts", where=where)
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(dict(pairs)) < len(pairs):
         raise ValueError("a key stands twice in an object")
     return dict(pairs)
@@ -218,12 +218,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _leaves(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, str]]:
     """Names and texts of what lies in an object or list, however deep."""
-    if depth > DEEPEST:
-        what = f"objects lie more than {DEEPEST} deep in each other"
+    if depth > MAX_DEPTH:
+        what = f"objects lie more than {MAX_DEPTH} deep in each other"
         raise TelemetryError(what, where=where)
     if isinstance(item, str) and item[:1] == "{" and item[-1:] == "}":
         try:
-            item = json.loads(item, object_pairs_hook=_object)
+            item = json.loads(item, object_pairs_hook=_object_without_repeats)
         except (ValueError, RecursionError):
             pass  # a text that only looks like an object stays a text
     if isinstance(item, dict | list):
@@ -234,7 +234,7 @@ def _leaves(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str,
         yield name, "" if item is None else str(int(item) if isinstance(item, bool) else item)
 
 
-def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
+def _read_parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -251,7 +251,7 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
         raise TelemetryError(what, do=do, where=where) from None
 
 
-def _netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
+def _read_netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
     """Every variable over the one dimension that the samples share; (time, panel) becomes a column per panel. And the whole."""
     from sunspin.base.netcdf import read_netcdf
 
@@ -274,7 +274,7 @@ def _netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
     return columns, data
 
 
-def _of_columns(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
+def _text_cells(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
     """Columns as text cells, rows counted from one."""
     cells = {}
     for name, column in columns.items():

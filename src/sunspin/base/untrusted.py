@@ -66,7 +66,7 @@ def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError],
     return content
 
 
-def decoded(content: bytes, where: str, error_type: type[SunspinError], do: str) -> str:
+def decode_text(content: bytes, where: str, error_type: type[SunspinError], do: str) -> str:
     """The text of a file in UTF-8, with or without its mark; what is none is named with the line where it stops being so."""
     try:
         return content.decode("utf-8-sig")
@@ -95,20 +95,20 @@ def read_toml(
     raise error_type(what, do=do, where=where)
 
 
-def is_plain(path: Path) -> bool:
+def is_nonempty_file(path: Path) -> bool:
     """Whether this is, or leads to, a regular file that is not empty: no device, pipe or file of the kernel, which may not end."""
     return os.path.isfile(path) and os.path.getsize(path) > 0
 
 
-def is_own(path: Path) -> bool:
+def is_file_not_link(path: Path) -> bool:
     """Whether a folder has this as a file of its own: regular, and no link, which could lead to anybody's file."""
     return os.path.isfile(path) and not os.path.islink(path)
 
 
-MEMORY = 6_000_000_000
+MAX_MEMORY_BYTES = 6_000_000_000
 """Bytes of address space of another process that reads a file from outside."""
 
-BOOT = """
+LIMITED_RUN = """
 import resource, runpy, sys
 for kind, wanted in ((resource.RLIMIT_CPU, int(sys.argv[1])), (resource.RLIMIT_AS, int(sys.argv[2]))):
     given = [limit for limit in resource.getrlimit(kind) if limit != resource.RLIM_INFINITY]
@@ -121,28 +121,28 @@ except Exception as error:
 """
 
 
-class Elsewhere(Exception):
+class IsolatedRunError(Exception):
     """Why a script in another process did not come to its end."""
 
 
-def elsewhere(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:
+def run_isolated(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:
     """What a script prints that runs in another process, under limits of CPU time and memory, with `content` to read.
 
     For the C libraries that read other people's files: on damaged ones they may compute for ever, or end the process. The
     script imports nothing of ours, as it may not find it. Raises `Elsewhere` with the reason.
     """
     # -P: the folder of the script is no place to import from
-    command = [sys.executable, "-P", "-c", BOOT, str(seconds), str(MEMORY), str(script), *arguments]
+    command = [sys.executable, "-P", "-c", LIMITED_RUN, str(seconds), str(MAX_MEMORY_BYTES), str(script), *arguments]
     try:
         done = subprocess.run(
             command, input=content, capture_output=True, timeout=60 + 20 * seconds
         )
     except subprocess.TimeoutExpired:
-        raise Elsewhere("reading it does not end") from None
+        raise IsolatedRunError("reading it does not end") from None
     if done.returncode < 0:
         limit = f"reading it takes more than {seconds} s or ends the program that reads it"
-        raise Elsewhere(f"{limit}, with signal {-done.returncode}")
+        raise IsolatedRunError(f"{limit}, with signal {-done.returncode}")
     if done.returncode:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        raise Elsewhere(lines[-1][:300] if lines else "no reason is known")
+        raise IsolatedRunError(lines[-1][:300] if lines else "no reason is known")
     return done.stdout

@@ -32,7 +32,7 @@ CONNECT_S, FIRST_WORKER_S, RESTART_S = 5, 60, 300
 once, 15 s after each death, and a second death at that moment would end the worker for good."""
 
 
-def on_cluster(
+def compute_on_cluster(
     function: RowFunction, chunks: Iterator[slice], scheduler: Any, n_workers: int
 ) -> Generator[tuple[slice, Values]]:
     """Each chunk of rows with its results, as they are finished; what a dead worker had is computed again."""
@@ -63,7 +63,7 @@ def on_cluster(
                 client.cancel([shared, *running])
 
 
-class _Undisturbed(WorkerPlugin):
+class _IgnoreInterrupt(WorkerPlugin):
     """Lets Ctrl-C, which a terminal sends to all its processes, reach the client alone: it ends the workers in good order."""
 
     def setup(self, worker: Any) -> None:
@@ -78,10 +78,10 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
         elif scheduler == "local":
             cluster = stack.enter_context(local_cluster(n_workers))
             client = stack.enter_context(Client(cluster, set_as_default=False))
-            client.register_plugin(_Undisturbed())
+            client.register_plugin(_IgnoreInterrupt())
         else:  # asked first, as a Client that never connected cannot be closed in peace
             with ThreadPoolExecutor(1) as aside:  # a notebook runs an event loop in this thread
-                kind = aside.submit(asyncio.run, _kind_at(str(scheduler))).result()
+                kind = aside.submit(asyncio.run, _server_type(str(scheduler))).result()
             if kind != "Scheduler":
                 raise ValueError(f"a {kind}")
             client = stack.enter_context(Client(scheduler, set_as_default=False))
@@ -93,7 +93,7 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
     return client
 
 
-async def _kind_at(address: str) -> str:
+async def _server_type(address: str) -> str:
     """What kind of Dask server listens at the address."""
     async with asyncio.timeout(CONNECT_S), rpc(address, timeout=CONNECT_S) as server:
         identity: Any = await server.identity()

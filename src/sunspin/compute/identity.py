@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 
 
-def plain(value: Any) -> Any:
+def to_json(value: Any) -> Any:
     """Data as JSON knows it: large arrays as their shape, type and SHA-256, data classes as the fields that they are made from."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {x.name: plain(getattr(value, x.name)) for x in fields(value) if x.init}
+        return {x.name: to_json(getattr(value, x.name)) for x in fields(value) if x.init}
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     if hasattr(value, "__array__"):
         array = np.asarray(value)
         if array.size <= 16:  # written out, for people to read
-            return plain(array.tolist())
+            return to_json(array.tolist())
         digest = hashlib.sha256(np.ascontiguousarray(array).view(np.uint8).data).hexdigest()
         return {"dtype": str(array.dtype), "shape": list(array.shape), "sha256": digest}
     if isinstance(value, Enum):
@@ -40,12 +40,12 @@ def plain(value: Any) -> Any:
 
 def fingerprint(value: Any) -> str:
     """SHA-256 of data, whatever the order of keys."""
-    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
+    text = json.dumps(to_json(value), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
-def code() -> dict[str, str]:
+def code_identity() -> dict[str, str]:
     """Versions of sunspin and of the compiler, and the SHA-256 of the package's Python files."""
     digest, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):

@@ -26,10 +26,10 @@ def worker_count(workers: int | None) -> int:
     """The number of workers to use: as given, else one per core that this process may use."""
     if workers is None and hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    return (os.cpu_count() or 1) if workers is None else whole("workers", workers)
+    return (os.cpu_count() or 1) if workers is None else positive_integer("workers", workers)
 
 
-def whole(name: str, value: Any) -> int:
+def positive_integer(name: str, value: Any) -> int:
     """A positive whole number, or `InputError`."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 1:
         raise InputError(f"{name} must be a positive whole number", got=value)
@@ -42,13 +42,13 @@ def may_fork() -> bool:
 
 
 @contextmanager
-def processes(workers: int) -> Generator[Executor | None]:
+def process_pool(workers: int) -> Generator[Executor | None]:
     """Processes as an executor, or None where one suffices. They end with the block, at once if an error leaves it."""
     if workers < 2:
         yield None
         return
     before, method = set(active_children()), "fork" if may_fork() else "spawn"
-    pool = ProcessPoolExecutor(workers, get_context(method), _begin)
+    pool = ProcessPoolExecutor(workers, get_context(method), _prepare_worker)
     try:
         # the linear algebra's threads stand still and are made again in a copy
         with warnings.catch_warnings():
@@ -66,7 +66,7 @@ def processes(workers: int) -> Generator[Executor | None]:
         pool.shutdown(cancel_futures=True)
 
 
-def _begin() -> None:
+def _prepare_worker() -> None:
     """In a new process, which the process that waits for it ends: Ctrl-C reaches that one alone."""
     gc.freeze()  # to look for garbage among what was copied would copy the memory
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError, Interrupted
-from sunspin.compute.pool import whole, worker_count
+from sunspin.compute.pool import positive_integer, worker_count
 from sunspin.compute.store import open_store
 
 Values = dict[str, np.ndarray]
@@ -27,7 +27,7 @@ Values = dict[str, np.ndarray]
 CHUNK = 8192
 """Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
 
-LEAST_CHUNK = 64
+MIN_CHUNK = 64
 """Chunks are not made smaller than this so that all workers have one: two blocks of lanes."""
 
 IN_FLIGHT = 2
@@ -40,7 +40,7 @@ MEMORY_SHARE = 0.5
 class RowFunction(Protocol):
     """A pure function of row numbers, called by several threads at once.
 
-    A frozen dataclass of plain data, on whose fields its rows depend (:func:`sunspin.compute.identity.plain`). It is sent to
+    A frozen dataclass of plain data, on whose fields its rows depend (:func:`sunspin.compute.identity.to_json`). It is sent to
     other processes and compiles there what it needs. `outputs`: name of each result -> its dtype (numbers or truth values)
     and its shape beyond the rows. Called with row numbers (n), it returns each of them with shape (n, ...).
     """
@@ -87,7 +87,7 @@ def ensemble(
     Interrupted
         After Ctrl-C; its text says what was kept. Whatever the function raises comes through at once.
     """
-    n_workers, chunk, n_rows = worker_count(workers), whole("chunk", chunk), function.n_rows
+    n_workers, chunk, n_rows = worker_count(workers), positive_integer("chunk", chunk), function.n_rows
     cluster = scheduler is not None and not isinstance(scheduler, Executor)
     if cluster and find_spec("distributed") is None:
         what = "a scheduler needs Dask, which is not installed"
@@ -101,7 +101,7 @@ def ensemble(
             got = f"a machine with {memory / 1e9:.2g} GB"
             raise InputError(what, got=got, do="ask for fewer rows")
     out = {name: np.zeros((n_rows, *shape), kind) for name, (kind, shape) in outputs}
-    chunk = min(chunk, max(LEAST_CHUNK, -(-n_rows // n_workers)))
+    chunk = min(chunk, max(MIN_CHUNK, -(-n_rows // n_workers)))
     chunks = (slice(k, min(k + chunk, n_rows)) for k in range(0, n_rows, chunk))
     save, done = None, 0
     bar: dict[str, Any] = {"desc": label, "unit": "row", "unit_scale": True, "leave": False}
@@ -114,11 +114,11 @@ def ensemble(
             shown = stack.enter_context(tqdm(total=n_rows, initial=done, **bar))
             if not cluster or done == n_rows:
                 executor = None if cluster else scheduler
-                computed = _on_executor(function, chunks, executor, n_workers)
+                computed = _compute_on_executor(function, chunks, executor, n_workers)
             else:
-                from sunspin.compute.cluster import on_cluster
+                from sunspin.compute.cluster import compute_on_cluster
 
-                computed = on_cluster(function, chunks, scheduler, n_workers)
+                computed = compute_on_cluster(function, chunks, scheduler, n_workers)
             for rows, values in stack.enter_context(closing(computed)):
                 given = {name: (v.dtype.str, v.shape) for name, v in values.items()}
                 wanted = {name: (v.dtype.str, v[rows].shape) for name, v in out.items()}
@@ -141,7 +141,7 @@ def ensemble(
     return out
 
 
-def _on_executor(
+def _compute_on_executor(
     function: RowFunction, chunks: Iterator[slice], executor: Executor | None, n_workers: int
 ) -> Generator[tuple[slice, Values]]:
     """Each chunk of rows with its results, as an executor finishes them; without one threads of this process do."""

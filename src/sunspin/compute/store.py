@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sunspin.base.atomic_write import PART, hold, make_folder, sweep, write_whole
+from sunspin.base.atomic_write import TEMPORARY_NAME, lock_file, make_folder, remove_abandoned, write_atomically
 from sunspin.base.errors import InputError, OutputError
-from sunspin.compute.identity import code, fingerprint
+from sunspin.compute.identity import code_identity, fingerprint
 
 if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
@@ -32,7 +32,7 @@ def open_store(
 ) -> Generator[tuple[Callable[[slice], None], list[slice]]]:
     """Read what a store has of a function's rows into `out`; gives what keeps rows of `out`, and the chunks to be computed."""
     folder = Path(path)
-    digest = fingerprint([code(), type(function).__name__, function])[:16]
+    digest = fingerprint([code_identity(), type(function).__name__, function])[:16]
 
     def cannot_write(error: OSError) -> OutputError:
         what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
@@ -47,18 +47,18 @@ def open_store(
                 np.savez(file, **arrays)
 
         try:
-            write_whole(folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write)
+            write_atomically(folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write)
         except OSError as error:
             raise cannot_write(error) from None
 
     with ExitStack() as stack:
         try:
-            missing = _read(folder, digest, chunk, out)
+            missing = _read_chunks(folder, digest, chunk, out)
             if missing:
                 make_folder(folder)
-                hold(stack.enter_context(open(folder / LOCK, "a+b")))
-                sweep(folder)
-                missing = _read(folder, digest, chunk, out)  # what another run has written by now
+                lock_file(stack.enter_context(open(folder / LOCK, "a+b")))
+                remove_abandoned(folder)
+                missing = _read_chunks(folder, digest, chunk, out)  # what another run has written by now
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
             raise InputError(what, do=do, where=str(folder)) from None
@@ -67,7 +67,7 @@ def open_store(
         yield save, missing
 
 
-def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
+def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
     """Read the chunks in a folder that are whole; those that are missing, of at most this size."""
     done = np.zeros(len(next(iter(out.values()))), dtype=bool)
     for path in folder.iterdir() if folder.exists() else ():
@@ -84,7 +84,7 @@ def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
                 for key, array in arrays.items():
                     out[key][rows] = array
                 done[rows] = True
-        elif path.name != LOCK and not PART.fullmatch(path.name):
+        elif path.name != LOCK and not TEMPORARY_NAME.fullmatch(path.name):
             what = "this is no store, or one of other inputs or of another version of sunspin"
             do = "give the same inputs or choose another folder"
             raise InputError(what, got=path.name, do=do, where=str(folder))

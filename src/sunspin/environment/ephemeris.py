@@ -19,9 +19,9 @@ from sunspin.base.lazy import lazy
 from sunspin.base.tables import TelemetryError, read_table
 from sunspin.base.untrusted import (
     LARGEST,
-    Elsewhere,
-    decoded,
-    elsewhere,
+    IsolatedRunError,
+    decode_text,
+    run_isolated,
     plain_number,
     read_bytes,
 )
@@ -216,7 +216,7 @@ def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
         tables = [_spk(path)]
     else:
-        text = decoded(content, where, InputError, do)
+        text = decode_text(content, where, InputError, do)
         rows = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
         if "CCSDS_OEM_VERS" in text[:20_000] or "<oem" in text[:20_000]:
             read = _oem_xml if text.lstrip()[:1] == "<" else _oem_kvn
@@ -444,8 +444,8 @@ def _spk(path: Path) -> _Table:
         raise InputError("an SPK needs spiceypy", do=do, where=where) from None
     script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
     try:
-        printed = elsewhere(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
-    except Elsewhere as error:
+        printed = run_isolated(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
+    except IsolatedRunError as error:
         raise InputError(f"the SPK cannot be used ({error})", where=where) from None
     values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)
     if not len(values):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.environment.earth import EQUATOR_M, FLATTENING, SUN_M
-from sunspin.solve.rotations import tangents
+from sunspin.solve.rotations import tangent_basis
 
 REFLECTIVITY, REFLECTIVITY_SIGMA = 0.3, 0.15
 """The part of the sunlight that the Earth throws back, and how much it differs from place to place: Bond albedo of 0.29 to 0.31 in
@@ -57,7 +57,7 @@ def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
         )
     distance = np.linalg.norm(place, axis=-1)
     down = -place / distance[:, None]
-    across, third = tangents(down)
+    across, third = tangent_basis(down)
     edge = np.sqrt(1 - (EQUATOR_M / distance) ** 2)  # cosine of the disc's radius
     node, weight = np.polynomial.legendre.leggauss(RINGS)
     cosine = edge[:, None] + (1 - edge[:, None]) * (node + 1) / 2  # even in solid angle

@@ -3,7 +3,7 @@
 Levenberg's and Marquardt's method (Marquardt 1963, J. Soc. Indust. Appl. Math. 11, 431): a step solves the normal equations with
 something added to their diagonal; a step that lowers the cost is taken and the damping falls, any other is dropped and the damping
 grows. The caller linearises, derivatives included, and moves a state by a step, on whatever manifold it lives; the linear solver is
-:func:`sunspin.solve.linear.dense`, :func:`sunspin.solve.linear.bordered` or the caller's. What is decided about a problem depends
+:func:`sunspin.solve.linear.solve_dense`, :func:`sunspin.solve.linear.solve_bordered` or the caller's. What is decided about a problem depends
 on that problem alone.
 """
 
@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-FIRST, LESS, MORE = 1e-3, 0.2, 8.0
+FIRST_DAMPING, DAMPING_DECREASE, DAMPING_INCREASE = 1e-3, 0.2, 8.0
 """Damping of a first step; by what it is multiplied after a step that lowered the cost, and after one that did not."""
 
-FULL, MOST = 0.1, 1e6
+CONVERGED_DAMPING, MAX_DAMPING = 0.1, 1e6
 """A small gain is promised in earnest only where the damping is below the first; above the second, no step lowers the cost."""
 
 TOLERANCE = 1e-4
@@ -96,74 +96,74 @@ def least_squares(
     Solution
     """
     system = linearise(state) if system is None else system
-    damping = np.full(len(system.cost), FIRST)
+    damping = np.full(len(system.cost), FIRST_DAMPING)
     going, stop = np.isfinite(system.cost), np.full(len(system.cost), Stop.STEPS)
     stop[~going] = Stop.LOST
     for _ in range(steps):
         on = np.flatnonzero(going)
         if not len(on):
             break
-        here, there = _some(state, on), _some(system, on)
+        here, there = _take_sorted(state, on), _take_sorted(system, on)
         step, gain = solver(there, damping[on])
-        step, fine = _finite(step)
+        step, fine = _zero_if_not_finite(step)
         if longest is not None:
             times = np.maximum(longest(here, step), 1.0)
-            step = _map(lambda part, by: part / _as_column(by, part), step, times)
+            step = _map_arrays(lambda part, by: part / _as_column(by, part), step, times)
         trial = retract(here, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
         trial = trial if carry is None else carry(trial, new)
         better = fine & np.isfinite(new.cost) & (new.cost < there.cost)
-        arrived = fine & (gain < tolerance) & (damping[on] <= FULL)
-        damping[on] *= np.where(better, LESS, MORE)
-        stuck = ~better & (damping[on] > MOST)
+        arrived = fine & (gain < tolerance) & (damping[on] <= CONVERGED_DAMPING)
+        damping[on] *= np.where(better, DAMPING_DECREASE, DAMPING_INCREASE)
+        stuck = ~better & (damping[on] > MAX_DAMPING)
         stop[on[arrived]], stop[on[stuck]] = Stop.ARRIVED, Stop.STUCK
         going[on] = ~(arrived | stuck)
         state, system = (
-            _put(old, on[better], _some(got, np.flatnonzero(better)))
+            _replace_problems(old, on[better], _take_sorted(got, np.flatnonzero(better)))
             for old, got in ((state, trial), (system, new))
         )
     return Solution(state, system, stop)
 
 
-def shortened(vector: np.ndarray, limit: float) -> np.ndarray:
+def limit_length(vector: np.ndarray, limit: float) -> np.ndarray:
     """Vectors (..., d) no longer than `limit`, as a limit of states."""
     size = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector * np.minimum(1.0, limit / np.maximum(size, 1e-300))
 
 
-def take(tree: Any, rows: np.ndarray) -> Any:
+def take_problems(tree: Any, rows: np.ndarray) -> Any:
     """Some problems of states, systems or steps."""
-    return _map(lambda part: part[rows], tree)
+    return _map_arrays(lambda part: part[rows], tree)
 
 
-def _leaves(tree: Any) -> Iterator[np.ndarray]:
+def _arrays(tree: Any) -> Iterator[np.ndarray]:
     if isinstance(tree, tuple):
         for part in tree:
-            yield from _leaves(part)
+            yield from _arrays(part)
     elif tree is not None:
         yield tree
 
 
-def _map(function: Callable[..., Any], tree: Any, *more: Any) -> Any:
+def _map_arrays(function: Callable[..., Any], tree: Any, *more: Any) -> Any:
     """A function on each array of a tree; `more` are handed on."""
     if tree is None:
         return None
     if not isinstance(tree, tuple):
         return function(tree, *more)
-    parts = [_map(function, part, *more) for part in tree]
+    parts = [_map_arrays(function, part, *more) for part in tree]
     return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
 
 
-def _some(tree: Any, rows: np.ndarray) -> Any:
+def _take_sorted(tree: Any, rows: np.ndarray) -> Any:
     """The same for rising rows, without a copy where they are all."""
-    return _map(lambda part: part if len(rows) == len(part) else part[rows], tree)
+    return _map_arrays(lambda part: part if len(rows) == len(part) else part[rows], tree)
 
 
-def _put(tree: Any, rows: np.ndarray, other: Any) -> Any:
+def _replace_problems(tree: Any, rows: np.ndarray, other: Any) -> Any:
     """The tree with some rows replaced; nothing that was handed in is changed."""
     if isinstance(tree, tuple):
-        parts = [_put(part, rows, value) for part, value in zip(tree, other, strict=True)]
+        parts = [_replace_problems(part, rows, value) for part, value in zip(tree, other, strict=True)]
         return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
     if tree is None or len(rows) == len(tree):
         return other
@@ -176,11 +176,11 @@ def _as_column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
     return values.reshape(-1, *(1,) * (like.ndim - 1))
 
 
-def _finite(step: Any) -> tuple[Any, np.ndarray]:
+def _zero_if_not_finite(step: Any) -> tuple[Any, np.ndarray]:
     """Steps with zero in place of those that are not finite, and which are (K)."""
     fine = np.logical_and.reduce(
-        [np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _leaves(step)]
+        [np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _arrays(step)]
     )
     if not fine.all():
-        step = _map(lambda part: np.where(_as_column(fine, part), part, 0.0), step)
+        step = _map_arrays(lambda part: np.where(_as_column(fine, part), part, 0.0), step)
     return step, fine

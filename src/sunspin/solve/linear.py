@@ -36,11 +36,11 @@ class Dense(NamedTuple):
         )
 
 
-def dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solve_dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps (K, D) under `damping` (K), and what they gain (K) by the quadratic model if the damping is small."""
     scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
-    step = _each(
-        np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None]
+    step = _nan_if_singular(
+        np.linalg.solve, _add_to_diagonal(system.matrix, damping[:, None] * scale), -system.slope[..., None]
     )[..., 0]
     return step, -(system.slope * step).sum(axis=1) / 2
 
@@ -62,7 +62,7 @@ class Bordered(NamedTuple):
     border_slope: np.ndarray | None = None
 
 
-class Spread(NamedTuple):
+class BorderedInverse(NamedTuple):
     """What the inverse of the undamped matrix contains: covariances of the nodes (K, n, b, b) and of the border's unknowns
     (K, m, m), what the nodes change per unit of each of the latter (K, n, b, m), and the logarithm of the determinant (K)."""
 
@@ -72,34 +72,34 @@ class Spread(NamedTuple):
     log_size: np.ndarray
 
 
-def bordered(
+def solve_bordered(
     system: Bordered, damping: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray | None], np.ndarray]:
     """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K), and what they gain (K) by the quadratic
     model if the damping is small."""
-    diagonal = _damped(system.diagonal, (damping[:, None] * system.scale)[:, None])
-    factors = _factors(diagonal, system.upper)
+    diagonal = _add_to_diagonal(system.diagonal, (damping[:, None] * system.scale)[:, None])
+    factors = _factorise(diagonal, system.upper)
     if system.border is None:
-        change, step = -_substituted(factors, system.slope[..., None])[..., 0], None
+        change, step = -_substitute(factors, system.slope[..., None])[..., 0], None
     else:
-        change, step, _, _ = _with_border(factors, system)
+        change, step, _, _ = _solve_with_border(factors, system)
     gain = -(system.slope * change).reshape(len(change), -1).sum(axis=1) / 2
     return (change, step), gain if step is None else gain - (system.border_slope * step).sum(
         axis=1
     ) / 2
 
 
-def spread(system: Bordered) -> Spread:
+def invert_bordered(system: Bordered) -> BorderedInverse:
     """Covariances and determinant of the undamped equations."""
-    factors = _factors(system.diagonal, system.upper)
-    nodes, size = _covariances(factors), np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
+    factors = _factorise(system.diagonal, system.upper)
+    nodes, size = _diagonal_of_inverse(factors), np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
     if system.border is None:
         k, n, b = system.slope.shape
-        return Spread(nodes, np.zeros((k, 0, 0)), np.zeros((k, n, b, 0)), size)
-    _, _, answer, schur = _with_border(factors, system)
-    border = _each(np.linalg.inv, schur)
+        return BorderedInverse(nodes, np.zeros((k, 0, 0)), np.zeros((k, n, b, 0)), size)
+    _, _, answer, schur = _solve_with_border(factors, system)
+    border = _nan_if_singular(np.linalg.inv, schur)
     nodes = nodes + answer @ border[:, None] @ np.swapaxes(answer, -1, -2)
-    return Spread(nodes, border, answer, size + np.linalg.slogdet(schur)[1])
+    return BorderedInverse(nodes, border, answer, size + np.linalg.slogdet(schur)[1])
 
 
 class _Factors(NamedTuple):
@@ -110,15 +110,15 @@ class _Factors(NamedTuple):
     gain: np.ndarray
 
 
-def _factors(diagonal: np.ndarray, upper: np.ndarray) -> _Factors:
+def _factorise(diagonal: np.ndarray, upper: np.ndarray) -> _Factors:
     pivots, gain = diagonal.copy(), np.zeros_like(upper)
     for i in range(upper.shape[1]):
-        gain[:, i] = _each(np.linalg.solve, pivots[:, i], upper[:, i])
+        gain[:, i] = _nan_if_singular(np.linalg.solve, pivots[:, i], upper[:, i])
         pivots[:, i + 1] -= np.swapaxes(upper[:, i], -1, -2) @ gain[:, i]
-    return _Factors(pivots, _each(np.linalg.inv, pivots), gain)
+    return _Factors(pivots, _nan_if_singular(np.linalg.inv, pivots), gain)
 
 
-def _substituted(factors: _Factors, right: np.ndarray) -> np.ndarray:
+def _substitute(factors: _Factors, right: np.ndarray) -> np.ndarray:
     """Solutions (K, n, b, r) for right-hand sides of that shape."""
     right = right.copy()
     turned = np.swapaxes(factors.gain, -1, -2)
@@ -130,7 +130,7 @@ def _substituted(factors: _Factors, right: np.ndarray) -> np.ndarray:
     return right
 
 
-def _covariances(factors: _Factors) -> np.ndarray:
+def _diagonal_of_inverse(factors: _Factors) -> np.ndarray:
     """Blocks (K, n, b, b) on the diagonal of the inverse."""
     covariance, turned = factors.inverse.copy(), np.swapaxes(factors.gain, -1, -2)
     for i in range(covariance.shape[1] - 2, -1, -1):
@@ -138,36 +138,36 @@ def _covariances(factors: _Factors) -> np.ndarray:
     return covariance
 
 
-def _with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
+def _solve_with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
     """Steps of nodes and border, what the nodes change per unit of the border's unknowns, and the Schur complement (K, m, m)."""
     assert system.border is not None
     assert system.corner is not None and system.border_slope is not None
     # all at once: the loop over nodes is what costs
     right = -np.concatenate([system.slope[..., None], system.border], axis=-1)
-    both = _substituted(factors, right)
+    both = _substitute(factors, right)
     change, answer = both[..., 0], both[..., 1:]
     k, n, b, m = system.border.shape
     dot = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ both.reshape(k, n * b, 1 + m)
     schur, downhill = system.corner + dot[..., 1:], system.border_slope[..., None] + dot[..., :1]
-    step = _each(np.linalg.solve, schur, -downhill)[..., 0]
+    step = _nan_if_singular(np.linalg.solve, schur, -downhill)[..., 0]
     return change + (answer @ step[:, None, :, None])[..., 0], step, answer, schur
 
 
-def _damped(matrix: np.ndarray, more: np.ndarray) -> np.ndarray:
+def _add_to_diagonal(matrix: np.ndarray, more: np.ndarray) -> np.ndarray:
     """A copy with `more` added to the diagonals."""
     matrix, each = matrix.copy(), np.arange(matrix.shape[-1])
     matrix[..., each, each] += more
     return matrix
 
 
-def _each(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
+def _nan_if_singular(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
     """A function of linear algebra on stacks of matrices, with NaN where one of them is singular."""
     try:
         return function(*stacks)
     except np.linalg.LinAlgError:
         if stacks[0].ndim == 2:
             return np.full_like(stacks[-1], np.nan)
-        return np.stack([_each(function, *each) for each in zip(*stacks, strict=True)])
+        return np.stack([_nan_if_singular(function, *each) for each in zip(*stacks, strict=True)])
 
 
 def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ def cross_matrix(v: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
+def rotate_attitude(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     """Attitudes (..., 3, 3), B_from_N, turned by small or large rotation vectors (..., 3) of the body, in body axes."""
     square = np.einsum("...i,...i->...", angle_B, angle_B)[..., None, None]
     size = np.sqrt(square)
@@ -36,7 +36,7 @@ def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     ) @ matrix
 
 
-def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) of the body that :func:`turn` needs to go from attitude `start` to `end`."""
     m = end @ np.swapaxes(start, -1, -2)
     # four times the products of the quaternion's elements, of which the row of the largest is the quaternion (Shepperd)
@@ -57,7 +57,7 @@ def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return q[..., :3] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 0.0)
 
 
-def matrix_of(quaternion: np.ndarray) -> np.ndarray:
+def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """Matrices (..., 3, 3) of quaternions (..., 4), the scalar last, of any length."""
     v, w = quaternion[..., :3], quaternion[..., 3, None, None]
     square = np.einsum("...i,...i->...", v, v)[..., None, None]
@@ -67,7 +67,7 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     return matrix / (w * w + square)
 
 
-def continuous(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
+def without_sign_jumps(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Unit quaternions (n, 4), scalar last, of the same rotations, without a change of sign between neighbours of the same `part`
     (n): whoever interpolates their components must not pass through zero. Each part begins with a scalar of zero or more."""
     if not len(quaternion):
@@ -81,7 +81,7 @@ def continuous(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
     )
 
 
-def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
+def components_after_rotation(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     """Components (..., 3) in body axes of vectors (..., 3) fixed in space after the body has turned by `angle_B` (..., 3)."""
     shape = np.broadcast_shapes(vector.shape, angle_B.shape)
     flat = np.array(np.broadcast_to(vector, shape)).reshape(-1, 3)
@@ -92,13 +92,13 @@ def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     )
 
 
-def smallest_turn(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
+def rotate_by_smallest(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
     """x (n, 3) under the smallest rotation that takes the unit vectors a to b."""
     v, c = cross(a, b), np.sum(a * b, axis=1, keepdims=True)
     return x + cross(v, x) + cross(v, cross(v, x)) / np.maximum(1 + c, 1e-9)
 
 
-def tangents(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tangent_basis(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors (n, 3) that make a right-handed frame with each direction (n, 3)."""
     other = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = cross(unit, other)
@@ -114,9 +114,9 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
-def moved(unit: np.ndarray, step: np.ndarray) -> np.ndarray:
+def move_on_sphere(unit: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Directions (n, 3) moved along great circles by tangent vectors (n, 2) in the frame of `tangents`."""
-    e1, e2 = tangents(unit)
+    e1, e2 = tangent_basis(unit)
     angle = np.linalg.norm(step, axis=1, keepdims=True)
     along = (step[:, :1] * e1 + step[:, 1:] * e2) * np.sinc(angle / np.pi)
     out = np.cos(angle) * unit + along

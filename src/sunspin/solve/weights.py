@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-TAIL_LEAST = 30
+MIN_TAIL = 30
 """Weights that a tail must have to be fitted."""
 
 
@@ -17,15 +17,15 @@ def pareto_tail(log_weight: np.ndarray) -> float:
     """Shape k of the generalised Pareto law of the largest weights (Vehtari et al. 2024): errors shrink as expected below 0.7."""
     weight = np.sort(np.exp(log_weight - log_weight.max()))
     count = int(min(0.2 * len(weight), 3 * np.sqrt(len(weight))))
-    if count < TAIL_LEAST or weight[-count - 1] <= 0:
+    if count < MIN_TAIL or weight[-count - 1] <= 0:
         return np.inf
     beyond = weight[-count:] - weight[-count - 1]
     if beyond[-1] <= 0 or beyond.mean() < 1e-12 * weight[-1]:
         return -1.0  # all alike
-    return _shape(beyond / beyond.mean())
+    return _pareto_shape(beyond / beyond.mean())
 
 
-def _shape(x: np.ndarray) -> float:
+def _pareto_shape(x: np.ndarray) -> float:
     """Shape k of the likeliest generalised Pareto law: with t = k / scale, k = mean log(1 + t x), which leaves t alone
     to be sought (Grimshaw 1993)."""
     # imported here: 0.1 s that nobody else needs at the start of an estimate

@@ -14,7 +14,7 @@ from scipy.special import gammaln
 
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
+from sunspin.solve.linear import Dense, solve_dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
@@ -269,7 +269,7 @@ def noise_alone(
         starts = (bright[:, :, None] * cells).reshape(-1, 3)
         seen, counts = (np.repeat(each[some], len(cells), axis=0) for each in (readings, weight))
         ends = least_squares(
-            linearise, retract, dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
+            linearise, retract, solve_dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
         )
         square[some] = 2 * ends.system.cost.reshape(-1, len(cells)).min(axis=1)
     return NoiseMade(square, chi2.logsf(square, readings.shape[1]))

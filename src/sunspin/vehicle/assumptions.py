@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from sunspin.base.errors import InputError, VehicleError
 from sunspin.base.untrusted import read_toml
 from sunspin.vehicle import changes as ch
-from sunspin.vehicle.part import Number, Part, keys_of, must, part, problem
+from sunspin.vehicle.part import Number, Part, keys_of, must, part, describe_error
 
 WHERE = "the study's assumptions"
 
@@ -37,8 +37,8 @@ class Study(Part):
         Annotated[Number, must(lambda lead: lead >= 0, "{path} must be zero or a positive time")]
         | None
     ) = None
-    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(ch.bare)] = "equal"
-    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(ch.bare)] = (
+    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(ch.bare_value)] = "equal"
+    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(ch.bare_value)] = (
         "reconstructible"
     )
     near_minimum_factor: Annotated[
@@ -84,20 +84,20 @@ def assumptions_table() -> dict[str, Any]:
 def read_assumptions(changes: ch.Changes = None) -> Assumptions:
     """The paper's assumptions with changes; `InputError` for one that is none or out of its range."""
     table = assumptions_table()
-    done = ch.apply(table, ch.changes_of(changes))
+    done = ch.apply_changes(table, ch.parse_changes(changes))
     try:
         file = TypeAdapter(AssumptionsFile).validate_python(
             table, context="file", by_alias=True, by_name=False
         )
     except ValidationError as error:
-        raise InputError(problem(error, AssumptionsFile, WHERE, table)) from None
+        raise InputError(describe_error(error, AssumptionsFile, WHERE, table)) from None
     except VehicleError as error:
         raise InputError(f"{WHERE}: {error}") from None
     return Assumptions(file.study, file.collision, done)
 
 
-def split(changes: ch.Changes) -> tuple[tuple[ch.Change, ...], tuple[ch.Change, ...]]:
+def split_changes(changes: ch.Changes) -> tuple[tuple[ch.Change, ...], tuple[ch.Change, ...]]:
     """Changes of the vehicle, and those of the assumptions."""
-    asked = ch.changes_of(changes)
+    asked = ch.parse_changes(changes)
     mine = tuple(each for each in asked if re.split(r"[.\[]", each.key)[0] in TABLES)
     return tuple(each for each in asked if each not in mine), mine

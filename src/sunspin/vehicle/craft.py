@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, PlainValidator, StrictBool, ValidationInfo
 
 from sunspin.base.errors import VehicleError
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.notebook import vehicle_html
 from sunspin.vehicle.part import (
     FloatArray,
@@ -24,12 +24,12 @@ from sunspin.vehicle.part import (
     Text,
     above_zero,
     as_array,
-    bare,
+    checked_value,
     frozen_array,
     must,
     no_entries,
     part,
-    tuples,
+    as_tuples,
 )
 from sunspin.vehicle.parts import (
     Antenna,
@@ -46,7 +46,7 @@ from sunspin.vehicle.parts import (
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.joined import Input, Joined, full_sun
 from sunspin.vehicle.sensors import Sensors
-from sunspin.vehicle.timeline import zone_of
+from sunspin.vehicle.timeline import parse_zone
 
 MAX_PANELS = 32
 """Each cuts the sphere of directions further, n of them into n (n - 1) + 2 cells; satellites have about ten sides."""
@@ -57,7 +57,7 @@ MAX_WHEELS = 8
 MAX_PARTS = 1000
 """Legs, parts of the hull, rules."""
 
-OR_CHANNEL = "; panels that share an input of the power system are one [[channel]]"
+CHANNEL_HINT = "; panels that share an input of the power system are one [[channel]]"
 """What is said where two panels are given one column."""
 
 LIMITS = {
@@ -130,7 +130,7 @@ class TelemetryForm(Part):
         ]
         if twice := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
-            raise VehicleError(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}")
+            raise VehicleError(what, got=twice[0], do=f"give each panel its own{CHANNEL_HINT}")
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
             raise VehicleError(what, do='set quantity = "power_W", or leave the voltages out')
@@ -155,7 +155,7 @@ class TelemetryForm(Part):
             what = "telemetry.counts_leap_seconds needs epoch_utc"
             raise VehicleError(what, do="add the UTC of time zero, or leave the key out")
         if self.time_zone is not None:
-            zone_of(self.time_zone)
+            parse_zone(self.time_zone)
 
     @property
     def has_voltages(self) -> bool:
@@ -174,7 +174,7 @@ def _require_symmetric(what: str, tensor: np.ndarray) -> None:
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
     """Check that a value is the inertia tensor of some distribution of mass."""
     key = "inertia_kg_m2"
-    given = bare(raw, info)
+    given = checked_value(raw, info)
     tensor = as_array(given)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
         shown = given.tolist() if isinstance(given, np.ndarray) else given
@@ -266,10 +266,10 @@ class Vehicle(Part):
         drawn = np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(-1, 3)
         turn, tilted = self.panel_response.turned_B_rad, self.panel_response.tilted
         if turn is not None and turn.any():
-            drawn = seen_turned(drawn, -turn)
+            drawn = components_after_rotation(drawn, -turn)
         if tilted is not None:
             k = self.panel_names.index(tilted.panel)
-            drawn[k] = seen_turned(drawn[k], -tilted.turn_B_rad)
+            drawn[k] = components_after_rotation(drawn[k], -tilted.turn_B_rad)
         return drawn
 
     @property
@@ -333,7 +333,7 @@ class Vehicle(Part):
         return self._response(())
 
     def _response(self, inputs: tuple[Input, ...]) -> PanelResponse:
-        return _response_of(tuples(self.panel_normals_B), tuples(self.panel_gains), inputs)
+        return _build_response(as_tuples(self.panel_normals_B), as_tuples(self.panel_gains), inputs)
 
     def require_inertia(self) -> FloatArray:
         """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
@@ -383,7 +383,7 @@ class Vehicle(Part):
 
 
 @lru_cache(maxsize=64)
-def _response_of(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
+def _build_response(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
     normals, strength = frozen_array(normals_B).reshape(-1, 3), frozen_array(gains)
     return Joined(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter, ValidationError
 
 from sunspin.base.errors import VehicleError, printable
-from sunspin.base.untrusted import decoded, read_bytes, read_toml
+from sunspin.base.untrusted import decode_text, read_bytes, read_toml
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
-from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, problem
+from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, describe_error
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""
@@ -68,22 +68,22 @@ def read_vehicle(source: object, changes: ch.Changes = None) -> craft.Vehicle:
     """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
     if isinstance(source, ChangedFile):
         source, changes = source.source, source.changes
-    asked = ch.changes_of(changes)
+    asked = ch.parse_changes(changes)
     if isinstance(source, craft.Vehicle):
         if asked:
             raise VehicleError(
                 "changes are made to a vehicle's file", do="give its name or its path with them"
             )
         return source
-    return parse_vehicle(vehicle_text(source), where_of(source), asked)
+    return parse_vehicle(read_vehicle_text(source), describe_source(source), asked)
 
 
-def changed_file(source: object, changes: tuple[ch.Change, ...]) -> object:
+def attach_changes(source: object, changes: tuple[ch.Change, ...]) -> object:
     """A vehicle's name or path, with changes where there are any."""
     return ChangedFile(source, changes) if changes else source
 
 
-def where_of(source: object) -> str:
+def describe_source(source: object) -> str:
     """A vehicle file in words, for messages."""
     return (
         f"built-in vehicle {source!r}"
@@ -92,14 +92,14 @@ def where_of(source: object) -> str:
     )
 
 
-def vehicle_text(source: object) -> str:
+def read_vehicle_text(source: object) -> str:
     """The text of a built-in vehicle's file, by name, or of a vehicle file, by path; with changes the changed one."""
     if isinstance(source, ChangedFile):
         import tomlkit
 
-        vehicle_table(source.source)  # refuses what would keep tomlkit busy
-        document = tomlkit.parse(vehicle_text(source.source))
-        done = ch.apply(document, source.changes)
+        read_vehicle_table(source.source)  # refuses what would keep tomlkit busy
+        document = tomlkit.parse(read_vehicle_text(source.source))
+        done = ch.apply_changes(document, source.changes)
         said = [f"# {source.source} with changes for one run:", *(f"#   {each}" for each in done)]
         return "\n".join(printable(line) for line in said) + "\n" + tomlkit.dumps(document)
     if isinstance(source, str) and source in builtin_names():
@@ -113,9 +113,9 @@ def vehicle_text(source: object) -> str:
     return _read_text(Path(source))
 
 
-def vehicle_table(source: object) -> dict[str, Any]:
+def read_vehicle_table(source: object) -> dict[str, Any]:
     """The parsed TOML of a vehicle file."""
-    return read_toml(vehicle_text(source), where_of(source), VehicleError)
+    return read_toml(read_vehicle_text(source), describe_source(source), VehicleError)
 
 
 def builtin_names() -> list[str]:
@@ -129,7 +129,7 @@ def builtin_names() -> list[str]:
 def _read_text(path: Path) -> str:
     known = ", ".join(builtin_names())
     do = f"give the path of a vehicle.toml or a built-in name: {known}"
-    return decoded(
+    return decode_text(
         read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do),
         str(path),
         VehicleError,
@@ -147,22 +147,22 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
-    settings = ch.apply(table, changes)
+    settings = ch.apply_changes(table, changes)
     if settings:
         where = f"{where} with {', '.join(each.key for each in settings)} set"
     try:
-        return _vehicle(table, settings)
+        return _build_vehicle(table, settings)
     except RecursionError:
         raise VehicleError(
             "the file is nested too deeply to be a vehicle file", where=where
         ) from None
     except ValidationError as error:
-        raise VehicleError(problem(error, VehicleFile, where, table)) from None
+        raise VehicleError(describe_error(error, VehicleFile, where, table)) from None
     except VehicleError as error:
         raise VehicleError(f"{where}: {error}") from None
 
 
-def _vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.Vehicle:
+def _build_vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.Vehicle:
     for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
         what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
         raise VehicleError(what, do=f"leave out [panel_response.{law}]")
@@ -194,29 +194,29 @@ def _vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.V
         sensors=sensors.Sensors(file.sun_sensor, **alone),
         panel_response=file.panel_response,
         channels=file.channel,
-        facts=dict(_facts(table)),
+        facts=dict(_list_facts(table)),
         changes=settings,
     )
 
 
-def _facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.Fact]]:
+def _list_facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.Fact]]:
     """Every number of a valid file with its birth certificate, under its path, in which tables of a list go by their names."""
     for key, item in table.items():
         if isinstance(item, dict) and not isinstance(item.get("value"), int | float | list):
-            yield from _facts(item, f"{where}{key}.")
+            yield from _list_facts(item, f"{where}{key}.")
         elif isinstance(item, dict):
             sigma = None if item.get("sigma") is None else numbers(item["sigma"])
             yield f"{where}{key}", parts.Fact(numbers(item["value"]), sigma, item.get("source"))
         elif isinstance(item, list) and all(isinstance(each, dict) for each in item):
             for each in item:
-                yield from _facts(each, f"{where}{key}.{each.get('name')}.")
+                yield from _list_facts(each, f"{where}{key}.{each.get('name')}.")
         elif not isinstance(item, str | bool) and not (
             isinstance(item, list) and isinstance(item[0], str)
         ):
             yield f"{where}{key}", parts.Fact(numbers(item))
 
 
-def line_of(text: str, table: str, key: str) -> tuple[int, str] | None:
+def find_line(text: str, table: str, key: str) -> tuple[int, str] | None:
     """Number and text of the line of a vehicle file where a key of a table stands, else where the table begins, else None."""
     begins, within = None, False
     for number, line in enumerate(text.splitlines(), 1):

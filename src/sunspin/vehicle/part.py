@@ -58,10 +58,10 @@ class Part:
         return {**cls.left_out, **given} if info.context and isinstance(given, dict) else given
 
     def __eq__(self, other: object) -> bool:
-        return _content(self) == _content(other) if type(other) is type(self) else NotImplemented
+        return _comparable(self) == _comparable(other) if type(other) is type(self) else NotImplemented
 
     def __hash__(self) -> int:
-        return hash(_content(self))
+        return hash(_comparable(self))
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -76,19 +76,19 @@ class Part:
             vars(self)[key] = MappingProxyType(value) if isinstance(value, dict) else value
 
 
-def _content(value: Any) -> Any:
+def _comparable(value: Any) -> Any:
     """What is compared and hashed."""
     if isinstance(value, Part):
-        return type(value), _content(vars(value))
+        return type(value), _comparable(vars(value))
     if isinstance(value, Mapping):
-        return frozenset((key, _content(item)) for key, item in value.items())
-    return tuples(value)
+        return frozenset((key, _comparable(item)) for key, item in value.items())
+    return as_tuples(value)
 
 
-def tuples(value: Any) -> Any:
+def as_tuples(value: Any) -> Any:
     """Arrays and lists as tuples, whatever is in them."""
     value = value.tolist() if isinstance(value, np.ndarray) else value
-    return tuple(_content(item) for item in value) if isinstance(value, list | tuple) else value
+    return tuple(_comparable(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field, Field))
@@ -105,14 +105,14 @@ def part(cls: type[T]) -> type[T]:
         try:
             check(self, *given[len(first) :], **first, **named)
         except ValidationError as error:
-            raise VehicleError(problem(error, part_class, part_class.__name__)) from None
+            raise VehicleError(describe_error(error, part_class, part_class.__name__)) from None
 
     part_class.__init__ = checked
-    part_class.__signature__ = _short(signature(part_class))
+    part_class.__signature__ = _plain_signature(signature(part_class))
     return part_class
 
 
-def _short(long: Signature) -> Signature:
+def _plain_signature(long: Signature) -> Signature:
     """A signature for people: types without their rules."""
     parameters = [
         p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in long.parameters.values()
@@ -157,7 +157,7 @@ def as_array(value: Any) -> FloatArray:
         return np.empty(0)
 
 
-def bare(raw: Any, info: ValidationInfo) -> Any:
+def checked_value(raw: Any, info: ValidationInfo) -> Any:
     """A value without its birth certificate, which only a file gives, and there numbers of sensible size."""
     if not info.context:
         return raw
@@ -196,7 +196,7 @@ def numbers(raw: Any) -> Any:
 
 
 def _number(raw: Any, info: ValidationInfo) -> float:
-    value = bare(raw, info)
+    value = checked_value(raw, info)
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
         raise VehicleError("{path} must be one number", got=value)
     try:
@@ -226,7 +226,7 @@ def above_zero(value: float) -> bool:
 def unit(label: str) -> PlainValidator:
     """A unit vector (3), called so in messages; `{name}` is the part's name."""
     return PlainValidator(
-        lambda raw, info: direction(bare(raw, info), label.format(name=info.data.get("name")))
+        lambda raw, info: direction(checked_value(raw, info), label.format(name=info.data.get("name")))
     )
 
 
@@ -234,7 +234,7 @@ def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
     """A read-only array that fits, with the sentence for others; `{path}` and `{name}` as in `must`."""
 
     def check(raw: Any, info: ValidationInfo) -> FloatArray:
-        value = as_array(given := bare(raw, info))
+        value = as_array(given := checked_value(raw, info))
         if not fits(value):
             raise VehicleError(be.format(path="{path}", name=info.data.get("name")), got=given)
         return frozen_array(value)
@@ -242,13 +242,13 @@ def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _shown(name: str) -> str:
+def _printable_name(name: str) -> str:
     if not name.isprintable():
         raise ValueError("a name is a text of printable characters")
     return name
 
 
-Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_printable_name)]
 Number = Annotated[float, PlainValidator(_number)]
 Positive = Annotated[Number, must(above_zero, "{path} must be positive")]
 Vector = Annotated[
@@ -272,7 +272,7 @@ IN_WORDS = {"string_type": "should be a text in quotes", "string_too_short": "sh
 """Kinds of pydantic's problems that it names for programmers."""
 
 
-def problem(
+def describe_error(
     error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None
 ) -> str:
     """The first thing that is wrong with a part of this kind, in one sentence; `table` is the file's, if it is from one.
@@ -284,11 +284,11 @@ def problem(
         key=lambda each: each["type"] != "unexpected_keyword_argument",
     )
     first = next(
-        (each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0]
+        (each for each in problems if not isinstance(_own_error(each), VehicleError)), problems[0]
     )
-    reason, places = _reason(first), first["loc"]
+    reason, places = _own_error(first), first["loc"]
     if isinstance(reason, VehicleError):
-        path = _path(places, table) if table is not None else ".".join(map(str, (where, *places)))
+        path = _named_path(places, table) if table is not None else ".".join(map(str, (where, *places)))
         return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
     key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places)
     where = f"{where}, {key.replace('.[', '[')}"
@@ -311,12 +311,12 @@ def problem(
     return sentence(message, got=got, where=where)
 
 
-def _reason(first: Any) -> object:
+def _own_error(first: Any) -> object:
     """The error of ours behind one of pydantic's, if there is one."""
     return first.get("ctx", {}).get("error")
 
 
-def _path(places: tuple[int | str, ...], table: Any) -> str:
+def _named_path(places: tuple[int | str, ...], table: Any) -> str:
     """Where a value stands, tables of a list being called by their names."""
     words = []
     for place in places:

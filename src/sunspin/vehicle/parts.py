@@ -36,7 +36,7 @@ from sunspin.vehicle.part import (
     no_entries,
     numbers,
     part,
-    tuples,
+    as_tuples,
     unit,
 )
 
@@ -46,7 +46,7 @@ GAIN_UNITS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"
 """Key of a panel's gain in a file -> the unit of the signal it predicts (None: relative)."""
 
 
-def _size(sigma: Any) -> Any:
+def _checked_sigma(sigma: Any) -> Any:
     """Return the sigma of a value, or raise `VehicleError` if it is negative or not finite."""
     values = np.asarray(() if sigma is None else sigma, dtype=np.float64)
     if not (np.isfinite(values) & (values >= 0)).all():
@@ -58,9 +58,9 @@ def _size(sigma: Any) -> Any:
 class Fact(Part):
     """A number's birth certificate: its value, one-sigma uncertainty (same unit as the value) and source."""
 
-    value: Annotated[float | tuple[Any, ...], PlainValidator(tuples)]
+    value: Annotated[float | tuple[Any, ...], PlainValidator(as_tuples)]
     sigma: Annotated[
-        float | tuple[Any, ...] | None, PlainValidator(tuples), AfterValidator(_size)
+        float | tuple[Any, ...] | None, PlainValidator(as_tuples), AfterValidator(_checked_sigma)
     ] = None
     source: str | None = None
 
@@ -96,7 +96,7 @@ class Panel(Part):
         return panel
 
 
-def _panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+def _checked_panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
     channel = info.data.get("name")
     if not names:
         raise VehicleError(
@@ -117,7 +117,7 @@ class Channel(Part):
     """
 
     name: Name
-    panels: Annotated[tuple[Name, ...], AfterValidator(_panels)]
+    panels: Annotated[tuple[Name, ...], AfterValidator(_checked_panels)]
     reads: Literal["sum", "largest"]
     throttled: StrictBool = False
     noise: Noise = None
@@ -235,7 +235,7 @@ class Wheel(Part):
         )
 
 
-def _point(value: FloatArray) -> bool:
+def _is_point(value: FloatArray) -> bool:
     return value.shape == (3,) and bool(np.isfinite(value).all())
 
 
@@ -245,11 +245,11 @@ class Leg(Part):
 
     name: Name
     tip_B_m: Annotated[
-        FloatArray, array(_point, "tip_B_m of leg {name!r} must be three finite numbers")
+        FloatArray, array(_is_point, "tip_B_m of leg {name!r} must be three finite numbers")
     ]
 
 
-def _points(value: FloatArray) -> bool:
+def _are_points(value: FloatArray) -> bool:
     return (
         value.ndim == 2
         and value.shape[1] == 3
@@ -268,7 +268,7 @@ class HullPart(Part):
     name: Name
     points_B_m: Annotated[
         FloatArray,
-        array(_points, "points_B_m of hull part {name!r} must be points of three finite numbers"),
+        array(_are_points, "points_B_m of hull part {name!r} must be points of three finite numbers"),
     ]
     panel: Name | None = None
 
@@ -295,7 +295,7 @@ class SunRule(Part):
     reason: Name
 
 
-def _sigma(raw: Any, info: ValidationInfo) -> float | None:
+def _time_sigma(raw: Any, info: ValidationInfo) -> float | None:
     if raw is None:
         return None
     sigma = numbers(raw) if info.context else raw
@@ -306,10 +306,10 @@ def _sigma(raw: Any, info: ValidationInfo) -> float | None:
     return float(sigma)
 
 
-Sigma = Annotated[float | None, PlainValidator(_sigma)]
+Sigma = Annotated[float | None, PlainValidator(_time_sigma)]
 
 
-def _two(lines: tuple[str, ...]) -> tuple[str, ...]:
+def _two_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
     if len(lines) not in (0, 2):
         raise VehicleError(
             "{path} must be the two lines of a set of elements", got=f"{len(lines)} texts"
@@ -323,7 +323,7 @@ class Orbit(Part):
     ahead of them along the track (`shift_s`), and how far the telemetry's clock is behind UTC (`clock_s`), with one sigma of each
     (None: not known)."""
 
-    tle: Annotated[tuple[Name, ...], AfterValidator(_two)] = ()
+    tle: Annotated[tuple[Name, ...], AfterValidator(_two_lines)] = ()
     shift_s: Number = 0.0
     shift_sigma_s: Sigma = Field(default=None, validation_alias=AliasPath("shift_s", "sigma"))
     clock_s: Number = 0.0

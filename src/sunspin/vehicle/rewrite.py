@@ -21,7 +21,7 @@ class NewValue(NamedTuple):
     source: str
 
 
-def rewritten(text: str, values: Sequence[NewValue]) -> str:
+def rewrite_values(text: str, values: Sequence[NewValue]) -> str:
     """The text of a valid vehicle file with these values in place of its own, or added to their tables.
 
     Raises

@@ -34,21 +34,21 @@ VARIABLES = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_
 REVERSED = "-"
 """Before the name of a column whose readings count with the other sign."""
 
-UNIT = 0.02
+QUATERNION_TOLERANCE = 0.02
 """A quaternion whose length is farther from one than this is none."""
 
-Seen = tuple[str, np.ndarray, dict[str, str]]
+SensorVariable = tuple[str, np.ndarray, dict[str, str]]
 """Second dimension (the first is time), values (n, 3 or 4) and attributes of a variable of telemetry."""
 
 
-def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
+def unwrap_counts(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
     """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
     return (
         counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
     )
 
 
-def _sigma_of(key: str, *shape: int) -> PlainValidator:
+def _sigma_validator(key: str, *shape: int) -> PlainValidator:
     """The sigma in a value's birth certificate: one number, or one for each component."""
 
     def check(raw: Any, info: ValidationInfo) -> Any:
@@ -63,7 +63,7 @@ def _sigma_of(key: str, *shape: int) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
+def _column_rules(n: int, sign: str = "") -> tuple[Any, ...]:
     """The rules for n columns: that many, and each another, though one had the `sign` before it."""
 
     def check(columns: tuple[str, ...]) -> tuple[str, ...]:
@@ -84,7 +84,7 @@ def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
 class ThreeAxes(Part):
     """A sensor with a column for each body axis, x first; with a minus before its name the column counts reversed."""
 
-    columns: Annotated[tuple[Name, ...], *_columns(3, REVERSED)]
+    columns: Annotated[tuple[Name, ...], *_column_rules(3, REVERSED)]
 
     @property
     def names(self) -> list[str]:
@@ -187,11 +187,11 @@ class Gyro(ThreeAxes):
     zero: Vector
     noise_rad_s: Positive
     wraps_at: Positive | None = None
-    zero_sigma: Annotated[FloatArray, _sigma_of("gyro.zero", 3)] = Field(
+    zero_sigma: Annotated[FloatArray, _sigma_validator("gyro.zero", 3)] = Field(
         default_factory=lambda: frozen_array(np.zeros(3)),
         validation_alias=AliasPath("zero", "sigma"),
     )
-    scale_sigma: Annotated[float, _sigma_of("gyro.scale_rad_s")] = Field(
+    scale_sigma: Annotated[float, _sigma_validator("gyro.scale_rad_s")] = Field(
         default=0.0, validation_alias=AliasPath("scale_rad_s", "sigma")
     )
 
@@ -199,13 +199,13 @@ class Gyro(ThreeAxes):
         if self.scale_rad_s == 0:
             raise VehicleError("{path}.scale_rad_s must not be zero")
 
-    def seen(self, read: np.ndarray) -> Seen:
+    def seen(self, read: np.ndarray) -> SensorVariable:
         """Rates of the readings (n, 3) of its columns."""
-        value = self.scale_rad_s * self.sign * (unwrapped(read, self.wraps_at) - self.zero)
+        value = self.scale_rad_s * self.sign * (unwrap_counts(read, self.wraps_at) - self.zero)
         return "axis", value, {"units": "rad s-1", "long_name": "gyro, body axes"}
 
 
-def _turns_back(matrix: FloatArray) -> bool:
+def _is_invertible(matrix: FloatArray) -> bool:
     return (
         matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
     )
@@ -227,17 +227,17 @@ class Magnetometer(ThreeAxes):
     wraps_at: Positive | None = None
     matrix: Annotated[
         FloatArray,
-        array(_turns_back, "{path} must be three rows of three numbers that can be inverted"),
+        array(_is_invertible, "{path} must be three rows of three numbers that can be inverted"),
     ] = Field(default_factory=lambda: frozen_array(np.eye(3)))
     scale_T: Positive | None = None
-    zero_sigma: Annotated[FloatArray, _sigma_of("magnetometer.zero", 3)] = Field(
+    zero_sigma: Annotated[FloatArray, _sigma_validator("magnetometer.zero", 3)] = Field(
         default_factory=lambda: frozen_array(np.zeros(3)),
         validation_alias=AliasPath("zero", "sigma"),
     )
 
-    def seen(self, read: np.ndarray) -> Seen:
+    def seen(self, read: np.ndarray) -> SensorVariable:
         """Fields of the readings (n, 3) of its columns, in their unit."""
-        value = (self.sign * (unwrapped(read, self.wraps_at) - self.zero)) @ self.matrix.T
+        value = (self.sign * (unwrap_counts(read, self.wraps_at) - self.zero)) @ self.matrix.T
         return (
             "axis",
             value,
@@ -259,7 +259,7 @@ class Attitude(Part):
     `rotates`: "N_to_B" if it takes components in the reference frame to components in the body, "B_to_N" for the opposite.
     """
 
-    columns: Annotated[tuple[Name, ...], *_columns(4)]
+    columns: Annotated[tuple[Name, ...], *_column_rules(4)]
     scalar: Literal["first", "last"]
     rotates: Literal["N_to_B", "B_to_N"]
     sigma_rad: Positive
@@ -269,12 +269,12 @@ class Attitude(Part):
         """The columns as a telemetry file calls them."""
         return self.columns
 
-    def seen(self, read: np.ndarray) -> Seen:
+    def seen(self, read: np.ndarray) -> SensorVariable:
         """Unit quaternions B_from_N, scalar last, of the readings (n, 4) of its columns; NaN where they hold no unit quaternion."""
         value = read[:, [1, 2, 3, 0]] if self.scalar == "first" else read
         value = value * [-1.0, -1.0, -1.0, 1.0] if self.rotates == "B_to_N" else value
         size = np.linalg.norm(value, axis=1, keepdims=True)
-        good = np.abs(size - 1) < UNIT
+        good = np.abs(size - 1) < QUATERNION_TOLERANCE
         about = {
             "units": "1",
             "long_name": "attitude as given, scalar last, from reference frame to body",
@@ -311,7 +311,7 @@ class Clock(Part):
     zero it is known."""
 
     late_s: Number = Field(validation_alias="sensors_late_s")
-    sigma_s: Annotated[float, _sigma_of("clock.sensors_late_s")] = Field(
+    sigma_s: Annotated[float, _sigma_validator("clock.sensors_late_s")] = Field(
         default=0.0, validation_alias=AliasPath("sensors_late_s", "sigma")
     )
 

@@ -44,11 +44,11 @@ class Timeline(Part):
 
     def event(self, name: str) -> Event:
         """The event called `name`, or an `InputError` that lists the names there are."""
-        return _named(self.events, name, "event")
+        return _find_named(self.events, name, "event")
 
     def phase(self, name: str) -> Phase:
         """The phase called `name`, or an `InputError` that lists the names there are."""
-        return _named(self.phases, name, "phase")
+        return _find_named(self.phases, name, "phase")
 
     def seconds(self, begin: str, end: str) -> float:
         """Seconds from one named event to another."""
@@ -63,7 +63,7 @@ class Timeline(Part):
 
 def utc_seconds(utc: str, epoch_utc: str) -> float:
     """Seconds from `epoch_utc` to `utc`, both ISO-8601 UTC (days of 86400 s: no leap second is counted)."""
-    return (_instant(utc) - _instant(epoch_utc)).total_seconds()
+    return (_require_instant(utc) - _require_instant(epoch_utc)).total_seconds()
 
 
 def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
@@ -71,7 +71,7 @@ def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
     epoch and seconds. All times of a column have one form: to the second without `digits`, else always three decimals."""
     unit = 10 ** (6 - digits)
     try:
-        exact = _instant(epoch_utc) + timedelta(seconds=seconds)
+        exact = _require_instant(epoch_utc) + timedelta(seconds=seconds)
         instant = exact + timedelta(
             microseconds=round(exact.microsecond / unit) * unit - exact.microsecond
         )
@@ -82,7 +82,7 @@ def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
     )
 
 
-def instant(text: str) -> datetime | None:
+def parse_instant(text: str) -> datetime | None:
     """The instant that an ISO-8601 time means, UTC where it names no zone; None if it is none."""
     try:
         moment = datetime.fromisoformat(text)
@@ -95,7 +95,7 @@ def instant(text: str) -> datetime | None:
         return None
 
 
-def zone_of(text: str) -> tzinfo:
+def parse_zone(text: str) -> tzinfo:
     """Return the time zone of an IANA name, or of an offset from UTC such as +02:00.
 
     Raises
@@ -119,8 +119,8 @@ def zone_of(text: str) -> tzinfo:
         raise VehicleError(what, got=text, do=do) from None
 
 
-def _instant(utc: str) -> datetime:
-    moment = instant(utc)
+def _require_instant(utc: str) -> datetime:
+    moment = parse_instant(utc)
     if moment is None:
         raise InputError(
             "a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"
@@ -134,11 +134,11 @@ def parse_timeline(text: str, where: str) -> Timeline:
     try:
         epoch = table["epoch_utc"]
         events = sorted(
-            (_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s
+            (_read_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s
         )
         timeline = Timeline(epoch, tuple(events))
         return Timeline(
-            epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", []))
+            epoch, tuple(events), tuple(_read_phase(entry, timeline) for entry in table.get("phase", []))
         )
     except KeyError as error:
         raise InputError(f"key {error.args[0]!r} is missing", do="add it", where=where) from None
@@ -149,7 +149,7 @@ def parse_timeline(text: str, where: str) -> Timeline:
         raise InputError(what, do="correct it", where=where) from None
 
 
-def _event(entry: dict, epoch_utc: str) -> Event:
+def _read_event(entry: dict, epoch_utc: str) -> Event:
     _refuse_unknown(entry, {*keys_of(Event)} - {"t_s"}, "event")
     event = Event(t_s=utc_seconds(entry.get("refined_utc") or entry["utc"], epoch_utc), **entry)
     if not event.source.strip():
@@ -159,7 +159,7 @@ def _event(entry: dict, epoch_utc: str) -> Event:
     return event
 
 
-def _phase(entry: dict, timeline: Timeline) -> Phase:
+def _read_phase(entry: dict, timeline: Timeline) -> Phase:
     _refuse_unknown(entry, {"name", "begin", "end", "note"}, "phase")
     begin = timeline.event(entry["begin"]).t_s
     end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")
@@ -178,7 +178,7 @@ def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
             )
 
 
-def _named(items: tuple, name: str, kind: str):
+def _find_named(items: tuple, name: str, kind: str):
     for item in items:
         if item.name == name:
             return item

@@ -17,7 +17,7 @@ from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
+from sunspin.solve.linear import Dense, solve_dense
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import came_late
 from sunspin.telemetry.sun import SunStatus, signals
@@ -302,7 +302,7 @@ def _in_turn(model: Model, state: State, free: bool, steps: int) -> State:
     """Unknowns, their scale and, if `free`, the scatters fitted in turn."""
     for _ in range(ROUNDS if free else 1):
         state = least_squares(
-            model.linearise, stepped, dense, state, steps=steps, tolerance=TOLERANCE
+            model.linearise, stepped, solve_dense, state, steps=steps, tolerance=TOLERANCE
         ).state
         state = state._replace(
             scatter=model.scatter(state) if free else state.scatter, scale=model.scale(state)

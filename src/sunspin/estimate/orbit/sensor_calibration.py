@@ -27,8 +27,8 @@ from sunspin.estimate.orbit.invariants import (
     sun_by_panels,
 )
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import cross_matrix, tangents, turn
+from sunspin.solve.linear import Dense, solve_dense
+from sunspin.solve.rotations import cross_matrix, tangent_basis, rotate_attitude
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.repeats import GAP_FACTOR
 from sunspin.vehicle import Vehicle
@@ -229,7 +229,7 @@ def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model
     """Unknowns and scatters fitted in turn."""
     for _ in range(rounds):
         solution = least_squares(
-            model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE
+            model.linearise, _stepped, solve_dense, state, steps=STEPS, tolerance=TOLERANCE
         )
         state = solution.state._replace(attitude=solution.system.kept[0])
         before, model = model, model.with_scatter(state)
@@ -450,7 +450,7 @@ class _Model:
             self._of_sensor(k, unknown, sun, d)
             for k in range(len(self.vehicle.sensors.sun_sensors))
         ]
-        e1, e2 = tangents(
+        e1, e2 = tangent_basis(
             np.nan_to_num(self.seen.sun) + (~np.isfinite(self.seen.sun)) * [0.0, 0.0, 1.0]
         )
         weight = 1 / (self.seen.sun_sigma * self.scatter[1])
@@ -521,7 +521,7 @@ class _Model:
             at = self._residuals(unknown, attitude, sky, whole=False)
             back = np.linalg.inv(_information(at.by_turn))
             step = -turned(back, np.einsum("nri,nr->ni", at.by_turn, at.value))
-            attitude = turn(attitude, np.clip(step, -0.5, 0.5))
+            attitude = rotate_attitude(attitude, np.clip(step, -0.5, 0.5))
         at = self._residuals(unknown, attitude, sky)
         return attitude, at, np.linalg.inv(_information(at.by_turn))
 
@@ -697,12 +697,12 @@ def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     second = np.where(
         near > 0,
         second / np.maximum(near, 1e-300),
-        tangents(first / np.maximum(size, 1e-300) + (size == 0))[0],
+        tangent_basis(first / np.maximum(size, 1e-300) + (size == 0))[0],
     )
-    one = np.where(size > 0, first / np.maximum(size, 1e-300), tangents(second)[0])
+    one = np.where(size > 0, first / np.maximum(size, 1e-300), tangent_basis(second)[0])
     across = np.cross(one, second)
     across = np.where(
-        np.linalg.norm(across, axis=1, keepdims=True) > 1e-6, across, tangents(one)[0]
+        np.linalg.norm(across, axis=1, keepdims=True) > 1e-6, across, tangent_basis(one)[0]
     )
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([one, across, np.cross(one, across)], axis=2)

@@ -13,7 +13,7 @@ import xarray as xr
 from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError
-from sunspin.base.provenance import described, provenance
+from sunspin.base.provenance import with_units, provenance
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.estimate.effort import Effort, may_go_on, share_of_left
@@ -255,7 +255,7 @@ def posterior(
     )
     if periods:
         with_periods(vehicle, tree, periods)
-    return described(tree)
+    return with_units(tree)
 
 
 def _sampled(

@@ -11,9 +11,9 @@ import numpy as np
 from sunspin.estimate.posterior.family import apart
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State
-from sunspin.solve.least_squares import least_squares, shortened, take
-from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.least_squares import least_squares, limit_length, take_problems
+from sunspin.solve.linear import Dense, solve_dense
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
 FLOOR = 1e-9
 """Part of the largest curvature that is added to all: directions that nothing tells are left alone."""
@@ -244,7 +244,7 @@ class _Search:
         found = least_squares(
             self._linearised,
             self._moved,
-            dense,
+            solve_dense,
             self._carried((self.state.omega, self.state.sun, self.state.u), self._system),
             steps=count,
             system=self._system,
@@ -267,7 +267,7 @@ class _Search:
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
-        self.state, self._system = self.state.take(rows), take(self._system, rows)
+        self.state, self._system = self.state.take(rows), take_problems(self._system, rows)
 
     def _linearised(self, state: _Point) -> Dense:
         return self._seen_from(State(*state[:3]), state[3], state[4])
@@ -340,14 +340,14 @@ class _Search:
 
     def _moved(self, state: _Point, step: np.ndarray) -> _Point:
         move = self._whole(step)
-        sun = moved(state[1], move[:, 3:5])
+        sun = move_on_sphere(state[1], move[:, 3:5])
         came = _turned(state[1], sun, state[3], state[4].seen, move[:, self._moving])
         return state[0] + move[:, :3], sun, state[2] + move[:, 5:], *came
 
     def _limited(self, state: _Point) -> _Point:
         model = self.likelihood.model
         omega, u = (
-            shortened(state[0], model.max_rate),
+            limit_length(state[0], model.max_rate),
             model.possible(np.clip(state[2], -FAR, FAR), INSIDE),
         )
         whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(
@@ -425,7 +425,7 @@ def _turned(
     sun: np.ndarray, there: np.ndarray, moves: np.ndarray, seen: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, Secant]:
     """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
-    across = np.stack(tangents(there), axis=1) @ np.swapaxes(np.stack(tangents(sun), axis=1), 1, 2)
+    across = np.stack(tangent_basis(there), axis=1) @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)
     moves, step = np.array(moves), np.array(step)
     moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(
         len(moves), 2, *moves.shape[2:]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from sunspin.estimate.terms.reading import LOG_2PI
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 
 if TYPE_CHECKING:
     from sunspin.estimate.posterior.likelihood import Likelihood, Prediction
@@ -30,7 +30,7 @@ TRIED = np.geomspace(1e-3, 0.1, 13)
 
 def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray:
     """Directions (..., 3) in body axes `shift_s` (...) later, at the body rate (..., 3) that there is now."""
-    return seen_turned(sun, rate * shift_s[..., None])
+    return components_after_rotation(sun, rate * shift_s[..., None])
 
 
 def power_slope(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.estimate.terms.term import Unknown
-from sunspin.solve.rotations import tangents
+from sunspin.solve.rotations import tangent_basis
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import stated_sigma
 
@@ -44,7 +44,7 @@ def unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> list[U
 def turns(vehicle: Vehicle, unknown: Sequence[Unknown]) -> np.ndarray:
     """Turns (k, n_panel, 3) in rad of all panels by one sigma of each unknown (k): zero for those that are no tilts."""
     out = np.zeros((len(unknown), len(vehicle.panels), 3))
-    across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
+    across = np.stack(tangent_basis(vehicle.panel_normals_B), axis=1)
     for i, x in enumerate(unknown):
         if x.kind == KIND:
             panel, side = divmod(x.index, 2)

@@ -28,9 +28,9 @@ from sunspin.estimate.rates.smooth import (
 )
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
-from sunspin.solve.least_squares import TOLERANCE, least_squares, take
-from sunspin.solve.linear import Bordered, bordered, spread
-from sunspin.solve.rotations import turn
+from sunspin.solve.least_squares import TOLERANCE, least_squares, take_problems
+from sunspin.solve.linear import Bordered, solve_bordered, invert_bordered
+from sunspin.solve.rotations import rotate_attitude
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
 """rad/s^1.5; acceleration noises under which a lateness finds its place."""
@@ -75,7 +75,7 @@ class Common(NamedTuple):
 
     def take(self, index: np.ndarray) -> Common:
         """The hypotheses `index`."""
-        error, covariance, answer, system = take(self[1:-1], index)
+        error, covariance, answer, system = take_problems(self[1:-1], index)
         return Common(
             self.track.take(index), error, covariance, answer, system, self.seen.take(index)
         )
@@ -114,7 +114,7 @@ def seen_later(o: Observations, track: Track, motion: Motion, late_s: np.ndarray
     late = late_s[:, None, None]
     change = acceleration(motion.body, track.omega, o.momentum)
     return Track(
-        turn(track.attitude, late * (track.omega + late / 2 * change)), track.omega + late * change
+        rotate_attitude(track.attitude, late * (track.omega + late / 2 * change)), track.omega + late * change
     )
 
 
@@ -228,13 +228,13 @@ def _fitted(
             o, unseen, places, Track(state[0], state[1]), state[2], motion, clock
         ),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
-        bordered,
+        solve_bordered,
         (track.attitude, track.omega, error),
         steps=steps,
         tolerance=tolerance,
         limit=limit,
     )
-    (attitude, omega, error), system, told = found.state, found.system, spread(found.system)
+    (attitude, omega, error), system, told = found.state, found.system, invert_bordered(found.system)
     fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
     seen = fitted if clock is None else seen_later(o, fitted, motion, _late(clock, error))
     return Common(fitted, error, told.border, told.answer, system, seen)

@@ -12,8 +12,8 @@ from sunspin.estimate.rates.motion import step, step_with_answer
 from sunspin.estimate.rates.smooth import followed, free_turn, measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import turn
+from sunspin.solve.linear import Dense, solve_dense
+from sunspin.solve.rotations import rotate_attitude
 
 CROWD = 4000
 """Starts moved at once, so that their numbers stay in the processor's cache."""
@@ -39,8 +39,8 @@ def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) 
     """Attitude and rate at sample `index` of K hypotheses, fitted; returns them with their cost."""
     found = least_squares(
         lambda state: _equations(o, index, state[0], state[1], motion),
-        lambda state, step: (turn(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
-        dense,
+        lambda state, step: (rotate_attitude(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
+        solve_dense,
         (track.attitude[:, index], track.omega[:, index]),
         steps=steps,
     )

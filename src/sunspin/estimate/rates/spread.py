@@ -14,7 +14,7 @@ import numpy as np
 
 from sunspin.estimate.rates.common_errors import Clock, Common, places_of, sun_part
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.solve.linear import bordered
+from sunspin.solve.linear import solve_bordered
 
 
 def with_spread(
@@ -27,7 +27,7 @@ def with_spread(
 
     def answer(slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
         downhill = error_slope + np.zeros_like(system.border_slope)
-        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[
+        return solve_bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[
             0
         ][0]
 

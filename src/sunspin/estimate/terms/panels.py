@@ -17,7 +17,7 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.terms import gains
 from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
-from sunspin.solve.rotations import cross_matrix, seen_turned
+from sunspin.solve.rotations import cross_matrix, components_after_rotation
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
 from sunspin.telemetry.quality import LIMITED_SCALE
@@ -362,8 +362,8 @@ class Panels(SunTerm):
             if not shift:
                 sun, moves = seen.sun_B, across
             else:
-                sun = seen_turned(seen.sun_B, shift * seen.omega)
-                moves = seen_turned(np.swapaxes(across, -1, -2), shift * seen.omega[..., None, :])
+                sun = components_after_rotation(seen.sun_B, shift * seen.omega)
+                moves = components_after_rotation(np.swapaxes(across, -1, -2), shift * seen.omega[..., None, :])
                 moves = np.swapaxes(moves, -1, -2)
             part, to_sun, _ = self.response.slopes(sun, gain=gain)
             light, to_turn = light + weight * part, to_turn + weight[:, None] * (to_sun @ moves)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.response.planes import (
     ON_PLANE,
     Arrangement,
@@ -161,7 +161,7 @@ class PanelResponse:
         """Normals (n_panel, 3), or turned by rotation vectors `tilt` (..., n_panel, 3) normals of that shape."""
         if tilt is None:
             return self.normals_B
-        return seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+        return components_after_rotation(self.normals_B, -np.asarray(tilt, dtype=np.float64))
 
     def _strengths(self, gain: np.ndarray | None) -> np.ndarray:
         return self.gains if gain is None else self.gains * gain

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from sunspin.base.errors import VehicleError
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
     PanelResponse,
@@ -262,7 +262,7 @@ class Joined(PanelResponse):
         fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
         sample, which = np.nonzero(fits & tried.any(axis=-1))  # in the dark there is no candidate
         sun, wanted = tried[sample, which], target[sample]
-        near = [moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1))) for step in AROUND]
+        near = [move_on_sphere(sun, np.tile(DOWN_RAD * step, (len(sun), 1))) for step in AROUND]
         lowest = np.min([misfit(self.power(each), wanted) for each in near], axis=0)
         kept = np.zeros(tried.shape[:2], dtype=bool)
         kept[sample, which] = misfit(self.power(sun), wanted) <= lowest + DOWN
@@ -284,7 +284,7 @@ class Joined(PanelResponse):
 
     def _unseen(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """The tangent (3) at a direction (3) along which the proportions of the lit inputs' readings change least."""
-        frame = np.stack(tangents(sun[None]), axis=-1)[0]
+        frame = np.stack(tangent_basis(sun[None]), axis=-1)[0]
         power, to_sun = (value[lit] for value in self.slopes(sun)[:2])
         across = to_sun @ frame
         across = across - np.outer(power, power @ across) / (power @ power)
