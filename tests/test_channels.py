@@ -17,8 +17,8 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
-from sunspin.vehicle.response.flat import unit_readings
-from sunspin.vehicle.response.joined import Joined
+from sunspin.vehicle.response.flat import normalise_readings
+from sunspin.vehicle.response.joined import JoinedResponse
 from sunspin.vehicle.response.planes import sphere
 
 THREE = {axis: (f"+{axis}", f"-{axis}") for axis in "XYZ"}
@@ -169,8 +169,8 @@ def test_no_direction_of_the_sphere_fits_better_than_the_closed_form(channels, r
     vehicle, rng = craft(channels, reads=reads), np.random.default_rng(3)
     readings = ss.panel_power(vehicle, directions(25, 6))
     readings = np.maximum(readings + 0.02 * rng.normal(size=readings.shape), 0.0)
-    shape = unit_readings(ss.panel_power(vehicle, sphere(200_000)))
-    least = np.sqrt(np.maximum(2 - 2 * (unit_readings(readings) @ shape.T).max(axis=1), 0.0))
+    shape = normalise_readings(ss.panel_power(vehicle, sphere(200_000)))
+    least = np.sqrt(np.maximum(2 - 2 * (normalise_readings(readings) @ shape.T).max(axis=1), 0.0))
     assert (vehicle.response_in().best(readings)[1] <= least + 1e-6).all()
 
 
@@ -233,7 +233,7 @@ def test_slopes_of_flat_panels_are_those_of_the_differences(reads):
         directions(50, 5),
     )
     gain = np.array([1.1, 0.9, 1.2, 1.0])
-    assert isinstance(response, Joined)
+    assert isinstance(response, JoinedResponse)
     step, slope = 1e-6, response.slopes(sun, gain=gain).to_sun
     for axis in np.eye(3):
         across = axis - (sun @ axis)[:, None] * sun

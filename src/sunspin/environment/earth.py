@@ -80,7 +80,7 @@ class Instants(NamedTuple):
         return (1 - share) * values[k] + share * values[k + 1]
 
 
-def _remembered(function: Callable[[Instants], np.ndarray]) -> Callable[[Instants], np.ndarray]:
+def _cached_by_instants(function: Callable[[Instants], np.ndarray]) -> Callable[[Instants], np.ndarray]:
     """The same, without computing anew what was asked for just before: a fit asks for many orbits at the same times."""
 
     @lru_cache(maxsize=4)
@@ -107,7 +107,7 @@ def ahead_of_utc_s(scale: str, when: Instants) -> float:
     return {"TAI": tai, "GPS": tai - TAI_AHEAD_OF_GPS_S}.get(scale, tt)
 
 
-@_remembered
+@_cached_by_instants
 def J2000_from_TEME(when: Instants) -> np.ndarray:
     """Matrices (n, 3, 3) from the true equator and mean equinox of SGP4 to J2000.
 
@@ -122,7 +122,7 @@ def J2000_from_TEME(when: Instants) -> np.ndarray:
     return when.slowly(matrix)
 
 
-@_remembered
+@_cached_by_instants
 def earth_from_J2000(when: Instants) -> np.ndarray:
     """Matrices (n, 3, 3) from J2000 to the axes that turn with the Earth (ITRF without polar motion, which is 0.3 arcseconds)."""
     import erfa
@@ -130,7 +130,7 @@ def earth_from_J2000(when: Instants) -> np.ndarray:
     return erfa.rz(erfa.era00(when.jd, when.fraction), when.slowly(erfa.c2i06a))
 
 
-@_remembered
+@_cached_by_instants
 def sun_J2000_m(when: Instants) -> np.ndarray:
     """The Sun (n, 3) in m from the Earth's centre, where it is seen: aberration included."""
     import erfa

@@ -23,16 +23,16 @@ from sunspin.environment.earth import TIME_SCALES, Instants, ahead_of_utc_s
 OLD_DAYS = 10.0
 """Elements farther than this from the telemetry are warned about: the place along the track is no longer known to a few seconds."""
 
-THREE = r"(?:\d{3}| \d\d|  \d)"
+THREE_DIGITS = r"(?:\d{3}| \d\d|  \d)"
 """A whole number of at most three digits, at the right of its columns: SGP4's own reader takes `1 5` for 1."""
 
 LINE_1 = re.compile(
-    rf"1 [0-9A-Z ][0-9 ]{{4}}[ -~] [ -~]{{8}} \d\d{THREE}\.\d{{8}} [-+ ][ .\d]\d{{8}} "
+    rf"1 [0-9A-Z ][0-9 ]{{4}}[ -~] [ -~]{{8}} \d\d{THREE_DIGITS}\.\d{{8}} [-+ ][ .\d]\d{{8}} "
     r"[-+ ]\d{5}[-+]\d [-+ ]\d{5}[-+]\d [ \d] [ \d]{4}\d",
     re.ASCII,
 )
 LINE_2 = re.compile(
-    rf"2 [0-9A-Z ][0-9 ]{{4}} {THREE}\.\d{{4}} {THREE}\.\d{{4}} \d{{7}} {THREE}\.\d{{4}} {THREE}\.\d{{4}} "
+    rf"2 [0-9A-Z ][0-9 ]{{4}} {THREE_DIGITS}\.\d{{4}} {THREE_DIGITS}\.\d{{4}} \d{{7}} {THREE_DIGITS}\.\d{{4}} {THREE_DIGITS}\.\d{{4}} "
     r"[ \d]\d\.\d{8}[ \d]{5}\d",
     re.ASCII,
 )
@@ -45,7 +45,7 @@ FOR_SGP4 = ("0", "1", "2", "3")
 """Ephemeris types of elements for SGP4: 0 in all published ones; 1 (SGP), 2 (SGP4) and 3 (SDP4, its part for deep space) in a few.
 4 is SGP4-XP, whose elements SGP4 propagates to wrong places without an error."""
 
-NUMBERS = (
+NUMERIC_KEYS = (
     "MEAN_MOTION",
     "ECCENTRICITY",
     "INCLINATION",
@@ -58,10 +58,10 @@ NUMBERS = (
 )
 """Numbers of an OMM that SGP4 needs."""
 
-KEYS = ("EPOCH", *NUMBERS[:6], "NORAD_CAT_ID", *NUMBERS[6:])
+REQUIRED_KEYS = ("EPOCH", *NUMERIC_KEYS[:6], "NORAD_CAT_ID", *NUMERIC_KEYS[6:])
 """Keys that an OMM must have."""
 
-ASSUMED = {
+DEFAULTS = {
     "CENTER_NAME": "EARTH",
     "REF_FRAME": "TEME",
     "TIME_SYSTEM": "UTC",
@@ -81,7 +81,7 @@ TEME = {"TEME", "TEMEOFDATE"} | {
 FIRST_YEAR = 1957
 """Of a satellite."""
 
-NOT_USED = {
+UNUSED_KEYS = {
     "NORAD_CAT_ID": "0",
     "EPHEMERIS_TYPE": "0",
     "CLASSIFICATION_TYPE": "U",
@@ -153,17 +153,17 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
     """
     begin = text.lstrip()[:1]
     if begin == "<":
-        messages = _xml(text, where)
+        messages = _read_xml(text, where)
     elif begin in ("[", "{"):
-        messages = _json(text, where)
+        messages = _read_json(text, where)
     elif "MEAN_MOTION" in text.split("\n", 1)[0]:
         messages = csv.DictReader(io.StringIO(text.strip()))
     elif re.search(r"^\s*MEAN_MOTION\s*=", text, re.MULTILINE):
-        messages = _kvn(text)
+        messages = _read_kvn(text)
     else:
         messages = None
     if messages is None:
-        sets = list(_lines(text, where))
+        sets = list(_read_tle(text, where))
     else:
         listed = list(messages)
         sets = [
@@ -189,7 +189,7 @@ def nearest(sets: tuple[Elements, ...], jd: float) -> Elements:
 # ------------------------------------------------------------------------------------------------------------------------- TLE
 
 
-def _lines(text: str, where: str) -> Iterator[Elements]:
+def _read_tle(text: str, where: str) -> Iterator[Elements]:
     name, first = "", None
     for number, line in enumerate(text.splitlines(), 1):
         line, at = line.strip(), f"{where}, line {number}"
@@ -199,14 +199,14 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
             if line[0] == "2" and len(line) > 60:
                 what = "line 2 of the elements comes before line 1"
                 raise InputError(what, do="exchange the two lines", where=at)
-            first = _checked(line, LINE_1, at)
+            first = _check_line(line, LINE_1, at)
             _require_SGP4(first[EPHEMERIS_COLUMN].replace(" ", "0"), at)
         elif first is not None:
             if not line.startswith("2 "):
                 what = "line 2 of the elements must follow their line 1"
                 raise InputError(what, got=line, where=at)
-            second = _checked(line, LINE_2, at)
-            satellites = [_catalogue_number(each[2:7], at) for each in (first, second)]
+            second = _check_line(line, LINE_2, at)
+            satellites = [_parse_catalogue_number(each[2:7], at) for each in (first, second)]
             if satellites[0] != satellites[1]:
                 what, got = "the two lines are of different satellites", (first[2:7], second[2:7])
                 raise InputError(what, got=" and ".join(got), do="keep those of yours", where=at)
@@ -216,7 +216,7 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
             given = tuple(
                 f"{each[:2]}{each[2:7].strip():0>5}{each[7:]}" for each in (first, second)
             )
-            yield _elements(given, satellites[0], name, at)
+            yield _build_elements(given, satellites[0], name, at)
             name, first = "", None
         else:
             name = line.removeprefix("0 ").strip()[:100]
@@ -224,7 +224,7 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
         raise InputError("line 1 of the elements has no line 2", do="add it", where=where)
 
 
-def _checked(line: str, form: re.Pattern[str], at: str) -> str:
+def _check_line(line: str, form: re.Pattern[str], at: str) -> str:
     if len(line) != 69:
         what = "a line of elements has 69 characters"
         raise InputError(what, got=f"{len(line)}", do="copy it whole", where=at)
@@ -238,7 +238,7 @@ def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     return line
 
 
-def _catalogue_number(text: str, at: str) -> int:
+def _parse_catalogue_number(text: str, at: str) -> int:
     """Return the number of a satellite: digits, padded by blanks or zeros or not, or Alpha-5."""
     text = text.strip()
     if digits := re.fullmatch(r"0*(\d{1,9})(\.0*)?", text, re.ASCII):
@@ -259,7 +259,7 @@ def _require_SGP4(ephemeris_type: str, at: str) -> None:
         raise InputError(what, got=f"{ephemeris_type}{xp}", do=do, where=at)
 
 
-def _elements(given: tuple, number: int, name: str, at: str) -> Elements:
+def _build_elements(given: tuple, number: int, name: str, at: str) -> Elements:
     try:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
@@ -277,40 +277,40 @@ def _elements(given: tuple, number: int, name: str, at: str) -> Elements:
 
 def _from_omm(fields: dict[str, Any], where: str) -> Elements:
     """Return the elements of one message. What it says of its theory, frame, centre and time system is obeyed or refused."""
-    known = ASSUMED | {
+    known = DEFAULTS | {
         str(key).strip(): text
         for key, value in fields.items()
         if key and value is not None and (text := str(value).strip())
     }
-    if _letters(known["MEAN_ELEMENT_THEORY"]) not in THEORIES:
+    if _normalise_name(known["MEAN_ELEMENT_THEORY"]) not in THEORIES:
         what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
         raise InputError(what, got=known["MEAN_ELEMENT_THEORY"], do=do, where=where)
     _require_SGP4(known["EPHEMERIS_TYPE"].removesuffix(".0").lstrip("0") or "0", where)
     if known["CENTER_NAME"].upper() not in ("EARTH", "399"):  # 399 is NAIF's number of the Earth
         what, do = "CENTER_NAME of the OMM is not EARTH", "give elements about the Earth"
         raise InputError(what, got=known["CENTER_NAME"], do=do, where=where)
-    if _letters(known["REF_FRAME"]) not in TEME:
+    if _normalise_name(known["REF_FRAME"]) not in TEME:
         what = "REF_FRAME of the OMM is not TEME, the frame of SGP4"
         do = "get SGP4 elements, whose frame is TEME: a changed label would turn the orbit"
         raise InputError(what, got=known["REF_FRAME"], do=do, where=where)
-    if missing := [key for key in KEYS if key not in known]:
+    if missing := [key for key in REQUIRED_KEYS if key not in known]:
         do = "give the whole message"
         raise InputError("the OMM lacks a key", got=missing[0], do=do, where=where)
-    for key in NUMBERS:
+    for key in NUMERIC_KEYS:
         if np.isnan(plain_number(known[key])):
             raise InputError(f"{key} must be a number", got=known[key], where=where)
-    number = _catalogue_number(known["NORAD_CAT_ID"], where)
-    epoch = _utc(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(timespec="microseconds")
-    given = NOT_USED | {key: known[key] for key in NUMBERS} | {"EPOCH": epoch}
-    return _elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
+    number = _parse_catalogue_number(known["NORAD_CAT_ID"], where)
+    epoch = _parse_epoch(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(timespec="microseconds")
+    given = UNUSED_KEYS | {key: known[key] for key in NUMERIC_KEYS} | {"EPOCH": epoch}
+    return _build_elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
 
 
-def _letters(name: str) -> str:
+def _normalise_name(name: str) -> str:
     """Return a name in capitals, without what is neither letter nor digit."""
     return re.sub(r"[^A-Z0-9]", "", name.upper())
 
 
-def _utc(epoch: str, scale: str, where: str) -> datetime:
+def _parse_epoch(epoch: str, scale: str, where: str) -> datetime:
     """Return the UTC of an epoch in a time scale: of the calendar, or of a day of the year."""
     form = re.fullmatch(r"(\d{4}-(?:\d\d-\d\d|(\d{3}))T\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII)
     try:
@@ -336,7 +336,7 @@ def _utc(epoch: str, scale: str, where: str) -> datetime:
     return utc
 
 
-def _kvn(text: str) -> Iterator[dict[str, str]]:
+def _read_kvn(text: str) -> Iterator[dict[str, str]]:
     """Messages of keys and values; each begins with its version or name, of which a file may have either."""
     fields: dict[str, str] = {}
     for line in text.splitlines():
@@ -352,7 +352,7 @@ def _kvn(text: str) -> Iterator[dict[str, str]]:
         yield fields
 
 
-def _json(text: str, where: str) -> list[dict[str, Any]]:
+def _read_json(text: str, where: str) -> list[dict[str, Any]]:
     try:
         table = json.loads(text)
     except (ValueError, RecursionError):
@@ -364,7 +364,7 @@ def _json(text: str, where: str) -> list[dict[str, Any]]:
     return table
 
 
-def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
+def parse_xml(text: str, kind: str, where: str) -> ElementTree.Element:
     """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
     if "<!" in text.replace("<!--", ""):
         raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
@@ -375,13 +375,13 @@ def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
         raise InputError(what, do="give the whole file", where=where) from None
 
 
-def _xml(text: str, where: str) -> Iterator[dict[str, str]]:
-    root = xml_root(text, "OMM", where)
+def _read_xml(text: str, where: str) -> Iterator[dict[str, str]]:
+    root = parse_xml(text, "OMM", where)
     for message in root.iter():
-        if _plain_tag(message) == "omm":
-            yield {_plain_tag(leaf): leaf.text or "" for leaf in message.iter() if not len(leaf)}
+        if _tag_name(message) == "omm":
+            yield {_tag_name(leaf): leaf.text or "" for leaf in message.iter() if not len(leaf)}
 
 
-def _plain_tag(element: ElementTree.Element) -> str:
+def _tag_name(element: ElementTree.Element) -> str:
     """Return the name of an element without its namespace; nothing for a comment."""
     return str(element.tag).rpartition("}")[2]

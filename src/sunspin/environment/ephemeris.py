@@ -35,7 +35,7 @@ from sunspin.environment.earth import (
     ahead_of_utc_s,
     earth_from_J2000,
 )
-from sunspin.environment.elements import Elements, parse_elements, xml_root
+from sunspin.environment.elements import Elements, parse_elements, parse_xml
 
 if TYPE_CHECKING:
     from scipy import interpolate
@@ -45,36 +45,36 @@ else:
 MAX_FILE_BYTES = 50_000_000
 """Positions of a month, one a minute, are 5 MB."""
 
-DEGREE, FEWEST = 7, 9
+DEGREE, MIN_POSITIONS = 7, 9
 """Of the spline, and positions that a stretch needs for it."""
 
-GAP = 5.0
+GAP_STEPS = 5.0
 """Positions farther apart than this many usual steps belong to two stretches."""
 
-COARSEST_M = 10.0
+MAX_SPLINE_ERROR_M = 10.0
 """A table whose spline is worse than this is refused."""
 
-HIGHEST_M = 1e8
+MAX_RADIUS_M = 1e8
 """No orbit about the Earth whose field and shadow matter reaches farther from its centre."""
 
-VELOCITY_M_S = 30.0
+VELOCITY_TOLERANCE_M_S = 30.0
 """Velocities given may differ so much from those of the spline: more is another unit or another frame."""
 
-BESIDE_S = 1.0
+OUTSIDE_S = 1.0
 """Telemetry may lie so far beside a table whose times are cut to whole seconds."""
 
-SPK_STEP_S, SPK_CPU_S, MOST_STATES = 60.0, 60, 200_000
+SPK_STEP_S, SPK_CPU_S, MAX_STATES = 60.0, 60, 200_000
 
 INERTIAL = {"EME2000", "GCRF", "ICRF", "J2000", "ICRF2", "ICRF3"}
 TIME = re.compile(r"(\d{4})-(?:(\d{3})|\d\d-\d\d)(T\d\d(?::\d\d(?::\d\d(?:\.\d*)?)?)?)?", re.ASCII)
 """A time of the calendar or, with the second group, of a day of the year."""
 
-FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
+EARTH_FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
 """Names of frames: that of J2000, and those that turn with the Earth."""
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """Positions (n, 3) m in J2000 at s (n) from a UTC Julian date."""
 
     jd: float
@@ -100,7 +100,7 @@ class Stretch:
 
     def error_m(self) -> float:
         """What the spline is off between the positions, by that through every other one."""
-        if len(self.t_s) < 2 * FEWEST:
+        if len(self.t_s) < 2 * MIN_POSITIONS:
             return 0.0
         coarse = interpolate.make_interp_spline(self.t_s[::2], self.place[::2], k=DEGREE)
         inside = slice(1, len(self.t_s) - 1 - (len(self.t_s) % 2 == 0), 2)
@@ -112,7 +112,7 @@ class Stretch:
 class Ephemeris:
     """A satellite's place as a table: :class:`sunspin.environment.orbit.Orbit` takes it where it takes elements."""
 
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[Segment, ...]
     number: str
     name: str
     where: str
@@ -150,20 +150,20 @@ class Ephemeris:
             mine = nearest == k
             t = ((jd[mine] - stretch.jd) + fraction[mine]) * DAY_S
             within = np.clip(t, stretch.t_s[0], stretch.t_s[-1])
-            both[:, mine] = _along_ellipse(*stretch.state(within), t - within)
+            both[:, mine] = _propagate_ellipse(*stretch.state(within), t - within)
         return both[0], both[1]
 
     def require(self, jd: np.ndarray) -> None:
         """`InputError` where a date (n) of telemetry is not in the table."""
-        missing = np.min([s.outside_days(jd) for s in self.stretches], axis=0) > BESIDE_S / DAY_S
+        missing = np.min([s.outside_days(jd) for s in self.stretches], axis=0) > OUTSIDE_S / DAY_S
         if missing.any():
-            got = f"{utc_of(self.span_jd[0])} to {utc_of(self.span_jd[1])}, but not {utc_of(float(jd[missing][0]))}"
+            got = f"{utc_from_jd(self.span_jd[0])} to {utc_from_jd(self.span_jd[1])}, but not {utc_from_jd(float(jd[missing][0]))}"
             do = "give one that does, or only the telemetry that it covers"
             what = "the ephemeris does not cover the telemetry"
             raise InputError(what, got=got, do=do, where=self.where)
 
 
-def _along_ellipse(
+def _propagate_ellipse(
     place: np.ndarray, speed: np.ndarray, t_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities (n, 3) after `t_s` (n) on Kepler's ellipse through these; those with 0 s stay as they are."""
@@ -188,7 +188,7 @@ def _along_ellipse(
     return place, speed
 
 
-class _Table(NamedTuple):
+class _PositionTable(NamedTuple):
     """Positions (n, 3) and velocities (n, 3; NaN: none) in m and m/s, in a frame, at s (n) from an epoch in a time scale."""
 
     epoch: str
@@ -214,55 +214,55 @@ def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
     where, meta = str(path), dict[str, str]()
     content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, do)
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
-        tables = [_spk(path)]
+        tables = [_read_spk(path)]
     else:
         text = decode_text(content, where, InputError, do)
         rows = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
         if "CCSDS_OEM_VERS" in text[:20_000] or "<oem" in text[:20_000]:
-            read = _oem_xml if text.lstrip()[:1] == "<" else _oem_kvn
+            read = _read_oem_xml if text.lstrip()[:1] == "<" else _read_oem_kvn
             meta, tables = read(text, where)
         elif re.search(r"\b(time_utc|[xyz]_k?m)\b", next(rows, "")):
-            tables = [_csv(path)]
+            tables = [_read_csv(path)]
         else:
             return parse_elements(text, where)
-    stretches = [stretch for table in tables for stretch in _stretches(table, where)]
+    stretches = [stretch for table in tables for stretch in _build_segments(table, where)]
     if not stretches:
-        what = f"the ephemeris has no {FEWEST} positions in a row"
+        what = f"the ephemeris has no {MIN_POSITIONS} positions in a row"
         raise InputError(what, do="give one with a position every minute or so", where=where)
     stretches.sort(key=lambda stretch: stretch.span_jd[0])
-    if (worst := max(stretch.error_m() for stretch in stretches)) > COARSEST_M:
+    if (worst := max(stretch.error_m() for stretch in stretches)) > MAX_SPLINE_ERROR_M:
         step = float(np.median(np.diff(stretches[0].t_s)))
         what = f"the positions are {step:.0f} s apart, between which an orbit is known to {worst:.0f} m only"
-        do = f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit"
+        do = f"give them close enough for {MAX_SPLINE_ERROR_M:.0f} m, a minute in a low orbit"
         raise InputError(what, do=do, where=where)
     number, name = meta.get("OBJECT_ID", ""), meta.get("OBJECT_NAME", path.stem)
     return (Ephemeris(tuple(stretches), number[:100], name[:100], where),)
 
 
-def _stretches(table: _Table, where: str) -> list[Stretch]:
+def _build_segments(table: _PositionTable, where: str) -> list[Segment]:
     if np.any(np.diff(table.t_s) <= 0):
         what, do = "the times of the ephemeris do not increase", "sort its rows, remove repeats"
         raise InputError(what, do=do, where=where)
     radius = np.linalg.norm(table.place, axis=1)
-    wrong = (radius <= 0.99 * EQUATOR_M) | (radius >= HIGHEST_M)
+    wrong = (radius <= 0.99 * EQUATOR_M) | (radius >= MAX_RADIUS_M)
     if wrong.any():
         what = "a position is not one of an orbit about the Earth"
         got = f"{radius[wrong][0] / 1e3:.6g} km from its centre"
         do = "check the unit (km in an OEM) and the centre"
         raise InputError(what, got=got, do=do, where=where)
-    when = _instants(table, where)
-    place, speed = _in_J2000(table, when, where)
+    when = _utc_instants(table, where)
+    place, speed = _to_J2000(table, when, where)
     step = np.median(np.diff(table.t_s)) if len(radius) > 1 else 0.0
     stretches = []
     jd = float(when.jd[0])
     t_s = (when.jd - jd + when.fraction) * DAY_S
-    gaps = np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1
+    gaps = np.flatnonzero(np.diff(table.t_s) > GAP_STEPS * step) + 1
     for part in np.split(np.arange(len(radius)), gaps):
-        if len(part) < FEWEST:
+        if len(part) < MIN_POSITIONS:
             continue
-        stretch = Stretch(jd, t_s[part], place[part])
+        stretch = Segment(jd, t_s[part], place[part])
         off = np.linalg.norm(stretch.spline(stretch.t_s, 1) - speed[part], axis=1)
-        if np.nanmax(np.append(off, 0.0)) > VELOCITY_M_S and np.nanmedian(off) > VELOCITY_M_S / 10:
+        if np.nanmax(np.append(off, 0.0)) > VELOCITY_TOLERANCE_M_S and np.nanmedian(off) > VELOCITY_TOLERANCE_M_S / 10:
             what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the median"
             do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
             raise InputError(what, do=do, where=where)
@@ -270,10 +270,10 @@ def _stretches(table: _Table, where: str) -> list[Stretch]:
     return stretches
 
 
-def _instants(table: _Table, where: str) -> Instants:
+def _utc_instants(table: _PositionTable, where: str) -> Instants:
     """The times in UTC."""
     try:
-        when = Instants.of(_iso(table.epoch), table.t_s)
+        when = Instants.of(_normalise_time(table.epoch), table.t_s)
     except ValueError:
         what = "this is not a time such as 2026-01-31T12:00:00"
         raise InputError(what, got=table.epoch, where=where) from None
@@ -284,7 +284,7 @@ def _instants(table: _Table, where: str) -> Instants:
     return when.later(-ahead_of_utc_s(table.scale, when))
 
 
-def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
+def _to_J2000(table: _PositionTable, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities; of a frame that turns with the Earth only positions."""
     frame = table.frame.upper().replace(" ", "")
     if frame in INERTIAL:
@@ -292,7 +292,7 @@ def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np
     if frame == "TEME":
         turn = J2000_from_TEME(when)
         return (turn @ table.place[..., None])[..., 0], (turn @ table.speed[..., None])[..., 0]
-    if FIXED.fullmatch(frame):
+    if EARTH_FIXED.fullmatch(frame):
         turn = np.swapaxes(earth_from_J2000(when), -1, -2)
         return (turn @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
     do = f"give positions in one of {', '.join(sorted(INERTIAL))}, TEME, ITRF"
@@ -302,7 +302,7 @@ def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np
 # -------------------------------------------------------------------------------------------------------------------------- OEM
 
 
-def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
+def _read_oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_PositionTable]]:
     meta: dict[str, str] = {}
     rows: list[tuple[str, list[str]]] = []
     tables, inside, skipping = [], False, False
@@ -311,7 +311,7 @@ def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
         if not line or line.startswith("COMMENT"):
             continue
         if line == "META_START":
-            tables += [_oem_table(meta, rows, where)] if rows else []
+            tables += [_build_oem_table(meta, rows, where)] if rows else []
             meta, rows, inside, skipping = {}, [], True, False
         elif line == "META_STOP":
             inside = False
@@ -326,12 +326,12 @@ def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
                 what = "a line of an OEM has a time, three coordinates and three of velocity"
                 raise InputError(what, got=line, where=f"{where}, line {number}")
             rows.append((cells[0], cells[1:7]))
-    tables += [_oem_table(meta, rows, where)] if rows else []
+    tables += [_build_oem_table(meta, rows, where)] if rows else []
     return meta, tables
 
 
-def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
-    root = xml_root(text, "OEM", where)
+def _read_oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_PositionTable]]:
+    root = parse_xml(text, "OEM", where)
     tables, meta = [], {}
     for segment in root.iter("segment"):
         leaves = [leaf for part in segment.iter("metadata") for leaf in part if not len(leaf)]
@@ -341,14 +341,14 @@ def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
             cells = {leaf.tag: (leaf.text or "").strip() for leaf in vector}
             keys = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
             rows.append((cells.get("EPOCH", ""), [cells.get(key, "nan") for key in keys]))
-        tables += [_oem_table(meta, rows, where)] if rows else []
+        tables += [_build_oem_table(meta, rows, where)] if rows else []
     if not tables:
         what, do = "the XML is no OEM with positions", "give an OEM, a CSV or an SPK"
         raise InputError(what, do=do, where=where)
     return meta, tables
 
 
-def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _Table:
+def _build_oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _PositionTable:
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
             do = "give the whole message"
@@ -356,19 +356,19 @@ def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: s
     if meta["CENTER_NAME"].upper() != "EARTH":
         what = "the positions of the OEM are not about the Earth"
         raise InputError(what, got=meta["CENTER_NAME"], where=where)
-    return _table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
+    return _build_table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
 
 
-def _table(
+def _build_table(
     rows: list[tuple[str, list[str]]],
     to_m: float,
     to_m_s: float,
     scale: str,
     frame: str,
     where: str,
-) -> _Table:
+) -> _PositionTable:
     try:
-        times = np.array([_iso(time) for time, _ in rows], dtype="datetime64[us]")
+        times = np.array([_normalise_time(time) for time, _ in rows], dtype="datetime64[us]")
     except ValueError as error:
         raise InputError(f"a time of the ephemeris cannot be read ({error})", where=where) from None
     t_s = (times - times[0]) / np.timedelta64(1, "us") / 1e6
@@ -384,10 +384,10 @@ def _table(
             raise InputError(what, got=odd[0], do=do, where=where)
     if not np.isfinite(values[:, :3]).all():
         raise InputError("a coordinate of the ephemeris is missing or not finite", where=where)
-    return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
+    return _PositionTable(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
 
 
-def _iso(time: str) -> str:
+def _normalise_time(time: str) -> str:
     """A time of the calendar; a day of the year becomes a date. `ValueError` for what is no time: NumPy knows `today`."""
     time = time.rstrip("Z").replace(" ", "T")
     form = TIME.fullmatch(time)
@@ -402,7 +402,7 @@ def _iso(time: str) -> str:
 # ------------------------------------------------------------------------------------------------------------------- CSV and SPK
 
 
-def _csv(path: Path) -> _Table:
+def _read_csv(path: Path) -> _PositionTable:
     where = str(path)
     try:
         table = read_table(path)
@@ -428,10 +428,10 @@ def _csv(path: Path) -> _Table:
         raise InputError(what, where=where)
     rows = [(row[0], row[1:]) for row in table.cells[names].to_numpy().tolist()]
     to_m, to_m_s = (1e3 if unit == "km" else 1.0), (1e3 if fast == "km_s" else 1.0)
-    return _table(rows, to_m, to_m_s, "UTC", frames[0], where)
+    return _build_table(rows, to_m, to_m_s, "UTC", frames[0], where)
 
 
-def _spk(path: Path) -> _Table:
+def _read_spk(path: Path) -> _PositionTable:
     """States once a minute of the one body that an SPK holds, read in another process: a damaged kernel ends SPICE.
 
     Without that process 1 of 7,000 damaged files ends this one (`validation corrupt --unguarded --only earth.bsp`, seeds 0 to 3).
@@ -442,7 +442,7 @@ def _spk(path: Path) -> _Table:
     except ImportError:
         do = 'pip install "sunspin[spice]"'
         raise InputError("an SPK needs spiceypy", do=do, where=where) from None
-    script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
+    script, most = Path(__file__).with_name("spk_states.py"), str(MAX_STATES)
     try:
         printed = run_isolated(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
     except IsolatedRunError as error:
@@ -456,10 +456,10 @@ def _spk(path: Path) -> _Table:
     begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
     epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
     place, speed = 1e3 * values[:, 1:4], 1e3 * values[:, 4:]
-    return _Table(epoch, "TDB", values[:, 0] - begin, place, speed, "J2000")
+    return _PositionTable(epoch, "TDB", values[:, 0] - begin, place, speed, "J2000")
 
 
-def utc_of(jd: float) -> str:
+def utc_from_jd(jd: float) -> str:
     """A UTC Julian date as a time of the calendar, to the second."""
     seconds = round((jd - 2440587.5) * DAY_S)
     return f"{np.datetime64(seconds, 's')}Z"

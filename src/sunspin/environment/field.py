@@ -27,7 +27,7 @@ MODEL_SIGMA_T = 1.5e-7
 """What IGRF leaves out in each component: crust, currents in the ionosphere and around the Earth on a quiet day."""
 
 STEP_DEG = 5
-BEYOND = 8
+POLE_ROWS = 8
 """Rows of the map beyond each pole, so that its splines have no edge there."""
 
 REFERENCE_M = 6_371_200.0
@@ -45,8 +45,8 @@ class FieldMap(NamedTuple):
         """The field (..., 3) in T at Earth-fixed places (..., 3) in m, in Earth-fixed axes."""
         flat = place.reshape(-1, 3)
         radius = np.linalg.norm(flat, axis=1)
-        row = (90 - np.degrees(np.arcsin(flat[:, 2] / radius))) / STEP_DEG + BEYOND
-        column = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360 / STEP_DEG + BEYOND
+        row = (90 - np.degrees(np.arcsin(flat[:, 2] / radius))) / STEP_DEG + POLE_ROWS
+        column = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360 / STEP_DEG + POLE_ROWS
         inverse, field = REFERENCE_M / radius, np.zeros_like(flat)
         for k, node in enumerate(self.inverse):
             others = np.delete(self.inverse, k)
@@ -66,11 +66,11 @@ def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
         raise InputError(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry")
     step = 1e4
     low, high = step * np.floor(radius_m[0] / step), step * np.ceil(radius_m[1] / step)
-    return _field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))
+    return _build_field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))
 
 
 @lru_cache(maxsize=8)
-def _field_map(jd: float, low: float, high: float) -> FieldMap:
+def _build_field_map(jd: float, low: float, high: float) -> FieldMap:
     span = REFERENCE_M / low - REFERENCE_M / high
     spheres = 3 + int(np.ceil(12 * span))
     bend = np.cos(np.pi * (np.arange(spheres) + 0.5) / spheres)
@@ -80,20 +80,20 @@ def _field_map(jd: float, low: float, high: float) -> FieldMap:
     latitude, longitude = np.arange(90, -91, -STEP_DEG), np.arange(0, 360, STEP_DEG)
     rows = []
     for value in inverse:
-        field = value**-3 * _igrf(jd, REFERENCE_M / value, latitude, longitude)
+        field = value**-3 * _compute_igrf(jd, REFERENCE_M / value, latitude, longitude)
         half = np.roll(field, len(longitude) // 2, axis=2)  # beyond a pole is the other side
         field = np.concatenate(
-            [half[:, BEYOND:0:-1], field, half[:, -2 : -2 - BEYOND : -1]], axis=1
+            [half[:, POLE_ROWS:0:-1], field, half[:, -2 : -2 - POLE_ROWS : -1]], axis=1
         )
         rows.append(
-            np.concatenate([field[:, :, -BEYOND:], field, field[:, :, : BEYOND + 1]], axis=2)
+            np.concatenate([field[:, :, -POLE_ROWS:], field, field[:, :, : POLE_ROWS + 1]], axis=2)
         )
     return FieldMap(
         np.array([[ndimage.spline_filter(part) for part in row] for row in rows]), inverse
     )
 
 
-def _igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
+def _compute_igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
     """The field (3, latitudes, longitudes) in T, in Earth-fixed axes."""
     import ppigrf
 

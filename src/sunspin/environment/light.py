@@ -17,7 +17,7 @@ RINGS, SPOKES = 8, 24
 CHUNK = 4000
 
 
-def lit(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
+def sunlit_fraction(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """The part (...) of the Sun's disc that is seen, 0 to 1, from places (..., 3) with the Sun at `sun` (..., 3): m from the
     Earth's centre, in axes whose z is the Earth's.
 
@@ -29,10 +29,10 @@ def lit(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     distance, far = np.linalg.norm(place, axis=-1), np.linalg.norm(to_sun, axis=-1)
     earth, disc = np.arcsin(np.minimum(EQUATOR_M / distance, 1.0)), np.arcsin(SUN_M / far)
     apart = np.arccos(np.clip(-(place * to_sun).sum(axis=-1) / distance / far, -1, 1))
-    return 1 - covered(apart, disc, earth)
+    return 1 - covered_fraction(apart, disc, earth)
 
 
-def covered(apart: np.ndarray, disc: np.ndarray, before: np.ndarray) -> np.ndarray:
+def covered_fraction(apart: np.ndarray, disc: np.ndarray, before: np.ndarray) -> np.ndarray:
     """The part of a disc of radius `disc` that one of radius `before` covers whose middle is `apart` (all rad, all small or the
     border nearly straight)."""
     x = np.clip((apart**2 + disc**2 - before**2) / (2 * np.maximum(apart, 1e-12)), -disc, disc)

@@ -26,7 +26,7 @@ from sunspin.environment.elements import OLD_DAYS, Elements
 from sunspin.environment.ephemeris import Ephemeris
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
-from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
+from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, sunlit_fraction
 from sunspin.environment.surroundings import Surroundings
 
 SUN_SIGMA_RAD = 1e-5
@@ -110,7 +110,7 @@ class Orbit:
         if self.node_rad:
             c, s = np.cos(self.node_rad), np.sin(self.node_rad)
             turn = turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        place, speed = turned(turn, both.reshape(2, *moved.fraction.shape, 3))
+        place, speed = rotate_vectors(turn, both.reshape(2, *moved.fraction.shape, 3))
         return place, speed
 
     def map(self, when: Instants, place: np.ndarray) -> FieldMap:
@@ -127,13 +127,13 @@ class Orbit:
         ahead, along = self.ahead_s(when), self.ahead_sigma_s(when)
 
         def seen(at: np.ndarray) -> tuple[np.ndarray, ...]:
-            field = turned(np.swapaxes(turn, -1, -2), fields.at(turned(turn, at)))
-            return lit(at, sun), field, albedo_light(at, sun)
+            field = rotate_vectors(np.swapaxes(turn, -1, -2), fields.at(rotate_vectors(turn, at)))
+            return sunlit_fraction(at, sun), field, albedo_light(at, sun)
 
         here = seen(place)
         sides = [seen(self.states(when, ahead + side)[0]) for side in (-along, along)]
         lit_sigma, field_sigma, light_sigma = (
-            _spread(*three) for three in zip(here, *sides, strict=True)
+            _larger_difference(*three) for three in zip(here, *sides, strict=True)
         )
         to_sun, distance = sun - place, np.linalg.norm(place, axis=1)
         turning = np.cross(place, speed) / distance[:, None] ** 2
@@ -168,10 +168,10 @@ class Orbit:
         early = jd[jd < first - OLD_DAYS]
         if not early.size:
             return []
-        first_day, last_day = _date(early.min()), _date(early.max())
+        first_day, last_day = _iso_date(early.min()), _iso_date(early.max())
         days = first_day if first_day == last_day else f"{first_day} to {last_day}"
         return [
-            f"{early.size} of {jd.size} samples are dated {days}, before the first elements ({_date(first)}): check the clock"
+            f"{early.size} of {jd.size} samples are dated {days}, before the first elements ({_iso_date(first)}): check the clock"
         ]
 
     def _far(self, ends: np.ndarray) -> list[str]:
@@ -185,7 +185,7 @@ class Orbit:
         return [f"the elements are {days:.0f} days from the telemetry: {known}"]
 
 
-def _date(jd: float) -> str:
+def _iso_date(jd: float) -> str:
     """Return the day of a Julian date as ISO-8601 writes it."""
     return date.fromordinal(int(np.floor(jd - 1_721_424.5))).isoformat()
 
@@ -200,34 +200,34 @@ class SunAlongZ:
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
         here = self.orbit.at(t_s)
-        matrix = _along_z(here.sun_N)
-        vectors = {name: turned(matrix, getattr(here, name)) for name in VECTORS}
+        matrix = _axes_along_z(here.sun_N)
+        vectors = {name: rotate_vectors(matrix, getattr(here, name)) for name in VECTORS}
         return replace(here, **vectors)
 
     def N_from_J2000(self, t_s: npt.ArrayLike) -> np.ndarray:
         """Matrices (n, 3, 3) from J2000 to these axes."""
         when = self.orbit.instants(t_s)
         to_sun = sun_J2000_m(when) - self.orbit.states(when)[0]
-        return _along_z(to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True))
+        return _axes_along_z(to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True))
 
 
 VECTORS = ("sun_N", "field_N", "field_along_N", "nadir_N", "nadir_turn_N", "albedo_light_N")
 """What of the surroundings has components in N."""
 
 
-def _along_z(sun: np.ndarray) -> np.ndarray:
+def _axes_along_z(sun: np.ndarray) -> np.ndarray:
     """Matrices (n, 3, 3) to axes with z along directions (n, 3) that are never those of the Earth's axis."""
     first = np.cross([0.0, 0.0, 1.0], sun)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(sun, first), sun], axis=1)
 
 
-def turned(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def rotate_vectors(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Matrices (n, 3, 3) times vectors (..., n, 3)."""
     return (matrix @ vector[..., None])[..., 0]
 
 
-def _spread(here: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _larger_difference(here: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """How much a value differs along the track: the larger difference of the two sides."""
     return np.maximum(np.abs(before - here), np.abs(after - here))
 

@@ -57,7 +57,7 @@ from sunspin.telemetry.synthetic import (
     write_new,
 )
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma
 
 CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
@@ -174,7 +174,7 @@ def philae_twin(
     """
     case = load_case("philae")
     vehicle, timeline = case.vehicle, case.require_timeline()
-    own, common = stated_sigma(vehicle)
+    own, common = misalignment_sigma(vehicle)
     own = own if tilt_rad is None else tilt_rad
     common = common if turned_rad is None else turned_rad
     tilt = panel_turns(vehicle, own, common, generator(seed, 7))
@@ -230,7 +230,7 @@ def drawn_panels(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Turns (n_panel, 3) of the panels, drawn with the sigmas of the vehicle's file (None where it has none), and the direction (3)
     behind what they show; drawn again where no Sun makes them show it."""
-    sigmas = stated_sigma(vehicle)
+    sigmas = misalignment_sigma(vehicle)
     for _ in range(MAX_DRAWS):
         tilt = panel_turns(vehicle, *sigmas, rng)
         if tilt is None:

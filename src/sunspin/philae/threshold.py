@@ -32,7 +32,7 @@ from sunspin.estimate.scan.window import target_weights
 from sunspin.philae import rebound as rb
 from sunspin.philae.telemetry import drawn_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
-from sunspin.vehicle.response.panels import brightness, stated_sigma
+from sunspin.vehicle.response.panels import brightness, misalignment_sigma
 
 CONFIDENCE = 0.9
 """Probability that a calibrated set holds the truth, where nobody asks for another."""
@@ -120,7 +120,7 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
         {
             "study": "threshold of a level set, truths even in the scanned box",
             "vehicle": rb.moving_and_seeing(vehicle),
-            "panel_sigmas": to_json(stated_sigma(vehicle)),
+            "panel_sigmas": to_json(misalignment_sigma(vehicle)),
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(),
             "directions": rebound.z.size,
             "noise": float(sun["noise"]),

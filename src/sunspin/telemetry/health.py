@@ -22,7 +22,7 @@ from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
     observable_patterns,
-    turned_sigma,
+    misalignment_signal_sigma,
 )
 
 STEPS, ROUNDING = 60, 1e-12
@@ -115,7 +115,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
         log_chance = noise_alone(vehicle, power[forbidden], sigma, threshold).log_probability
         largest = np.array([np.exp(log_chance[own].max()) for own in members])
         together = np.array([log_chance[own].sum() / np.log(10) for own in members])
-        if (tilt := turned_sigma(vehicle)).any():
+        if (tilt := misalignment_signal_sigma(vehicle)).any():
             # the factor between gains and full Sun; that of the brighter samples where the Sun is oblique to all panels
             bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]

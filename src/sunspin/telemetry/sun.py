@@ -23,7 +23,7 @@ from sunspin.telemetry.signals import signals
 from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
-from sunspin.vehicle.response.panels import Pattern, named
+from sunspin.vehicle.response.panels import Pattern, patterns_by_name
 
 LIT_FRACTION = 0.02
 """Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
@@ -84,9 +84,9 @@ def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     vehicle.require_panels()
     response = vehicle.response_in()
     sun_B, lit = response.regions()
-    doubtful = named(vehicle, lit[_several(vehicle, response.power(sun_B), 0.0)])
+    doubtful = patterns_by_name(vehicle, lit[_several(vehicle, response.power(sun_B), 0.0)])
     status = [status for status, _ in _statuses(vehicle, lit)]
-    return named(vehicle, lit[is_reconstructed(status)]) - doubtful
+    return patterns_by_name(vehicle, lit[is_reconstructed(status)]) - doubtful
 
 
 @lru_cache(maxsize=4096)

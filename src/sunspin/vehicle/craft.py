@@ -44,7 +44,7 @@ from sunspin.vehicle.parts import (
     Wheel,
 )
 from sunspin.vehicle.response.flat import PanelResponse
-from sunspin.vehicle.response.joined import Input, Joined, full_sun
+from sunspin.vehicle.response.joined import Input, JoinedResponse, full_sun
 from sunspin.vehicle.sensors import Sensors
 from sunspin.vehicle.timeline import parse_zone
 
@@ -385,7 +385,7 @@ class Vehicle(Part):
 @lru_cache(maxsize=64)
 def _build_response(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
     normals, strength = frozen_array(normals_B).reshape(-1, 3), frozen_array(gains)
-    return Joined(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
+    return JoinedResponse(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
 
 
 def _require_distinct(names: list[str], key: str) -> None:

@@ -32,12 +32,12 @@ from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import Torque, spun
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.planes import Counted
+from sunspin.vehicle.response.planes import DirectionSet
 
 Group = tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Numbers of rows with the same plan, and its segments: steps, their lengths (s), outputs due."""
 
-Mask = Counted
+Mask = DirectionSet
 """Directions that count."""
 
 

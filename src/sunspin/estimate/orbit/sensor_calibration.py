@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.environment.orbit import Orbit, turned
+from sunspin.environment.orbit import Orbit, rotate_vectors
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.orbit.invariants import (
     MATRIX_SIGMA,
@@ -444,7 +444,7 @@ class _Model:
         whole: bool = True,
     ) -> _At:
         sun_N, field_N, by_shift = sky[:3]
-        sun, field = turned(attitude, sun_N), turned(attitude, field_N)
+        sun, field = rotate_vectors(attitude, sun_N), rotate_vectors(attitude, field_N)
         n, d = len(sun), len(unknown) if whole else 0
         parts = [
             self._of_sensor(k, unknown, sun, d)
@@ -463,7 +463,7 @@ class _Model:
             by_unknown[:, i, 3 * i : 3 * i + 3] = field
             by_unknown[:, i, 9 + i] = 1.0
         if whole:
-            along = turned(attitude, by_shift) @ matrix.T
+            along = rotate_vectors(attitude, by_shift) @ matrix.T
             by_unknown[:, :, 12], by_unknown[:, :, 13] = along, along * self.sky.days[:, None]
         value = field @ matrix.T + unknown[9:12] - self.seen.field
         parts.append(
@@ -520,7 +520,7 @@ class _Model:
         for _ in range(INNER):
             at = self._residuals(unknown, attitude, sky, whole=False)
             back = np.linalg.inv(_information(at.by_turn))
-            step = -turned(back, np.einsum("nri,nr->ni", at.by_turn, at.value))
+            step = -rotate_vectors(back, np.einsum("nri,nr->ni", at.by_turn, at.value))
             attitude = rotate_attitude(attitude, np.clip(step, -0.5, 0.5))
         at = self._residuals(unknown, attitude, sky)
         return attitude, at, np.linalg.inv(_information(at.by_turn))

@@ -15,7 +15,7 @@ import numpy as np
 from sunspin.estimate.terms.term import Unknown
 from sunspin.solve.rotations import tangent_basis
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma
 
 KIND, COMMON = "tilt", "tilt_common"
 """Kinds of the unknowns: of one panel, and of all together."""
@@ -69,7 +69,7 @@ def spread(
 
 def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float, dict[str, str]]:
     """Sigmas of `unknowns`, given or stated, and the words for that; what is given is checked by the caller."""
-    own, common = stated_sigma(vehicle)
+    own, common = misalignment_sigma(vehicle)
     own = np.full(len(own), float(priors["tilt"])) if "tilt" in priors else own
     common = float(priors.get("tilt_common", common))
     sizes = {"tilt": float(own.max(initial=0.0)), "tilt_common": common}

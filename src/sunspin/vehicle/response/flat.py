@@ -23,20 +23,20 @@ from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.response.planes import (
     ON_PLANE,
     Arrangement,
-    Counted,
+    DirectionSet,
     arrangement,
-    formula,
+    minimal_clauses,
     plane_basis,
 )
 
-NUMBERS = 10_000_000
+MAX_NUMBERS = 10_000_000
 """Candidates times panels times samples solved at once: some 200 MB."""
 
 RANK_TOLERANCE = 1e-6
 """Normals whose smallest singular value is below this lie in one plane (or on one line)."""
 
 
-def plain_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def unweighted_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Covariance (..., k, k) of unweighted least squares with a `design` (..., m, k), of data with errors `sigma` (m)."""
     turned, least = np.swapaxes(design, -1, -2), np.min(sigma)
     inverse = np.linalg.inv(turned @ design)
@@ -67,13 +67,13 @@ def misfit(shape: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.where(size[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
 
 
-def unit_readings(readings: np.ndarray) -> np.ndarray:
+def normalise_readings(readings: np.ndarray) -> np.ndarray:
     """Readings (n, n_panel) as unit vectors; zeros stay."""
     size = np.linalg.norm(readings, axis=1)
     return readings / np.where(size > 0, size, 1.0)[:, None]
 
 
-def along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def components_along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Components (..., n_panel) of vectors (..., 3) along normals (..., n_panel, 3), or those (n_panel, 3) of all."""
     if normals.ndim == 2:
         return vector_B @ normals.T
@@ -82,7 +82,7 @@ def along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.einsum("...i,...pi->...p", vector_B, normals)
 
 
-class Places(NamedTuple):
+class Candidates(NamedTuple):
     """Where the least Delta of flat panels may lie: `maps` (n_map, 3, n_panel) turn readings into directions, `fixed` (n, 3) are
     directions."""
 
@@ -95,7 +95,7 @@ class Places(NamedTuple):
         within: Iterable[np.ndarray],
         between: Iterable[tuple[np.ndarray, np.ndarray]],
         fixed: np.ndarray,
-    ) -> Places:
+    ) -> Candidates:
         """Those of cells in which power is a matrix (n_panel, 3) times the direction, and of arcs, each a matrix and the normal (3)
         of its plane."""
         maps = [np.linalg.pinv(rows) for rows in within]
@@ -116,10 +116,10 @@ class Places(NamedTuple):
         """The direction (n, 3) with the least Delta (n) between `power` and readings (n, n_panel)."""
         fixed, fixed_shape = self.fixed, power(self.fixed)
         direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
-        chunk = max(1, NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
+        chunk = max(1, MAX_NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
         for start in range(0, len(readings), chunk):
             rows = slice(start, start + chunk)
-            target = unit_readings(readings[rows])
+            target = normalise_readings(readings[rows])
             candidates = self.mapped(target)
             away = misfit(power(candidates), target[:, None, :])
             away_fixed = misfit(
@@ -170,7 +170,7 @@ class PanelResponse:
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> np.ndarray:
         """Signal of each panel; with factors `gain` (..., n_panel) on its gain, or turned by `tilt` (..., n_panel, 3) rad in B."""
-        cosine = along_normals(sun_B, self._turned(tilt))
+        cosine = components_along_normals(sun_B, self._turned(tilt))
         return self._strengths(gain) * np.maximum(0.0, cosine)
 
     def slopes(
@@ -178,7 +178,7 @@ class PanelResponse:
     ) -> Slopes:
         """The same with its derivatives."""
         normals, strength = self._turned(tilt), self._strengths(gain)
-        cosine = along_normals(sun_B, normals)
+        cosine = components_along_normals(sun_B, normals)
         sun = sun_B[..., None, :]
         lit = (strength * (cosine >= 0))[..., None]
         to_sun = lit * (normals - cosine[..., None] * sun)
@@ -195,8 +195,8 @@ class PanelResponse:
     ) -> list[np.ndarray]:
         """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
         normals, strength = self._turned(tilt), self._strengths(gain)
-        lit = along_normals(sun_B, normals) > 0
-        return [strength * np.where(lit, along_normals(step, normals), 0.0) for step in steps]
+        lit = components_along_normals(sun_B, normals) > 0
+        return [strength * np.where(lit, components_along_normals(step, normals), 0.0) for step in steps]
 
     def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Signals (..., n_panel), in `unit`s, under a light `light_B` (..., 3), direction times brightness, and their derivative by
@@ -241,7 +241,7 @@ class PanelResponse:
         )
 
     @cached_property
-    def _places(self) -> Places:
+    def _places(self) -> Candidates:
         cells, rows = self._cells, self._rows
         within = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
         between = [
@@ -249,7 +249,7 @@ class PanelResponse:
             for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
             if lit.any()
         ]
-        return Places.of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Candidates.of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
 
     def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The direction (n, 3) with the smallest Delta (n) (paper, eq. 2) for readings (n, n_panel): the global minimum."""
@@ -277,7 +277,7 @@ class PanelResponse:
         length = np.linalg.norm(x, axis=1)
         n = x / length[:, None]
         tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
-        scaled = plain_covariance(design, noise) / length[:, None, None] ** 2
+        scaled = unweighted_covariance(design, noise) / length[:, None, None] ** 2
         return tangent @ scaled @ tangent
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
@@ -296,6 +296,6 @@ class PanelResponse:
             return np.full((2, 3), np.nan)
         return np.array([np.cos(angle) * middle + np.sin(angle) * free for angle in (low, high)])
 
-    def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
+    def counted(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
         """The directions in which one of the sets of panels `good` (m, n_panel) is lit and none of `bad`, all of them shown."""
-        return Counted(self.normals_B, formula(good, bad))
+        return DirectionSet(self.normals_B, minimal_clauses(good, bad))

@@ -19,36 +19,36 @@ from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
     PanelResponse,
-    Places,
+    Candidates,
     Regions,
     Slopes,
     misfit,
-    plain_covariance,
-    unit_readings,
+    unweighted_covariance,
+    normalise_readings,
 )
-from sunspin.vehicle.response.planes import ON_PLANE, Counted, formula, sphere
+from sunspin.vehicle.response.planes import ON_PLANE, DirectionSet, minimal_clauses, sphere
 
-CLIMBS, STARTS = 30, 200
+CLIMB_STEPS, CLIMB_STARTS = 30, 200
 """Steps, and starts, of the search for the direction in which a sum of panels gives most."""
 
-LIKE, LOOKS = 0.3, 500
+SYMMETRY_TOLERANCE, SYMMETRY_DIRECTIONS = 0.3, 500
 """A mirror that changes no reading by more than this share of full Sun leaves motions that are nearly alike, and in how many
 directions that is looked at."""
 
-MOST_IMAGES = 48
+MAX_SYMMETRIES = 48
 """Mirrors and turns of a cube; no more are tried."""
 
-MOST_PLANES = 40
+MAX_PLANES = 40
 """Planes of panels, and between those of one largest, that a vehicle may have: cells grow with their square."""
 
-ALONG = np.arange(-1.4, 1.5, 0.2)
+ARC_ANGLES_RAD = np.arange(-1.4, 1.5, 0.2)
 """Angles (rad) at which an arc of directions that fit alike is looked at."""
 
-AROUND = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1)
-DOWN_RAD, DOWN = 1e-4, 1e-9
+NEIGHBOUR_STEPS = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1)
+NEIGHBOUR_RAD, DELTA_TOLERANCE = 1e-4, 1e-9
 """A direction is a minimum of Delta if no direction so far from it (`AROUND`) has one smaller by so much."""
 
-BEYOND = 1e-7
+CROSSING_RAD = 1e-7
 """rad by which the next cell is entered."""
 
 
@@ -68,8 +68,8 @@ def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[n
         best = own[int(np.argmax(gains[own]))]
         return normals_B[best], float(gains[best])
     rows = gains[own, None] * normals_B[own]
-    sun = np.concatenate([normals_B[own], sphere(STARTS)])
-    for _ in range(CLIMBS):  # the sum is convex in the direction: towards its slope it never falls
+    sun = np.concatenate([normals_B[own], sphere(CLIMB_STARTS)])
+    for _ in range(CLIMB_STEPS):  # the sum is convex in the direction: towards its slope it never falls
         slope = (sun @ rows.T > 0) @ rows
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         sun = np.where(size > 0, slope / np.where(size > 0, size, 1.0), sun)
@@ -79,7 +79,7 @@ def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[n
 
 
 @dataclass(frozen=True, eq=False)
-class Joined(PanelResponse):
+class JoinedResponse(PanelResponse):
     """Panels that share inputs: what is said of panels in :class:`PanelResponse` holds for inputs here, but that `normals_B`
     (n_panel, 3) and `gains` (n_panel) are those of the panels."""
 
@@ -186,8 +186,8 @@ class Joined(PanelResponse):
         for normal in normals:
             if all(abs(normal @ other) < 1 - 1e-12 for other in kept):
                 kept.append(normal)
-        if len(kept) > MOST_PLANES:
-            what = f"the panels have {len(kept)} planes, more than {MOST_PLANES}"
+        if len(kept) > MAX_PLANES:
+            what = f"the panels have {len(kept)} planes, more than {MAX_PLANES}"
             do = "leave out panels, or let channels read sums"
             raise VehicleError(f"{what}, where some share an input", do=do)
         return np.array(kept)
@@ -211,19 +211,19 @@ class Joined(PanelResponse):
         design = (self._matrix(self._sides(sun_B)) / self.full[:, None])[lit]
         return int(np.count_nonzero(np.linalg.svd(design, compute_uv=False) > RANK_TOLERANCE))
 
-    def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
+    def counted(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
         """By the planes of the cells: which of their sides are those of a cell in which one of the sets is lit."""
         lit, sides = self.regions().lit, self._cells.cell_lit
         wanted = (lit[:, None] == good).all(axis=-1).any(axis=1)
-        return Counted(self._planes, formula(sides[wanted], sides[~wanted]))
+        return DirectionSet(self._planes, minimal_clauses(sides[wanted], sides[~wanted]))
 
     @cached_property
-    def _places(self) -> Places:
+    def _places(self) -> Candidates:
         planes, cells = self._planes, self._cells
         on_arcs = np.unique(np.column_stack([self._sides(cells.arc_B), cells.arc_plane]), axis=0)
         between = [(self._matrix(arc[:-1]), planes[arc[-1]]) for arc in on_arcs]
         between = [(matrix, normal) for matrix, normal in between if matrix.any()]
-        return Places.of(self._within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Candidates.of(self._within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
 
     @cached_property
     def _within(self) -> list[np.ndarray]:
@@ -250,22 +250,22 @@ class Joined(PanelResponse):
         has = self._free.any(axis=1)
         mapped = self._places.mapped(target)
         middle = mapped[:, : len(self._free)][:, has]
-        along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ALONG]
+        along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ARC_ANGLES_RAD]
         fixed = np.broadcast_to(self._places.fixed, (len(target), *self._places.fixed.shape))
         return np.concatenate([mapped, fixed, *along], axis=1)
 
     def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
         any."""
-        target, (best, delta) = unit_readings(readings), self.best(readings)
+        target, (best, delta) = normalise_readings(readings), self.best(readings)
         tried = np.concatenate([best[:, None], self._all_candidates(target)], axis=1)
         fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
         sample, which = np.nonzero(fits & tried.any(axis=-1))  # in the dark there is no candidate
         sun, wanted = tried[sample, which], target[sample]
-        near = [move_on_sphere(sun, np.tile(DOWN_RAD * step, (len(sun), 1))) for step in AROUND]
+        near = [move_on_sphere(sun, np.tile(NEIGHBOUR_RAD * step, (len(sun), 1))) for step in NEIGHBOUR_STEPS]
         lowest = np.min([misfit(self.power(each), wanted) for each in near], axis=0)
         kept = np.zeros(tried.shape[:2], dtype=bool)
-        kept[sample, which] = misfit(self.power(sun), wanted) <= lowest + DOWN
+        kept[sample, which] = misfit(self.power(sun), wanted) <= lowest + DELTA_TOLERANCE
         kept[:, 0] = True
         return np.where(kept[..., None], tried, np.nan)
 
@@ -278,7 +278,7 @@ class Joined(PanelResponse):
         covariance = np.full((len(sun), 3, 3), np.nan)
         normal = np.swapaxes(design, -1, -2) @ design
         fine = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
-        scaled = plain_covariance(design[fine], noise) / bright[fine, None, None] ** 2
+        scaled = unweighted_covariance(design[fine], noise) / bright[fine, None, None] ** 2
         covariance[fine] = tangent[fine] @ scaled @ tangent[fine]
         return covariance
 
@@ -291,14 +291,14 @@ class Joined(PanelResponse):
         return frame @ np.linalg.svd(across)[2][1]
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        target = unit_readings(np.where(lit, readings, 0.0)[None])
+        target = normalise_readings(np.where(lit, readings, 0.0)[None])
         sun = self._all_candidates(target)[0]
         power = self.power(sun)
         there = ((power > 0) == lit).all(axis=1)
         if not there.any():
             return np.full((2, 3), np.nan)
         away = np.where(there, misfit(power, target), np.inf)
-        room = np.where(away < away.min() + DOWN, np.abs(sun @ self._planes.T).min(axis=1), -1.0)
+        room = np.where(away < away.min() + DELTA_TOLERANCE, np.abs(sun @ self._planes.T).min(axis=1), -1.0)
         begin = sun[np.argmax(room)]
         return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
 
@@ -312,9 +312,9 @@ class Joined(PanelResponse):
             step = min(float(crossing.min(initial=np.pi)), left)
             left -= step
             end, ahead = (
-                np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + BEYOND)
+                np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + CROSSING_RAD)
             )
-            if left <= BEYOND or not np.array_equal(self.power(ahead) > 0, lit):
+            if left <= CROSSING_RAD or not np.array_equal(self.power(ahead) > 0, lit):
                 return end
             new = self._unseen(ahead, lit)
             along = new * np.copysign(1.0, new @ (np.cos(step) * along - np.sin(step) * sun))
@@ -329,13 +329,13 @@ class Joined(PanelResponse):
                 across = self.normals_B[i] - self.normals_B[j]
                 if (size := np.linalg.norm(across)) > 0:
                     mirrors.append(np.eye(3) - 2 * np.outer(across, across) / size**2)
-        sun, most = sphere(LOOKS), LIKE * self.full.min()
+        sun, most = sphere(SYMMETRY_DIRECTIONS), SYMMETRY_TOLERANCE * self.full.min()
         images, new = [np.eye(3)], [np.eye(3)]
-        while new and len(images) < MOST_IMAGES:
+        while new and len(images) < MAX_SYMMETRIES:
             products, new = [mirror @ image for image in new for mirror in mirrors], []
             for image in products:
                 if all(np.abs(image - known).max() > 1e-6 for known in images + new):
                     change = np.abs(self.power(sun @ image.T) - self.power(sun)).max()
                     new += [image] if change < most else []
             images += new
-        return np.array(images[:MOST_IMAGES])
+        return np.array(images[:MAX_SYMMETRIES])

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 Pattern = frozenset[str]  # of panel names: the lit ones
 
-OPPOSITE = -0.99
+OPPOSITE_COSINE = -0.99
 """Cosine of the angle between opposite panels, at most."""
 
-SUNS = 4000
+SUN_DIRECTIONS = 4000
 """Directions of the Sun that are tried over panels turned otherwise than drawn, 3 degrees apart."""
 
 
@@ -48,13 +48,13 @@ def brightness(
 
 def opposite_panels(facing_B: np.ndarray) -> np.ndarray:
     """Which of panels (n, n) that look along `facing_B` (n, 3) look opposite ways."""
-    return facing_B @ facing_B.T < OPPOSITE
+    return facing_B @ facing_B.T < OPPOSITE_COSINE
 
 
 def lit_patterns(vehicle: Vehicle) -> tuple[Pattern, ...]:
     """The sets of panels (inputs) that the Sun can light together, for directions on no edge (16 for Philae)."""
     vehicle.require_panels()
-    patterns = named(vehicle, vehicle.response_in().regions().lit)
+    patterns = patterns_by_name(vehicle, vehicle.response_in().regions().lit)
     return tuple(sorted(patterns, key=lambda pattern: (len(pattern), sorted(pattern))))
 
 
@@ -65,47 +65,47 @@ def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     """
     vehicle.require_panels()
     response = vehicle.response_in()
-    return named(vehicle, np.concatenate([response.regions().lit, response.edges()]))
+    return patterns_by_name(vehicle, np.concatenate([response.regions().lit, response.edges()]))
 
 
-def patterns_of_turned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
+def patterns_of_misaligned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
     """The lit patterns of the same panels, turned by any of `turns_B` (k, n_panel, 3), rotation vectors in rad in B."""
-    response, suns = vehicle.response_in(), sphere(SUNS)
+    response, suns = vehicle.response_in(), sphere(SUN_DIRECTIONS)
     lit = [
-        np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUNS, *turn.shape))) > 0, axis=0)
+        np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUN_DIRECTIONS, *turn.shape))) > 0, axis=0)
         for turn in turns_B
     ]
-    return named(vehicle, np.unique(np.concatenate(lit), axis=0))
+    return patterns_by_name(vehicle, np.unique(np.concatenate(lit), axis=0))
 
 
-def named(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
+def patterns_by_name(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
     """Sets of lit panels (m, n_panel) by name."""
     names = np.array(vehicle.input_names)
     return frozenset(frozenset(names[row].tolist()) for row in lit)
 
 
-def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
+def misalignment_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
     """How far panels may stand off: sigmas in rad as the vehicle's file has them, 0 where it states none, (n_panel) of each
     normal's direction, to each side, and of the turn of all panels.
 
     That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
     """
-    own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
+    own = np.array([_rms_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
     tilted = vehicle.panel_response.tilted
     if tilted is not None:
-        by_tilt = _sigma(vehicle, "panel_response.tilted.turn_B_rad")
+        by_tilt = _rms_sigma(vehicle, "panel_response.tilted.turn_B_rad")
         own = np.hypot(own, by_tilt * (np.array(vehicle.panel_names) == tilted.panel))
-    return own, _sigma(vehicle, "panel_response.turned_B_rad")
+    return own, _rms_sigma(vehicle, "panel_response.turned_B_rad")
 
 
-def turned_sigma(vehicle: Vehicle) -> np.ndarray:
+def misalignment_signal_sigma(vehicle: Vehicle) -> np.ndarray:
     """How far full Sun may be off in each reading (n_input), in the unit of the gains, as panels are turned by `stated_sigma`,
     each for itself: a turn of all together is one of the Sun."""
-    by_panel = stated_sigma(vehicle)[0] * vehicle.panel_gains
+    by_panel = misalignment_sigma(vehicle)[0] * vehicle.panel_gains
     return np.array([np.linalg.norm(by_panel[list(own.panels)]) for own in vehicle.inputs])
 
 
-def _sigma(vehicle: Vehicle, key: str) -> float:
+def _rms_sigma(vehicle: Vehicle, key: str) -> float:
     fact = vehicle.facts.get(key)
     known = fact is not None and fact.sigma is not None
     return float(np.sqrt(np.mean(np.square(fact.sigma)))) if known else 0.0

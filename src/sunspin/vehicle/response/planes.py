@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-Literals = tuple[tuple[int, bool], ...]
+Clause = tuple[tuple[int, bool], ...]
 """A conjunction: (panel index, lit?) ..."""
 
 ON_PLANE = 1e-9
@@ -18,7 +18,7 @@ Cube = frozenset  # of (panel index, lit?): all must hold
 
 
 @dataclass(frozen=True)
-class Counted:
+class DirectionSet:
     """A signed function on the sphere, above 0 where a direction counts: as data, for kernels and for Python.
 
     It is the largest over `clauses` of the smallest of distances from the planes of `normals_B` (n, 3), each clause a conjunction
@@ -26,7 +26,7 @@ class Counted:
     """
 
     normals_B: np.ndarray
-    clauses: tuple[Literals, ...]
+    clauses: tuple[Clause, ...]
 
     def holds(self, sun_B: np.ndarray) -> np.ndarray:
         """Whether each direction (..., 3) counts."""
@@ -106,7 +106,7 @@ def plane_basis(normal: np.ndarray) -> np.ndarray:
     return np.linalg.svd(normal[None])[2][1:].T
 
 
-def formula(good: np.ndarray, bad: np.ndarray) -> tuple[Literals, ...]:
+def minimal_clauses(good: np.ndarray, bad: np.ndarray) -> tuple[Clause, ...]:
     """A short disjunction of conjunctions that holds for the sets of lit panels `good` (m, n_panel) and for none of `bad`."""
     wanted: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
     shortened = set()
