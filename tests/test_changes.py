@@ -21,7 +21,7 @@ from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import starts
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
-from sunspin.vehicle.changes import Change, apply_changes, parse_changes, list_settings
+from sunspin.vehicle.changes import Change, apply_changes, list_settings, parse_changes
 from sunspin.vehicle.file import (
     ChangedFile,
     VehicleFile,
@@ -139,7 +139,9 @@ TEMPLATE = str(resources.files("sunspin").joinpath("template", "vehicle.toml"))
 @pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
 def test_all_that_is_listed_can_be_set(source):
     """Set to itself, times one or plus zero, a value stays and is no change; times two it is twice what it was."""
-    listed = {each.key: each.value for each in list_settings(read_vehicle_table(source), VehicleFile)}
+    listed = {
+        each.key: each.value for each in list_settings(read_vehicle_table(source), VehicleFile)
+    }
     own = {key: value for key, value in listed.items() if value not in (None, "as below")}
     same = [Change(key, "=", value) for key, value in own.items()]
     assert len(own) > 20 and ss.load_vehicle(source, same) == ss.load_vehicle(source)
@@ -347,7 +349,7 @@ def refuse(*_, **__):
 def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
     axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
     volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
-    changed = with_changes("wheel.speed_rad_s=833").said["changes"]
+    changed = with_changes("wheel.speed_rad_s=833").result_attributes["changes"]
     scan = volume.to_dataset().assign_attrs(
         vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere"
     )

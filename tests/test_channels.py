@@ -71,7 +71,7 @@ def test_readings_are_those_of_inputs():
     np.testing.assert_allclose(vehicle.input_gains, [0.5 * np.sqrt(2), 0.5, 0.5, 0.5], rtol=1e-12)
     largest = craft({"odd": ("+X", "+Z")}, reads="largest")
     np.testing.assert_allclose(ss.panel_power(largest, [0.6, 0.0, 0.8])[0], 0.4, atol=1e-15)
-    each = vehicle.panels_in().power(np.array([0.6, 0.0, 0.8]))
+    each = vehicle.response_of_panels().power(np.array([0.6, 0.0, 0.8]))
     np.testing.assert_allclose(each, [0.3, 0, 0, 0, 0.4, 0], atol=1e-15)
 
 
@@ -145,7 +145,7 @@ def test_directions_that_fit_alike(channels, reads):
         unit - (readings / np.linalg.norm(readings, axis=1, keepdims=True))[:, None], axis=-1
     )
     response = vehicle.response_in()
-    delta = response.best(readings)[1]
+    delta = response.best_direction(readings)[1]
     assert (delta <= away.min(axis=1) + 1e-12).all()
     alike = response.alike(readings, np.full(12, 0.05))
     for some, off, least in zip(alike, away, delta, strict=True):
@@ -171,7 +171,7 @@ def test_no_direction_of_the_sphere_fits_better_than_the_closed_form(channels, r
     readings = np.maximum(readings + 0.02 * rng.normal(size=readings.shape), 0.0)
     shape = normalise_readings(ss.panel_power(vehicle, sphere(200_000)))
     least = np.sqrt(np.maximum(2 - 2 * (normalise_readings(readings) @ shape.T).max(axis=1), 0.0))
-    assert (vehicle.response_in().best(readings)[1] <= least + 1e-6).all()
+    assert (vehicle.response_in().best_direction(readings)[1] <= least + 1e-6).all()
 
 
 def test_more_planes_than_can_be_cut_are_refused():
@@ -222,8 +222,11 @@ def test_with_three_channels_no_set_of_lit_inputs_gives_a_direction():
     assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(
         craft({"odd": ("+X", "+Y")})
     )
-    assert len(craft(THREE).response_in().images) == 8 and len(craft(ONE).response_in().images) == 2
-    assert len(craft({}).response_in().images) == 1
+    assert (
+        len(craft(THREE).response_in().symmetries) == 8
+        and len(craft(ONE).response_in().images) == 2
+    )
+    assert len(craft({}).response_in().symmetries) == 1
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])

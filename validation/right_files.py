@@ -83,7 +83,9 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     places = np.linspace(-0.5, 0.5, 21)
     light = [
         [
-            ss.panel_power(craft, components_after_rotation(sun, (late + averaged * place) * omega))[:, k]
+            ss.panel_power(
+                craft, components_after_rotation(sun, (late + averaged * place) * omega)
+            )[:, k]
             for place in places
         ]
         for k, late in enumerate(offset)

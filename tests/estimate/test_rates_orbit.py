@@ -58,7 +58,7 @@ def test_the_law_of_the_earths_light_is_that_of_a_wide_disk(reached):
     normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
     area = np.sin(away) * EARTH_RADIUS / 300 * 2 * np.pi / 300 / (np.pi * np.sin(EARTH_RADIUS) ** 2)
     true = (np.maximum(ray @ normals.T, 0) * area[..., None]).sum(axis=(0, 1))
-    told, _ = panels_of(normals).disc(np.array([0.0, 0.0, 1.0]), np.array(1.0))
+    told, _ = panels_of(normals).earthlight(np.array([0.0, 0.0, 1.0]), np.array(1.0))
     reached("light of the Earth on a panel", np.abs(told - true), "of the most", limit=0.06)
     assert np.abs(told - true).max() < 0.06
 
@@ -74,7 +74,8 @@ def test_the_gradient_of_the_readings_to_turn_gains_beam_and_zeros_is_that_of_th
     ]
     small = [sign * 1e-5 * one for one in np.eye(len(slope)) for sign in (1, -1)]
     changed = [
-        (replace(track, attitude=rotate_attitude(track.attitude, one[:3])), error + one[3:]) for one in small
+        (replace(track, attitude=rotate_attitude(track.attitude, one[:3])), error + one[3:])
+        for one in small
     ]
     cost = np.array([normal(panels, seen, off)[2].sum() for seen, off in changed])
     assert len(slope) == 3 + 6 + 6 + 6

@@ -53,7 +53,8 @@ def test_the_gradient_of_a_known_field_is_that_of_its_cost():
     slope = normal(term, track, error)[1].sum(axis=1)[0]
     small = [sign * 1e-6 * one for one in np.eye(19) for sign in (1, -1)]
     changed = [
-        (replace(track, attitude=rotate_attitude(track.attitude, one[:3])), error + one[6:]) for one in small
+        (replace(track, attitude=rotate_attitude(track.attitude, one[:3])), error + one[6:])
+        for one in small
     ]
     cost = np.array([normal(term, at, off)[2].sum() for at, off in changed])
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-6, rtol=1e-4, atol=1e-3)

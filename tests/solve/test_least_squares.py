@@ -16,10 +16,10 @@ from sunspin.solve.least_squares import Stop, least_squares, limit_length
 from sunspin.solve.linear import (
     Bordered,
     Dense,
-    solve_bordered,
-    solve_dense,
     extreme_eigenvalues,
     invert_bordered,
+    solve_bordered,
+    solve_dense,
     symmetric_inverse,
     symmetric_product,
 )
@@ -223,7 +223,10 @@ def test_a_chain_with_a_border_is_the_whole_matrix(reached):
     assert change[0].ravel() == pytest.approx(
         np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10])
     )
-    assert np.abs(invert_bordered(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
+    assert (
+        np.abs(invert_bordered(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max()
+        < 1e-10
+    )
 
 
 def test_what_cannot_be_linearised_is_stepped_back_from():

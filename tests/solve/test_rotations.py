@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.solve.rotations import (
+    components_after_rotation,
     cross_matrix,
     matrix_from_quaternion,
     move_on_sphere,
-    components_after_rotation,
-    rotate_by_smallest,
-    tangent_basis,
     rotate_attitude,
+    rotate_by_smallest,
     rotation_between,
+    tangent_basis,
 )
 
 
@@ -28,7 +28,9 @@ def test_a_body_that_turns_about_z_sees_the_sun_go_round_backward():
     assert components_after_rotation(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx(
         [0.0, -1.0, 0.0], abs=1e-15
     )
-    assert rotate_attitude(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert rotate_attitude(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx(
+        [0.0, -1.0, 0.0], abs=1e-15
+    )
     assert np.array_equal(
         cross_matrix(np.array([1.0, 2.0, 3.0])) @ [0.0, 0.0, 1.0],
         np.cross([1.0, 2.0, 3.0], [0.0, 0.0, 1.0]),
@@ -40,7 +42,9 @@ def test_turns_of_any_shape_are_found_again():
     start = rotate_attitude(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
     end = rotate_attitude(start, angle)
     assert end.shape == (2, 5, 3, 3)
-    assert rotation_between(np.broadcast_to(start, end.shape), end) == pytest.approx(angle, abs=1e-12)
+    assert rotation_between(np.broadcast_to(start, end.shape), end) == pytest.approx(
+        angle, abs=1e-12
+    )
     sun = units(1)[0]
     assert components_after_rotation(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
 

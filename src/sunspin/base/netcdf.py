@@ -18,7 +18,7 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError
-from sunspin.base.untrusted import IsolatedRunError, run_isolated, is_nonempty_file
+from sunspin.base.untrusted import IsolatedRunError, is_nonempty_file, run_isolated
 
 MAX_BYTES = 2_000_000_000
 """Of files, and of all variables in memory: one that is compressed or nearly all fill value may name any size."""

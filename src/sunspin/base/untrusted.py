@@ -132,7 +132,16 @@ def run_isolated(script: Path, *arguments: str, content: bytes = b"", seconds: i
     script imports nothing of ours, as it may not find it. Raises `Elsewhere` with the reason.
     """
     # -P: the folder of the script is no place to import from
-    command = [sys.executable, "-P", "-c", LIMITED_RUN, str(seconds), str(MAX_MEMORY_BYTES), str(script), *arguments]
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        LIMITED_RUN,
+        str(seconds),
+        str(MAX_MEMORY_BYTES),
+        str(script),
+        *arguments,
+    ]
     try:
         done = subprocess.run(
             command, input=content, capture_output=True, timeout=60 + 20 * seconds

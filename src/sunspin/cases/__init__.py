@@ -183,7 +183,9 @@ def _timeline_in(folder: Path) -> Timeline | None:
     content = read_bytes(
         path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again"
     )
-    return parse_timeline(decode_text(content, str(path), InputError, "save it as UTF-8"), str(path))
+    return parse_timeline(
+        decode_text(content, str(path), InputError, "save it as UTF-8"), str(path)
+    )
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:

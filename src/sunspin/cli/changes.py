@@ -177,7 +177,7 @@ def _among(key: str, names: Iterable[str]) -> bool:
 def print_list(vehicle: str, command: Any, as_json: bool) -> None:
     """Key, value, unit and source of all that a command can change."""
     from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
-    from sunspin.vehicle.changes import list_settings, format_value
+    from sunspin.vehicle.changes import format_value, list_settings
     from sunspin.vehicle.file import VehicleFile, read_vehicle_table
 
     of_vehicle = list_settings(read_vehicle_table(vehicle), VehicleFile)

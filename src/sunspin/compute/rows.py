@@ -87,7 +87,11 @@ def ensemble(
     Interrupted
         After Ctrl-C; its text says what was kept. Whatever the function raises comes through at once.
     """
-    n_workers, chunk, n_rows = worker_count(workers), positive_integer("chunk", chunk), function.n_rows
+    n_workers, chunk, n_rows = (
+        worker_count(workers),
+        positive_integer("chunk", chunk),
+        function.n_rows,
+    )
     cluster = scheduler is not None and not isinstance(scheduler, Executor)
     if cluster and find_spec("distributed") is None:
         what = "a scheduler needs Dask, which is not installed"

@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sunspin.base.atomic_write import TEMPORARY_NAME, lock_file, make_folder, remove_abandoned, write_atomically
+from sunspin.base.atomic_write import (
+    TEMPORARY_NAME,
+    lock_file,
+    make_folder,
+    remove_abandoned,
+    write_atomically,
+)
 from sunspin.base.errors import InputError, OutputError
 from sunspin.compute.identity import code_identity, fingerprint
 
@@ -47,7 +53,9 @@ def open_store(
                 np.savez(file, **arrays)
 
         try:
-            write_atomically(folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write)
+            write_atomically(
+                folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write
+            )
         except OSError as error:
             raise cannot_write(error) from None
 
@@ -58,7 +66,9 @@ def open_store(
                 make_folder(folder)
                 lock_file(stack.enter_context(open(folder / LOCK, "a+b")))
                 remove_abandoned(folder)
-                missing = _read_chunks(folder, digest, chunk, out)  # what another run has written by now
+                missing = _read_chunks(
+                    folder, digest, chunk, out
+                )  # what another run has written by now
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
             raise InputError(what, do=do, where=str(folder)) from None

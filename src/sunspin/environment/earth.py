@@ -63,12 +63,14 @@ class Instants(NamedTuple):
         return self._replace(fraction=self.fraction + np.asarray(seconds) / DAY_S)
 
     @property
-    def middle(self) -> float:
+    def middle_jd(self) -> float:
         """UTC Julian date in the middle."""
         both = self.jd + self.fraction
         return float((both.min() + both.max()) / 2)
 
-    def slowly(self, function: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    def interpolate_slow(
+        self, function: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> np.ndarray:
         """A slow function of TT (two parts) at these instants, by straight lines between nodes."""
         both = self.jd + self.fraction + self.tt_ahead
         low, high = NODES_DAYS * np.floor(both.min() / NODES_DAYS), both.max()
@@ -80,7 +82,9 @@ class Instants(NamedTuple):
         return (1 - share) * values[k] + share * values[k + 1]
 
 
-def _cached_by_instants(function: Callable[[Instants], np.ndarray]) -> Callable[[Instants], np.ndarray]:
+def _cached_by_instants(
+    function: Callable[[Instants], np.ndarray],
+) -> Callable[[Instants], np.ndarray]:
     """The same, without computing anew what was asked for just before: a fit asks for many orbits at the same times."""
 
     @lru_cache(maxsize=4)
@@ -102,7 +106,7 @@ def ahead_of_utc_s(scale: str, when: Instants) -> float:
         return 0.0
     tt = when.tt_ahead * DAY_S
     if scale == "TDB":  # Astronomical Almanac, page B7
-        return tt + 1.657e-3 * float(np.sin(6.24 + 0.017202 * (when.middle - 2451545.0)))
+        return tt + 1.657e-3 * float(np.sin(6.24 + 0.017202 * (when.middle_jd - 2451545.0)))
     tai = tt - TT_AHEAD_OF_TAI_S
     return {"TAI": tai, "GPS": tai - TAI_AHEAD_OF_GPS_S}.get(scale, tt)
 
@@ -119,7 +123,7 @@ def J2000_from_TEME(when: Instants) -> np.ndarray:
         true = erfa.pnm06a(jd1, jd2)
         return np.swapaxes(erfa.rz(erfa.eqeq94(jd1, jd2), true), -1, -2)
 
-    return when.slowly(matrix)
+    return when.interpolate_slow(matrix)
 
 
 @_cached_by_instants
@@ -127,7 +131,7 @@ def earth_from_J2000(when: Instants) -> np.ndarray:
     """Matrices (n, 3, 3) from J2000 to the axes that turn with the Earth (ITRF without polar motion, which is 0.3 arcseconds)."""
     import erfa
 
-    return erfa.rz(erfa.era00(when.jd, when.fraction), when.slowly(erfa.c2i06a))
+    return erfa.rz(erfa.era00(when.jd, when.fraction), when.interpolate_slow(erfa.c2i06a))
 
 
 @_cached_by_instants

@@ -122,7 +122,7 @@ class Elements:
             raise InputError(what, do="give elements of the telemetry's time", where=self.where)
         return 1e3 * place, 1e3 * speed
 
-    def require(self, jd: np.ndarray) -> None:
+    def require_coverage(self, jd: np.ndarray) -> None:
         """SGP4 gives a place at any time."""
 
     @property
@@ -300,7 +300,9 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
         if np.isnan(plain_number(known[key])):
             raise InputError(f"{key} must be a number", got=known[key], where=where)
     number = _parse_catalogue_number(known["NORAD_CAT_ID"], where)
-    epoch = _parse_epoch(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(timespec="microseconds")
+    epoch = _parse_epoch(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(
+        timespec="microseconds"
+    )
     given = UNUSED_KEYS | {key: known[key] for key in NUMERIC_KEYS} | {"EPOCH": epoch}
     return _build_elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
 

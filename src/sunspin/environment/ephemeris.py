@@ -21,9 +21,9 @@ from sunspin.base.untrusted import (
     LARGEST,
     IsolatedRunError,
     decode_text,
-    run_isolated,
     plain_number,
     read_bytes,
+    run_isolated,
 )
 from sunspin.environment.earth import (
     DAY_S,
@@ -153,7 +153,7 @@ class Ephemeris:
             both[:, mine] = _propagate_ellipse(*stretch.state(within), t - within)
         return both[0], both[1]
 
-    def require(self, jd: np.ndarray) -> None:
+    def require_coverage(self, jd: np.ndarray) -> None:
         """`InputError` where a date (n) of telemetry is not in the table."""
         missing = np.min([s.outside_days(jd) for s in self.stretches], axis=0) > OUTSIDE_S / DAY_S
         if missing.any():
@@ -262,7 +262,10 @@ def _build_segments(table: _PositionTable, where: str) -> list[Segment]:
             continue
         stretch = Segment(jd, t_s[part], place[part])
         off = np.linalg.norm(stretch.spline(stretch.t_s, 1) - speed[part], axis=1)
-        if np.nanmax(np.append(off, 0.0)) > VELOCITY_TOLERANCE_M_S and np.nanmedian(off) > VELOCITY_TOLERANCE_M_S / 10:
+        if (
+            np.nanmax(np.append(off, 0.0)) > VELOCITY_TOLERANCE_M_S
+            and np.nanmedian(off) > VELOCITY_TOLERANCE_M_S / 10
+        ):
             what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the median"
             do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
             raise InputError(what, do=do, where=where)
@@ -348,7 +351,9 @@ def _read_oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Position
     return meta, tables
 
 
-def _build_oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _PositionTable:
+def _build_oem_table(
+    meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str
+) -> _PositionTable:
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
             do = "give the whole message"
@@ -384,7 +389,9 @@ def _build_table(
             raise InputError(what, got=odd[0], do=do, where=where)
     if not np.isfinite(values[:, :3]).all():
         raise InputError("a coordinate of the ephemeris is missing or not finite", where=where)
-    return _PositionTable(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
+    return _PositionTable(
+        rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame
+    )
 
 
 def _normalise_time(time: str) -> str:
@@ -444,7 +451,9 @@ def _read_spk(path: Path) -> _PositionTable:
         raise InputError("an SPK needs spiceypy", do=do, where=where) from None
     script, most = Path(__file__).with_name("spk_states.py"), str(MAX_STATES)
     try:
-        printed = run_isolated(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
+        printed = run_isolated(
+            script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S
+        )
     except IsolatedRunError as error:
         raise InputError(f"the SPK cannot be used ({error})", where=where) from None
     values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)

@@ -93,7 +93,9 @@ def _build_field_map(jd: float, low: float, high: float) -> FieldMap:
     )
 
 
-def _compute_igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
+def _compute_igrf(
+    jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray
+) -> np.ndarray:
     """The field (3, latitudes, longitudes) in T, in Earth-fixed axes."""
     import ppigrf
 

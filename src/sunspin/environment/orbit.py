@@ -26,7 +26,12 @@ from sunspin.environment.elements import OLD_DAYS, Elements
 from sunspin.environment.ephemeris import Ephemeris
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
-from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, sunlit_fraction
+from sunspin.environment.light import (
+    REFLECTIVITY,
+    REFLECTIVITY_SIGMA,
+    albedo_light,
+    sunlit_fraction,
+)
 from sunspin.environment.surroundings import Surroundings
 
 SUN_SIGMA_RAD = 1e-5
@@ -113,17 +118,17 @@ class Orbit:
         place, speed = rotate_vectors(turn, both.reshape(2, *moved.fraction.shape, 3))
         return place, speed
 
-    def map(self, when: Instants, place: np.ndarray) -> FieldMap:
+    def field_map_around(self, when: Instants, place: np.ndarray) -> FieldMap:
         """The field's map that covers these times and places."""
         radius = np.linalg.norm(place, axis=-1)
-        return field_map(when.middle, (float(radius.min()), float(radius.max())))
+        return field_map(when.middle_jd, (float(radius.min()), float(radius.max())))
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
         """The surroundings at times (n) in s from the epoch; sigmas are those of shift and clock, and of the models."""
         when = self.instants(t_s)
         sun, turn = sun_J2000_m(when), earth_from_J2000(when)
         place, speed = self.states(when)
-        fields = self.map(when, place)
+        fields = self.field_map_around(when, place)
         ahead, along = self.ahead_s(when), self.ahead_sigma_s(when)
 
         def seen(at: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -252,7 +257,7 @@ def in_orbit(
     clock_sigma = CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s
     orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, clock_sigma)
     when = orbit.instants(t_s)
-    elements[0].require(when.later(shift_s).jd + when.later(shift_s).fraction)
+    elements[0].require_coverage(when.later(shift_s).jd + when.later(shift_s).fraction)
     middle = float((when.jd + when.fraction).mean())
     days = min((source.days_to(middle) for source in elements), key=abs)
     sigma = age_sigma_s(days) if shift_sigma_s is None else shift_sigma_s

@@ -92,7 +92,7 @@ def dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Dataset:
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
     return result.assign_attrs(
-        provenance("outcomes", **vehicle.said)
+        provenance("outcomes", **vehicle.result_attributes)
         | {
             "seed": rows.seed,
             "strategy": rows.strategy.name,

@@ -21,7 +21,7 @@ from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import whole_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 from sunspin.telemetry.synthetic import drawn_tilts, generator
-from sunspin.vehicle.response.panels import patterns_of_misaligned, misalignment_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma, patterns_of_misaligned
 
 LEAST_DIRECTIONS = 8
 """Nobody would fit a rebound with fewer."""

@@ -124,7 +124,9 @@ def reproduce(
     summary = summary_of(study, sheets, time.perf_counter() - began)
     summary["changes"] = [str(change) for change in case.changes]
     summary |= {"command": shlex.join(words), "inputs": _inputs(case, vehicle)}
-    vehicle_text = attach_changes(case.name if vehicle is None else vehicle, split_changes(asked)[0])
+    vehicle_text = attach_changes(
+        case.name if vehicle is None else vehicle, split_changes(asked)[0]
+    )
     unchanged = telemetry is None and vehicle is None and not asked
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic

@@ -248,7 +248,7 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     turned = response.slopes(shown_B, tilt=tilt)
     # power is linear in the direction while the same panels are lit
     rows = turned.to_sun + turned.power[:, None] * shown_B
-    drawn = np.where(lit, response.under(shown_B)[1], 0.0)
+    drawn = np.where(lit, response.light_power(shown_B)[1], 0.0)
     sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
     sun /= np.linalg.norm(sun)
     if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
@@ -272,7 +272,9 @@ def noisy_readings(
     direction.
     """
     power = noisy_power(vehicle, exact, sigma, rng)
-    rows = np.where((exact[first] > 0)[:, None], vehicle.response_in().under(sun_B[first])[1], 0.0)
+    rows = np.where(
+        (exact[first] > 0)[:, None], vehicle.response_in().light_power(sun_B[first])[1], 0.0
+    )
     noise = power[first] - exact[first]
     power[first] = exact[first] + noise - rows @ (np.linalg.pinv(rows) @ noise)
     return power

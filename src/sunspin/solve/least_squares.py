@@ -163,7 +163,9 @@ def _take_sorted(tree: Any, rows: np.ndarray) -> Any:
 def _replace_problems(tree: Any, rows: np.ndarray, other: Any) -> Any:
     """The tree with some rows replaced; nothing that was handed in is changed."""
     if isinstance(tree, tuple):
-        parts = [_replace_problems(part, rows, value) for part, value in zip(tree, other, strict=True)]
+        parts = [
+            _replace_problems(part, rows, value) for part, value in zip(tree, other, strict=True)
+        ]
         return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
     if tree is None or len(rows) == len(tree):
         return other

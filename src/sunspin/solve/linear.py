@@ -40,7 +40,9 @@ def solve_dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Steps (K, D) under `damping` (K), and what they gain (K) by the quadratic model if the damping is small."""
     scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
     step = _nan_if_singular(
-        np.linalg.solve, _add_to_diagonal(system.matrix, damping[:, None] * scale), -system.slope[..., None]
+        np.linalg.solve,
+        _add_to_diagonal(system.matrix, damping[:, None] * scale),
+        -system.slope[..., None],
     )[..., 0]
     return step, -(system.slope * step).sum(axis=1) / 2
 

@@ -21,8 +21,8 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
-    observable_patterns,
     misalignment_signal_sigma,
+    observable_patterns,
 )
 
 STEPS, ROUNDING = 60, 1e-12
@@ -146,7 +146,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     }
     health = PanelHealth(
         coords={"panel": names.tolist()},
-        attrs=provenance("panel_health", sun, **vehicle.said)
+        attrs=provenance("panel_health", sun, **vehicle.result_attributes)
         | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
     for key, (dimension, panels, long_name) in sets.items():
@@ -246,13 +246,13 @@ def noise_alone(
     readings, threshold = readings / unit, threshold / unit
     total = np.hypot(sigma / unit, np.asarray(besides) / unit)
     weight = 1 / np.broadcast_to(total, readings.shape)
-    scale = response.largest  # so that the unknown is of the size of the readings
+    scale = response.largest_power  # so that the unknown is of the size of the readings
     cells, _ = response.regions()
-    light, _ = response.under(cells, scale)
+    light, _ = response.light_power(cells, scale)
 
     def linearise(state: tuple[np.ndarray, ...]) -> Dense:
         sun, seen, counts = state
-        mean, slope = response.under(sun, scale)
+        mean, slope = response.light_power(sun, scale)
         lit = seen > threshold
         value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
         active = (mean > 0) & (lit | (mean > threshold))

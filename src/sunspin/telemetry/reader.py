@@ -128,7 +128,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     masks = [bit for bit in FLAGS if bit]
     about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
     readings["flag"] = ("time", flag, about)
-    attrs = provenance("telemetry", **vehicle.said) | {
+    attrs = provenance("telemetry", **vehicle.result_attributes) | {
         "quantity": form.quantity,
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc  # scipy.stats takes longer to import than a short pass to estimate
 
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power, misalignment_signal_sigma
+from sunspin.vehicle.response.panels import misalignment_signal_sigma, panel_power
 from sunspin.vehicle.response.planes import sphere
 
 DIRECTIONS = 4000

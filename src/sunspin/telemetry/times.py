@@ -35,7 +35,7 @@ from sunspin.telemetry.timescales import (
     utc_of_tai,
 )
 from sunspin.vehicle import TelemetryForm
-from sunspin.vehicle.timeline import parse_instant, utc_after, parse_zone
+from sunspin.vehicle.timeline import parse_instant, parse_zone, utc_after
 
 LATEST_UNIX_S = 1e11
 

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 from sunspin.base.errors import InputError, VehicleError
 from sunspin.base.untrusted import read_toml
 from sunspin.vehicle import changes as ch
-from sunspin.vehicle.part import Number, Part, keys_of, must, part, describe_error
+from sunspin.vehicle.part import Number, Part, describe_error, keys_of, must, part
 
 WHERE = "the study's assumptions"
 
@@ -37,7 +37,9 @@ class Study(Part):
         Annotated[Number, must(lambda lead: lead >= 0, "{path} must be zero or a positive time")]
         | None
     ) = None
-    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(ch.bare_value)] = "equal"
+    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(ch.bare_value)] = (
+        "equal"
+    )
     mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(ch.bare_value)] = (
         "reconstructible"
     )

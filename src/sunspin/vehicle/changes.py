@@ -50,7 +50,9 @@ class Setting(NamedTuple):
     was: Any = None
 
     def __str__(self) -> str:
-        now, before = (f"{format_value(value)} {self.unit}".strip() for value in (self.value, self.was))
+        now, before = (
+            f"{format_value(value)} {self.unit}".strip() for value in (self.value, self.was)
+        )
         return f"{self.key} = {now} (was {before}{f'; {self.source}' if self.source else ''})"
 
 
@@ -166,7 +168,9 @@ def _replace_spin_down(friction: dict[str, Any], wheel: dict[str, Any]) -> None:
     """Put coefficients in the place of a measured spin-down, so that one of them can be changed."""
     try:
         law = {name: float(bare_value(value)) for name, value in friction["spin_down"].items()}
-        fit = Friction.from_spin_down(**law, inertia_kg_m2=float(bare_value(wheel["inertia_kg_m2"])))
+        fit = Friction.from_spin_down(
+            **law, inertia_kg_m2=float(bare_value(wheel["inertia_kg_m2"]))
+        )
     except (AttributeError, KeyError, TypeError, ValueError):
         return  # the reader of the file says what is wrong with it
     friction.clear()

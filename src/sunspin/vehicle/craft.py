@@ -24,12 +24,12 @@ from sunspin.vehicle.part import (
     Text,
     above_zero,
     as_array,
+    as_tuples,
     checked_value,
     frozen_array,
     must,
     no_entries,
     part,
-    as_tuples,
 )
 from sunspin.vehicle.parts import (
     Antenna,
@@ -250,7 +250,7 @@ class Vehicle(Part):
     _repr_html_ = vehicle_html
 
     @property
-    def said(self) -> dict[str, str]:
+    def result_attributes(self) -> dict[str, str]:
         """What results say of the vehicle in their attributes: its name, and what was changed where anything was."""
         return {"vehicle": self.name} | (
             {"changes": "\n".join(map(str, self.changes))} if self.changes else {}
@@ -328,7 +328,7 @@ class Vehicle(Part):
         """How the inputs see light: the rest of the package asks nothing but this about it. The answer is kept and shared."""
         return self._response(self.inputs if self.channels else ())
 
-    def panels_in(self) -> PanelResponse:
+    def response_of_panels(self) -> PanelResponse:
         """The same of the panels themselves, whatever input they are on: for drawings."""
         return self._response(())
 

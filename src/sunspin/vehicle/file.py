@@ -17,7 +17,7 @@ from sunspin.base.errors import VehicleError, printable
 from sunspin.base.untrusted import decode_text, read_bytes, read_toml
 from sunspin.vehicle import changes as ch
 from sunspin.vehicle import craft, parts, sensors
-from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, describe_error
+from sunspin.vehicle.part import Name, Part, describe_error, keys_of, numbers, part
 
 MAX_FILE_BYTES = 1_000_000
 """A vehicle file is a page or two of text; what is larger is some other file."""

@@ -58,7 +58,9 @@ class Part:
         return {**cls.left_out, **given} if info.context and isinstance(given, dict) else given
 
     def __eq__(self, other: object) -> bool:
-        return _comparable(self) == _comparable(other) if type(other) is type(self) else NotImplemented
+        return (
+            _comparable(self) == _comparable(other) if type(other) is type(self) else NotImplemented
+        )
 
     def __hash__(self) -> int:
         return hash(_comparable(self))
@@ -226,7 +228,9 @@ def above_zero(value: float) -> bool:
 def unit(label: str) -> PlainValidator:
     """A unit vector (3), called so in messages; `{name}` is the part's name."""
     return PlainValidator(
-        lambda raw, info: direction(checked_value(raw, info), label.format(name=info.data.get("name")))
+        lambda raw, info: direction(
+            checked_value(raw, info), label.format(name=info.data.get("name"))
+        )
     )
 
 
@@ -288,7 +292,11 @@ def describe_error(
     )
     reason, places = _own_error(first), first["loc"]
     if isinstance(reason, VehicleError):
-        path = _named_path(places, table) if table is not None else ".".join(map(str, (where, *places)))
+        path = (
+            _named_path(places, table)
+            if table is not None
+            else ".".join(map(str, (where, *places)))
+        )
         return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
     key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places)
     where = f"{where}, {key.replace('.[', '[')}"

@@ -32,11 +32,11 @@ from sunspin.vehicle.part import (
     Vector,
     above_zero,
     array,
+    as_tuples,
     must,
     no_entries,
     numbers,
     part,
-    as_tuples,
     unit,
 )
 
@@ -268,7 +268,9 @@ class HullPart(Part):
     name: Name
     points_B_m: Annotated[
         FloatArray,
-        array(_are_points, "points_B_m of hull part {name!r} must be points of three finite numbers"),
+        array(
+            _are_points, "points_B_m of hull part {name!r} must be points of three finite numbers"
+        ),
     ]
     panel: Name | None = None
 

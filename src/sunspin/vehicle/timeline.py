@@ -134,11 +134,14 @@ def parse_timeline(text: str, where: str) -> Timeline:
     try:
         epoch = table["epoch_utc"]
         events = sorted(
-            (_read_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s
+            (_read_event(entry, epoch) for entry in table.get("event", [])),
+            key=lambda event: event.t_s,
         )
         timeline = Timeline(epoch, tuple(events))
         return Timeline(
-            epoch, tuple(events), tuple(_read_phase(entry, timeline) for entry in table.get("phase", []))
+            epoch,
+            tuple(events),
+            tuple(_read_phase(entry, timeline) for entry in table.get("phase", [])),
         )
     except KeyError as error:
         raise InputError(f"key {error.args[0]!r} is missing", do="add it", where=where) from None

@@ -19,7 +19,7 @@ from typing import IO
 
 import numpy as np
 
-from sunspin.base.atomic_write import lock_file, ensure_writable
+from sunspin.base.atomic_write import ensure_writable, lock_file
 from sunspin.base.errors import OutputError
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded

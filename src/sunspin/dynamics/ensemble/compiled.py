@@ -190,7 +190,9 @@ def kept_text(made_from: tuple[Any, ...], make: Callable[[], str]) -> str:
         if digest == _digest(text):
             return text
     text = make()
-    write_atomically(path, lambda part: part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8"))
+    write_atomically(
+        path, lambda part: part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
+    )
     return text
 
 

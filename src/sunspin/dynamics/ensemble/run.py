@@ -225,7 +225,7 @@ def run_rows(
     if acting.torques and not spun(acting.torques):
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)
-    normals = np.zeros(0, np.float32) if mask is None else mask.numbers
+    normals = np.zeros(0, np.float32) if mask is None else mask.kernel_data
     result = BlockResult(
         np.zeros((n, bins), dtype=np.float32),
         np.zeros((n, 0 if bins else ends.size, layout.n_output)),

@@ -19,7 +19,7 @@ class AlongTrack:
     shifts: np.ndarray
     sun: np.ndarray
     field: np.ndarray
-    sunlit_fraction: np.ndarray
+    lit: np.ndarray
     days: np.ndarray
 
     @classmethod
@@ -40,7 +40,9 @@ class AlongTrack:
         fixed = rotate_vectors(turn, place)
         to_sun = rotate_vectors(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
         light = sunlit_fraction(place, np.broadcast_to(sun, place.shape))
-        return cls(shifts, to_sun, orbit.map(when, place).at(fixed), light, orbit.days(when))
+        return cls(
+            shifts, to_sun, orbit.field_map_around(when, place).at(fixed), light, orbit.days(when)
+        )
 
     def take(self, samples: np.ndarray) -> AlongTrack:
         return AlongTrack(

@@ -28,7 +28,7 @@ from sunspin.estimate.orbit.invariants import (
 )
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import Dense, solve_dense
-from sunspin.solve.rotations import cross_matrix, tangent_basis, rotate_attitude
+from sunspin.solve.rotations import cross_matrix, rotate_attitude, tangent_basis
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.repeats import GAP_FACTOR
 from sunspin.vehicle import Vehicle

@@ -425,7 +425,9 @@ def _turned(
     sun: np.ndarray, there: np.ndarray, moves: np.ndarray, seen: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, Secant]:
     """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
-    across = np.stack(tangent_basis(there), axis=1) @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)
+    across = np.stack(tangent_basis(there), axis=1) @ np.swapaxes(
+        np.stack(tangent_basis(sun), axis=1), 1, 2
+    )
     moves, step = np.array(moves), np.array(step)
     moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(
         len(moves), 2, *moves.shape[2:]

@@ -345,7 +345,9 @@ class Likelihood:
         ]
         if model.turned:
             runs += [
-                State(state.omega, move_on_sphere(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u)
+                State(
+                    state.omega, move_on_sphere(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u
+                )
                 for x in np.eye(2)
             ]
         else:
@@ -422,7 +424,7 @@ class Likelihood:
             len(self.data),
             self.data.others,
         )
-        slopes = self.response.along(
+        slopes = self.response.power_changes(
             base.sun, [move[:, :count] for move in moves], gain=gain, tilt=tilt
         )
         for move, slope in zip(moves, slopes, strict=True):

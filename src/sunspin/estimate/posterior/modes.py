@@ -572,7 +572,7 @@ class Search:
 
     def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
         """The modes and their images under what changes no reading of panels on shared inputs: the search may miss some."""
-        images, state = likelihood.response.images, found.state
+        images, state = likelihood.response.symmetries, found.state
         if len(images) == 1:
             return found
         turned = [  # rates are axial vectors

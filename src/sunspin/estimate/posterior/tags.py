@@ -37,7 +37,7 @@ def power_slope(
     likelihood: Likelihood, sun: np.ndarray, rate: np.ndarray, u: np.ndarray
 ) -> np.ndarray:
     """Rates of change (n, K, P) of the powers at directions and rates (n, K, 3): none on dark panels."""
-    slope = likelihood.response.along(
+    slope = likelihood.response.power_changes(
         sun, [-np.cross(rate, sun)], gain=likelihood.gain(u), tilt=likelihood.tilt(u)
     )[0]
     return likelihood.throttle(likelihood.light(sun, u)).slope(slope)

@@ -523,7 +523,9 @@ def _slowest(track: Track, t_s: np.ndarray) -> Track:
     attitude, omega = track.attitude.copy(), np.zeros_like(track.omega)
     sun = track.sun_B
     for i, dt in enumerate(np.diff(t_s)):
-        x, y = (rotate_by_smallest(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1))
+        x, y = (
+            rotate_by_smallest(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1)
+        )
         attitude[:, i + 1] = np.stack([x, y, np.cross(x, y)], axis=-1)
         omega[:, i] = rotation_between(attitude[:, i], attitude[:, i + 1]) / dt
     omega[:, 1:-1] = (omega[:, :-2] + omega[:, 1:-1]) / 2

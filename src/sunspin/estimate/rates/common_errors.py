@@ -29,7 +29,7 @@ from sunspin.estimate.rates.smooth import (
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import TOLERANCE, least_squares, take_problems
-from sunspin.solve.linear import Bordered, solve_bordered, invert_bordered
+from sunspin.solve.linear import Bordered, invert_bordered, solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
@@ -114,7 +114,8 @@ def seen_later(o: Observations, track: Track, motion: Motion, late_s: np.ndarray
     late = late_s[:, None, None]
     change = acceleration(motion.body, track.omega, o.momentum)
     return Track(
-        rotate_attitude(track.attitude, late * (track.omega + late / 2 * change)), track.omega + late * change
+        rotate_attitude(track.attitude, late * (track.omega + late / 2 * change)),
+        track.omega + late * change,
     )
 
 
@@ -234,7 +235,11 @@ def _fitted(
         tolerance=tolerance,
         limit=limit,
     )
-    (attitude, omega, error), system, told = found.state, found.system, invert_bordered(found.system)
+    (attitude, omega, error), system, told = (
+        found.state,
+        found.system,
+        invert_bordered(found.system),
+    )
     fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
     seen = fitted if clock is None else seen_later(o, fitted, motion, _late(clock, error))
     return Common(fitted, error, told.border, told.answer, system, seen)

@@ -181,7 +181,9 @@ def _sphere(
     for start in (0.0, 0.5):
         a, b = (rate(start + 0.25 * (1 + sign / np.sqrt(3))) for sign in (-1, 1))
         half = size / 2
-        matrix = rotate_attitude(matrix, half / 2 * (a + b) - np.sqrt(3) / 12 * half**2 * cross(b, a))
+        matrix = rotate_attitude(
+            matrix, half / 2 * (a + b) - np.sqrt(3) / 12 * half**2 * cross(b, a)
+        )
     return matrix, rate(1.0)
 
 
@@ -315,5 +317,7 @@ def _add_turns(
         body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small), counts
     )
     for k in range(3):
-        answer[..., :3, k] = rotation_between(matrix, ended[k] @ rotate_attitude(np.eye(3), small[k])) / DIFFERENCE
+        answer[..., :3, k] = (
+            rotation_between(matrix, ended[k] @ rotate_attitude(np.eye(3), small[k])) / DIFFERENCE
+        )
         answer[..., 3:, k] = (rates[k] - rate) / DIFFERENCE

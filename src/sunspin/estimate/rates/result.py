@@ -64,7 +64,7 @@ def dataset_of(
     pass_of = np.repeat(np.arange(len(found)), [len(p.index) for p in found])
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     sun_sigma = _sun_sigma(sun, covariance[:, :3, :3])
-    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
+    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": source,
         "acceleration_noise": motion.noise,
         "max_rate_rad_s": rate_max,
@@ -179,7 +179,9 @@ def in_space(
         attitude = Rotation.from_quat(result[name].values).as_matrix() @ local.N_from_J2000(
             result[time].values
         )
-        quaternion = without_sign_jumps(Rotation.from_matrix(attitude).as_quat(), result[part].values)
+        quaternion = without_sign_jumps(
+            Rotation.from_matrix(attitude).as_quat(), result[part].values
+        )
         turned[name] = (time, "quaternion"), quaternion, {"units": "1"}
     return result.assign(turned).assign_attrs(frame_N=J2000)
 

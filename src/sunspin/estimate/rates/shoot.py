@@ -39,7 +39,10 @@ def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) 
     """Attitude and rate at sample `index` of K hypotheses, fitted; returns them with their cost."""
     found = least_squares(
         lambda state: _equations(o, index, state[0], state[1], motion),
-        lambda state, step: (rotate_attitude(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
+        lambda state, step: (
+            rotate_attitude(state[0], step[:, :3]),
+            followed(state[1] + step[:, 3:], motion),
+        ),
         solve_dense,
         (track.attitude[:, index], track.omega[:, index]),
         steps=steps,

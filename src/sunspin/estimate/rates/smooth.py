@@ -19,7 +19,7 @@ from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal, student
 from sunspin.solve.least_squares import least_squares, limit_length
-from sunspin.solve.linear import Bordered, solve_bordered, invert_bordered
+from sunspin.solve.linear import Bordered, invert_bordered, solve_bordered
 from sunspin.solve.rotations import rotate_attitude, rotation_between
 
 RATE_LIMIT = 4.0
@@ -91,7 +91,9 @@ class Intervals(NamedTuple):
 
     def defect(self, omega: np.ndarray, made: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
-        defect = np.concatenate([rotation_between(made, self.relative), omega[:, 1:] - rate], axis=-1)
+        defect = np.concatenate(
+            [rotation_between(made, self.relative), omega[:, 1:] - rate], axis=-1
+        )
         return np.einsum("nij,knj->kni", self.white, defect)
 
 

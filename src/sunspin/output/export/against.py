@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.base.untrusted import IsolatedRunError, run_isolated, is_nonempty_file
+from sunspin.base.untrusted import IsolatedRunError, is_nonempty_file, run_isolated
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import attitude_of, read_results
 from sunspin.output.export.ck import ephemeris_time, spice

@@ -176,7 +176,9 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
 
 def _frames(path: Path) -> Iterator[Frame]:
     if path.is_dir():
-        for file in sorted(entry for entry in path.iterdir() if is_nonempty_file(entry))[:MAX_FRAMES]:
+        for file in sorted(entry for entry in path.iterdir() if is_nonempty_file(entry))[
+            :MAX_FRAMES
+        ]:
             with open(file, "rb") as stream:
                 yield _of_collector(file.name, stream.read(MAX_FRAME_BYTES))
     elif is_nonempty_file(path) and _begins(path)[:1] in b"0123456789{[":

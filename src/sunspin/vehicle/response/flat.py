@@ -90,7 +90,7 @@ class Candidates(NamedTuple):
     fixed: np.ndarray
 
     @classmethod
-    def of(
+    def from_cells(
         cls,
         within: Iterable[np.ndarray],
         between: Iterable[tuple[np.ndarray, np.ndarray]],
@@ -104,13 +104,13 @@ class Candidates(NamedTuple):
             maps.append(basis @ np.linalg.pinv(rows @ basis))
         return cls(np.array(maps), fixed)
 
-    def mapped(self, target: np.ndarray) -> np.ndarray:
+    def from_readings(self, target: np.ndarray) -> np.ndarray:
         """The candidates (n, n_map, 3) that depend on the readings."""
         candidates = np.einsum("mik,nk->nmi", self.maps, target)
         length = np.linalg.norm(candidates, axis=2, keepdims=True)
         return candidates / np.where(length > 0, length, 1.0)
 
-    def best(
+    def best_direction(
         self, power: Callable[[np.ndarray], np.ndarray], readings: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """The direction (n, 3) with the least Delta (n) between `power` and readings (n, n_panel)."""
@@ -120,7 +120,7 @@ class Candidates(NamedTuple):
         for start in range(0, len(readings), chunk):
             rows = slice(start, start + chunk)
             target = normalise_readings(readings[rows])
-            candidates = self.mapped(target)
+            candidates = self.from_readings(target)
             away = misfit(power(candidates), target[:, None, :])
             away_fixed = misfit(
                 np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :]
@@ -153,7 +153,7 @@ class PanelResponse:
         return self.gains[:, None] * self.normals_B
 
     @property
-    def largest(self) -> float:
+    def largest_power(self) -> float:
         """A number of the size of the largest power."""
         return np.abs(self._rows).max()
 
@@ -185,7 +185,7 @@ class PanelResponse:
         to_tilt = None if tilt is None else lit * np.cross(normals, sun)
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
-    def along(
+    def power_changes(
         self,
         sun_B: np.ndarray,
         steps: Sequence[np.ndarray],
@@ -196,15 +196,17 @@ class PanelResponse:
         """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
         normals, strength = self._turned(tilt), self._strengths(gain)
         lit = components_along_normals(sun_B, normals) > 0
-        return [strength * np.where(lit, components_along_normals(step, normals), 0.0) for step in steps]
+        return [
+            strength * np.where(lit, components_along_normals(step, normals), 0.0) for step in steps
+        ]
 
-    def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    def light_power(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Signals (..., n_panel), in `unit`s, under a light `light_B` (..., 3), direction times brightness, and their derivative by
         it, which (..., n_panel, 3) or (n_panel, 3) holds where the signal is not zero."""
         rows = self._rows / unit
         return np.maximum(0.0, light_B @ rows.T), rows
 
-    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def earthlight(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signals (..., n_panel) under the Earth about `axis_B`, `strength` (...) being what a panel of gain 1 gets that looks
         there; and their derivative (..., n_panel, 3) by the vector strength times axis.
 
@@ -241,7 +243,7 @@ class PanelResponse:
         )
 
     @cached_property
-    def _places(self) -> Candidates:
+    def _candidates(self) -> Candidates:
         cells, rows = self._cells, self._rows
         within = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
         between = [
@@ -249,19 +251,21 @@ class PanelResponse:
             for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
             if lit.any()
         ]
-        return Candidates.of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Candidates.from_cells(
+            within, between, np.concatenate([cells.vertex_B, cells.cell_B])
+        )
 
-    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def best_direction(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The direction (n, 3) with the smallest Delta (n) (paper, eq. 2) for readings (n, n_panel): the global minimum."""
-        return self._places.best(self.power, readings)
+        return self._candidates.best_direction(self.power, readings)
 
-    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    def near_best(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Directions (n, k, 3), the best first, with a Delta that exceeds the smallest by no more than `slack` (n); else NaN. Of
         panels that share no input the best alone: no two fit alike."""
-        return self.best(readings)[0][:, None]
+        return self.best_direction(readings)[0][:, None]
 
     @property
-    def images(self) -> np.ndarray:
+    def symmetries(self) -> np.ndarray:
         """Mirrors and turns (m, 3, 3) of the body that change readings little or not at all, the first of them none at all."""
         return np.eye(3)[None]
 
@@ -296,6 +300,6 @@ class PanelResponse:
             return np.full((2, 3), np.nan)
         return np.array([np.cos(angle) * middle + np.sin(angle) * free for angle in (low, high)])
 
-    def counted(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
+    def direction_set(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
         """The directions in which one of the sets of panels `good` (m, n_panel) is lit and none of `bad`, all of them shown."""
         return DirectionSet(self.normals_B, minimal_clauses(good, bad))

@@ -18,13 +18,13 @@ from sunspin.base.errors import VehicleError
 from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
-    PanelResponse,
     Candidates,
+    PanelResponse,
     Regions,
     Slopes,
     misfit,
-    unweighted_covariance,
     normalise_readings,
+    unweighted_covariance,
 )
 from sunspin.vehicle.response.planes import ON_PLANE, DirectionSet, minimal_clauses, sphere
 
@@ -44,7 +44,9 @@ MAX_PLANES = 40
 ARC_ANGLES_RAD = np.arange(-1.4, 1.5, 0.2)
 """Angles (rad) at which an arc of directions that fit alike is looked at."""
 
-NEIGHBOUR_STEPS = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1)
+NEIGHBOUR_STEPS = np.stack(
+    [np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1
+)
 NEIGHBOUR_RAD, DELTA_TOLERANCE = 1e-4, 1e-9
 """A direction is a minimum of Delta if no direction so far from it (`AROUND`) has one smaller by so much."""
 
@@ -69,7 +71,9 @@ def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[n
         return normals_B[best], float(gains[best])
     rows = gains[own, None] * normals_B[own]
     sun = np.concatenate([normals_B[own], sphere(CLIMB_STARTS)])
-    for _ in range(CLIMB_STEPS):  # the sum is convex in the direction: towards its slope it never falls
+    for _ in range(
+        CLIMB_STEPS
+    ):  # the sum is convex in the direction: towards its slope it never falls
         slope = (sun @ rows.T > 0) @ rows
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         sun = np.where(size > 0, slope / np.where(size > 0, size, 1.0), sun)
@@ -94,13 +98,13 @@ class JoinedResponse(PanelResponse):
         return np.array([sun for sun, _ in self._full])
 
     @property
-    def full(self) -> np.ndarray:
+    def full_sun_readings(self) -> np.ndarray:
         """The largest signal (n_input) of each input."""
         return np.array([signal for _, signal in self._full])
 
     @property
-    def largest(self) -> float:
-        return float(self.full.max())
+    def largest_power(self) -> float:
+        return float(self.full_sun_readings.max())
 
     def _made(self, signal: np.ndarray) -> np.ndarray:
         """Which panels (..., n_panel) make the readings, by their signals: inside a cell always the same ones."""
@@ -149,7 +153,7 @@ class JoinedResponse(PanelResponse):
             to_tilt = self._summed(makes * to_tilt, axis=-2) * factor
         return Slopes(self._read(signal, gain), to_sun, to_tilt)
 
-    def along(
+    def power_changes(
         self,
         sun_B: np.ndarray,
         steps: Sequence[np.ndarray],
@@ -160,18 +164,18 @@ class JoinedResponse(PanelResponse):
         to_sun = self.slopes(sun_B, gain=gain, tilt=tilt).to_sun
         return [np.einsum("...pi,...i->...p", to_sun, step) for step in steps]
 
-    def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        signal, _ = super().under(light_B, unit)
+    def light_power(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        signal, _ = super().light_power(light_B, unit)
         return self._read(signal), self._matrix(self._made(signal)) / unit
 
-    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        signal, slope = super().disc(axis_B, np.ones(axis_B.shape[:-1]))
+    def earthlight(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        signal, slope = super().earthlight(axis_B, np.ones(axis_B.shape[:-1]))
         light = self._read(signal) * np.asarray(strength)[..., None]
         return light, self._summed(self._made(signal)[..., None] * slope, axis=-2)
 
     def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         low, high = super().bounds(sun_B, angle)
-        return self._read(low), np.minimum(self._read(high), self.full)
+        return self._read(low), np.minimum(self._read(high), self.full_sun_readings)
 
     @cached_property
     def _planes(self) -> np.ndarray:
@@ -180,7 +184,7 @@ class JoinedResponse(PanelResponse):
         for shared in self.inputs:
             for i, j in combinations(shared.panels, 2) if shared.largest else ():
                 across = self._rows[i] - self._rows[j]
-                if (size := np.linalg.norm(across)) > ON_PLANE * self.largest:
+                if (size := np.linalg.norm(across)) > ON_PLANE * self.largest_power:
                     normals.append(across / size)
         kept: list[np.ndarray] = []
         for normal in normals:
@@ -208,22 +212,24 @@ class JoinedResponse(PanelResponse):
             shown = np.concatenate([self.regions().lit, self.edges()])
             there = every[(shown == lit).all(axis=1)]
             return max((self.rank(lit, sun) for sun in there), default=min(int(lit.sum()), 3))
-        design = (self._matrix(self._sides(sun_B)) / self.full[:, None])[lit]
+        design = (self._matrix(self._sides(sun_B)) / self.full_sun_readings[:, None])[lit]
         return int(np.count_nonzero(np.linalg.svd(design, compute_uv=False) > RANK_TOLERANCE))
 
-    def counted(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
+    def direction_set(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
         """By the planes of the cells: which of their sides are those of a cell in which one of the sets is lit."""
         lit, sides = self.regions().lit, self._cells.cell_lit
         wanted = (lit[:, None] == good).all(axis=-1).any(axis=1)
         return DirectionSet(self._planes, minimal_clauses(sides[wanted], sides[~wanted]))
 
     @cached_property
-    def _places(self) -> Candidates:
+    def _candidates(self) -> Candidates:
         planes, cells = self._planes, self._cells
         on_arcs = np.unique(np.column_stack([self._sides(cells.arc_B), cells.arc_plane]), axis=0)
         between = [(self._matrix(arc[:-1]), planes[arc[-1]]) for arc in on_arcs]
         between = [(matrix, normal) for matrix, normal in between if matrix.any()]
-        return Candidates.of(self._within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Candidates.from_cells(
+            self._within, between, np.concatenate([cells.vertex_B, cells.cell_B])
+        )
 
     @cached_property
     def _within(self) -> list[np.ndarray]:
@@ -234,7 +240,7 @@ class JoinedResponse(PanelResponse):
     @cached_property
     def _free(self) -> np.ndarray:
         """Per matrix of a cell the direction (3) along which the readings' proportions stay, zeros if there is none."""
-        tolerance = RANK_TOLERANCE * self.largest
+        tolerance = RANK_TOLERANCE * self.largest_power
         return np.array(
             [
                 np.linalg.svd(matrix)[2][2]
@@ -245,24 +251,31 @@ class JoinedResponse(PanelResponse):
         )
 
     def _all_candidates(self, target: np.ndarray) -> np.ndarray:
-        """Directions (n, n_candidate, 3) in which unit readings (n, n_input) may have the least Delta: those of `_places`, and more
+        """Directions (n, n_candidate, 3) in which unit readings (n, n_input) may have the least Delta: those of `_candidates`, and more
         along the arcs on which the readings stay as they are."""
         has = self._free.any(axis=1)
-        mapped = self._places.mapped(target)
+        mapped = self._candidates.from_readings(target)
         middle = mapped[:, : len(self._free)][:, has]
-        along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ARC_ANGLES_RAD]
-        fixed = np.broadcast_to(self._places.fixed, (len(target), *self._places.fixed.shape))
+        along = [
+            np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ARC_ANGLES_RAD
+        ]
+        fixed = np.broadcast_to(
+            self._candidates.fixed, (len(target), *self._candidates.fixed.shape)
+        )
         return np.concatenate([mapped, fixed, *along], axis=1)
 
-    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    def near_best(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
         """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
         any."""
-        target, (best, delta) = normalise_readings(readings), self.best(readings)
+        target, (best, delta) = normalise_readings(readings), self.best_direction(readings)
         tried = np.concatenate([best[:, None], self._all_candidates(target)], axis=1)
         fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
         sample, which = np.nonzero(fits & tried.any(axis=-1))  # in the dark there is no candidate
         sun, wanted = tried[sample, which], target[sample]
-        near = [move_on_sphere(sun, np.tile(NEIGHBOUR_RAD * step, (len(sun), 1))) for step in NEIGHBOUR_STEPS]
+        near = [
+            move_on_sphere(sun, np.tile(NEIGHBOUR_RAD * step, (len(sun), 1)))
+            for step in NEIGHBOUR_STEPS
+        ]
         lowest = np.min([misfit(self.power(each), wanted) for each in near], axis=0)
         kept = np.zeros(tried.shape[:2], dtype=bool)
         kept[sample, which] = misfit(self.power(sun), wanted) <= lowest + DELTA_TOLERANCE
@@ -270,7 +283,7 @@ class JoinedResponse(PanelResponse):
         return np.where(kept[..., None], tried, np.nan)
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        sun, _ = self.best(readings)
+        sun, _ = self.best_direction(readings)
         design = self._matrix(self._sides(sun)) * lit[:, None]
         power = self.power(sun) * lit
         bright = (readings * power).sum(axis=1) / np.maximum((power**2).sum(axis=1), 1e-300)
@@ -298,7 +311,9 @@ class JoinedResponse(PanelResponse):
         if not there.any():
             return np.full((2, 3), np.nan)
         away = np.where(there, misfit(power, target), np.inf)
-        room = np.where(away < away.min() + DELTA_TOLERANCE, np.abs(sun @ self._planes.T).min(axis=1), -1.0)
+        room = np.where(
+            away < away.min() + DELTA_TOLERANCE, np.abs(sun @ self._planes.T).min(axis=1), -1.0
+        )
         begin = sun[np.argmax(room)]
         return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
 
@@ -321,7 +336,7 @@ class JoinedResponse(PanelResponse):
             sun = ahead
 
     @cached_property
-    def images(self) -> np.ndarray:
+    def symmetries(self) -> np.ndarray:
         """Mirrors that exchange two panels of one input, and what they make together, as far as they change no reading much."""
         mirrors = []
         for shared in self.inputs:
@@ -329,7 +344,7 @@ class JoinedResponse(PanelResponse):
                 across = self.normals_B[i] - self.normals_B[j]
                 if (size := np.linalg.norm(across)) > 0:
                     mirrors.append(np.eye(3) - 2 * np.outer(across, across) / size**2)
-        sun, most = sphere(SYMMETRY_DIRECTIONS), SYMMETRY_TOLERANCE * self.full.min()
+        sun, most = sphere(SYMMETRY_DIRECTIONS), SYMMETRY_TOLERANCE * self.full_sun_readings.min()
         images, new = [np.eye(3)], [np.eye(3)]
         while new and len(images) < MAX_SYMMETRIES:
             products, new = [mirror @ image for image in new for mirror in mirrors], []

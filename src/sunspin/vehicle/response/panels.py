@@ -42,7 +42,9 @@ def brightness(
     vehicle: Vehicle, reading: np.ndarray, sun_B: np.ndarray | None = None
 ) -> np.ndarray:
     """Factor (n) by which readings (n, n_panel) exceed `panel_power` at `sun_B` (n, 3); default: the directions that fit best."""
-    light = panel_power(vehicle, vehicle.response_in().best(reading)[0] if sun_B is None else sun_B)
+    light = panel_power(
+        vehicle, vehicle.response_in().best_direction(reading)[0] if sun_B is None else sun_B
+    )
     return (reading * light).sum(axis=1) / np.maximum((light**2).sum(axis=1), 1e-300)
 
 
@@ -72,7 +74,10 @@ def patterns_of_misaligned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[P
     """The lit patterns of the same panels, turned by any of `turns_B` (k, n_panel, 3), rotation vectors in rad in B."""
     response, suns = vehicle.response_in(), sphere(SUN_DIRECTIONS)
     lit = [
-        np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUN_DIRECTIONS, *turn.shape))) > 0, axis=0)
+        np.unique(
+            response.power(suns, tilt=np.broadcast_to(turn, (SUN_DIRECTIONS, *turn.shape))) > 0,
+            axis=0,
+        )
         for turn in turns_B
     ]
     return patterns_by_name(vehicle, np.unique(np.concatenate(lit), axis=0))
@@ -90,7 +95,9 @@ def misalignment_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
 
     That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
     """
-    own = np.array([_rms_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
+    own = np.array(
+        [_rms_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels]
+    )
     tilted = vehicle.panel_response.tilted
     if tilted is not None:
         by_tilt = _rms_sigma(vehicle, "panel_response.tilted.turn_B_rad")

@@ -28,7 +28,7 @@ class DirectionSet:
     normals_B: np.ndarray
     clauses: tuple[Clause, ...]
 
-    def holds(self, sun_B: np.ndarray) -> np.ndarray:
+    def contains(self, sun_B: np.ndarray) -> np.ndarray:
         """Whether each direction (..., 3) counts."""
         lit = sun_B @ self.normals_B.T > 0
         clauses = [
@@ -38,7 +38,7 @@ class DirectionSet:
         return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
 
     @property
-    def numbers(self) -> np.ndarray:
+    def kernel_data(self) -> np.ndarray:
         """What compiled code reads, in float32."""
         return np.asarray(self.normals_B, dtype=np.float32).ravel()
 
