@@ -197,7 +197,7 @@ def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, 
 
 
 def test_a_disk_that_is_full_is_said_and_the_store_goes_on_later(tmp_path, monkeypatch):
-    def full(target, fill, write=disk.write_whole):
+    def full(target, fill, write=disk.write_atomically):
         if "-0000000400-" in target.name:
             with monkeypatch.context() as inner:
                 inner.setattr(os, "fsync", refuse)  # as a disk without room does
