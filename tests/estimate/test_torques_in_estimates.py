@@ -15,7 +15,14 @@ from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood, move_on_sphere
 from sunspin.estimate.posterior.model import State, model, under
 from sunspin.estimate.posterior.predict import drawn_rows
-from sunspin.estimate.rates.motion import FREE, Body, step, step_with_answer, rotate_attitude, rotation_between
+from sunspin.estimate.rates.motion import (
+    FREE,
+    Body,
+    rotate_attitude,
+    rotation_between,
+    step,
+    step_with_answer,
+)
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 ORBIT = circular(1.1e-3, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])

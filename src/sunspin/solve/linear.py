@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Dense(NamedTuple):
+class DenseSystem(NamedTuple):
     """K problems of D unknowns: `cost` (K), `matrix` (K, D, D), `slope` (K, D); `scale` (K, D) is what one unit of damping adds to
     the diagonal (None: the diagonal itself); `kept`: arrays (K, ...) of the same state that the caller wants back."""
 
@@ -20,12 +20,12 @@ class Dense(NamedTuple):
     matrix: np.ndarray
     slope: np.ndarray
     scale: np.ndarray | None = None
-    kept: tuple[np.ndarray, ...] = ()
+    extras: tuple[np.ndarray, ...] = ()
 
     @classmethod
-    def of(
+    def from_residuals(
         cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None
-    ) -> Dense:
+    ) -> DenseSystem:
         """Half the sum of squares of residuals (K, R) with the Jacobian (K, R, D)."""
         turned = np.swapaxes(jacobian, -1, -2)
         return cls(
@@ -36,7 +36,7 @@ class Dense(NamedTuple):
         )
 
 
-def solve_dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solve_dense(system: DenseSystem, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps (K, D) under `damping` (K), and what they gain (K) by the quadratic model if the damping is small."""
     scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
     step = _nan_if_singular(
@@ -47,7 +47,7 @@ def solve_dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndar
     return step, -(system.slope * step).sum(axis=1) / 2
 
 
-class Bordered(NamedTuple):
+class BorderedSystem(NamedTuple):
     """K chains of n nodes with b unknowns each, of which neighbours meet, and m unknowns that meet all.
 
     `cost` (K); `diagonal` (K, n, b, b), `upper` (K, n-1, b, b), `slope` (K, n, b); `scale` (K, b) is what one unit of damping adds
@@ -70,12 +70,12 @@ class BorderedInverse(NamedTuple):
 
     nodes: np.ndarray
     border: np.ndarray
-    answer: np.ndarray
-    log_size: np.ndarray
+    sensitivity: np.ndarray
+    log_determinant: np.ndarray
 
 
 def solve_bordered(
-    system: Bordered, damping: np.ndarray
+    system: BorderedSystem, damping: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray | None], np.ndarray]:
     """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K), and what they gain (K) by the quadratic
     model if the damping is small."""
@@ -91,7 +91,7 @@ def solve_bordered(
     ) / 2
 
 
-def invert_bordered(system: Bordered) -> BorderedInverse:
+def invert_bordered(system: BorderedSystem) -> BorderedInverse:
     """Covariances and determinant of the undamped equations."""
     factors = _factorise(system.diagonal, system.upper)
     nodes, size = _diagonal_of_inverse(factors), np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
@@ -140,7 +140,7 @@ def _diagonal_of_inverse(factors: _Factors) -> np.ndarray:
     return covariance
 
 
-def _solve_with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
+def _solve_with_border(factors: _Factors, system: BorderedSystem) -> tuple[np.ndarray, ...]:
     """Steps of nodes and border, what the nodes change per unit of the border's unknowns, and the Schur complement (K, m, m)."""
     assert system.border is not None
     assert system.corner is not None and system.border_slope is not None

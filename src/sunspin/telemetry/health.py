@@ -14,7 +14,7 @@ from scipy.special import gammaln
 
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, solve_dense
+from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
@@ -250,13 +250,15 @@ def noise_alone(
     cells, _ = response.regions()
     light, _ = response.light_power(cells, scale)
 
-    def linearise(state: tuple[np.ndarray, ...]) -> Dense:
+    def linearise(state: tuple[np.ndarray, ...]) -> DenseSystem:
         sun, seen, counts = state
         mean, slope = response.light_power(sun, scale)
         lit = seen > threshold
         value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
         active = (mean > 0) & (lit | (mean > threshold))
-        return Dense.of(counts * value, (counts * active)[..., None] * slope, np.ones_like(sun))
+        return DenseSystem.from_residuals(
+            counts * value, (counts * active)[..., None] * slope, np.ones_like(sun)
+        )
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]

@@ -27,7 +27,7 @@ from sunspin.estimate.orbit.invariants import (
     sun_by_panels,
 )
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, solve_dense
+from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, tangent_basis
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.repeats import GAP_FACTOR
@@ -231,7 +231,7 @@ def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model
         solution = least_squares(
             model.linearise, _stepped, solve_dense, state, steps=STEPS, tolerance=TOLERANCE
         )
-        state = solution.state._replace(attitude=solution.system.kept[0])
+        state = solution.state._replace(attitude=solution.system.extras[0])
         before, model = model, model.with_scatter(state)
         if np.allclose(model.scatter, before.scatter, rtol=STEADY):
             break
@@ -525,13 +525,16 @@ class _Model:
         at = self._residuals(unknown, attitude, sky)
         return attitude, at, np.linalg.inv(_information(at.by_turn))
 
-    def linearise(self, state: _State) -> Dense:
+    def linearise(self, state: _State) -> DenseSystem:
         unknown = state.unknown[0]
         attitude, scores, matrix, cost = self._scores(unknown, state.attitude[0])
         slope = self.precision @ unknown + scores.sum(axis=0)
         total = unknown @ self.precision @ unknown / 2 + cost
-        return Dense(
-            np.array([total]), (self.precision + matrix)[None], slope[None], kept=(attitude[None],)
+        return DenseSystem(
+            np.array([total]),
+            (self.precision + matrix)[None],
+            slope[None],
+            extras=(attitude[None],),
         )
 
     def _scores(

@@ -29,7 +29,7 @@ from sunspin.estimate.rates.smooth import (
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
 from sunspin.solve.least_squares import TOLERANCE, least_squares, take_problems
-from sunspin.solve.linear import Bordered, invert_bordered, solve_bordered
+from sunspin.solve.linear import BorderedSystem, invert_bordered, solve_bordered
 from sunspin.solve.rotations import rotate_attitude
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
@@ -70,7 +70,7 @@ class Common(NamedTuple):
     error: np.ndarray
     covariance: np.ndarray
     answer: np.ndarray
-    system: Bordered
+    system: BorderedSystem
     seen: Track
 
     def take(self, index: np.ndarray) -> Common:
@@ -240,9 +240,11 @@ def _fitted(
         found.system,
         invert_bordered(found.system),
     )
-    fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
+    fitted = Track(
+        attitude, omega, system.cost, -system.cost - told.log_determinant / 2, told.nodes
+    )
     seen = fitted if clock is None else seen_later(o, fitted, motion, _late(clock, error))
-    return Common(fitted, error, told.border, told.answer, system, seen)
+    return Common(fitted, error, told.border, told.sensitivity, system, seen)
 
 
 Placed = tuple[tuple[Any, slice], ...]
@@ -313,7 +315,7 @@ def _equations(
     error: np.ndarray,
     motion: Motion,
     clock: Clock | None,
-) -> Bordered:
+) -> BorderedSystem:
     """`unseen`: the observations without what was seen of the states themselves."""
     own = error[:, places.inertia].size > 0  # else one body serves all at once
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
@@ -344,7 +346,7 @@ def _equations(
         corner[:, place, place] += matrix[..., 6:, 6:].sum(axis=1)
         error_slope[:, place] += gradient[..., 6:].sum(axis=1)
         cost += part.sum(axis=1)
-    return Bordered(
+    return BorderedSystem(
         cost, diagonal + told, upper, slope, damping_scale(told, o.t_s), border, corner, error_slope
     )
 

@@ -12,7 +12,7 @@ from sunspin.estimate.rates.motion import step, step_with_answer
 from sunspin.estimate.rates.smooth import followed, free_turn, measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, solve_dense
+from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import rotate_attitude
 
 CROWD = 4000
@@ -47,7 +47,7 @@ def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) 
         (track.attitude[:, index], track.omega[:, index]),
         steps=steps,
     )
-    attitude, omega = found.system.kept
+    attitude, omega = found.system.extras
     return Track(attitude, omega, found.system.cost)
 
 
@@ -58,7 +58,7 @@ def _ways(index: int, n: int) -> list[tuple[int, int]]:
 
 def _equations(
     o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion
-) -> Dense:
+) -> DenseSystem:
     """Those of turn and rate (6) at sample `index`; kept are attitudes and rates at all samples."""
     k, n = len(omega), len(o)
     track = Track(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
@@ -80,4 +80,4 @@ def _equations(
     matrix[:, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 3:] += omega / motion.rate_prior**2
     total = cost.sum(axis=1) + (omega**2).sum(axis=1) / (2 * motion.rate_prior**2)
-    return Dense(total, matrix, slope, kept=(track.attitude, track.omega))
+    return DenseSystem(total, matrix, slope, extras=(track.attitude, track.omega))

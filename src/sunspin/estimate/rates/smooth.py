@@ -19,7 +19,7 @@ from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal, student
 from sunspin.solve.least_squares import least_squares, limit_length
-from sunspin.solve.linear import Bordered, invert_bordered, solve_bordered
+from sunspin.solve.linear import BorderedSystem, invert_bordered, solve_bordered
 from sunspin.solve.rotations import rotate_attitude, rotation_between
 
 RATE_LIMIT = 4.0
@@ -168,7 +168,7 @@ def cost_limit(o: Observations) -> float:
 
 def normal_equations(
     o: Observations, track: Track, motion: Motion, tied: Tied | None = None
-) -> Bordered:
+) -> BorderedSystem:
     """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common; `tied`: as `between` says."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
@@ -183,7 +183,7 @@ def normal_equations(
     diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
     total += (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2)
-    return Bordered(total, diagonal, upper, slope, damping)
+    return BorderedSystem(total, diagonal, upper, slope, damping)
 
 
 def free_turn(o: Observations, sun_B: np.ndarray) -> np.ndarray:
@@ -215,7 +215,11 @@ def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Tra
     )
     (attitude, omega), told = found.state, invert_bordered(found.system)
     return Track(
-        attitude, omega, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes
+        attitude,
+        omega,
+        found.system.cost,
+        -found.system.cost - told.log_determinant / 2,
+        told.nodes,
     )
 
 
