@@ -1,8 +1,8 @@
-"""Rows on disk: a folder of chunks that a run killed at any moment resumes from.
+"""Storage of rows on disk: a folder of chunks from which a run that was killed at any moment resumes.
 
-Each finished chunk is a file `rows-DIGEST-START-STOP.npz` that appears whole or not at all. DIGEST is a hash of what the rows
-depend on, the package's code included, so that no chunk of another state is used. A chunk that cannot be read counts as not
-computed. `lock` is held by the run that writes; any number of runs may read a complete store.
+Each finished chunk is a file `rows-DIGEST-START-STOP.npz`, written atomically. DIGEST is a hash of everything the rows depend
+on, including the package's code, so that chunks of other inputs or code are never used. A chunk that cannot be read counts as
+missing. The file `lock` is locked by the run that writes; any number of runs may read a complete store.
 """
 
 from __future__ import annotations
@@ -29,14 +29,20 @@ if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
 
 LOCK = "lock"
+"""Name of the lock file."""
 CHUNK_FILE = re.compile(r"rows-([0-9a-f]{16})-(\d{1,15})-(\d{1,15})\.npz")
+"""Name of a chunk: digest, first row, end row."""
 
 
 @contextmanager
 def open_store(
     path: str | Path, function: RowFunction, chunk: int, out: Values
 ) -> Generator[tuple[Callable[[slice], None], list[slice]]]:
-    """Read what a store has of a function's rows into `out`; gives what keeps rows of `out`, and the chunks to be computed."""
+    """Read the stored rows of a function into `out`; yield a function that stores rows of `out`, and the missing chunks.
+
+    Raises `InputError` for a store of other inputs or one that another run is writing to, `OutputError` if it cannot be
+    written.
+    """
     folder = Path(path)
     digest = fingerprint([code_identity(), type(function).__name__, function])[:16]
 
@@ -49,7 +55,7 @@ def open_store(
         arrays: dict[str, Any] = {name: array[rows] for name, array in out.items()}
 
         def write(part: Path) -> None:
-            with open(part, "wb") as file:  # NumPy would change the ending of a name
+            with open(part, "wb") as file:  # for a file name NumPy would append .npz
                 np.savez(file, **arrays)
 
         try:
@@ -68,7 +74,7 @@ def open_store(
                 remove_abandoned(folder)
                 missing = _read_chunks(
                     folder, digest, chunk, out
-                )  # what another run has written by now
+                )  # another run may have added some
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
             raise InputError(what, do=do, where=str(folder)) from None
@@ -78,7 +84,7 @@ def open_store(
 
 
 def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
-    """Read the chunks in a folder that are whole; those that are missing, of at most this size."""
+    """Read all complete chunks of a folder into `out`; return the missing rows as slices of at most `chunk` rows."""
     done = np.zeros(len(next(iter(out.values()))), dtype=bool)
     for path in folder.iterdir() if folder.exists() else ():
         name = CHUNK_FILE.fullmatch(path.name)
@@ -87,7 +93,7 @@ def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[sli
             try:
                 with open(path, "rb") as file, np.load(file) as chunk_file:
                     arrays = {key: chunk_file[key] for key in out}
-            except Exception:  # NumPy raises errors of many kinds
+            except Exception:  # on damaged files NumPy raises errors of many types
                 continue
             forms = {key: (array.dtype, array[rows].shape) for key, array in out.items()}
             if forms == {key: (array.dtype, array.shape) for key, array in arrays.items()}:
@@ -98,6 +104,7 @@ def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[sli
             what = "this is no store, or one of other inputs or of another version of sunspin"
             do = "give the same inputs or choose another folder"
             raise InputError(what, got=path.name, do=do, where=str(folder))
+    # first and end row of each run of missing rows
     ends = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
     begins = ((k, stop) for start, stop in ends for k in range(start, stop, chunk))
     return [slice(k, min(k + chunk, stop)) for k, stop in begins]
