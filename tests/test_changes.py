@@ -154,7 +154,7 @@ def test_all_that_is_listed_can_be_set(source):
         for key, value in numbers.items():
             np.testing.assert_array_equal(after[key], factor * np.array(value), err_msg=key)
         assert (len(done) > 20) == (factor == 2)
-        assert all(each.was == numbers[each.key] for each in done)
+        assert all(each.old_value == numbers[each.key] for each in done)
     for key in listed.keys() - own.keys():  # what the file leaves out is known by its key
         try:
             ss.load_vehicle(source, {key: "x"})

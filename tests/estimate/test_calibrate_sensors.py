@@ -170,7 +170,9 @@ def test_the_keys_of_a_gyro_with_reversed_columns_read_it_as_the_fit_says():
     keys = {key.key: key.value for key in calibrate._gyro_keys(gyro, fit)}
     now = replace(gyro, zero=keys["zero"], scale_rad_s=float(keys["scale_rad_s"][0]))
     np.testing.assert_allclose(
-        now.seen(read)[1], (gyro.seen(read)[1] - fit.values[:3]) / fit.values[3], atol=1e-12
+        now.interpret(read).values,
+        (gyro.interpret(read).values - fit.values[:3]) / fit.values[3],
+        atol=1e-12,
     )
 
 

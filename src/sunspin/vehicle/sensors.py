@@ -96,7 +96,7 @@ class ThreeAxes(Part):
         """-1 (3) where the column counts reversed, else 1."""
         return np.array([-1.0 if column.startswith(REVERSED) else 1.0 for column in self.columns])
 
-    def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
+    def keys_for_axes(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
         """Keys of the vehicle file that make of these axes others: each is that of `order`, times `sign`."""
         now = list(order)
         named = [
@@ -199,9 +199,9 @@ class Gyro(ThreeAxes):
         if self.scale_rad_s == 0:
             raise VehicleError("{path}.scale_rad_s must not be zero")
 
-    def seen(self, read: np.ndarray) -> SensorVariable:
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
         """Rates of the readings (n, 3) of its columns."""
-        value = self.scale_rad_s * self.sign * (unwrap_counts(read, self.wraps_at) - self.zero)
+        value = self.scale_rad_s * self.sign * (unwrap_counts(reading, self.wraps_at) - self.zero)
         return "axis", value, {"units": "rad s-1", "long_name": "gyro, body axes"}
 
 
@@ -235,19 +235,19 @@ class Magnetometer(ThreeAxes):
         validation_alias=AliasPath("zero", "sigma"),
     )
 
-    def seen(self, read: np.ndarray) -> SensorVariable:
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
         """Fields of the readings (n, 3) of its columns, in their unit."""
-        value = (self.sign * (unwrap_counts(read, self.wraps_at) - self.zero)) @ self.matrix.T
+        value = (self.sign * (unwrap_counts(reading, self.wraps_at) - self.zero)) @ self.matrix.T
         return (
             "axis",
             value,
             {"long_name": "magnetometer less its zero, times its matrix, body axes"},
         )
 
-    def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
+    def keys_for_axes(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
         turned = np.eye(3)[list(order)] * np.array(sign)[:, None]
         matrix = turned @ self.matrix @ turned.T + 0.0  # of the axes as they then are
-        return super().read_as(order, sign) | (
+        return super().keys_for_axes(order, sign) | (
             {} if np.array_equal(matrix, self.matrix) else {"matrix": matrix.tolist()}
         )
 
@@ -269,9 +269,9 @@ class Attitude(Part):
         """The columns as a telemetry file calls them."""
         return self.columns
 
-    def seen(self, read: np.ndarray) -> SensorVariable:
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
         """Unit quaternions B_from_N, scalar last, of the readings (n, 4) of its columns; NaN where they hold no unit quaternion."""
-        value = read[:, [1, 2, 3, 0]] if self.scalar == "first" else read
+        value = reading[:, [1, 2, 3, 0]] if self.scalar == "first" else reading
         value = value * [-1.0, -1.0, -1.0, 1.0] if self.rotates == "B_to_N" else value
         size = np.linalg.norm(value, axis=1, keepdims=True)
         good = np.abs(size - 1) < QUATERNION_TOLERANCE
@@ -281,7 +281,7 @@ class Attitude(Part):
         }
         return "quaternion", np.where(good, value / np.where(good, size, 1.0), np.nan), about
 
-    def read_as(self, scalar: bool, way: bool) -> dict[str, str]:
+    def keys_for_convention(self, scalar: bool, way: bool) -> dict[str, str]:
         """Keys of the vehicle file with the scalar at the other end, or the other way round."""
         keys = {"scalar": "first" if self.scalar == "last" else "last"} if scalar else {}
         return keys | (

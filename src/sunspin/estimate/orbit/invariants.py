@@ -509,7 +509,7 @@ def axes_words(way: tuple[str, list[int], tuple[float, ...]], assessment: Assess
     do = (
         ""
         if magnetometer is None
-        else f"; {to_write('magnetometer', magnetometer.read_as(order, sign))}"
+        else f"; {to_write('magnetometer', magnetometer.keys_for_axes(order, sign))}"
     )
     change = Change("the magnetometer", axes={"field_B": axes_matrix(order, sign)})
     same = alike(Observed.of(vehicle, telemetry), change, column_changes(vehicle, telemetry))
