@@ -104,10 +104,8 @@ def solve_bordered(
 def invert_bordered(system: BorderedSystem) -> BorderedInverse:
     """Return the covariances and the determinant of the undamped equations."""
     factors = _factorise(system.diagonal, system.upper)
-    nodes, log_determinant = (
-        _diagonal_of_inverse(factors),
-        np.linalg.slogdet(factors.pivots)[1].sum(axis=1),
-    )
+    nodes = _diagonal_of_inverse(factors)
+    log_determinant = np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
     if system.border is None:
         k, n, b = system.slope.shape
         return BorderedInverse(nodes, np.zeros((k, 0, 0)), np.zeros((k, n, b, 0)), log_determinant)

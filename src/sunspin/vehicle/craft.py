@@ -309,7 +309,7 @@ class Vehicle(Part):
 
     @property
     def input_gains(self) -> FloatArray:
-        """Largest possible reading of each input (n_input): the gain of a panel, or the maximum of a channel over all Sun directions."""
+        """Largest reading of each input (n_input): the gain of a panel, or the maximum of a channel over Sun directions."""
         if not self.channels:
             return self.panel_gains
         return np.array(

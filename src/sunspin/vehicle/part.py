@@ -316,6 +316,7 @@ def describe_error(
     )
     reason, places = _own_error(first), first["loc"]
     if isinstance(reason, VehicleError):
+        # its text has {path} where the position of the value belongs
         path = (
             _named_path(places, table)
             if table is not None
