@@ -252,7 +252,7 @@ def test_what_is_to_be_written_reads_a_sensor_so():
         seen = old.interpret(raw[:, [header.index(name) for name in old.names]]).values
         for _, order, sign in signed_axes():
             told = (
-                to_write(table, old.read_as(order, sign))
+                to_write(table, old.keys_for_axes(order, sign))
                 .removeprefix("set ")
                 .partition(" under ")[0]
             )

@@ -164,7 +164,7 @@ def test_the_axes_of_a_gyro(tmp_path, seed):
         read = np.empty_like(rate)
         read[:, order] = rate * sign  # what the columns hold, if they are to be read so
         found = wrong_gyro_axes(assess(vehicle, samples.assign(gyro_B=(("time", "axis"), read))))
-        columns = vehicle.sensors.gyro.read_as(order, sign)["columns"]
+        columns = vehicle.sensors.gyro.keys_for_axes(order, sign)["columns"]
         assert found is None or (
             f"the gyro {what} agrees" in found and f"set columns = {json.dumps(columns)}" in found
         )

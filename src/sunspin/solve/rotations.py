@@ -74,10 +74,10 @@ def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
 
 def without_sign_jumps(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return unit quaternions (n, 4), scalar last, of the same rotations, without sign jumps within a part.
+    """Return unit quaternions (n, 4) of the same rotations, without sign jumps within a part.
 
-    q and -q are the same rotation, but interpolation between them passes through zero. `part` (n) is constant within a part.
-    Each part begins with a scalar of zero or more.
+    The scalar is last. q and -q are the same rotation, but interpolation between them passes through zero. `part` (n) is
+    constant within a part. Each part begins with a scalar of zero or more.
     """
     if not len(quaternion):
         return quaternion

@@ -1,8 +1,8 @@
 """Changes of values by their keys: ``wheel.speed_rad_s=833``, ``body.inertia_kg_m2[2][2]*=0.9``, ``wheel.friction=printed``.
 
-A change alters the parsed TOML of a vehicle file, or of a study's assumptions (:mod:`sunspin.vehicle.assumptions`), before it
-is validated, so that the reader of that file reports errors in keys and values. Below, a *value table* is ``{value, sigma,
-source}``, which a file may have in place of a number.
+A change alters the parsed TOML of a vehicle file, or of a study's assumptions (:mod:`sunspin.vehicle.assumptions`). This
+happens before validation, so that the reader of that file reports errors in keys and values. Below, a *value table* is
+``{value, sigma, source}``, which a file may have in place of a number.
 """
 
 from __future__ import annotations

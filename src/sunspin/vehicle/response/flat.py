@@ -241,9 +241,9 @@ class PanelResponse:
     def earthlight(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return signals (..., n_panel) under the Earth, and their derivative (..., n_panel, 3) by the vector strength times axis.
 
-        `axis_B` (..., 3) is the direction of the Earth, `strength` (...) the signal of a panel with gain 1 that faces it. See
-        {eq}`earthlight` of docs/model.md: a panel at an angle a to the Earth gets ((1 + cos a) / 2)^2, to 0.05 of its maximum
-        the light of a uniform disk of 66 degrees' radius, the Earth from 550 km.
+        `axis_B` (..., 3) is the direction of the Earth, `strength` (...) the signal of a panel with gain 1 that faces it. A
+        panel at an angle a to the Earth gets ((1 + cos a) / 2)^2 of it, equation (earthlight) of docs/model.md. To 0.05 of the
+        maximum this is the light of a uniform disk of 66 degrees' radius, the Earth seen from 550 km.
         """
         share = (1 + axis_B @ self.normals_B.T) / 2
         axis = axis_B[..., None, :]

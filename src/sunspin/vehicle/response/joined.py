@@ -258,7 +258,7 @@ class JoinedResponse(PanelResponse):
 
     @cached_property
     def _free(self) -> np.ndarray:
-        """For each matrix of a cell the direction (3) that leaves the ratios of the readings unchanged; zeros if there is none."""
+        """Direction (3) for each cell that leaves the ratios of the readings unchanged; zeros if there is none."""
         tolerance = RANK_TOLERANCE * self.largest_power
         return np.array(
             [
