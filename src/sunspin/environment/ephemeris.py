@@ -159,10 +159,10 @@ class Ephemeris:
         nearest = np.argmin([s.outside_days(jd + fraction) for s in self.segments], axis=0)
         states = np.empty((2, len(jd), 3))
         for k, segment in enumerate(self.segments):
-            mine = nearest == k
-            t = ((jd[mine] - segment.jd) + fraction[mine]) * DAY_S
+            is_nearest = nearest == k
+            t = ((jd[is_nearest] - segment.jd) + fraction[is_nearest]) * DAY_S
             inside = np.clip(t, segment.t_s[0], segment.t_s[-1])
-            states[:, mine] = _propagate_ellipse(*segment.state(inside), t - inside)
+            states[:, is_nearest] = _propagate_ellipse(*segment.state(inside), t - inside)
         return states[0], states[1]
 
     def require_coverage(self, jd: np.ndarray) -> None:
@@ -431,8 +431,8 @@ def _normalise_time(time: str) -> str:
         raise ValueError(f"{time!r} is not a time such as 2026-01-31T12:00:00")
     if form[2]:
         time = str(np.datetime64(form[1], "D") + int(form[2]) - 1) + (form[3] or "")
-    whole, _, part = time.partition(".")
-    return f"{whole}.{part[:6]}" if part else whole
+    seconds, _, fraction = time.partition(".")
+    return f"{seconds}.{fraction[:6]}" if fraction else seconds
 
 
 # ------------------------------------------------------------------------------------------------------------------- CSV and SPK

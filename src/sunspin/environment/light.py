@@ -27,10 +27,10 @@ def sunlit_fraction(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     """
     stretch = np.array([1.0, 1.0, 1 / (1 - FLATTENING)])
     place, to_sun = place * stretch, (sun - place) * stretch
-    distance, far = np.linalg.norm(place, axis=-1), np.linalg.norm(to_sun, axis=-1)
+    distance, sun_distance = np.linalg.norm(place, axis=-1), np.linalg.norm(to_sun, axis=-1)
     # angular radii of Earth and Sun, and the angle between their centres
-    earth, disc = np.arcsin(np.minimum(EQUATOR_M / distance, 1.0)), np.arcsin(SUN_M / far)
-    apart = np.arccos(np.clip(-(place * to_sun).sum(axis=-1) / distance / far, -1, 1))
+    earth, disc = np.arcsin(np.minimum(EQUATOR_M / distance, 1.0)), np.arcsin(SUN_M / sun_distance)
+    apart = np.arccos(np.clip(-(place * to_sun).sum(axis=-1) / distance / sun_distance, -1, 1))
     return 1 - covered_fraction(apart, disc, earth)
 
 
@@ -39,15 +39,16 @@ def covered_fraction(apart: np.ndarray, disc: np.ndarray, cover: np.ndarray) -> 
 
     The formula is planar: it holds for small angles, or if the edge of the covering disc is nearly straight.
     """
+    # distances of the line through both intersections from the centres, and half its length
     x = np.clip((apart**2 + disc**2 - cover**2) / (2 * np.maximum(apart, 1e-12)), -disc, disc)
     y = np.clip(apart - x, -cover, cover)
     half = np.sqrt(np.maximum(disc**2 - x**2, 0))
     # area of the lens in which the discs overlap
     lens = disc**2 * np.arccos(x / disc) + cover**2 * np.arccos(y / cover) - apart * half
     partly = np.clip(lens / (np.pi * disc**2), 0, 1)
-    whole = np.where(cover >= disc, 1.0, (cover / disc) ** 2)
+    enclosed = np.where(cover >= disc, 1.0, (cover / disc) ** 2)
     return np.where(
-        apart >= disc + cover, 0.0, np.where(apart <= np.abs(cover - disc), whole, partly)
+        apart >= disc + cover, 0.0, np.where(apart <= np.abs(cover - disc), enclosed, partly)
     )
 
 
@@ -59,9 +60,9 @@ def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     from the Earth's centre.
     """
     if len(place) > CHUNK:
-        cuts = range(0, len(place), CHUNK)
+        starts = range(0, len(place), CHUNK)
         return np.concatenate(
-            [albedo_light(place[at : at + CHUNK], sun[at : at + CHUNK]) for at in cuts]
+            [albedo_light(place[k : k + CHUNK], sun[k : k + CHUNK]) for k in starts]
         )
     distance = np.linalg.norm(place, axis=-1)
     down = -place / distance[:, None]
@@ -76,9 +77,9 @@ def albedo_light(place: np.ndarray, sun: np.ndarray) -> np.ndarray:
     ray = (
         cosine[:, :, None, None] * down[:, None, None] + sine[:, :, None, None] * radial[:, None]
     )  # (n, rings, spokes, 3)
-    # distance along each ray to the ground
-    way = distance[:, None] * (cosine - np.sqrt(np.maximum(cosine**2 - edge[:, None] ** 2, 0)))
-    ground = (place[:, None, None] + way[:, :, None, None] * ray) / EQUATOR_M
+    # length of each ray to the ground
+    length = distance[:, None] * (cosine - np.sqrt(np.maximum(cosine**2 - edge[:, None] ** 2, 0)))
+    ground = (place[:, None, None] + length[:, :, None, None] * ray) / EQUATOR_M
     to_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
     bright = np.maximum(np.einsum("nrsi,ni->nrs", ground, to_sun), 0)
     solid = (1 - edge)[:, None, None] * weight[:, None] / 2 * 2 * np.pi / SPOKES

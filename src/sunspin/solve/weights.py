@@ -37,14 +37,14 @@ def _pareto_shape(x: np.ndarray) -> float:
     # imported here, as the import takes 0.1 s and many estimates do without it
     from scipy.optimize import minimize_scalar
 
-    # log-spaced trial values on both sides of zero bracket the minimum; t > -1 / max(x) by construction
-    def cost(at: float) -> float:
-        t = np.expm1(at) / x.max()
+    # t = (e^u - 1) / max(x) keeps 1 + t x positive; u is bracketed on a logarithmic grid on both sides of zero
+    def cost(u: float) -> float:
+        t = np.expm1(u) / x.max()
         k = float(np.mean(np.log1p(t * x)))
-        return k + (np.log(k / t) if abs(at) > 1e-9 else float(np.log(x.mean())))
+        return k + (np.log(k / t) if abs(u) > 1e-9 else float(np.log(x.mean())))
 
     steps = np.concatenate([-np.geomspace(5.0, 1e-3, 40), np.geomspace(1e-3, 8.0, 40)])
-    best = int(np.argmin([cost(at) for at in steps]))
+    best = int(np.argmin([cost(u) for u in steps]))
     bracket = steps[max(best - 1, 0)], steps[min(best + 1, len(steps) - 1)]
-    at = minimize_scalar(cost, bounds=bracket, method="bounded", options={"xatol": 1e-6}).x
-    return float(np.mean(np.log1p(np.expm1(at) / x.max() * x)))
+    u = minimize_scalar(cost, bounds=bracket, method="bounded", options={"xatol": 1e-6}).x
+    return float(np.mean(np.log1p(np.expm1(u) / x.max() * x)))

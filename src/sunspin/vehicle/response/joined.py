@@ -49,6 +49,7 @@ NEIGHBOUR_STEPS = np.stack(
     [np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1
 )
 """Unit tangent vectors (8, 2) to the directions around one that is tested for a minimum."""
+
 NEIGHBOUR_RAD, DELTA_TOLERANCE = 1e-4, 1e-9
 """A direction is a minimum of Delta if no neighbour at the first distance is smaller by more than the second number."""
 
@@ -70,12 +71,12 @@ def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[n
 
     `normals_B` (n_panel, 3) and `gains` (n_panel) are those of all panels.
     """
-    own = list(shared.panels)  # indices of the panels of this input
-    if shared.largest or len(own) == 1:
-        best = own[int(np.argmax(gains[own]))]
+    members = list(shared.panels)  # indices of the panels of this input
+    if shared.largest or len(members) == 1:
+        best = members[int(np.argmax(gains[members]))]
         return normals_B[best], float(gains[best])
-    rows = gains[own, None] * normals_B[own]
-    sun = np.concatenate([normals_B[own], sphere(CLIMB_STARTS)])
+    rows = gains[members, None] * normals_B[members]
+    sun = np.concatenate([normals_B[members], sphere(CLIMB_STARTS)])
     # the sum is convex in the direction, so that moving to the direction of its gradient never lowers it
     for _ in range(CLIMB_STEPS):
         slope = (sun @ rows.T > 0) @ rows
@@ -122,9 +123,9 @@ class JoinedResponse(PanelResponse):
         contributing = signal > 0
         for shared in self.inputs:
             if shared.largest and len(shared.panels) > 1:
-                own = list(shared.panels)
-                largest = np.arange(len(own)) == np.argmax(signal[..., own], axis=-1)[..., None]
-                contributing[..., own] &= largest
+                members = list(shared.panels)
+                largest = np.argmax(signal[..., members], axis=-1)[..., None]
+                contributing[..., members] &= np.arange(len(members)) == largest
         return contributing
 
     def _contributing_at(self, sun_B: np.ndarray) -> np.ndarray:
@@ -133,7 +134,9 @@ class JoinedResponse(PanelResponse):
 
     def _sum_inputs(self, parts: np.ndarray, axis: int = -1) -> np.ndarray:
         """Return the sums over the panels of each input, for values per panel along `axis`."""
-        sums = [np.take(parts, list(own.panels), axis=axis).sum(axis=axis) for own in self.inputs]
+        sums = [
+            np.take(parts, list(shared.panels), axis=axis).sum(axis=axis) for shared in self.inputs
+        ]
         return np.stack(sums, axis=axis)
 
     def _matrix(self, contributing: np.ndarray) -> np.ndarray:
@@ -146,8 +149,8 @@ class JoinedResponse(PanelResponse):
     def _readings(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
         """Return the readings (..., n_input) for signals (..., n_panel) of the panels and factors `gain` (..., n_input)."""
         readings = [
-            (np.max if own.largest else np.sum)(signal[..., list(own.panels)], axis=-1)
-            for own in self.inputs
+            (np.max if shared.largest else np.sum)(signal[..., list(shared.panels)], axis=-1)
+            for shared in self.inputs
         ]
         return np.stack(readings, axis=-1) * (1.0 if gain is None else gain)
 
@@ -197,9 +200,10 @@ class JoinedResponse(PanelResponse):
         normals = [*self.normals_B]
         for shared in self.inputs:
             for i, j in combinations(shared.panels, 2) if shared.largest else ():
-                across = self._rows[i] - self._rows[j]
-                if (size := np.linalg.norm(across)) > ON_PLANE * self.largest_power:
-                    normals.append(across / size)
+                difference = self._rows[i] - self._rows[j]
+                if (size := np.linalg.norm(difference)) > ON_PLANE * self.largest_power:
+                    normals.append(difference / size)
+        # opposite normals are the same plane
         kept: list[np.ndarray] = []
         for normal in normals:
             if all(abs(normal @ known) < 1 - 1e-12 for known in kept):
@@ -235,8 +239,8 @@ class JoinedResponse(PanelResponse):
         It is described by the sides of the planes, as an input does not show which of its panels is lit.
         """
         lit, sides = self.regions().lit, self._cells.cell_lit
-        wanted = (lit[:, None] == good).all(axis=-1).any(axis=1)
-        return DirectionSet(self._planes, minimal_clauses(sides[wanted], sides[~wanted]))
+        is_good = (lit[:, None] == good).all(axis=-1).any(axis=1)
+        return DirectionSet(self._planes, minimal_clauses(sides[is_good], sides[~is_good]))
 
     @cached_property
     def _candidates(self) -> Candidates:
@@ -294,14 +298,14 @@ class JoinedResponse(PanelResponse):
         tried = np.concatenate([best[:, None], self._all_candidates(target)], axis=1)
         fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
         sample, which = np.nonzero(fits & tried.any(axis=-1))  # zero vectors are no candidates
-        sun, target_of_each = tried[sample, which], target[sample]
+        sun, sun_target = tried[sample, which], target[sample]
         neighbours = [
             move_on_sphere(sun, np.tile(NEIGHBOUR_RAD * step, (len(sun), 1)))
             for step in NEIGHBOUR_STEPS
         ]
-        lowest = np.min([misfit(self.power(each), target_of_each) for each in neighbours], axis=0)
+        lowest = np.min([misfit(self.power(each), sun_target) for each in neighbours], axis=0)
         kept = np.zeros(tried.shape[:2], dtype=bool)
-        kept[sample, which] = misfit(self.power(sun), target_of_each) <= lowest + DELTA_TOLERANCE
+        kept[sample, which] = misfit(self.power(sun), sun_target) <= lowest + DELTA_TOLERANCE
         kept[:, 0] = True
         return np.where(kept[..., None], tried, np.nan)
 
@@ -313,18 +317,19 @@ class JoinedResponse(PanelResponse):
         tangent = np.eye(3) - sun[:, :, None] * sun[:, None, :]
         covariance = np.full((len(sun), 3, 3), np.nan)
         normal = np.swapaxes(design, -1, -2) @ design
-        fine = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
-        scaled = unweighted_covariance(design[fine], noise) / bright[fine, None, None] ** 2
-        covariance[fine] = tangent[fine] @ scaled @ tangent[fine]
+        solvable = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
+        scaled = unweighted_covariance(design[solvable], noise) / bright[solvable, None, None] ** 2
+        covariance[solvable] = tangent[solvable] @ scaled @ tangent[solvable]
         return covariance
 
     def _free_tangent(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """Return the tangent (3) at a direction (3) along which the ratios of the lit inputs' readings change least."""
         frame = np.stack(tangent_basis(sun[None]), axis=-1)[0]
         power, to_sun = (value[lit] for value in self.slopes(sun)[:2])
-        across = to_sun @ frame
-        across = across - np.outer(power, power @ across) / (power @ power)
-        return frame @ np.linalg.svd(across)[2][1]
+        change = to_sun @ frame
+        # the part along the readings themselves changes only the brightness
+        change = change - np.outer(power, power @ change) / (power @ power)
+        return frame @ np.linalg.svd(change)[2][1]
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
         target = normalise_readings(np.where(lit, readings, 0.0)[None])
@@ -343,22 +348,25 @@ class JoinedResponse(PanelResponse):
 
     def _follow_arc(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
         """Return the end of an arc that is followed from `begin` in one direction, by great circles from plane to plane."""
-        planes, sun, along, left = self._planes, begin, sign * self._free_tangent(begin, lit), np.pi
+        planes, sun = self._planes, begin
+        along, remaining = sign * self._free_tangent(begin, lit), np.pi
         while True:
             # sun(a) = cos(a) sun + sin(a) along meets a plane where cos(a) height + sin(a) slope = 0
             height, slope = planes @ sun, planes @ along
             crossed = np.hypot(height, slope) > ON_PLANE  # excludes planes that contain the arc
             crossing = np.arctan2(-height, slope)[crossed] % np.pi
-            step = min(float(crossing.min(initial=np.pi)), left)
-            left -= step
+            step = min(float(crossing.min(initial=np.pi)), remaining)
+            remaining -= step
             end, ahead = (
                 np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + CROSSING_RAD)
             )
-            if left <= CROSSING_RAD or not np.array_equal(self.power(ahead) > 0, lit):
+            if remaining <= CROSSING_RAD or not np.array_equal(self.power(ahead) > 0, lit):
                 return end
             # in the next cell other panels contribute: a new great circle, in the same sense
-            new = self._free_tangent(ahead, lit)
-            along = new * np.copysign(1.0, new @ (np.cos(step) * along - np.sin(step) * sun))
+            tangent = self._free_tangent(ahead, lit)
+            along = tangent * np.copysign(
+                1.0, tangent @ (np.cos(step) * along - np.sin(step) * sun)
+            )
             sun = ahead
 
     @cached_property
@@ -373,13 +381,15 @@ class JoinedResponse(PanelResponse):
                 across = self.normals_B[i] - self.normals_B[j]
                 if (size := np.linalg.norm(across)) > 0:
                     mirrors.append(np.eye(3) - 2 * np.outer(across, across) / size**2)
-        sun, most = sphere(SYMMETRY_DIRECTIONS), SYMMETRY_TOLERANCE * self.full_sun_readings.min()
+        sun = sphere(SYMMETRY_DIRECTIONS)
+        max_change = SYMMETRY_TOLERANCE * self.full_sun_readings.min()
+        # multiply by mirrors until no new product is a symmetry
         images, new = [np.eye(3)], [np.eye(3)]
         while new and len(images) < MAX_SYMMETRIES:
             products, new = [mirror @ image for image in new for mirror in mirrors], []
             for image in products:
                 if all(np.abs(image - known).max() > 1e-6 for known in images + new):
                     change = np.abs(self.power(sun @ image.T) - self.power(sun)).max()
-                    new += [image] if change < most else []
+                    new += [image] if change < max_change else []
             images += new
         return np.array(images[:MAX_SYMMETRIES])

@@ -100,14 +100,14 @@ def misalignment_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
     Each is the angle to one side; 0 if the file states none. That of a panel comes from the sigma of `normal_B` (root mean
     square of its components), and from the sigma of its tilt.
     """
-    own = np.array(
+    single = np.array(
         [_rms_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels]
     )
     tilted = vehicle.panel_response.tilted
     if tilted is not None:
         by_tilt = _rms_sigma(vehicle, "panel_response.tilted.turn_B_rad")
-        own = np.hypot(own, by_tilt * (np.array(vehicle.panel_names) == tilted.panel))
-    return own, _rms_sigma(vehicle, "panel_response.turned_B_rad")
+        single = np.hypot(single, by_tilt * (np.array(vehicle.panel_names) == tilted.panel))
+    return single, _rms_sigma(vehicle, "panel_response.turned_B_rad")
 
 
 def misalignment_signal_sigma(vehicle: Vehicle) -> np.ndarray:
@@ -116,7 +116,7 @@ def misalignment_signal_sigma(vehicle: Vehicle) -> np.ndarray:
     A common misalignment is not included: it acts as a rotation of the Sun.
     """
     by_panel = misalignment_sigma(vehicle)[0] * vehicle.panel_gains
-    return np.array([np.linalg.norm(by_panel[list(own.panels)]) for own in vehicle.inputs])
+    return np.array([np.linalg.norm(by_panel[list(shared.panels)]) for shared in vehicle.inputs])
 
 
 def _rms_sigma(vehicle: Vehicle, key: str) -> float:

@@ -34,8 +34,7 @@ class DirectionSet:
         """Return whether each direction (..., 3) belongs to the set."""
         lit = sun_B @ self.normals_B.T > 0
         clauses = [
-            np.all([lit[..., k] == wanted for k, wanted in clause], axis=0)
-            for clause in self.clauses
+            np.all([lit[..., k] == side for k, side in clause], axis=0) for clause in self.clauses
         ]
         return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
 
@@ -119,10 +118,10 @@ def minimal_clauses(good: np.ndarray, bad: np.ndarray) -> tuple[Clause, ...]:
     Conditions are removed greedily, and then a small cover of `good` is chosen greedily. The result is short, not always
     shortest.
     """
-    wanted: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
+    patterns: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
     shortened = set()
     # remove conditions, those of dark panels first, as long as every pattern of `bad` still violates one
-    for cube in wanted:
+    for cube in patterns:
         differs = bad != [lit for _, lit in sorted(cube)]
         kept = differs.sum(axis=1)  # number of conditions that each pattern of `bad` violates
         for literal in sorted(cube, key=lambda item: (item[1], item[0])):
@@ -131,11 +130,11 @@ def minimal_clauses(good: np.ndarray, bad: np.ndarray) -> tuple[Clause, ...]:
                 cube, kept = cube - {literal}, violated
         shortened.add(cube)
     cubes = sorted(shortened, key=lambda cube: (len(cube), sorted(cube)))
-    holds = np.array([[cube <= pattern for pattern in wanted] for cube in cubes])
-    left, chosen = np.ones(len(wanted), dtype=bool), []
+    holds = np.array([[cube <= pattern for pattern in patterns] for cube in cubes])
+    uncovered, chosen = np.ones(len(patterns), dtype=bool), []
     # greedy cover: the clause that holds for most of the remaining patterns
-    while left.any():
-        best = int(np.argmax((holds & left).sum(axis=1)))
+    while uncovered.any():
+        best = int(np.argmax((holds & uncovered).sum(axis=1)))
         chosen.append(tuple(sorted(cubes[best])))
-        left &= ~holds[best]
+        uncovered &= ~holds[best]
     return tuple(chosen)
