@@ -153,10 +153,10 @@ class Unguarded(Corrupt):
     def prepare(self) -> None:
         super().prepare()
         for place, read in (
-            ("base.netcdf.elsewhere", lambda *_, **__: b""),
-            ("environment.ephemeris.elsewhere", run_here),
-            ("output.export.against.elsewhere", run_here),
-            ("philae.collision.elsewhere", run_here),
+            ("base.netcdf.run_isolated", lambda *_, **__: b""),
+            ("environment.ephemeris.run_isolated", run_here),
+            ("output.export.against.run_isolated", run_here),
+            ("philae.collision.run_isolated", run_here),
         ):
             self.stack.enter_context(mock.patch(f"sunspin.{place}", read))
 

@@ -212,6 +212,7 @@ def _read_tle(text: str, where: str) -> Iterator[Elements]:
                 what = "line 2 of the elements must follow their line 1"
                 raise InputError(what, got=line, where=at)
             second = _check_line(line, LINE_2, at)
+            # columns 3 to 7: catalogue number; 21 to 32 of line 1: day of the year of the epoch
             satellites = [_parse_catalogue_number(each[2:7], at) for each in (first, second)]
             if satellites[0] != satellites[1]:
                 what, got = "the two lines are of different satellites", (first[2:7], second[2:7])
@@ -219,6 +220,7 @@ def _read_tle(text: str, where: str) -> Iterator[Elements]:
             if not 1 <= float(first[20:32]) < 367:
                 what = "the epoch's day of the year must be from 1 to 366"
                 raise InputError(what, got=first[20:32], where=at)
+            # the library reads catalogue numbers padded with zeros only
             given = tuple(
                 f"{each[:2]}{each[2:7].strip():0>5}{each[7:]}" for each in (first, second)
             )

@@ -120,6 +120,7 @@ def _compute_igrf(
         part[0] * 1e-9 for part in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date)
     )
     theta, phi = np.radians(colatitude), np.radians(longitude)[None]
+    # from up, south and east to Earth-fixed x, y and z; `level` is the component in the equatorial plane
     level = up * np.sin(theta) + south * np.cos(theta)
     x, y = level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi)
     return np.array([x, y, up * np.cos(theta) - south * np.sin(theta)])

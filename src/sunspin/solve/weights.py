@@ -20,13 +20,14 @@ def pareto_tail(log_weight: np.ndarray) -> float:
     and -1 if all are equal.
     """
     weight = np.sort(np.exp(log_weight - log_weight.max()))
+    # size of the tail and threshold as recommended there
     count = int(min(0.2 * len(weight), 3 * np.sqrt(len(weight))))
     if count < MIN_TAIL or weight[-count - 1] <= 0:
         return np.inf
-    beyond = weight[-count:] - weight[-count - 1]
-    if beyond[-1] <= 0 or beyond.mean() < 1e-12 * weight[-1]:
+    exceedance = weight[-count:] - weight[-count - 1]
+    if exceedance[-1] <= 0 or exceedance.mean() < 1e-12 * weight[-1]:
         return -1.0  # the largest weights are equal
-    return _pareto_shape(beyond / beyond.mean())
+    return _pareto_shape(exceedance / exceedance.mean())
 
 
 def _pareto_shape(x: np.ndarray) -> float:
