@@ -14,7 +14,7 @@ import sunspin as ss
 from rowsets import ELSEWHERE, Waves, heed_interrupts, same
 from sunspin import cli
 from sunspin.base.errors import Interrupted
-from sunspin.compute.identity import plain
+from sunspin.compute.identity import to_json
 from sunspin.compute.rows import ensemble
 
 ROWS = Waves()
@@ -131,7 +131,7 @@ def test_the_command_line_passes_the_sentence_on(monkeypatch, capsys):
 def test_a_vehicle_travels_to_another_process(name):
     vehicle = ss.load_vehicle(name)
     other = pickle.loads(pickle.dumps(vehicle))
-    assert plain(other) == plain(vehicle)
+    assert to_json(other) == to_json(vehicle)
     with pytest.raises(ValueError, match="read-only"):
         other.panels[0].normal_B[0] = 1.0
     with pytest.raises(TypeError):

@@ -28,7 +28,7 @@ from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.terms.gyro import Gyro
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.term import Seen, facing, normal
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import rotate_attitude
 from sunspin.vehicle.sensors import Sensors
 
 
@@ -157,7 +157,9 @@ def test_the_sensor_that_disagrees_is_left_out_by_evidence():
     o, truth = both(samples=20)
     motion = Motion(Body.of(craft()), 1e-5, 0.1)
     gyro = only(o, Gyro)
-    turned = replace(gyro, rate_B=gyro.rate_B @ turn(np.eye(3), np.radians([60.0, 0.0, 0.0])).T)
+    turned = replace(
+        gyro, rate_B=gyro.rate_B @ rotate_attitude(np.eye(3), np.radians([60.0, 0.0, 0.0])).T
+    )
 
     def run(one):
         fit = with_common(one.o.freed(), truth, one.motion, None)

@@ -249,10 +249,10 @@ def test_what_is_to_be_written_reads_a_sensor_so():
         old = parse_vehicle(
             plain + tomlkit.dumps({table: base[table]}), "v.toml"
         ).sensors.with_columns[table]
-        seen = old.seen(raw[:, [header.index(name) for name in old.names]])[1]
+        seen = old.interpret(raw[:, [header.index(name) for name in old.names]]).values
         for _, order, sign in signed_axes():
             told = (
-                to_write(table, old.read_as(order, sign))
+                to_write(table, old.keys_for_axes(order, sign))
                 .removeprefix("set ")
                 .partition(" under ")[0]
             )
@@ -260,7 +260,7 @@ def test_what_is_to_be_written_reads_a_sensor_so():
             new = parse_vehicle(
                 plain + tomlkit.dumps({table: base[table] | keys}), "v.toml"
             ).sensors.with_columns[table]
-            got = new.seen(raw[:, [header.index(name) for name in new.names]])[1]
+            got = new.interpret(raw[:, [header.index(name) for name in new.names]]).values
             np.testing.assert_allclose(got, seen[:, order] * sign, atol=1e-9)
             np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])
 

@@ -17,13 +17,13 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
-from sunspin.base.untrusted import decoded, read_bytes, read_toml
+from sunspin.base.untrusted import decode_text, read_bytes, read_toml
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
-from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split
+from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split_changes
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.notebook import case_html
-from sunspin.vehicle.part import tuples
+from sunspin.vehicle.part import as_tuples
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
 PUBLISHED_TEXTS = ("unit", "what", "place")
@@ -125,7 +125,7 @@ def load_case(name: str, changes: Changes = None) -> Case:
     folder = _root() / name
     figures = folder / "published.toml"
     text = figures.read_text("utf-8") if figures.is_file() else ""
-    of_vehicle, of_study = split(changes)
+    of_vehicle, of_study = split_changes(changes)
     return Case(
         name=name,
         folder=folder,
@@ -183,7 +183,9 @@ def _timeline_in(folder: Path) -> Timeline | None:
     content = read_bytes(
         path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again"
     )
-    return parse_timeline(decoded(content, str(path), InputError, "save it as UTF-8"), str(path))
+    return parse_timeline(
+        decode_text(content, str(path), InputError, "save it as UTF-8"), str(path)
+    )
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:
@@ -198,7 +200,7 @@ def parse_published(text: str, where: str) -> Mapping[str, Published]:
                 f"a published figure has {', '.join(PUBLISHED_TEXTS)}, none of them empty",
                 where=f"{where}, {key}",
             )
-        figures[key] = Published(tuples(entry["value"]), *texts)
+        figures[key] = Published(as_tuples(entry["value"]), *texts)
     return MappingProxyType(figures)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.provenance import provenance
-from sunspin.compute.identity import plain
+from sunspin.compute.identity import to_json
 from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
 from sunspin.landing.contact import KINDS
 from sunspin.landing.scenario import verticals
@@ -92,12 +92,12 @@ def dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Dataset:
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
     return result.assign_attrs(
-        provenance("outcomes", **vehicle.said)
+        provenance("outcomes", **vehicle.result_attributes)
         | {
             "seed": rows.seed,
             "strategy": rows.strategy.name,
-            "schedule": json.dumps(plain(rows.strategy.schedule)),
-            "scenario": json.dumps(plain(scenario), sort_keys=True),
+            "schedule": json.dumps(to_json(rows.strategy.schedule)),
+            "scenario": json.dumps(to_json(scenario), sort_keys=True),
             "vertical": verticals(vehicle, scenario.vertical)[1],
             "candidates": len(rows.candidates),
             "not_told": " ".join(_not_told(rows, values)),

@@ -25,7 +25,7 @@ from sunspin.landing import scenario as sc
 from sunspin.landing.contact import Shape, first_contact, rest_facet, shape_of
 from sunspin.landing.flight import angle_about, carry, fly, sun_height_shares
 from sunspin.landing.outcome_data import BINS, VARIABLES, dataset, dim_of
-from sunspin.solve.rotations import smallest_turn
+from sunspin.solve.rotations import rotate_by_smallest
 from sunspin.vehicle import Antenna, Vehicle
 
 CHUNK = 2048
@@ -301,7 +301,7 @@ class OutcomeRows:
             out["rest_facet"][rows] = facet
             if antenna is not None:
                 down = -shape.outward_B[facet]
-                resting = smallest_turn(contact.up_B, down, towards)
+                resting = rotate_by_smallest(contact.up_B, down, towards)
                 out["antenna_at_rest"][rows] = _served(antenna, resting)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.base.untrusted import Elsewhere, elsewhere
+from sunspin.base.untrusted import IsolatedRunError, run_isolated
 from sunspin.cases import Case, case_names, load_case
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario
@@ -263,8 +263,8 @@ def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
     script = Path(__file__).with_name("kernel_states.py")
     times = np.asarray(tdb_s, dtype=np.float64).tobytes()
     try:
-        printed = elsewhere(script, str(path.resolve()), content=times, seconds=30)
-    except Elsewhere as error:
+        printed = run_isolated(script, str(path.resolve()), content=times, seconds=30)
+    except IsolatedRunError as error:
         what = f"the trajectory kernel cannot be read ({error})"
         raise InputError(what, do="download it again", where=where) from None
     states = np.frombuffer(printed, dtype=np.float64).reshape(-1, 6)

@@ -14,15 +14,15 @@ from scipy.special import gammaln
 
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
+from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
 from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
+    misalignment_signal_sigma,
     observable_patterns,
-    turned_sigma,
 )
 
 STEPS, ROUNDING = 60, 1e-12
@@ -115,7 +115,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
         log_chance = noise_alone(vehicle, power[forbidden], sigma, threshold).log_probability
         largest = np.array([np.exp(log_chance[own].max()) for own in members])
         together = np.array([log_chance[own].sum() / np.log(10) for own in members])
-        if (tilt := turned_sigma(vehicle)).any():
+        if (tilt := misalignment_signal_sigma(vehicle)).any():
             # the factor between gains and full Sun; that of the brighter samples where the Sun is oblique to all panels
             bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
@@ -146,7 +146,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     }
     health = PanelHealth(
         coords={"panel": names.tolist()},
-        attrs=provenance("panel_health", sun, **vehicle.said)
+        attrs=provenance("panel_health", sun, **vehicle.result_attributes)
         | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
     for key, (dimension, panels, long_name) in sets.items():
@@ -246,17 +246,19 @@ def noise_alone(
     readings, threshold = readings / unit, threshold / unit
     total = np.hypot(sigma / unit, np.asarray(besides) / unit)
     weight = 1 / np.broadcast_to(total, readings.shape)
-    scale = response.largest  # so that the unknown is of the size of the readings
+    scale = response.largest_power  # so that the unknown is of the size of the readings
     cells, _ = response.regions()
-    light, _ = response.under(cells, scale)
+    light, _ = response.light_power(cells, scale)
 
-    def linearise(state: tuple[np.ndarray, ...]) -> Dense:
+    def linearise(state: tuple[np.ndarray, ...]) -> DenseSystem:
         sun, seen, counts = state
-        mean, slope = response.under(sun, scale)
+        mean, slope = response.light_power(sun, scale)
         lit = seen > threshold
         value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
         active = (mean > 0) & (lit | (mean > threshold))
-        return Dense.of(counts * value, (counts * active)[..., None] * slope, np.ones_like(sun))
+        return DenseSystem.from_residuals(
+            counts * value, (counts * active)[..., None] * slope, np.ones_like(sun)
+        )
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]
@@ -269,7 +271,7 @@ def noise_alone(
         starts = (bright[:, :, None] * cells).reshape(-1, 3)
         seen, counts = (np.repeat(each[some], len(cells), axis=0) for each in (readings, weight))
         ends = least_squares(
-            linearise, retract, dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
+            linearise, retract, solve_dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
         )
         square[some] = 2 * ends.system.cost.reshape(-1, len(cells)).min(axis=1)
     return NoiseMade(square, chi2.logsf(square, readings.shape[1]))

@@ -266,7 +266,7 @@ def judge_readings(
             for name, (v, about) in of_panels.items()
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs=provenance("panel_quality", telemetry, **vehicle.said)
+        attrs=provenance("panel_quality", telemetry, **vehicle.result_attributes)
         | {
             "full_sun": float(full),
             "albedo": float(albedo),

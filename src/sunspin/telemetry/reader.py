@@ -26,8 +26,8 @@ from sunspin.telemetry.times import Times, read_times, received_times
 from sunspin.telemetry.timescales import UNIX_ZERO
 from sunspin.telemetry.units import UNITS
 from sunspin.vehicle import TelemetryForm, Vehicle
-from sunspin.vehicle.craft import OR_CHANNEL
-from sunspin.vehicle.sensors import unwrapped
+from sunspin.vehicle.craft import CHANNEL_HINT
+from sunspin.vehicle.sensors import unwrap_counts
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
 """Bits of `flag`."""
@@ -128,7 +128,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     masks = [bit for bit in FLAGS if bit]
     about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
     readings["flag"] = ("time", flag, about)
-    attrs = provenance("telemetry", **vehicle.said) | {
+    attrs = provenance("telemetry", **vehicle.result_attributes) | {
         "quantity": form.quantity,
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),
@@ -159,7 +159,7 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
     columns = [column_of(table, name, f"panel {panel}") for panel, name in names.items()]
     if twice := [name for name in columns if columns.count(name) > 1]:
         what = "two panels read one column"
-        do = f"name the column of each under [telemetry.columns] in the vehicle file{OR_CHANNEL}"
+        do = f"name the column of each under [telemetry.columns] in the vehicle file{CHANNEL_HINT}"
         raise TelemetryError(what, got=twice[0], do=do, where=table.where)
     return columns
 
@@ -180,7 +180,7 @@ def _values(vehicle: Vehicle, table: Table, columns: list[str]) -> tuple[np.ndar
     form = vehicle.telemetry
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
-    values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
+    values = (unwrap_counts(values, form.wraps_at) - form.zero) * form.scale
     if columns and form.has_voltages:
         common = form.voltage_column or ""
         names = [

@@ -72,7 +72,7 @@ def read_sensors(vehicle: Vehicle, table: Table) -> dict[str, Any]:
     for name, variable in VARIABLES.items():
         sensor = vehicle.sensors.with_columns.get(name)
         if sensor is not None and table.has(sensor.names):
-            dimension, value, attrs = sensor.seen(_numbers(table, sensor.names))
+            dimension, value, attrs = sensor.interpret(_numbers(table, sensor.names))
             variables[variable] = (("time", dimension), value, attrs)
     speed_columns = [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
     if speed_columns and table.has(speed_columns):

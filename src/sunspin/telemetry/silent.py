@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc  # scipy.stats takes longer to import than a short pass to estimate
 
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power, turned_sigma
+from sunspin.vehicle.response.panels import misalignment_signal_sigma, panel_power
 from sunspin.vehicle.response.planes import sphere
 
 DIRECTIONS = 4000
@@ -71,7 +71,7 @@ def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndar
         return gone
     light = panel_power(vehicle, sphere(DIRECTIONS)) / gains
     # of a reading, as a share of full Sun; panels may be turned by the sigmas that the file states
-    sigma = np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / gains**2)
+    sigma = np.sqrt(ERROR**2 + (misalignment_signal_sigma(vehicle) ** 2 + noise**2) / gains**2)
     while (left := np.flatnonzero(silent & ~gone)).size:
         fits = {k: _without(k, read, light, sigma, gone) for k in left}
         k = max(left, key=lambda panel: fits[panel].clear)

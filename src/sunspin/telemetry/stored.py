@@ -12,7 +12,7 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.timeline import instant
+from sunspin.vehicle.timeline import parse_instant
 
 KIND = "telemetry"
 """`attrs["kind"]` of such a file."""
@@ -58,7 +58,10 @@ def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
 def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) -> str:
     """What speaks against it, in words; nothing if it may be used."""
     texts = [data.attrs.get(name) for name in TEXTS]
-    if not all(isinstance(text, str) for text in texts) or instant(data.attrs["epoch_utc"]) is None:
+    if (
+        not all(isinstance(text, str) for text in texts)
+        or parse_instant(data.attrs["epoch_utc"]) is None
+    ):
         return "no epoch, or no word on its columns"
     time, phase = data.variables.get("time"), data.variables.get("phase")
     plain = time is not None and time.dims == ("time",) and time.dtype.kind == "f"

@@ -23,7 +23,7 @@ from sunspin.telemetry.signals import signals
 from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
-from sunspin.vehicle.response.panels import Pattern, named
+from sunspin.vehicle.response.panels import Pattern, patterns_by_name
 
 LIT_FRACTION = 0.02
 """Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
@@ -84,9 +84,9 @@ def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     vehicle.require_panels()
     response = vehicle.response_in()
     sun_B, lit = response.regions()
-    doubtful = named(vehicle, lit[_several(vehicle, response.power(sun_B), 0.0)])
+    doubtful = patterns_by_name(vehicle, lit[_several(vehicle, response.power(sun_B), 0.0)])
     status = [status for status, _ in _statuses(vehicle, lit)]
-    return named(vehicle, lit[is_reconstructed(status)]) - doubtful
+    return patterns_by_name(vehicle, lit[is_reconstructed(status)]) - doubtful
 
 
 @lru_cache(maxsize=4096)
@@ -201,7 +201,7 @@ def sun_directions(
         wrong = panel_unit(vehicle, clean) if wrong_unit is None else wrong_unit()
         if wrong is not None:
             texts[status == SunStatus.DARK] = str(wrong)
-    direction, delta = vehicle.response_in().best(clean)
+    direction, delta = vehicle.response_in().best_direction(clean)
     known = is_reconstructed(status)
     noise_from = "given"
     if sigma is None:
@@ -242,7 +242,7 @@ def sun_directions(
         },
         coords={"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)},
         attrs=({} if base is None else dict(base.attrs))
-        | provenance("sun_directions", **vehicle.said)
+        | provenance("sun_directions", **vehicle.result_attributes)
         | {
             "noise": float(np.median(sigma)),
             "noise_from": noise_from,
@@ -318,7 +318,7 @@ def _several(vehicle: Vehicle, power: np.ndarray, noise: npt.ArrayLike) -> np.nd
         return np.zeros(len(power), dtype=bool)
     size = np.linalg.norm(power, axis=1)
     by_noise = LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(size > 0, size, np.inf)
-    alike = vehicle.response_in().alike(power, np.maximum(by_noise, ALIKE))
+    alike = vehicle.response_in().near_best(power, np.maximum(by_noise, ALIKE))
     away = np.linalg.norm(alike - alike[:, :1], axis=-1)
     return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
 

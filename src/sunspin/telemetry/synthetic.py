@@ -14,7 +14,7 @@ import xarray as xr
 
 from sunspin.base.errors import OutputError
 from sunspin.base.provenance import provenance
-from sunspin.solve.rotations import tangents
+from sunspin.solve.rotations import tangent_basis
 from sunspin.vehicle import Vehicle
 
 TIME_STEP_S = 1e-3
@@ -47,7 +47,7 @@ def drawn_tilts(
     vehicle: Vehicle, sigma_rad: float | np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Turns (n_panel, 3) of the panels' normals at random: `sigma_rad`, or (n_panel), about each of two axes across a normal."""
-    across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
+    across = np.stack(tangent_basis(vehicle.panel_normals_B), axis=1)
     return np.einsum(
         "p,ps,psi->pi",
         np.broadcast_to(sigma_rad, len(across)),

@@ -35,7 +35,7 @@ from sunspin.telemetry.timescales import (
     utc_of_tai,
 )
 from sunspin.vehicle import TelemetryForm
-from sunspin.vehicle.timeline import instant, utc_after, zone_of
+from sunspin.vehicle.timeline import parse_instant, parse_zone, utc_after
 
 LATEST_UNIX_S = 1e11
 
@@ -74,7 +74,7 @@ class Times(NamedTuple):
 def parse_utc(text: str) -> datetime | None:
     """Return the instant that a text means, UTC if it names no zone; None if it is no time."""
     written = _written(text)
-    return None if written is None else instant(written)
+    return None if written is None else parse_instant(written)
 
 
 def _written(text: str) -> str | None:
@@ -406,7 +406,7 @@ def _in_zone(
     The hour that a clock shows twice comes first in summer time. Its second pass begins where the times fall back; if they do not
     fall, the pass to which the neighbouring times are nearer is taken.
     """
-    zone, hour = zone_of(str(form.time_zone)), np.zeros((2, len(micro)), dtype=np.int64)
+    zone, hour = parse_zone(str(form.time_zone)), np.zeros((2, len(micro)), dtype=np.int64)
     for i in np.flatnonzero(bare).tolist():
         shown = datetime(1970, 1, 1) + timedelta(microseconds=int(micro[i]))
         for fold in (0, 1):

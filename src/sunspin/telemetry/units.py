@@ -153,7 +153,7 @@ def _sunlit(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> bool:
     two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
     if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
         return False
-    best = vehicle.response_in().best
+    best = vehicle.response_in().best_direction
     if not float(np.median(best(bright)[1])) < FITS:
         return False
     order = np.argsort(-largest, kind="stable")[:SHUFFLED]

@@ -115,7 +115,7 @@ def calibrate_sensors(
 
 
 def new_values(found: xr.Dataset) -> list[NewValue]:
-    """What a calibration has determined, for :func:`sunspin.vehicle.rewrite.rewritten`."""
+    """What a calibration has determined, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
     values = []
     for name in dict.fromkeys(found["key"].values.tolist()):
         part = found.isel(quantity=np.flatnonzero(found["key"].values == name))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.environment.earth import EQUATOR_M, sun_J2000_m
-from sunspin.environment.light import lit
+from sunspin.environment.light import sunlit_fraction
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import SEEN_IN_SHADOW
 from sunspin.telemetry.assess import Assessment
@@ -181,5 +181,5 @@ def _in_full_shadow(
         place, _ = orbit.states(when, ahead + side * drift)
         # a place farther out sees the Earth as a smaller one is seen
         outward = place * EQUATOR_M / (EQUATOR_M - DEPTH_M)
-        dark &= lit(outward, np.broadcast_to(sun, place.shape)) == 0
+        dark &= sunlit_fraction(outward, np.broadcast_to(sun, place.shape)) == 0
     return dark

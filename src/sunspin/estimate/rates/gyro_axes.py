@@ -60,7 +60,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
                 others = f"{len(ties) - 1} other{'s' if len(ties) > 2 else ''}"
                 found += f" (as {others} do: a component that stays small may have any sign)"
             instead = _columns_instead(vehicle, telemetry, axes_matrix(order, sign))
-            return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}{instead}"
+            return f"{found}; {to_write('gyro', gyro.keys_for_axes(order, sign))}{instead}"
     return None
 
 

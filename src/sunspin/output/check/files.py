@@ -54,7 +54,7 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
             for channel in craft.channels
         )
         summary["channels"] = {channel.name: list(channel.panels) for channel in craft.channels}
-        copies = len(craft.response_in().images)
+        copies = len(craft.response_in().symmetries)
         alike = f", so each sample allows {copies} Sun directions" if copies > 1 else ""
         lines += [f"  shared inputs: {about}. The readings do not show which panel is lit{alike}"]
     bare = summary["without_source"]

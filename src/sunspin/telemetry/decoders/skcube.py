@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from sunspin.base.cells import plain_cell
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import read_table
-from sunspin.base.untrusted import is_plain
+from sunspin.base.untrusted import is_nonempty_file
 from sunspin.telemetry.times import parse_utc
 
 FACES = ("Xp", "Xm", "Yp", "Ym", "Zp", "Zm")
@@ -176,10 +176,12 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
 
 def _frames(path: Path) -> Iterator[Frame]:
     if path.is_dir():
-        for file in sorted(entry for entry in path.iterdir() if is_plain(entry))[:MAX_FRAMES]:
+        for file in sorted(entry for entry in path.iterdir() if is_nonempty_file(entry))[
+            :MAX_FRAMES
+        ]:
             with open(file, "rb") as stream:
                 yield _of_collector(file.name, stream.read(MAX_FRAME_BYTES))
-    elif is_plain(path) and _begins(path)[:1] in b"0123456789{[":
+    elif is_nonempty_file(path) and _begins(path)[:1] in b"0123456789{[":
         yield from _of_satnogs(path)
     else:
         yield from _zipped(path)
@@ -192,7 +194,7 @@ def _begins(path: Path) -> bytes:
 
 def _zipped(path: Path) -> Iterator[Frame]:
     try:
-        if not is_plain(path):
+        if not is_nonempty_file(path):
             raise OSError("no such file, or it is empty, a device or a pipe")
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist()[:MAX_FRAMES]:
