@@ -15,7 +15,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
 from sunspin.telemetry.sun import of_panels
 from sunspin.telemetry.synthetic import (
-    drawn_tilts,
+    draw_tilts,
     generator,
     noisy_power,
     on_time_grid,
@@ -135,4 +135,4 @@ def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarra
     ):
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
         raise InputError(what, got=given.shape or float(given))
-    return given if given.ndim else drawn_tilts(vehicle, float(given), rng)
+    return given if given.ndim else draw_tilts(vehicle, float(given), rng)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import is_sensible, plain_number
-from sunspin.cases import Case, case_names, load_case, timeline_of
+from sunspin.cases import Case, case_names, load_case, read_timeline
 from sunspin.dynamics.wheel_modes import Schedule, schedules
 from sunspin.landing.contact import legs_down, shape_of
 from sunspin.vehicle import Vehicle
@@ -163,7 +163,7 @@ def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scena
     vehicle : name or path from which `craft` was read
     given : fields of `Scenario`
     """
-    timeline = timeline_of(vehicle)
+    timeline = read_timeline(vehicle)
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
         case = replace(case, vehicle=craft, timeline=timeline or case.timeline)

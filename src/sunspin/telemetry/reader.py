@@ -21,7 +21,7 @@ from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
-from sunspin.telemetry.stored import KIND, stored_telemetry
+from sunspin.telemetry.stored import KIND, restore_telemetry
 from sunspin.telemetry.times import Times, read_times, received_times
 from sunspin.telemetry.timescales import UNIX_ZERO
 from sunspin.telemetry.units import UNITS
@@ -79,7 +79,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         raise TelemetryError(what, do=do, where=str(path))
     table = read_table(path)
     if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
-        return stored_telemetry(table.data, vehicle, path)
+        return restore_telemetry(table.data, vehicle, path)
     header = set(table.header)
     if "frame" in header and form.time_column not in header and header & {"timestamp", "observer"}:
         what = "the file holds raw frames and no readings"
