@@ -64,9 +64,7 @@ def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
     return {name: xr.Variable(*form[:2]) for name, form in forms}
 
 
-def _describe_mismatch(
-    data: xr.Dataset, vehicle: Vehicle, expected: dict[str, xr.Variable]
-) -> str:
+def _describe_mismatch(data: xr.Dataset, vehicle: Vehicle, expected: dict[str, xr.Variable]) -> str:
     """Return in words why stored telemetry cannot be that of the vehicle; an empty text if it can."""
     texts = [data.attrs.get(name) for name in TEXTS]
     if not all(isinstance(text, str) for text in texts) or instant(data.attrs["epoch_utc"]) is None:
