@@ -13,7 +13,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
-from sunspin.telemetry.sun import of_panels
+from sunspin.telemetry.sun import per_panel
 from sunspin.telemetry.synthetic import (
     draw_tilts,
     generator,
@@ -62,7 +62,7 @@ def synthetic_telemetry(
     known = _truth(truth)
     noise = vehicle.input_noise if known.noise is None else known.noise
     be = "the noise of a twin must be zero or positive"
-    noise = of_panels(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
+    noise = per_panel(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
     scale = _scale(known, vehicle)
     speeds = known.wheel_speed_rad_s
     if speeds is None:
