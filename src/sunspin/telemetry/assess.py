@@ -70,7 +70,7 @@ class Assessment:
         """Telemetry in which repeated readings of sensors other than panels are NaN."""
         masked = {}
         for name in (name for name in (*SENSORS, *DERIVED_FROM) if name in self.telemetry):
-            repeated = self.repeats.of(DERIVED_FROM.get(name, name))
+            repeated = self.repeats.repeated(DERIVED_FROM.get(name, name))
             if repeated.any():
                 masked[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))
         return self.telemetry.assign(masked) if masked else self.telemetry

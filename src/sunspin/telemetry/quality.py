@@ -349,7 +349,7 @@ def _unusable(
     equals_previous = np.zeros(len(value), dtype=bool)
     empty_cell = np.isnan(sound[1:]) | np.isnan(sound[:-1])
     equals_previous[1:] = np.all((sound[1:] == sound[:-1]) | empty_cell, axis=1)
-    held = repeats.of(PANELS) & ~repeated
+    held = repeats.repeated(PANELS) & ~repeated
     reasons = [
         late,
         negative.any(axis=1) & empty,

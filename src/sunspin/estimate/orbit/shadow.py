@@ -134,12 +134,12 @@ def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
         bright, clear = _sunlit_by_panels(assessment)
         value = signals(telemetry)
         repeated = np.append(False, (value[1:] == value[:-1]).all(axis=1))
-        repeated |= assessment.repeats.of(PANELS)
+        repeated |= assessment.repeats.repeated(PANELS)
         known = np.isfinite(value).any(axis=1) & ~(repeated & bright)
     elif "sun_sensor_B" in telemetry and sensors.sun_vector is None:
         if all(sensor.light_column for sensor in sensors.sun_sensors):
             clear = np.asarray(np.isfinite(assessment.sensors["sun_sensor_B"].values).all(axis=1))
-            known = ~assessment.repeats.of("sun_sensor_B")
+            known = ~assessment.repeats.repeated("sun_sensor_B")
     use = np.flatnonzero(known & ~find_late_frames(telemetry))
     if len(use) > MOST_SAMPLES:
         use = use[np.linspace(0, len(use) - 1, MOST_SAMPLES).astype(int)]
