@@ -82,7 +82,7 @@ class Assessment:
 
     @cached_property
     def noise(self) -> tuple[np.ndarray, str]:
-        """One sigma (n_panel) of a panel reading, in its unit, and its origin in words.
+        """Noise of a panel reading, one sigma (n_panel) in its unit, and its origin in words.
 
         The noise is that of the vehicle file, else it is estimated from readings below zero, else assumed. The estimate leaves out
         readings that are not light and late frames. :attr:`sun` instead estimates an unstated noise first from the redundancy of
@@ -159,7 +159,7 @@ class Assessment:
 
     @cached_property
     def wrong_units(self) -> list[WrongUnit]:
-        """All units of the vehicle file that the samples contradict."""
+        """Units of the vehicle file that the samples contradict."""
         panels = [self.panel_unit] if self.panel_unit else []
         return panels + wrong_units(self.vehicle, self.telemetry, lambda: self.still_directions)
 

@@ -44,7 +44,7 @@ STEPS, STEP = 6, 1e-4
 
 COMMON_SHARE = 0.5
 """Error common to all gains, as a share of the scatter of brightness. If negative readings are cut to zero, the noise of dark
-panels has a mean, which the differences subtract from the lit panels (0.3 % at a noise of 0.5 %)."""
+panels has a mean. The differences subtract it from the lit panels (0.3 % at a noise of 0.5 %)."""
 
 FAINT = 0.03
 """Earth's light, as a share of full Sun, up to which it is not estimated, because the noise of the panels hides it. Up to this

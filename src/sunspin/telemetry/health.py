@@ -280,9 +280,8 @@ def noise_alone(
         mean, slope = response.under(sun, scale)
         lit = seen > threshold
         value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
-        active = (mean > 0) & (
-            lit | (mean > threshold)
-        )  # elsewhere the residual does not change with the Sun
+        # elsewhere the residual does not change with the Sun
+        active = (mean > 0) & (lit | (mean > threshold))
         return Dense.of(counts * value, (counts * active)[..., None] * slope, np.ones_like(sun))
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -152,9 +152,9 @@ def judge_readings(
         `weak`, its gain is too low compared with the others; `gain`, `gain_sigma`, `gain_cov`; `noise` of a reading, with its
         quantisation.
 
-        attrs: `full_sun` (scale of a clean sample), `albedo` (light on unlit panels as a fraction of full Sun), `albedo_samples`
-        (readings that determine it), `earth_light` (on a panel that looks at the Earth), `spread` (relative scatter of full Sun;
-        NaN: not determined), `noise` (median over panels), `full_sun_from` and `gains_from` (origin in words).
+        attrs: `full_sun`, scale of a clean sample; `albedo`, light on unlit panels as a share of full Sun; `albedo_samples`, number
+        of readings that determine it; `earth_light` on a panel that looks at the Earth; `spread`, relative scatter of full Sun, NaN
+        if not determined; `noise`, median over panels; `full_sun_from` and `gains_from`, origin in words.
     """
     # samples that cannot be used at all
     value, negative = remove_negative_readings(vehicle, signals(telemetry))
@@ -246,7 +246,7 @@ def judge_readings(
     read = np.isfinite(value) & (beyond | ~spike) & ~missed & good[:, None]
     # if panels cover all directions, a dark sample is in the shadow; else the Sun may be where no panel looks
     shadow = dark & (wrong is None and sees_everywhere(vehicle))
-    # Full Sun must be stated: if it comes from the file's brighter samples, a shadowed panel cannot be told from a full battery.
+    # Full Sun must be stated: if it comes from the file's brighter samples, a shadowed panel looks like a full battery.
     stated_full = vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]
     dim = (idle | limited) & (not below)
     measured = read & ~((dim | shadow) & (stated_full and not beyond))[:, None]

@@ -10,7 +10,7 @@ import xarray as xr
 
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
-from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import instant
 
@@ -50,7 +50,7 @@ def restore_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Data
 def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
     """Return each variable that telemetry of a vehicle may have, with its dimensions and type, for a file of one sample."""
     # the sensors' variables are those that a table with a single row of zeros gives
-    columns = [name for _, _, names in sensor_parts(vehicle) for name in names]
+    columns = [name for sensor in sensor_columns(vehicle) for name in sensor.columns]
     sample = pd.DataFrame(dict.fromkeys(columns, "0"), index=[1])
     sensor_variables = read_sensors(vehicle, Table(sample, [], ""))
     # the second Sun direction exists only in files with an ambiguous sign of y, which zeros do not have

@@ -81,8 +81,8 @@ def is_reconstructed(status: Any) -> np.ndarray:
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
     """Return the illumination patterns that geometry allows and that determine a direction.
 
-    Three of the lit panels have independent normals, no rule of the vehicle excludes the pattern, and there are no panels that
-    share an input in such a way that several directions fit.
+    Three of the lit panels have independent normals, and no rule of the vehicle excludes the pattern. Panels that share an input do
+    not make several directions fit.
     """
     vehicle.require_panels()
     response = vehicle.response_in()
@@ -143,8 +143,8 @@ def sun_directions(
     ----------
     telemetry : Dataset of `read_telemetry`, or (n, n_panel) powers (or currents) in the order of the vehicle's panels
     noise : float or (n_panel,), optional
-        One-sigma noise of a panel reading, in its unit. Default: that of the vehicle file; else one value for all panels, which is
-        estimated from the redundancy, else from readings below zero (dark panels), else assumed
+        One-sigma noise of a panel reading, in its unit. Default: that of the vehicle file. If it states none, one value for all
+        panels is estimated from the redundancy, else from readings below zero (dark panels). The last resort is an assumption
         (:func:`sunspin.telemetry.noise.assumed_noise`). attrs `noise` (median over panels) and `noise_from` name it. An assumed
         noise only sets the errors; it does not change which panels are lit, nor a status.
     lit_threshold : float or (n_panel,), optional
@@ -158,10 +158,10 @@ def sun_directions(
     Returns
     -------
     xarray.Dataset
-        On `time`: `sun_B` (unit vector, body axes; NaN if the `status` has no direction), `best_B` (a minimiser of Delta for any
-        status), `delta` (paper, eq. 2), `sigma_rad` (rms angle of the error) and `sun_cov_B` (tangent covariance), both finite if
-        `sun_B` is, `status` (`SunStatus`) with `status_text`, `lit`, `n_lit`, and for status ARC the two ends of the arc,
-        `sun_arc_B`. On `panel`: the `noise` and `lit_threshold` that were used.
+        On `time`: `sun_B`, unit vector in body axes, NaN if the `status` has no direction; `best_B`, a minimiser of Delta for any
+        status; `delta` (paper, eq. 2). Finite if `sun_B` is: `sigma_rad`, rms angle of the error, and `sun_cov_B`, the tangent
+        covariance. `status` (`SunStatus`) with `status_text`; `lit`, `n_lit`; for status ARC the two ends of the arc, `sun_arc_B`.
+        On `panel`: the `noise` and `lit_threshold` that were used.
 
     Raises
     ------

@@ -256,9 +256,8 @@ def wrong_units(
     if "wheel_speed_rad_s" in telemetry:
         speeds = telemetry["wheel_speed_rad_s"].values.T
         for wheel, speed in zip(vehicle.wheels, speeds, strict=True):
-            speed = np.abs(speed[np.isfinite(speed)])[
-                :PAIRS
-            ]  # the first ones: the wheel may coast down afterwards
+            # only the first ones: the wheel may coast down afterwards
+            speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]
             known = len(speed) and wheel.speed_rad_s
             ratio = float(np.median(speed)) / abs(wheel.speed_rad_s) if known else 0.0
             for factor in (RPM, 1 / RPM):
@@ -286,7 +285,7 @@ def _check_gyro(
     """
     time, rate = telemetry["time"].values, telemetry["gyro_B"].values
     rotations = rotations_between_samples(time, rate)
-    # as stated, a body at rest, and with each factor
+    # nominal, a body at rest, and with each factor
     hypotheses = [factor * rotations for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
     for lag in LAGS:
         stated, still, *angles = median_direction_errors(time, seen, hypotheses, lag)
