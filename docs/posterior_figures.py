@@ -14,7 +14,7 @@ from sunspin.cases import load_case
 from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import predictions, run_to
-from sunspin.landing.predictions import collision_s
+from sunspin.landing.predictions import collision_time_s
 from sunspin.output.kinds.predictions import predicted_figure
 
 IMAGES = Path(__file__).parent / "images"
@@ -23,7 +23,7 @@ IMAGES = Path(__file__).parent / "images"
 def true_motion(case, times_s):
     """What the twin really did at times before its collision, and after it, as the posterior's predictions have it."""
     truth = tomllib.loads((case.folder / "twin_truth.toml").read_text("utf-8"))
-    blow = collision_s(case.vehicle, case.telemetry.attrs["epoch_utc"])
+    blow = collision_time_s(case.vehicle, case.telemetry.attrs["epoch_utc"])
     start = Rows(*(np.array([truth[key]]) for key in ("omega_B", "sun_B", "wheel_speed_rad_s")))
     after = Rows(
         *(

@@ -78,7 +78,7 @@ def posterior(
     """
     from sunspin.cases import case_telemetry_path, read_timeline
     from sunspin.estimate.posterior.estimate import posterior as run
-    from sunspin.landing.predictions import with_predictions
+    from sunspin.landing.predictions import add_predictions
     from sunspin.telemetry.reader import read_telemetry
 
     if output.quiet:
@@ -110,5 +110,5 @@ def posterior(
     )
     if asked is not None:
         collision, timeline = opening.assumptions.collision, read_timeline(vehicle)
-        with_predictions(craft, tree, asked, seed, timeline, collision, workers)
+        add_predictions(craft, tree, asked, seed, timeline, collision, workers)
     output.deliver(opening.mark(tree), opening.file, samples)
