@@ -216,13 +216,16 @@ def judge_readings(
     # state, which is as large as the scatter of full Sun, or up to all of that light.
     unknown = albedo if fitted.spread is None else min(fitted.spread, albedo)
     left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
-    beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, READING_SIGMA)))
+    modelled_share = np.minimum(
+        share, np.hypot(left, np.where(share == albedo, 0.0, READING_SIGMA))
+    )
     floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     by_battery = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
     sigma = by_battery * largest * limited[:, None]
     unused = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
-    beside = np.where(unused, np.inf, np.hypot(sigma, np.hypot(beside * level * gains, noise)))
+    modelled_floor = np.hypot(modelled_share * level * gains, noise)
+    sigma_modelled = np.where(unused, np.inf, np.hypot(sigma, modelled_floor))
     sigma = np.where(unused, np.inf, np.hypot(sigma, floor))
 
     # use and reason of each sample; np.select takes the first that applies
@@ -255,10 +258,10 @@ def judge_readings(
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     stated_gains = vehicle.input_gains
     uses = {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}
-    beside_name = "the same where the Earth's light is modelled"
+    modelled_name = "the same where the Earth's light is modelled"
     variables: dict[str, Any] = {
         "sigma": (sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
-        "sigma_beside_earth": (beside, {"long_name": beside_name}),
+        "sigma_beside_earth": (sigma_modelled, {"long_name": modelled_name}),
         "reading": (read, {"long_name": "the panel was read"}),
         "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
         "scale": (scale, {"units": "1"}),

@@ -183,44 +183,46 @@ def find_repeated_rows(
     index = np.flatnonzero(signal)
     if len(index) < 2:
         return RepeatedRows(repeated, doubtful)
-    # From here on, only rows with a signal. `same`: number of the distinct row to which each is equal; `again`: equal to its
-    # immediate neighbour in the file.
+    # From here on, only rows with a signal. `same`: number of the distinct row to which each is equal; `equals_previous`: equal to
+    # its immediate neighbour in the file.
     t, rows = time[index], _fill_empty_cells(value[index])
     known = np.isfinite(rows)
     _, same = np.unique(np.where(known, rows, NONE), axis=0, return_inverse=True)
     same = same.ravel()
     adjacent = np.concatenate([[False], np.diff(np.cumsum(usable)[index]) == 1])
-    again = adjacent & np.concatenate([[False], same[1:] == same[:-1]])
+    equals_previous = adjacent & np.concatenate([[False], same[1:] == same[:-1]])
     if len(np.unique(same)) == len(same):
         return RepeatedRows(repeated, doubtful)
-    usual = float(np.median(np.diff(t[~again]))) if (~again).sum() > 1 else np.inf
+    usual = (
+        float(np.median(np.diff(t[~equals_previous]))) if (~equals_previous).sum() > 1 else np.inf
+    )
     stretch = np.cumsum(np.concatenate([[0], np.diff(t) > GAP_FACTOR * usual]))
     rows = rows / resolution(rows)
     # a periodic rotation brings readings back, but not their noise
     noisy = _is_noisy(rows[np.unique(same, return_index=True)[1]])
     span_s = max(COPY_SPAN_S, (LONGEST_LOOP if noisy else 2) * usual)
-    recurring = 0.0 if noisy else _recurrence(t[~again], same[~again], span_s)
+    recurring = 0.0 if noisy else _recurrence(t[~equals_previous], same[~equals_previous], span_s)
     # 1. Copies, which have other rows in between. They come first, because the differences between distinct rows must not contain
     # them.
-    pairs = _find_near_pairs(t, same, again, span_s)
+    pairs = _find_near_pairs(t, same, equals_previous, span_s)
     if not noisy:
-        pairs.equal[_find_periodic_pairs(rows, again, pairs)] = False
+        pairs.equal[_find_periodic_pairs(rows, equals_previous, pairs)] = False
     copied = np.zeros(len(t), dtype=bool)
     late = np.unique(pairs.later[pairs.equal])
-    fresh = ~again & ~np.isin(np.arange(len(t)), late)
+    fresh = ~equals_previous & ~np.isin(np.arange(len(t)), late)
     for which, chance in _chances(t, rows, stretch, fresh, recurring):
         own = which[pairs.later]
         expected = chance.at(t[pairs.later[own]] - t[pairs.earlier[own]]).sum()
         copied[late[which[late]]] = _exceeds_chance(expected, int(which[late].sum()))
     # 2. Runs of equal neighbours
     repeats, judged = copied.copy(), np.zeros(len(t), dtype=bool)
-    for which, chance in _chances(t, rows, stretch, ~again & ~copied, recurring):
-        repeats |= _runs_beyond_chance(t, again & which, adjacent & which, chance)
+    for which, chance in _chances(t, rows, stretch, ~equals_previous & ~copied, recurring):
+        repeats |= _runs_beyond_chance(t, equals_previous & which, adjacent & which, chance)
         judged |= which
     # 3. Stretches without enough distinct rows for a probability, in which each row occurs at least twice on average
-    for number in np.unique(stretch[again & ~judged]):
+    for number in np.unique(stretch[equals_previous & ~judged]):
         own = stretch == number
-        if own.sum() >= 2 * (own & ~again).sum():
+        if own.sum() >= 2 * (own & ~equals_previous).sum():
             doubtful[index[own]] = True
     repeated[index] = repeats
     return RepeatedRows(repeated, doubtful)
@@ -258,13 +260,13 @@ def _is_noisy(rows: np.ndarray) -> bool:
     return len(changes) >= LEAST_PAIRS and bool(np.mean(changes >= NOISE_STEPS) > NOISY_SHARE)
 
 
-def _find_periodic_pairs(rows: np.ndarray, again: np.ndarray, pairs: Pairs) -> np.ndarray:
+def _find_periodic_pairs(rows: np.ndarray, equals_previous: np.ndarray, pairs: Pairs) -> np.ndarray:
     """Return the indices of equal pairs whose neighbours agree as well, as in a rotation with a period of a whole number of
     samples.
 
-    A copy of a frame, in contrast, has other neighbours than its original. `again` (n) are rows equal to the one before.
+    A copy of a frame, in contrast, has other neighbours than its original. `equals_previous` (n) are rows equal to the one before.
     """
-    place, equal = np.flatnonzero(~again), np.flatnonzero(pairs.equal)
+    place, equal = np.flatnonzero(~equals_previous), np.flatnonzero(pairs.equal)
     order = np.nan_to_num(rows[place])
     a, b = (np.searchsorted(place, each[equal]) for each in (pairs.earlier, pairs.later))
     agree = np.ones(len(equal), dtype=bool)
@@ -369,12 +371,14 @@ class Pairs(NamedTuple):
     equal: np.ndarray
 
 
-def _find_near_pairs(t: np.ndarray, same: np.ndarray, again: np.ndarray, span_s: float) -> Pairs:
+def _find_near_pairs(
+    t: np.ndarray, same: np.ndarray, equals_previous: np.ndarray, span_s: float
+) -> Pairs:
     """Return the pairs of samples within `span_s` that may be a frame and its copy, with other samples in between.
 
-    Samples that are equal to the one just before (`again`) are left out.
+    Samples that are equal to the one just before (`equals_previous`) are left out.
     """
-    place = np.flatnonzero(~again)
+    place = np.flatnonzero(~equals_previous)
     earlier, later = [], []
     for lag in range(2, min(MOST_BETWEEN, len(place) - 1) + 1):
         near = t[place[lag:]] - t[place[:-lag]] <= span_s
@@ -400,7 +404,7 @@ def _exceeds_chance(expected: float, count: int) -> bool:
 
 
 def _runs_beyond_chance(
-    t: np.ndarray, again: np.ndarray, adjacent: np.ndarray, chance: Chance
+    t: np.ndarray, equals_previous: np.ndarray, adjacent: np.ndarray, chance: Chance
 ) -> np.ndarray:
     """Return the samples (n) that equal the one before not by chance: all if they are too many for chance, else those of long runs.
 
@@ -410,20 +414,20 @@ def _runs_beyond_chance(
 
     Parameters
     ----------
-    again : (n)
+    equals_previous : (n)
         Samples that are equal to the one before.
     adjacent : (n)
         Samples that directly follow the one before in the file.
     """
     by_run = np.zeros(len(t), dtype=bool)
-    if not again.any():
+    if not equals_previous.any():
         return by_run
     neighbours = np.flatnonzero(adjacent)
     by_neighbours = chance.at(t[neighbours] - t[neighbours - 1])
-    begins = np.flatnonzero(again & ~np.concatenate([[False], again[:-1]])) - 1
+    begins = np.flatnonzero(equals_previous & ~np.concatenate([[False], equals_previous[:-1]])) - 1
     if _exceeds_chance(by_neighbours.sum(), len(begins)):
-        return again
-    ends = np.flatnonzero(again & ~np.concatenate([again[1:], [False]]))
+        return equals_previous
+    ends = np.flatnonzero(equals_previous & ~np.concatenate([equals_previous[1:], [False]]))
     between = np.minimum(ends - begins - 1, MOST_COUNTED)
     each = chance.at(t[ends] - t[begins]) * by_neighbours.mean() ** (between / 2)
     for begin, end, by_chance in zip(begins, ends, each, strict=True):
@@ -445,9 +449,9 @@ def _find_held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -
             continue
         t, column = time[at], value[at, k]
         next_to = np.concatenate([[False], np.diff(np.cumsum(fresh)[at]) == 1])
-        again = next_to & np.concatenate([[False], column[1:] == column[:-1]])
+        equals_previous = next_to & np.concatenate([[False], column[1:] == column[:-1]])
         # a sensor that holds its values repeats each about as often; a panel on the spin axis has one long run
-        runs = np.diff(np.append(np.flatnonzero(~again), len(again)))
+        runs = np.diff(np.append(np.flatnonzero(~equals_previous), len(equals_previous)))
         if not 2 <= np.median(runs) or runs.max() > LONGEST_RUN * np.median(runs):
             continue
         step = resolution(column[:, None])
@@ -456,16 +460,16 @@ def _find_held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -
         changed = tuple(
             (t[own], column[own, None] / step)
             for number in np.unique(lit_stretch)
-            if (own := (lit_stretch == number) & ~again).sum() > 1
+            if (own := (lit_stretch == number) & ~equals_previous).sum() > 1
         )
         few = sum(len(times) - 1 for times, _ in changed) < LEAST_PAIRS
-        if few or again.sum() < max(LEAST_HELD, HELD_SHARE * next_to.sum()):
+        if few or equals_previous.sum() < max(LEAST_HELD, HELD_SHARE * next_to.sum()):
             continue
         # one column has one degree of freedom: a rotation brings its values back more often than a direction
         chance = Chance(changed, 0.0, 1.0)
         places = np.flatnonzero(next_to)
-        if _exceeds_chance(chance.at(t[places] - t[places - 1]).sum(), int(again.sum())):
-            held[at[again], k] = True
+        if _exceeds_chance(chance.at(t[places] - t[places - 1]).sum(), int(equals_previous.sum())):
+            held[at[equals_previous], k] = True
     return held
 
 

@@ -103,12 +103,12 @@ class Frames(NamedTuple):
     def repeated(self, time: np.ndarray, order: np.ndarray) -> np.ndarray:
         """Return whether each row (n) has the time and the cells of a row that comes earlier in `order` (n)."""
         seen: set[tuple] = set()
-        again = np.zeros(len(time), dtype=bool)
+        repeated = np.zeros(len(time), dtype=bool)
         for i in order.tolist():
             key = (float(time[i]), *self.cells[i].tolist())
-            again[i] = key in seen
+            repeated[i] = key in seen
             seen.add(key)
-        return again
+        return repeated
 
 
 def find_boot_starts(uptime: np.ndarray, received: np.ndarray, frames: Frames) -> np.ndarray:
@@ -228,11 +228,11 @@ def find_uptime_restart(uptime: np.ndarray, frames: Frames) -> Restart | None:
             row, before = order[fall], order[fall - 1]
             back = float(uptime[before] - uptime[row])
             return Restart(int(row), int(before), back, bool(uptime[row] < FIRST_UPTIME_S))
-    again = frames.repeated(uptime, order)
+    repeated = frames.repeated(uptime, order)
     for fall in falls:
         row, before = order[fall], order[fall - 1]
         back = float(uptime[before] - uptime[row])
-        if (back > STORED_LONG_S or uptime[row] < FIRST_UPTIME_S) and not again[row]:
+        if (back > STORED_LONG_S or uptime[row] < FIRST_UPTIME_S) and not repeated[row]:
             return Restart(int(row), int(before), back, sure=False)
     return None
 
@@ -354,9 +354,9 @@ def _repeats_known_times(
     known = known[np.argsort(time[known], kind="stable")]
     if len(known) < FEWEST_BETWEEN or len(later) < FEWEST_BETWEEN:
         return False
-    t, again = time[known], time[later]
+    t, later_t = time[known], time[later]
     usual = float(np.median(np.diff(np.unique(t)))) if len(np.unique(t)) > 1 else 0.0
-    later = later[: int(np.argmax(np.append(np.diff(again) > NEXT_PASS * usual, True))) + 1]
+    later = later[: int(np.argmax(np.append(np.diff(later_t) > NEXT_PASS * usual, True))) + 1]
     within = later[(time[later] >= t[0]) & (time[later] <= t[-1])]
     after = np.clip(np.searchsorted(t, time[within]), 1, len(t) - 1)
     low, high = known[after - 1], known[after]
