@@ -15,8 +15,8 @@ from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.changes import opened
 from sunspin.cli.common import Group
 from sunspin.compute.identity import to_json
-from sunspin.landing.outcomes import own_scenario
-from sunspin.landing.scenario import case_scenario, paper_scenario, scenario_of
+from sunspin.landing.outcomes import default_scenario
+from sunspin.landing.scenario import build_scenario, case_scenario, paper_scenario
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import starts
@@ -366,8 +366,8 @@ def test_outcomes_say_whose_the_motions_of_a_scan_are(tmp_path):
 
 def test_a_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
-    assert scenario_of("philae", craft, {}).wheel_speed_rad_s == (833.0,)
-    assert own_scenario(craft).wheel_speed_rad_s == (833.0,) and own_scenario(
+    assert build_scenario("philae", craft, {}).wheel_speed_rad_s == (833.0,)
+    assert default_scenario(craft).wheel_speed_rad_s == (833.0,) and default_scenario(
         OWN
     ).wheel_speed_rad_s == (865.0,)
     case = ss.load_case(

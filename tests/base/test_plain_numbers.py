@@ -12,7 +12,7 @@ from sunspin.base.untrusted import plain_number
 from sunspin.cli import values
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
-from sunspin.landing.scenario import strategy_of
+from sunspin.landing.scenario import parse_strategy
 from sunspin.vehicle.changes import parse_changes
 from sunspin.vehicle.file import parse_vehicle
 
@@ -171,7 +171,7 @@ def test_options_and_changes_take_the_same_numbers(seed, capsys, monkeypatch):
     assert values.numbers(f"1,{good}", "--omega-deg-s") == [1, float(good)]
     for wrong in (
         lambda: values.numbers(f"1,{odd}", "--omega-deg-s"),
-        lambda: strategy_of(ss.Vehicle("any"), f"delay:{odd}"),
+        lambda: parse_strategy(ss.Vehicle("any"), f"delay:{odd}"),
         lambda: values.period(f"{odd}+-1@10", None),
         lambda: values.prior(f"inertia={odd}", "--prior"),
         lambda: values.grid(f"0:1:{odd}", "--omega-x-deg-s"),

@@ -16,7 +16,7 @@ import sunspin as ss
 from sunspin.estimate.terms.panels import Instants
 from sunspin.estimate.wiring import signed_axes, to_write
 from sunspin.output.folder import write_netcdf
-from sunspin.telemetry.stored import stored_telemetry
+from sunspin.telemetry.stored import restore_telemetry
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -299,7 +299,7 @@ def test_what_a_results_folder_holds_is_read_as_it_was(stored):
         0.01,
     ]
     xr.testing.assert_identical(
-        stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data
+        restore_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data
     )
 
 
@@ -321,14 +321,14 @@ def test_whatever_is_spoilt_in_stored_telemetry_is_named(stored, how):
         one = data[name]
         wrong = data.assign_coords({name: (one.dims, SPOILT[how](one))})
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
-            stored_telemetry(wrong, vehicle, path)
+            restore_telemetry(wrong, vehicle, path)
         other = (
             data.rename_dims(time="row")
             if name == "time"
             else data.assign({name: one.mean("time")})
         )
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
-            stored_telemetry(other, vehicle, path)
+            restore_telemetry(other, vehicle, path)
 
 
 def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(stored):
@@ -348,4 +348,4 @@ def test_stored_telemetry_of_another_vehicle_or_changed_by_somebody_is_refused(s
     )
     for wrong, why in spoilt:
         with pytest.raises(ss.TelemetryError, match=f"not that of this vehicle .found {why}"):
-            stored_telemetry(wrong, vehicle, path)
+            restore_telemetry(wrong, vehicle, path)

@@ -25,11 +25,11 @@ from sunspin.landing.tally import (
     density,
     effective_runs,
     estimate,
-    explained,
-    facts_of,
     lowest_rz,
+    read_explained_share,
+    read_facts,
+    read_weightings,
     tally,
-    weightings,
 )
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
@@ -100,12 +100,12 @@ def rows(collision: AfterCollision) -> list[Row]:
     densities = [density(each)["density"] for each in runs["chosen"].values()]
     areas = [float(each.sum() * 2 / each.size) for each in densities]
 
-    weighted, facts = {line["name"]: line for line in weightings(known)}, facts_of(known)
+    weighted, facts = {line["name"]: line for line in read_weightings(known)}, read_facts(known)
     drawn, kernel = weighted["as drawn"], weighted[f"kernel, sigma {SIGMA_M_S:g} m/s"]
     slowest = facts["speed_after"] / max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
     texts: dict[str, Any] = {"off": off, "held": held, "kernel": kernel, "drawn": drawn}
     texts |= {"mean": chosen.speed_collision.mean(), "runs": n, "reaches": reaches}
-    texts |= {"explained": explained(known), "within": 2 * SIGMA_M_S, "rarely": RARELY}
+    texts |= {"explained": read_explained_share(known), "within": 2 * SIGMA_M_S, "rarely": RARELY}
     texts |= {"often": OFTEN, "period": 2 * np.pi / slowest}
     row_of = partial(row, case, **texts)
 

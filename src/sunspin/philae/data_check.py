@@ -20,7 +20,7 @@ from sunspin.philae.rebound import case_seconds, rebound_samples
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import whole_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
-from sunspin.telemetry.synthetic import drawn_tilts, generator
+from sunspin.telemetry.synthetic import draw_tilts, generator
 from sunspin.vehicle.response.panels import misalignment_sigma, patterns_of_misaligned
 
 LEAST_DIRECTIONS = 8
@@ -104,7 +104,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     tilt_rad, _ = misalignment_sigma(vehicle)
     if unexplained.size and tilt_rad.any():
         draws, names = generator(0, 10), np.array(vehicle.input_names)
-        tilts = np.array([drawn_tilts(vehicle, tilt_rad, draws) for _ in range(100)])
+        tilts = np.array([draw_tilts(vehicle, tilt_rad, draws) for _ in range(100)])
         shown = patterns_of_misaligned(vehicle, tilts)
         patterns = [frozenset(names[lit].tolist()) for lit in forbidden["lit"].values]
         unexplained = np.array([pattern not in shown for pattern in patterns])

@@ -48,7 +48,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.synthetic import (
     csv_text,
-    drawn_tilts,
+    draw_tilts,
     generator,
     noisy_power,
     on_time_grid,
@@ -222,7 +222,7 @@ def panel_turns(
     """Turns (n_panel, 3) in rad of the panels: each its own, and one of all; None where neither is asked for."""
     if not (np.any(tilt_rad) or turned_rad):
         return None
-    return turned_rad * rng.standard_normal(3) + drawn_tilts(vehicle, tilt_rad, rng)
+    return turned_rad * rng.standard_normal(3) + draw_tilts(vehicle, tilt_rad, rng)
 
 
 def drawn_panels(

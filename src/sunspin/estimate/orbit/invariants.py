@@ -19,7 +19,7 @@ from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
 from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.telemetry.assess import Assessment
-from sunspin.telemetry.quality import came_late
+from sunspin.telemetry.quality import find_late_frames
 from sunspin.telemetry.sun import SunStatus, signals
 from sunspin.vehicle.response.panels import opposite_panels
 
@@ -165,7 +165,7 @@ def spread_evenly(
 ) -> np.ndarray:
     """The samples that show something (n, of true and false) and came in time, at most so many of them, spread over the file. Of
     those that come `first` (n), as many are kept as an even spread has, or `MOST_WITH_SUN` of all if that is more."""
-    use = np.flatnonzero(shows & ~came_late(telemetry))
+    use = np.flatnonzero(shows & ~find_late_frames(telemetry))
     even = _even(use, most)
     wanted = use[first[use]] if first is not None else use[:0]
     if (

@@ -11,7 +11,7 @@ from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.output.text import counted, size_text, with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
-from sunspin.telemetry.quality import SURELY_LIT, reasons
+from sunspin.telemetry.quality import SURELY_LIT, count_reasons
 from sunspin.telemetry.sun import LIT_SIGMAS, SunStatus, signals
 from sunspin.telemetry.units import reading_unit
 from sunspin.vehicle import Vehicle
@@ -100,7 +100,7 @@ def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any]
 
 def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     craft, quality = assessment.vehicle, assessment.quality
-    why = reasons(quality)
+    why = count_reasons(quality)
     names = quality["panel"].values.astype(str)
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()
