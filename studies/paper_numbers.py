@@ -14,7 +14,7 @@ from sunspin.dynamics.friction import spin_down_time
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import error_of_rate, turned
-from sunspin.landing.strategies import settling
+from sunspin.landing.strategies import wheel_stop_at_rest
 from sunspin.philae import rebound as rb
 
 LINE_POINTS = 13
@@ -147,7 +147,9 @@ def of_motion(case: Case, paper: dict[str, Any], lines: Lines) -> dict[str, Any]
     longest = max(float(np.linalg.norm(leg.tip_B_m)) for leg in case.vehicle.legs)
     means = np.array([each.mean() for each in speeds])
     inertia_z = case.vehicle.require_inertia()[2, 2]
-    rest = next(way for way in settling(case.vehicle, paper["gravity"]) if way["way"] == "off")
+    rest = next(
+        way for way in wheel_stop_at_rest(case.vehicle, paper["gravity"]) if way["way"] == "off"
+    )
     return {
         "since_s": since,
         "speed_now": now,

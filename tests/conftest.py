@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sunspin.base.atomic_write import is_writable
+from sunspin.base.atomic_write import ensure_writable
 
 pytest_plugins = ["tests.support.evidence"]
 
@@ -60,7 +60,9 @@ def kernel_cache() -> Path:
     """
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(base) / "sunspin" / "tests"
-    return folder if is_writable(folder) else Path(__file__).parents[1] / "build" / "test-kernels"
+    return (
+        folder if ensure_writable(folder) else Path(__file__).parents[1] / "build" / "test-kernels"
+    )
 
 
 # before any test is imported; workers of pytest-xdist and the programs that tests start take it over

@@ -14,20 +14,20 @@ import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.cli.changes import opened
 from sunspin.cli.common import Group
-from sunspin.compute.identity import plain
-from sunspin.landing.outcomes import own_scenario
-from sunspin.landing.scenario import case_scenario, paper_scenario, scenario_of
+from sunspin.compute.identity import to_json
+from sunspin.landing.outcomes import default_scenario
+from sunspin.landing.scenario import build_scenario, case_scenario, paper_scenario
 from sunspin.output.folder import write_netcdf
 from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import starts
 from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table, read_assumptions
-from sunspin.vehicle.changes import Change, apply, changes_of, settings
+from sunspin.vehicle.changes import Change, apply_changes, list_settings, parse_changes
 from sunspin.vehicle.file import (
     ChangedFile,
     VehicleFile,
     parse_vehicle,
-    vehicle_table,
-    vehicle_text,
+    read_vehicle_table,
+    read_vehicle_text,
 )
 
 OWN = ss.load_vehicle("philae")
@@ -141,26 +141,28 @@ TEMPLATE = str(resources.files("sunspin").joinpath("template", "vehicle.toml"))
 @pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
 def test_every_listed_value_can_be_changed(source):
     """Set to itself, times one or plus zero, a value stays and is no change; times two it is twice what it was."""
-    listed = {each.key: each.value for each in settings(vehicle_table(source), VehicleFile)}
+    listed = {
+        each.key: each.value for each in list_settings(read_vehicle_table(source), VehicleFile)
+    }
     own = {key: value for key, value in listed.items() if value not in (None, "as below")}
     same = [Change(key, "=", value) for key, value in own.items()]
     assert len(own) > 20 and ss.load_vehicle(source, same) == ss.load_vehicle(source)
     numbers = {key: value for key, value in own.items() if is_numeric(value)}
     assert len(numbers) > 20
     for change, factor in (("*=1", 1), ("+=0", 1), ("*=2", 2)):
-        table = vehicle_table(source)
-        done = apply(table, changes_of(dict.fromkeys(numbers, change)))
-        after = {each.key: each.value for each in settings(table, VehicleFile)}
+        table = read_vehicle_table(source)
+        done = apply_changes(table, parse_changes(dict.fromkeys(numbers, change)))
+        after = {each.key: each.value for each in list_settings(table, VehicleFile)}
         for key, value in numbers.items():
             np.testing.assert_array_equal(after[key], factor * np.array(value), err_msg=key)
         assert (len(done) > 20) == (factor == 2)
-        assert all(each.was == numbers[each.key] for each in done)
+        assert all(each.old_value == numbers[each.key] for each in done)
     for key in listed.keys() - own.keys():  # what the file leaves out is known by its key
         try:
             ss.load_vehicle(source, {key: "x"})
         except ss.VehicleError as error:
             assert "unknown key" not in str(error), key
-    assumed = {each.key: each for each in settings(assumptions_table(), AssumptionsFile)}
+    assumed = {each.key: each for each in list_settings(assumptions_table(), AssumptionsFile)}
     assert all(each.source for each in assumed.values()) and assumed["study.lead_s"].unit == "s"
 
 
@@ -171,19 +173,19 @@ def is_numeric(value):
 @pytest.mark.parametrize("source", ["philae", "skcube", TEMPLATE])
 def test_the_changed_file_reads_as_the_changed_vehicle(source):
     """Also with its comments, which stay."""
-    table = vehicle_table(source)
-    for each in settings(table, VehicleFile):
+    table = read_vehicle_table(source)
+    for each in list_settings(table, VehicleFile):
         if is_numeric(each.value):
-            asked = changes_of([f"{each.key}*=1.0001"])
-            text = vehicle_text(ChangedFile(source, asked))
-            expected = vehicle_table(source)
-            apply(expected, asked)
+            asked = parse_changes([f"{each.key}*=1.0001"])
+            text = read_vehicle_text(ChangedFile(source, asked))
+            expected = read_vehicle_table(source)
+            apply_changes(expected, asked)
             assert tomllib.loads(text) == expected, each.key
     assert sum(line.startswith("#") for line in text.splitlines()) > 5
 
 
 def test_the_changed_file_is_a_vehicle_file():
-    asked = changes_of(
+    asked = parse_changes(
         [
             "wheel.friction=printed",
             "wheel.speed_rad_s=833",
@@ -193,9 +195,9 @@ def test_the_changed_file_is_a_vehicle_file():
     )
     for name in ("philae", "skcube"):
         mine = asked if name == "philae" else ()
-        written = parse_vehicle(vehicle_text(ChangedFile(name, mine)), "here")
+        written = parse_vehicle(read_vehicle_text(ChangedFile(name, mine)), "here")
         direct = ss.load_vehicle(name, mine)
-        assert plain(written) == plain(replace(direct, changes=()))
+        assert to_json(written) == to_json(replace(direct, changes=()))
 
 
 def test_assumptions_follow_into_the_study():
@@ -349,7 +351,7 @@ def refuse(*_, **__):
 def test_outcomes_name_the_vehicle_of_the_motions_of_a_scan(tmp_path):
     axes = {f"omega_{axis}": [0.0, 0.1] for axis in "xyz"}
     volume = xr.DataArray(np.arange(1.0, 9.0).reshape(2, 2, 2), axes, list(axes), "emd")
-    changed = with_changes("wheel.speed_rad_s=833").said["changes"]
+    changed = with_changes("wheel.speed_rad_s=833").result_attributes["changes"]
     scan = volume.to_dataset().assign_attrs(
         vehicle="philae", changes=f"{changed}\nstudy.mask = everywhere"
     )
@@ -359,15 +361,15 @@ def test_outcomes_name_the_vehicle_of_the_motions_of_a_scan(tmp_path):
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
         points, whose = starts(
-            opened("philae", changes_of(sets)).craft, [], tmp_path / "scan.nc", 1.1
+            opened("philae", parse_changes(sets)).craft, [], tmp_path / "scan.nc", 1.1
         )
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 
 
 def test_a_landing_scenario_has_the_wheel_of_the_changed_vehicle():
     craft = with_changes("wheel.speed_rad_s=833")
-    assert scenario_of("philae", craft, {}).wheel_speed_rad_s == (833.0,)
-    assert own_scenario(craft).wheel_speed_rad_s == (833.0,) and own_scenario(
+    assert build_scenario("philae", craft, {}).wheel_speed_rad_s == (833.0,)
+    assert default_scenario(craft).wheel_speed_rad_s == (833.0,) and default_scenario(
         OWN
     ).wheel_speed_rad_s == (865.0,)
     case = ss.load_case(

@@ -16,8 +16,8 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle.file import parse_vehicle
-from sunspin.vehicle.response.flat import unit_readings
-from sunspin.vehicle.response.joined import Joined
+from sunspin.vehicle.response.flat import normalise_readings
+from sunspin.vehicle.response.joined import JoinedResponse
 from sunspin.vehicle.response.planes import sphere
 from tests.support.vehicles import FACES
 
@@ -71,7 +71,7 @@ def test_readings_of_channels_are_those_of_their_panels():
     np.testing.assert_allclose(vehicle.input_gains, [0.5 * np.sqrt(2), 0.5, 0.5, 0.5], rtol=1e-12)
     largest = craft({"odd": ("+X", "+Z")}, reads="largest")
     np.testing.assert_allclose(ss.panel_power(largest, [0.6, 0.0, 0.8])[0], 0.4, atol=1e-15)
-    each = vehicle.panels_in().power(np.array([0.6, 0.0, 0.8]))
+    each = vehicle.response_of_panels().power(np.array([0.6, 0.0, 0.8]))
     np.testing.assert_allclose(each, [0.3, 0, 0, 0, 0.4, 0], atol=1e-15)
 
 
@@ -145,9 +145,9 @@ def test_directions_that_fit_equally_are_found_and_one_is_given_only_if_unique(c
         unit - (readings / np.linalg.norm(readings, axis=1, keepdims=True))[:, None], axis=-1
     )
     response = vehicle.response_in()
-    delta = response.best(readings)[1]
+    delta = response.best_direction(readings)[1]
     assert (delta <= away.min(axis=1) + 1e-12).all()
-    alike = response.alike(readings, np.full(12, 0.05))
+    alike = response.near_best(readings, np.full(12, 0.05))
     for some, off, least in zip(alike, away, delta, strict=True):
         some = some[np.isfinite(some[:, 0])]
         for place in grid[
@@ -169,9 +169,9 @@ def test_no_direction_of_the_sphere_fits_better_than_the_closed_form(channels, r
     vehicle, rng = craft(channels, reads=reads), np.random.default_rng(3)
     readings = ss.panel_power(vehicle, directions(25, 6))
     readings = np.maximum(readings + 0.02 * rng.normal(size=readings.shape), 0.0)
-    shape = unit_readings(ss.panel_power(vehicle, sphere(200_000)))
-    least = np.sqrt(np.maximum(2 - 2 * (unit_readings(readings) @ shape.T).max(axis=1), 0.0))
-    assert (vehicle.response_in().best(readings)[1] <= least + 1e-6).all()
+    shape = normalise_readings(ss.panel_power(vehicle, sphere(200_000)))
+    least = np.sqrt(np.maximum(2 - 2 * (normalise_readings(readings) @ shape.T).max(axis=1), 0.0))
+    assert (vehicle.response_in().best_direction(readings)[1] <= least + 1e-6).all()
 
 
 def test_more_planes_than_can_be_cut_are_refused():
@@ -222,8 +222,11 @@ def test_with_three_channels_no_pattern_gives_a_direction():
     assert not reconstructible_patterns(craft(THREE)) and reconstructible_patterns(
         craft({"odd": ("+X", "+Y")})
     )
-    assert len(craft(THREE).response_in().images) == 8 and len(craft(ONE).response_in().images) == 2
-    assert len(craft({}).response_in().images) == 1
+    assert (
+        len(craft(THREE).response_in().symmetries) == 8
+        and len(craft(ONE).response_in().symmetries) == 2
+    )
+    assert len(craft({}).response_in().symmetries) == 1
 
 
 @pytest.mark.parametrize("reads", ["sum", "largest"])
@@ -233,7 +236,7 @@ def test_slopes_of_channel_readings_agree_with_differences(reads):
         directions(50, 5),
     )
     gain = np.array([1.1, 0.9, 1.2, 1.0])
-    assert isinstance(response, Joined)
+    assert isinstance(response, JoinedResponse)
     step, slope = 1e-6, response.slopes(sun, gain=gain).to_sun
     for axis in np.eye(3):
         across = axis - (sun @ axis)[:, None] * sun

@@ -13,7 +13,7 @@ from sunspin.philae.sun_directions import with_own_noise
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.health import noise_alone
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
-from sunspin.vehicle.response.flat import plain_covariance
+from sunspin.vehicle.response.flat import unweighted_covariance
 
 NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
 TURNED = np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) / np.sqrt(3)
@@ -62,7 +62,7 @@ def test_the_same_noise_for_each_panel_equals_a_common_noise():
     # the usual formula, to the last bit
     design = np.random.default_rng(0).normal(size=(5, 3))
     usual = 0.3**2 * np.linalg.inv(design.T @ design)
-    assert np.array_equal(plain_covariance(design, np.full(5, 0.3)), usual)
+    assert np.array_equal(unweighted_covariance(design, np.full(5, 0.3)), usual)
 
 
 def test_panel_noise_changes_errors_of_directions_and_not_directions():

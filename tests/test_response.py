@@ -92,7 +92,9 @@ def test_slopes_of_a_response_are_those_of_its_powers(law):
     for turned in (None, tilt):
         plain = response.slopes(sun, tilt=turned)
         for step, along in zip(
-            steps, response.along(sun, steps, gain=np.full(6, 1.1), tilt=turned), strict=True
+            steps,
+            response.power_changes(sun, steps, gain=np.full(6, 1.1), tilt=turned),
+            strict=True,
         ):
             expected = np.where(
                 plain.power > 0, 1.1 * np.einsum("npi,ni->np", plain.to_sun, step), 0.0
@@ -106,7 +108,7 @@ def test_every_response_scales_with_gain_and_light_and_keeps_its_bounds(law):
     power = response.power(sun)
     assert power.min() >= 0 and np.isnan(response.power(np.full((2, 3), np.nan))).all()
     np.testing.assert_allclose(response.power(sun, gain=np.full(6, 1.1)), 1.1 * power, rtol=1e-14)
-    light, by = response.under(sun * 3.0)
+    light, by = response.light_power(sun * 3.0)
     np.testing.assert_allclose(light, 3 * power, atol=1e-12)
     np.testing.assert_allclose(
         np.where(power > 0, (by @ sun[..., None])[..., 0], 0), power, atol=1e-9
@@ -124,13 +126,13 @@ def test_every_response_scales_with_gain_and_light_and_keeps_its_bounds(law):
 @pytest.mark.parametrize("law", LAWS)
 def test_slopes_of_albedo_agree_with_differences(law):
     response, axis, step = under(law).response_in(), directions(30, 8), 1e-4
-    light, slope = response.disc(axis, np.full(30, 0.3))
-    cosine = CUBE.response_in().disc(axis, np.full(30, 0.3))
+    light, slope = response.earthlight(axis, np.full(30, 0.3))
+    cosine = CUBE.response_in().earthlight(axis, np.full(30, 0.3))
     for one in np.eye(3):
         ends = [axis * 0.3 + sign * step * one for sign in (1, -1)]
         size = [np.linalg.norm(end, axis=1) for end in ends]
         ahead, behind = (
-            response.disc(end / length[:, None], length)[0]
+            response.earthlight(end / length[:, None], length)[0]
             for end, length in zip(ends, size, strict=True)
         )
         np.testing.assert_allclose((ahead - behind) / (2 * step), slope @ one, atol=0.02 * 0.5)

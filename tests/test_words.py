@@ -1,7 +1,10 @@
-"""Printed strings, help and pages use the field's words, in sentences that can be read at once."""
+"""Strings, docstrings, comments and pages use the field's words, in sentences that can be read at once."""
 
 import ast
+import io
 import re
+import tokenize
+from pathlib import Path
 
 from tests.support.documents import ROOT, pages
 
@@ -14,6 +17,15 @@ WORDS = (
 
 MOST_WORDS = 30
 """In a sentence, or in a part of it that ends with a semicolon or a colon."""
+
+REBUILT_LATER = {"estimate", "dynamics"}
+"""Packages that are written again: their docstrings and comments are read then."""
+
+NO_VERBS = set(
+    "a all an as at both by each every for from how if in it its no not of on one so some that the there these this those "
+    "to what when where whether which who whose with without".split()
+)
+"""Words that begin no imperative."""
 
 SENTENCE = re.compile(r"(?<=[.!?*])\s+(?=[A-Z`*\[(])|(?<=[;:])\s")
 
@@ -31,6 +43,26 @@ def strings(tree: ast.AST) -> list[str]:
     nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Constant))
     texts += [n.value for n in nodes if isinstance(n.value, str) and id(n) not in apart]
     return [text for text in texts if not text.startswith("KPL/")]
+
+
+def docstrings(tree: ast.AST) -> list[str]:
+    """Return the docstrings of a module, those of its constants and fields included."""
+    nodes = (node.value for node in ast.walk(tree) if isinstance(node, ast.Expr))
+    constants = (node.value for node in nodes if isinstance(node, ast.Constant))
+    return [text for text in constants if isinstance(text, str)]
+
+
+def comments(source: str) -> list[str]:
+    """Return the comments of a module without their number sign."""
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    return [token.string[1:].strip() for token in tokens if token.type == tokenize.COMMENT]
+
+
+def documented_paths() -> list[Path]:
+    """Return the modules whose docstrings and comments are read."""
+    package = ROOT / "src" / "sunspin"
+    paths = sorted(package.rglob("*.py"))
+    return [path for path in paths if path.relative_to(package).parts[0] not in REBUILT_LATER]
 
 
 def prose(text: str) -> list[str]:
@@ -52,6 +84,21 @@ def faults(texts: list[str]) -> list[str]:
 def test_printed_strings_use_plain_words_and_short_sentences():
     paths = [path for path in (ROOT / "src").rglob("*.py") if "decoders" not in path.parts]
     assert not [fault for path in paths for fault in faults(strings(ast.parse(path.read_text())))]
+
+
+def test_docstrings_and_comments_use_plain_words():
+    for path in documented_paths():
+        source = path.read_text("utf-8")
+        assert not faults(docstrings(ast.parse(source)) + comments(source)), path
+
+
+def test_docstrings_of_functions_begin_with_a_verb():
+    """Articles and question words begin no imperative; the linter's D401 knows more of them."""
+    for path in documented_paths():
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef):
+                first = (ast.get_docstring(node) or "Return").split()[0].lower()
+                assert first.strip('.,;:"') not in NO_VERBS, f"{path}:{node.lineno}"
 
 
 def test_pages_use_plain_words_and_short_sentences():

@@ -11,7 +11,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-from sunspin.base.atomic_write import sweep, write_whole
+from sunspin.base.atomic_write import remove_abandoned, write_atomically
 
 
 def command(work: Callable[[list[str] | None], None]) -> Callable[..., int]:
@@ -48,7 +48,7 @@ def study_parser(name: str, doc: str | None) -> argparse.ArgumentParser:
 def rows_folder(folder: Path) -> Path:
     """Make a folder of rows, without what killed runs had begun to write there."""
     folder.mkdir(parents=True, exist_ok=True)
-    sweep(folder)
+    remove_abandoned(folder)
     return folder
 
 
@@ -56,7 +56,7 @@ def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A row from its JSON file; where there is none it is made, and the file written whole."""
     if not path.is_file():
         text = json.dumps(make())
-        write_whole(path, lambda new: new.write_text(text, "utf-8"))
+        write_atomically(path, lambda new: new.write_text(text, "utf-8"))
     try:
         row = json.loads(path.read_text("utf-8"))
     except ValueError:

@@ -19,7 +19,7 @@ from unittest import mock
 
 import numpy as np
 
-from sunspin.base.untrusted import Elsewhere
+from sunspin.base.untrusted import IsolatedRunError
 from tests.support.corruptions import BYTES
 from validation import fuzz, pool
 from validation.border import judge, sunspin
@@ -153,16 +153,16 @@ class Unguarded(Corrupt):
     def prepare(self) -> None:
         super().prepare()
         for place, read in (
-            ("base.netcdf.elsewhere", lambda *_, **__: b""),
-            ("environment.ephemeris.elsewhere", run_here),
-            ("output.export.against.elsewhere", run_here),
-            ("philae.collision.elsewhere", run_here),
+            ("base.netcdf.run_isolated", lambda *_, **__: b""),
+            ("environment.ephemeris.run_isolated", run_here),
+            ("output.export.against.run_isolated", run_here),
+            ("philae.collision.run_isolated", run_here),
         ):
             self.stack.enter_context(mock.patch(f"sunspin.{place}", read))
 
 
 def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:  # noqa: ARG001
-    """What `sunspin.base.untrusted.elsewhere` does, without another process."""
+    """What `sunspin.base.untrusted.run_isolated` does, without another process."""
     import spiceypy as sp
 
     given, printed = (SimpleNamespace(buffer=io.BytesIO(text)) for text in (content, b""))
@@ -170,7 +170,7 @@ def run_here(script: Path, *arguments: str, content: bytes = b"", seconds: int) 
         try:
             runpy.run_path(str(script), run_name="__main__")
         except (Exception, SystemExit) as error:
-            raise Elsewhere(" ".join(str(error).split())[:200]) from None
+            raise IsolatedRunError(" ".join(str(error).split())[:200]) from None
         finally:
             sp.kclear()
     return printed.buffer.getvalue()

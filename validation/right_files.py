@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import sunspin as ss
 from sunspin.cli.check import check
 from sunspin.cli.rates import rates
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.file import parse_vehicle
 from validation.passes import unit
 
@@ -83,7 +83,9 @@ def make(folder: Path, seed: int, i: int) -> tuple[Path, Path, str]:
     places = np.linspace(-0.5, 0.5, 21)
     light = [
         [
-            ss.panel_power(craft, seen_turned(sun, (late + averaged * place) * omega))[:, k]
+            ss.panel_power(
+                craft, components_after_rotation(sun, (late + averaged * place) * omega)
+            )[:, k]
             for place in places
         ]
         for k, late in enumerate(offset)

@@ -337,7 +337,7 @@ def main(options: argparse.Namespace) -> int:
         rows["speed: processor time"] = {"commands": kept(path, partial(timed, run))}
     now = board(rows, state, options.level, seeds)
     text = json.dumps(now, indent=1)
-    atomic_write.write_whole(options.out, lambda part: part.write_text(text + "\n", "utf-8"))
+    atomic_write.write_atomically(options.out, lambda part: part.write_text(text + "\n", "utf-8"))
     before = None if options.against is None else json.loads(options.against.read_text("utf-8"))
     print(table(now, before))
     if before is None:

@@ -12,8 +12,8 @@ from sunspin.base.untrusted import plain_number
 from sunspin.cli import values
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
-from sunspin.landing.scenario import strategy_of
-from sunspin.vehicle.changes import changes_of
+from sunspin.landing.scenario import parse_strategy
+from sunspin.vehicle.changes import parse_changes
 from sunspin.vehicle.file import parse_vehicle
 
 SCRIPTS = (0x660, 0x6F0, 0x966, 0xFF10, 0x1D7CE)
@@ -171,7 +171,7 @@ def test_options_and_changes_of_values_accept_the_same_numbers(seed, capsys, mon
     assert values.numbers(f"1,{good}", "--omega-deg-s") == [1, float(good)]
     for wrong in (
         lambda: values.numbers(f"1,{odd}", "--omega-deg-s"),
-        lambda: strategy_of(ss.Vehicle("any"), f"delay:{odd}"),
+        lambda: parse_strategy(ss.Vehicle("any"), f"delay:{odd}"),
         lambda: values.period(f"{odd}+-1@10", None),
         lambda: values.prior(f"inertia={odd}", "--prior"),
         lambda: values.grid(f"0:1:{odd}", "--omega-x-deg-s"),
@@ -187,7 +187,7 @@ def test_options_and_changes_of_values_accept_the_same_numbers(seed, capsys, mon
 def test_a_changed_value_is_written_as_a_plain_decimal(value):
     with pytest.raises(VehicleError, match="number"):
         ss.load_vehicle("philae", [f"body.mass_kg={value}"])
-    read = changes_of(["a=-1.5e-3", "b=[1, 2.5, 3e2]", "c=+2.5", "d=_x", 'e=["a_b", "0x1"]'])
+    read = parse_changes(["a=-1.5e-3", "b=[1, 2.5, 3e2]", "c=+2.5", "d=_x", 'e=["a_b", "0x1"]'])
     assert [each.value for each in read] == [-1.5e-3, [1, 2.5, 300.0], 2.5, "_x", ["a_b", "0x1"]]
 
 

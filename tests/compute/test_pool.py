@@ -8,17 +8,17 @@ from multiprocessing import active_children
 import pytest
 
 from sunspin.base.errors import InputError
-from sunspin.compute.pool import may_fork, processes
+from sunspin.compute.pool import may_fork, process_pool
 
 
 def test_a_pool_of_one_computes_in_this_process():
-    with processes(1) as pool:
+    with process_pool(1) as pool:
         assert pool is None
 
 
 def test_an_exception_in_one_process_ends_all_at_once():
     before, begin = set(active_children()), time.monotonic()
-    with pytest.raises(KeyboardInterrupt), processes(2) as pool:
+    with pytest.raises(KeyboardInterrupt), process_pool(2) as pool:
         running = pool.submit(time.sleep, 1000.0)
         while not running.running():
             time.sleep(0.05)
@@ -29,7 +29,7 @@ def test_an_exception_in_one_process_ends_all_at_once():
 def test_a_process_killed_from_outside_is_reported_in_one_sentence():
     with (
         pytest.raises(InputError, match=r"ended from outside.*fewer workers"),
-        processes(2) as pool,
+        process_pool(2) as pool,
     ):
         pool.submit(os.abort).result()
 

@@ -13,7 +13,7 @@ import pytest
 import sunspin as ss
 from sunspin import cli
 from sunspin.base.errors import Interrupted
-from sunspin.compute.identity import plain
+from sunspin.compute.identity import to_json
 from sunspin.compute.rows import ensemble
 from tests.support.rows import ELSEWHERE, Waves, heed_interrupts, same
 
@@ -133,7 +133,7 @@ def test_the_command_line_prints_the_sentence_on_an_interruption(monkeypatch, ca
 def test_a_vehicle_can_be_pickled_to_another_process(name):
     vehicle = ss.load_vehicle(name)
     other = pickle.loads(pickle.dumps(vehicle))
-    assert plain(other) == plain(vehicle)
+    assert to_json(other) == to_json(vehicle)
     with pytest.raises(ValueError, match="read-only"):
         other.panels[0].normal_B[0] = 1.0
     with pytest.raises(TypeError):

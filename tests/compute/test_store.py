@@ -15,7 +15,7 @@ import pytest
 
 import sunspin as ss
 import sunspin.compute.store as disk
-from sunspin.base.atomic_write import hold
+from sunspin.base.atomic_write import lock_file
 from sunspin.compute.rows import ensemble
 from tests.support.rows import ELSEWHERE, Waves, same
 
@@ -92,7 +92,7 @@ def crash_at(monkeypatch, step: int) -> None:
         if next(steps) >= step:
             raise Crash
 
-    monkeypatch.setattr(disk, "write_whole", write)
+    monkeypatch.setattr(disk, "write_atomically", write)
 
 
 def test_a_run_that_ends_at_any_step_of_writing_is_resumed(tmp_path):
@@ -166,7 +166,7 @@ def test_a_store_of_other_inputs_or_another_version_of_the_package_is_refused(
 ):
     refused(complete, "other inputs", rows=Waves(pitch=0.38))
     refused(complete, "other inputs", rows=Waves(n_rows=999))
-    monkeypatch.setattr(disk, "code", lambda: {"code_sha256": "another"})
+    monkeypatch.setattr(disk, "code_identity", lambda: {"code_sha256": "another"})
     refused(complete, "another version")
 
 
@@ -191,7 +191,7 @@ def test_a_store_is_made_in_an_empty_or_a_missing_folder(tmp_path):
 
 def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, complete):
     with open(complete / "lock") as other:
-        hold(other)
+        lock_file(other)
         assert same(ensemble(ROWS, store=complete), WHOLE)
         sorted(complete.glob("rows-*.npz"))[0].unlink()
         refused(complete, "another run")
@@ -199,7 +199,7 @@ def test_one_run_at_a_time_writes_and_a_complete_store_is_read_by_all(tmp_path, 
 
 
 def test_a_full_disk_is_reported_and_the_store_is_resumed_later(tmp_path, monkeypatch):
-    def full(target, fill, write=disk.write_whole):
+    def full(target, fill, write=disk.write_atomically):
         if "-0000000400-" in target.name:
             with monkeypatch.context() as inner:
                 inner.setattr(os, "fsync", refuse)  # as a disk without room does
@@ -210,7 +210,7 @@ def test_a_full_disk_is_reported_and_the_store_is_resumed_later(tmp_path, monkey
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(disk, "write_whole", full)
+        patch.setattr(disk, "write_atomically", full)
         with pytest.raises(ss.OutputError, match="No space left.*free space"):
             ensemble(ROWS, store=tmp_path / "store", chunk=100, workers=1)
     assert not list((tmp_path / "store").glob("*.part"))

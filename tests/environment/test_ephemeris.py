@@ -11,7 +11,7 @@ import sunspin as ss
 from sunspin.environment.earth import Instants, J2000_from_TEME, earth_from_J2000
 from sunspin.environment.elements import parse_elements
 from sunspin.environment.ephemeris import read_orbit
-from sunspin.environment.orbit import in_orbit, turned
+from sunspin.environment.orbit import in_orbit, rotate_vectors
 
 VZLUSAT = """1 42790U 17036AB  17236.90928386  .00002510  00000-0  11640-3 0  9996
 2 42790  97.4437 295.9456 0012835  41.8426 318.3788 15.20921507  9461"""
@@ -28,9 +28,9 @@ def states(step: float, count: int, frame: str = "J2000") -> tuple[list[datetime
     when = Instants.of(BEGIN.isoformat() + "Z", t)
     both = np.array(elements.states(when.jd, when.fraction)) / 1e3
     if frame != "TEME":
-        both = turned(J2000_from_TEME(when), both)
+        both = rotate_vectors(J2000_from_TEME(when), both)
     if frame == "ITRF":
-        both = turned(earth_from_J2000(when), both)
+        both = rotate_vectors(earth_from_J2000(when), both)
     return [BEGIN + timedelta(seconds=float(s)) for s in t], np.concatenate(both, axis=1)
 
 

@@ -22,7 +22,7 @@ from sunspin.environment.earth import (
 from sunspin.environment.elements import nearest, parse_elements
 from sunspin.environment.ephemeris import read_orbit
 from sunspin.environment.field import field_map
-from sunspin.environment.light import REFLECTIVITY, albedo_light, covered, lit
+from sunspin.environment.light import REFLECTIVITY, albedo_light, covered_fraction, sunlit_fraction
 from sunspin.environment.orbit import SunAlongZ, in_orbit
 
 VANGUARD = """1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
@@ -190,17 +190,17 @@ def test_the_interpolated_field_agrees_with_IGRF_to_two_nanotesla():
 
 def test_the_lit_part_of_the_sun_is_that_of_overlapping_discs():
     apart = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 9.0])
-    equal = covered(apart, np.ones(6), np.ones(6))
+    equal = covered_fraction(apart, np.ones(6), np.ones(6))
     lens = (
         [1.0]
         + [(2 * np.arccos(d / 2) - d / 2 * np.sqrt(4 - d * d)) / np.pi for d in apart[1:5]]
         + [0.0]
     )
     np.testing.assert_allclose(equal, lens, atol=1e-12)
-    assert covered(np.array([1.0]), np.array([0.01]), np.array([1.0]))[0] == pytest.approx(
+    assert covered_fraction(np.array([1.0]), np.array([0.01]), np.array([1.0]))[0] == pytest.approx(
         0.5, abs=5e-3
     )  # a straight border
-    assert covered(np.array([0.1]), np.array([0.5]), np.array([0.2]))[0] == pytest.approx(
+    assert covered_fraction(np.array([0.1]), np.array([0.5]), np.array([0.2]))[0] == pytest.approx(
         0.16
     )  # an annular eclipse
 
@@ -211,7 +211,7 @@ def test_eclipse_lasts_as_long_as_the_shadow_is_wide():
     r, angle = EQUATOR_M + 4e5, np.linspace(0, 2 * np.pi, 200_001)[:-1]
     place = r * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     sun = np.tile([1.495978707e11, 0, 0], (len(angle), 1))
-    part = lit(place, sun)
+    part = sunlit_fraction(place, sun)
     assert (1 - part).mean() == pytest.approx(2 * np.arcsin(EQUATOR_M / r) / (2 * np.pi), rel=1e-3)
     penumbra = ((part > 0) & (part < 1)).mean() * 2 * np.pi / 2
     # the Sun's disc of 0.533 degrees crosses the horizon; the limb is seen at cos(angle) = R / r
@@ -230,7 +230,7 @@ def test_the_shadow_has_the_oblateness_of_the_earth():
             [-1e5, EQUATOR_M + 2e3, 0],
         ]
     )
-    assert lit(behind, np.array([[1.495978707e11, 0, 0]])).tolist() == [0, 1, 0, 1]
+    assert sunlit_fraction(behind, np.array([[1.495978707e11, 0, 0]])).tolist() == [0, 1, 0, 1]
 
 
 def test_albedo_of_the_full_earth_agrees_with_the_closed_form():

@@ -19,7 +19,7 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.calibrate import sensors as calibrate
 from sunspin.estimate.calibrate.gyro import GyroFit, fit_gyro
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict
-from sunspin.vehicle.rewrite import NewValue, rewritten
+from sunspin.vehicle.rewrite import NewValue, rewrite_values
 from sunspin.vehicle.sensors import Gyro
 from tests.support.calibration_cases import calibration_case, deviations
 
@@ -172,7 +172,9 @@ def test_written_keys_of_a_gyro_with_reversed_columns_read_as_the_fit():
     keys = {key.key: key.value for key in calibrate._gyro_keys(gyro, fit)}
     now = replace(gyro, zero=keys["zero"], scale_rad_s=float(keys["scale_rad_s"][0]))
     np.testing.assert_allclose(
-        now.seen(read)[1], (gyro.seen(read)[1] - fit.values[:3]) / fit.values[3], atol=1e-12
+        now.interpret(read).values,
+        (gyro.interpret(read).values - fit.values[:3]) / fit.values[3],
+        atol=1e-12,
     )
 
 
@@ -203,7 +205,7 @@ def test_the_calibrated_copy_keeps_order_and_comments_of_the_vehicle_file():
         NewValue(field, "scale_T", 2e-9, 1e-11, "s"),
         NewValue(("gyro",), "scale_rad_s", 1.1, 0.01, "s"),
     ]
-    text = rewritten(FILE, new)
+    text = rewrite_values(FILE, new)
     assert [line for line in text.splitlines() if line not in FILE.splitlines()] == [
         'relative_gain = {value = 6.5, sigma = 0.1, source = "s"}   # of the second batch',
         'zero = {value = [1.0, 2.0, 3.0], sigma = [0.1, 0.1, 0.1], source = "s"}   # by the data sheet',
@@ -215,7 +217,7 @@ def test_the_calibrated_copy_keeps_order_and_comments_of_the_vehicle_file():
         and tomllib.loads(text)["gyro"]["scale_rad_s"]["value"] == 1.1
     )
     with pytest.raises(ss.VehicleError, match=r"the vehicle file has no table \[panel\.-X\]"):
-        rewritten(FILE, [NewValue(("panel", "-X"), "gain_W", 1.0, 0.1, "s")])
+        rewrite_values(FILE, [NewValue(("panel", "-X"), "gain_W", 1.0, 0.1, "s")])
 
 
 def test_calibrate_sensors_writes_a_copy_and_never_overwrites_a_file(tmp_path, monkeypatch):

@@ -237,6 +237,6 @@ def test_a_file_with_shared_inputs_has_their_symmetric_solutions(shared, count):
     channels = tuple(Channel(name, (f"+{name}", f"-{name}"), "sum") for name in shared)
     craft = body(channels=channels)
     found = equivalence(lit(craft), AS_WRITTEN, AS_WRITTEN)
-    images = craft.response_in().images
+    images = craft.response_in().symmetries
     assert len(found) == len(images) == count
     assert all(np.abs(found - image).max(axis=(1, 2)).min() < 1e-9 for image in images)

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 NAMES, NORMALS = ("+x", "+y", "+z", "-x", "-y", "-z"), np.vstack([np.eye(3), -np.eye(3)])
@@ -42,7 +42,7 @@ def test_stated_reading_offsets_give_right_rates_that_would_be_wrong_without():
     )
     omega, sun = run["omega_B"].values, run["sun_B"].values
     light = [
-        ss.panel_power(vehicle(False), seen_turned(sun, late * omega))[:, k]
+        ss.panel_power(vehicle(False), components_after_rotation(sun, late * omega))[:, k]
         for k, late in enumerate(OFFSET_S)
     ]
     power = np.maximum(np.stack(light, axis=1) + 0.01 * rng.normal(size=(25, 6)), 0)

@@ -21,8 +21,8 @@ from sunspin.estimate.posterior.verdict import Found, believed, dark_stretch, si
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
 from sunspin.output.verdicts import explained
-from sunspin.solve.rotations import moved
-from sunspin.solve.weights import _shape, effective_draws, pareto_tail
+from sunspin.solve.rotations import move_on_sphere
+from sunspin.solve.weights import _pareto_shape, effective_draws, pareto_tail
 from tests.support.vehicles import small_cube
 
 SUN = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
@@ -263,7 +263,7 @@ def test_derivatives_of_the_posterior_agree_with_those_of_another_step_size(reac
     likelihood = Likelihood(replace(unknown, after_s=124.477), data, 1e-6)
     state = State(
         np.array([[0.18497558, 0.22550964, 0.11285405]]),
-        moved(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
+        move_on_sphere(np.array([[-0.303, -0.153, 0.940]]), np.zeros((1, 2))),
         np.zeros((1, len(unknown.unknowns))),
     )
     base, *_, jacobian, moves = likelihood.linearised(state)
@@ -291,7 +291,7 @@ def test_derivatives_of_the_posterior_agree_with_those_of_another_step_size(reac
             (omega if j < 3 else tangent if j < 5 else u)[
                 :, j if j < 3 else j - 3 if j < 5 else j - 5
             ] = sign * step
-            other = State(state.omega + omega, moved(state.sun, tangent), state.u + u)
+            other = State(state.omega + omega, move_on_sphere(state.sun, tangent), state.u + u)
             ends.append(likelihood.misfit(likelihood.predict(other, 1e-10), other.u)[0])
         expected = (ends[0] - ends[1]) / (2 * step)
         off = np.abs(expected - jacobian[..., j]).max() / np.abs(expected).max()
@@ -307,7 +307,7 @@ def test_heavy_tails_of_the_weights_are_reported():
     assert pareto_tail(rng.exponential(1.0, 5000)) > 0.8  # weights with a Pareto tail of shape one
     for shape in (-0.4, 0.0, 0.6):
         x = genpareto.rvs(shape, size=300, random_state=rng)
-        assert _shape(x / x.mean()) == pytest.approx(
+        assert _pareto_shape(x / x.mean()) == pytest.approx(
             genpareto.fit(x / x.mean(), floc=0)[0], abs=1e-3
         )
 

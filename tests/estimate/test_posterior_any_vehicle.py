@@ -24,7 +24,7 @@ from sunspin.estimate.posterior.fit import Fit
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Search
-from sunspin.solve.rotations import moved
+from sunspin.solve.rotations import move_on_sphere
 from sunspin.vehicle import Vehicle
 from tests.support.any_vehicle import judge_posterior, posterior_case
 from tests.support.vehicles import small_cube
@@ -121,7 +121,7 @@ def test_trial_solutions_are_joined_with_better_ones_nearby_and_none_is_lost():
     rng = np.random.default_rng(1)
     cloud = State(
         0.1 + 0.002 * rng.standard_normal((60, 3)),
-        moved(np.tile(SUN, (60, 1)), 0.02 * rng.standard_normal((60, 2))),
+        move_on_sphere(np.tile(SUN, (60, 1)), 0.02 * rng.standard_normal((60, 2))),
         rng.standard_normal((60, 2)),
     )
     scale = np.array([0.002] * 3 + [0.02] * 2 + [1.0] * 2)
@@ -144,7 +144,7 @@ def test_trial_solutions_of_one_motion_are_fitted_completely_before_they_are_joi
     u[:, unknown.where("noise")] = np.log(2) / 0.3
     state = State(
         RATE + 2e-3 * rng.standard_normal((n, 3)),
-        moved(np.tile(SUN, (n, 1)), 0.1 * rng.standard_normal((n, 2))),
+        move_on_sphere(np.tile(SUN, (n, 1)), 0.1 * rng.standard_normal((n, 2))),
         u,
     )
     likelihood, ones = Likelihood(unknown, data), np.ones(n)

@@ -14,7 +14,7 @@ from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.mixture import Mixture, Sheet
 from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.modes import Modes
-from sunspin.solve.rotations import moved
+from sunspin.solve.rotations import move_on_sphere
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 UNKNOWNS = 4
@@ -27,7 +27,7 @@ def mixture(seed: int, count: int) -> Mixture:
     d = 5 + UNKNOWNS
     centre = State(
         0.1 * rng.standard_normal((count, 3)),
-        moved(np.tile([0.0, 0.6, 0.8], (count, 1)), rng.normal(size=(count, 2))),
+        move_on_sphere(np.tile([0.0, 0.6, 0.8], (count, 1)), rng.normal(size=(count, 2))),
         rng.standard_normal((count, UNKNOWNS)),
     )
     root = 0.1 * rng.standard_normal((count, d, d)) + 0.3 * np.eye(d)

@@ -19,7 +19,7 @@ from sunspin.estimate.posterior.turns import drawn_turns
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.parts import Fact
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma
 
 RATE, SUN = (
     np.array([0.05, -0.08, 0.11]),
@@ -76,7 +76,7 @@ def test_derivatives_by_panel_misalignment_agree_with_differences(cube, tilted):
 
 def test_misalignment_sigmas_come_from_the_file_unless_given(cube):
     assert (
-        not np.any([*stated_sigma(cube)[0], stated_sigma(cube)[1]])
+        not np.any([*misalignment_sigma(cube)[0], misalignment_sigma(cube)[1]])
         and model(cube, PRIORS, 0.5)[0].turns is None
     )
     facts = {
@@ -84,7 +84,7 @@ def test_misalignment_sigmas_come_from_the_file_unless_given(cube):
         "panel.Z.normal_B": Fact([0.0, 0.0, -1.0], [0.03, 0.04, 0.0]),
     }
     stated = replace(cube, facts=facts)
-    assert stated_sigma(stated)[0] == pytest.approx([0, 0.02, 0, 0, 0, 0.05 / 3**0.5])
+    assert misalignment_sigma(stated)[0] == pytest.approx([0, 0.02, 0, 0, 0, 0.05 / 3**0.5])
     unknown, told = model(stated, PRIORS, 0.5)
     named = [x.name for x in unknown.unknowns if x.kind == "tilt"]
     assert named == [f"tilt_{panel}_{side}_rad" for panel in "yZ" for side in (1, 2)]
@@ -94,7 +94,7 @@ def test_misalignment_sigmas_come_from_the_file_unless_given(cube):
     file = parse_vehicle(
         'name = "a"\n[[panel]]\nname = "x"\nnormal_B = [1, 0, 0]\ngain_A = 1\n' + form, "here"
     )
-    assert stated_sigma(file)[1] == 0.05
+    assert misalignment_sigma(file)[1] == 0.05
     np.testing.assert_allclose(file.panel_normals_B, [[np.cos(0.2), np.sin(0.2), 0]], atol=1e-15)
     np.testing.assert_allclose(ss.panel_power(file, [0, 1, 0]), [np.sin(0.2)], atol=1e-15)
     across = (

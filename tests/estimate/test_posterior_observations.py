@@ -12,7 +12,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.posterior.likelihood import Likelihood
 from sunspin.estimate.posterior.model import State, model
-from sunspin.solve.rotations import moved
+from sunspin.solve.rotations import move_on_sphere
 from sunspin.vehicle import Friction, Vehicle, Wheel
 from tests.support.vehicles import small_cube
 
@@ -81,7 +81,7 @@ def test_derivatives_by_rate_and_wheel_speed_agree_with_differences(craft, telem
             (omega if j < 3 else tangent if j < 5 else u)[
                 :, j if j < 3 else j - 3 if j < 5 else j - 5
             ] += sign * step
-            other = State(omega, moved(state.sun, tangent), u)
+            other = State(omega, move_on_sphere(state.sun, tangent), u)
             ends.append(found.misfit(found.predict(other, 1e-10), other.u)[0])
         expected = (ends[0] - ends[1]) / (2 * step)
         assert np.abs(expected - jacobian[..., j]).max() < 5e-3 * np.abs(expected).max(), j

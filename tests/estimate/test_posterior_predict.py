@@ -12,7 +12,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimate.posterior.model import model
 from sunspin.estimate.posterior.predict import intervals, predict
-from sunspin.landing.predictions import predicted
+from sunspin.landing.predictions import predict_through_collision
 from sunspin.vehicle import Friction
 from sunspin.vehicle.assumptions import Collision
 from tests.support.philae import AS_DRAWN, AS_DRAWN_TRUTH, philae_draws
@@ -60,7 +60,7 @@ def test_predicted_rates_before_and_after_the_collision_agree_with_the_simulated
     """One draw at the truth: 16:20 is as in the truth of the file, and what comes after is one of the three legs' many outcomes."""
     truth = AS_DRAWN_TRUTH
     tree, _ = philae_draws(400)
-    found = predicted(craft, tree, [COLLISION, LATER], seed=3)
+    found = predict_through_collision(craft, tree, [COLLISION, LATER], seed=3)
     assert (
         found["after_collision"].values.tolist() == [False, True]
         and "leg" in found.attrs["collision"]
@@ -73,10 +73,13 @@ def test_predicted_rates_before_and_after_the_collision_agree_with_the_simulated
         truth["collision_omega_after_B"]
     )  # its size hardly changes once the wheel is at rest
     assert after.min() < true < after.max() and after.std() > 0.03
-    again, other = predicted(craft, tree, [LATER], seed=3), predicted(craft, tree, [LATER], seed=4)
+    again, other = (
+        predict_through_collision(craft, tree, [LATER], seed=3),
+        predict_through_collision(craft, tree, [LATER], seed=4),
+    )
     assert np.array_equal(again["omega_B"].values[0, :, 0], found["omega_B"].values[0, :, 1])
     assert not np.array_equal(again["omega_B"].values, other["omega_B"].values)
-    bounced = predicted(
+    bounced = predict_through_collision(
         craft, tree, [COLLISION, LATER], seed=3, collision=Collision(restitution=0.3)
     )
     assert np.array_equal(bounced["omega_B"].values[0, :, 0], found["omega_B"].values[0, :, 0])
@@ -89,7 +92,7 @@ def test_predicted_rates_before_and_after_the_collision_agree_with_the_simulated
 def test_without_a_known_collision_a_prediction_continues_the_flight(craft):
     tree, _ = philae_draws(2)
     del tree.attrs["epoch_utc"]
-    found = predicted(craft, tree, [LATER])
+    found = predict_through_collision(craft, tree, [LATER])
     assert not found["after_collision"].values.any() and found.attrs["collision"].startswith("none")
     assert np.array_equal(found["omega_B"].values, predict(craft, tree, [LATER])["omega_B"].values)
 
@@ -120,13 +123,13 @@ def test_a_prediction_with_another_vehicle_is_refused(craft):
 
 def test_a_prediction_is_saved_drawn_and_summarised(craft, tmp_path):
     from sunspin.cli.values import times
-    from sunspin.landing.predictions import with_predictions
+    from sunspin.landing.predictions import add_predictions
     from sunspin.output.kinds.predictions import predicted_figure, predictions_summary
 
     tree, _ = philae_draws(50, 0.003)
     asked = times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])
     assert list(asked) == [25300.0, COLLISION, LATER]
-    with_predictions(craft, tree, asked, 0)
+    add_predictions(craft, tree, asked, 0)
     told = predictions_summary(tree["predictions"].to_dataset())
     assert len(told["predicted"]) == 30 and json.dumps(told)
     text = str(told)

@@ -13,7 +13,7 @@ from sunspin.estimate.rates.start import aliases
 from sunspin.estimate.rates.state import Observations, Track
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.output.kinds.rates import rates_summary, rates_tables
-from sunspin.solve.rotations import turn_between
+from sunspin.solve.rotations import rotation_between
 from sunspin.vehicle import Fact
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, simulated_pass, uneven_times
 
@@ -259,7 +259,7 @@ def test_the_derivatives_of_a_motion_step_agree_with_differences(body):
     small = 1e-4 * rng.normal(size=(5, 3))
     moved, rate = step(body, omega + small, dt, ends)
     told = np.einsum("nij,nj->ni", answer[:, :3, 3:], small)
-    assert np.abs(turn_between(matrix, moved) - told).max() < 2e-5
+    assert np.abs(rotation_between(matrix, moved) - told).max() < 2e-5
     assert (
         np.abs(
             rate

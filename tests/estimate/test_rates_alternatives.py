@@ -29,7 +29,7 @@ from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.steady_torque import SteadyTorque
 from sunspin.estimate.terms.sun_direction import SunDirection
 from sunspin.estimate.terms.term import Seen, facing
-from sunspin.solve.rotations import turn_between
+from sunspin.solve.rotations import rotation_between
 from sunspin.vehicle.sensors import Gyro, Sensors
 from validation.passes import FACES, MOMENTS, seen, spin, unit
 
@@ -50,7 +50,7 @@ def test_the_effect_of_a_steady_torque_agrees_with_the_equations_of_motion(frame
     t, size = np.array([0.0, 10.0]), 1e-6 * np.array([1.0, -2.0, 1.5])
     free, turned = spin(START, t)
     moved, attitude = spin(START, t, pushed(size, frame == "B"))
-    expected = np.concatenate([turn_between(turned, attitude)[1], (moved - free)[1]])
+    expected = np.concatenate([rotation_between(turned, attitude)[1], (moved - free)[1]])
     made = (
         SteadyTorque(1.0, frame, INERTIA).pushes(Seen(turned[None], free[None]), np.diff(t))[0, 0]
         @ size

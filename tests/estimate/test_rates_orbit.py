@@ -13,7 +13,7 @@ from sunspin.estimate.rates.observe import observations, passes
 from sunspin.estimate.rates.smooth import between
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import normal
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import rotate_attitude
 from sunspin.vehicle import Panel, Vehicle
 from tests.support.simulate import (
     CUBE,
@@ -63,7 +63,7 @@ def test_the_albedo_model_is_that_of_a_wide_disk(reached):
     normals = np.column_stack([np.sin(turned), np.zeros(19), np.cos(turned)])
     area = np.sin(away) * EARTH_RADIUS / 300 * 2 * np.pi / 300 / (np.pi * np.sin(EARTH_RADIUS) ** 2)
     true = (np.maximum(ray @ normals.T, 0) * area[..., None]).sum(axis=(0, 1))
-    told, _ = panels_of(normals).disc(np.array([0.0, 0.0, 1.0]), np.array(1.0))
+    told, _ = panels_of(normals).earthlight(np.array([0.0, 0.0, 1.0]), np.array(1.0))
     reached("light of the Earth on a panel", np.abs(told - true), "of the most", limit=0.06)
     assert np.abs(told - true).max() < 0.06
 
@@ -79,7 +79,8 @@ def test_the_gradient_by_attitude_gains_albedo_and_zeros_is_that_of_the_cost():
     ]
     small = [sign * 1e-5 * one for one in np.eye(len(slope)) for sign in (1, -1)]
     changed = [
-        (replace(track, attitude=turn(track.attitude, one[:3])), error + one[3:]) for one in small
+        (replace(track, attitude=rotate_attitude(track.attitude, one[:3])), error + one[3:])
+        for one in small
     ]
     cost = np.array([normal(panels, seen, off)[2].sum() for seen, off in changed])
     assert len(slope) == 3 + 6 + 6 + 6
@@ -107,7 +108,7 @@ def test_derivatives_of_the_field_by_attitude_agree_with_differences():
     value, first, second = between(o, here, motion)
     assert np.abs(value[..., 6:]).max() < 1e-9
     small = 1e-6 * rng.normal(size=(1, len(o), 3))
-    beside = replace(here, attitude=turn(attitude[None], small))
+    beside = replace(here, attitude=rotate_attitude(attitude[None], small))
     parts = (first, small[:, :-1]), (second, small[:, 1:])
     told = sum(np.einsum("knij,knj->kni", answer[..., 6:, :3], turned) for answer, turned in parts)
     assert np.abs(told).max() > 1e-5

@@ -19,7 +19,7 @@ from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import SUN_N, Seen, normal
 from sunspin.output.export import attitude_of
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import rotate_attitude
 from tests.support.orbit_cases import orbit_of, pass_against_truth, rates_case
 
 CASE_NUMBER = 3
@@ -53,7 +53,8 @@ def test_the_gradient_by_a_known_field_is_that_of_the_cost():
     slope = normal(term, track, error)[1].sum(axis=1)[0]
     small = [sign * 1e-6 * one for one in np.eye(19) for sign in (1, -1)]
     changed = [
-        (replace(track, attitude=turn(track.attitude, one[:3])), error + one[6:]) for one in small
+        (replace(track, attitude=rotate_attitude(track.attitude, one[:3])), error + one[6:])
+        for one in small
     ]
     cost = np.array([normal(term, at, off)[2].sum() for at, off in changed])
     np.testing.assert_allclose(slope, (cost[::2] - cost[1::2]) / 2e-6, rtol=1e-4, atol=1e-3)
@@ -81,7 +82,7 @@ def test_a_magnetic_torque_is_averaged_over_revolutions_between_samples(size, kn
     dt = np.diff(TIMES)
     pushed = term.pushes(track, dt)[0, 3]
     share = (np.arange(4000) + 0.5) / 4000
-    attitude = turn(track.attitude[0, 3], share[:, None] * track.omega[0, 3] * dt[3])
+    attitude = rotate_attitude(track.attitude[0, 3], share[:, None] * track.omega[0, 3] * dt[3])
     if known:
         unit = [0.3, -0.4, 1.2] / np.linalg.norm([0.3, -0.4, 1.2])
         each = np.cross(np.eye(3), (attitude @ unit)[:, None]) / np.sqrt(2)

@@ -24,7 +24,7 @@ from sunspin.estimate.rates.state import Motion
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
 from validation.spinners import AS_MOUNTED, Case, make
 
@@ -179,7 +179,7 @@ def test_revolutions_between_kept_samples_contradict_the_magnetometer_in_between
     seen = dense.filled(fit.track)
     time = np.interp(every.t_s, every.t_s[place], np.arange(len(place)))
     angle = 2 * np.pi * (time - np.floor(time))[:, None] * [0, 1, 0]  # about the axis of the spin
-    more = replace(seen, attitude=turn(seen.attitude, angle[None]))
+    more = replace(seen, attitude=rotate_attitude(seen.attitude, angle[None]))
     right, turned_once_more = (
         residuals(every, place, each, Fitted(part, fit.track, fit.error, motion, None))
         for each in (seen, more)

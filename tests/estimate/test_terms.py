@@ -26,7 +26,7 @@ from sunspin.estimate.rates.state import Motion, Track
 from sunspin.estimate.terms.gyro import Gyro
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.term import Seen, facing, normal
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import rotate_attitude
 from sunspin.vehicle.sensors import Sensors
 from tests.support.simulate import CUBE, GYRO, MAGNETOMETER, cube_with_late_sensor
 
@@ -156,7 +156,9 @@ def test_a_sensor_that_disagrees_is_left_out_by_evidence():
     o, truth = both(samples=20)
     motion = Motion(Body.of(craft()), 1e-5, 0.1)
     gyro = only(o, Gyro)
-    turned = replace(gyro, rate_B=gyro.rate_B @ turn(np.eye(3), np.radians([60.0, 0.0, 0.0])).T)
+    turned = replace(
+        gyro, rate_B=gyro.rate_B @ rotate_attitude(np.eye(3), np.radians([60.0, 0.0, 0.0])).T
+    )
 
     def run(one):
         fit = with_common(one.o.freed(), truth, one.motion, None)

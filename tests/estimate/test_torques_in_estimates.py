@@ -12,10 +12,17 @@ import sunspin as ss
 from sunspin.dynamics.torques import acting
 from sunspin.environment import circular
 from sunspin.estimate.posterior.data import readings
-from sunspin.estimate.posterior.likelihood import Likelihood, moved
+from sunspin.estimate.posterior.likelihood import Likelihood, move_on_sphere
 from sunspin.estimate.posterior.model import State, model, under
 from sunspin.estimate.posterior.predict import drawn_rows
-from sunspin.estimate.rates.motion import FREE, Body, step, step_with_answer, turn, turn_between
+from sunspin.estimate.rates.motion import (
+    FREE,
+    Body,
+    rotate_attitude,
+    rotation_between,
+    step,
+    step_with_answer,
+)
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 
 ORBIT = circular(1.1e-3, [0.0, 1.0, 0.3], [0.0, 0.0, 1.0])
@@ -98,10 +105,10 @@ def test_derivatives_of_a_step_under_torques_agree_with_differences():
     made, rate, answer = step_with_answer(body, omega, dt, body.seen(FREE, attitude, 50.0))
     for k in range(3):
         small = 1e-4 * np.eye(3)[k]
-        other = turn(attitude, small)
+        other = rotate_attitude(attitude, small)
         ended, rates = step(body, omega, dt, body.seen(FREE, other, 50.0))
         np.testing.assert_allclose(
-            turn_between(made @ attitude, ended @ other) / 1e-4, answer[..., :3, k], atol=2e-4
+            rotation_between(made @ attitude, ended @ other) / 1e-4, answer[..., :3, k], atol=2e-4
         )
         np.testing.assert_allclose((rates - rate) / 1e-4, answer[..., 3:, k], atol=2e-6)
     assert (
@@ -166,7 +173,7 @@ def test_the_posterior_motion_under_torques_agrees_with_the_reference_and_its_di
     place = own.model.where("turn")[0]
     for column, size, there in (
         (0, 1e-6, lambda x: State(state.omega + [x, 0, 0], state.sun, u)),
-        (3, 1e-4, lambda x: State(RATE[None], moved(state.sun, np.array([[x, 0]])), u)),
+        (3, 1e-4, lambda x: State(RATE[None], move_on_sphere(state.sun, np.array([[x, 0]])), u)),
         (
             5 + place,
             1e-3,

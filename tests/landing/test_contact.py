@@ -14,7 +14,7 @@ BOX = np.array(list(product((-1.0, 1.0), (-2.0, 2.0), (-3.0, 3.0))))
 
 
 def box(shift=(0.0, 0.0, 0.0)) -> c.Shape:
-    return c.shape_of(Vehicle("box", hull=[HullPart("box", BOX + shift)]))
+    return c.build_shape(Vehicle("box", hull=[HullPart("box", BOX + shift)]))
 
 
 def unit(x):
@@ -27,7 +27,7 @@ def test_the_support_function_of_a_box_is_the_sum_of_its_half_sides():
 
 
 def test_philae_rests_on_three_legs_and_panels_share_corners():
-    shape = c.shape_of(ss.load_vehicle("philae"))
+    shape = c.build_shape(ss.load_vehicle("philae"))
     assert (shape.kind == 0).sum() == 3 and shape.complete
     lid = shape.panels[:, 5]
     assert lid.sum() == 6 and np.all(shape.panels[lid].sum(axis=1) >= 2)
@@ -35,7 +35,7 @@ def test_philae_rests_on_three_legs_and_panels_share_corners():
     assert shape.facet_kind[standing[0]] == 0
     upside_down = c.rest_facet(shape, np.array([[0.0, 0.0, -1.0]]))
     assert shape.facet_kind[upside_down[0]] == 1
-    assert c.legs_down(shape, np.array([0.0, 0.0, 1.0])) and not c.legs_down(
+    assert c.is_leg_lowest(shape, np.array([0.0, 0.0, 1.0])) and not c.is_leg_lowest(
         shape, np.array([0.0, 0.0, -1.0])
     )
 
@@ -48,7 +48,7 @@ def test_a_hull_corner_at_a_leg_tip_counts_as_leg_and_others_as_body():
         legs=[Leg("a", BOX[0])],
         hull=[HullPart("lid", BOX[1:3], "top"), HullPart("b", BOX)],
     )
-    shape = c.shape_of(vehicle)
+    shape = c.build_shape(vehicle)
     assert len(shape.points_B_m) == 8
     assert sorted(shape.kind) == [0, 1, 1, 2, 2, 2, 2, 2]
 
@@ -71,7 +71,7 @@ def test_a_tower_whose_centre_of_mass_is_outside_its_foot_tips_over():
         [[0.5, -1, -3], [1, -1, -3], [0.5, 1, -3], [1, 1, -3]],
         [[-2, -1, 1], [1, -1, 1], [-2, 1, 1], [1, 1, 1]],
     )
-    shape = c.shape_of(Vehicle("tower", hull=[HullPart("all", [*foot, *top])]))
+    shape = c.build_shape(Vehicle("tower", hull=[HullPart("all", [*foot, *top])]))
     facet = c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
     assert shape.outward_B[facet[0]][2] > -0.99
     inside = c.rest_facet(shape, -shape.outward_B[facet])
@@ -83,8 +83,8 @@ def test_a_centre_of_mass_outside_the_hull_gives_no_resting_face():
     assert shape.outward_B is None
     with pytest.raises(ss.InputError, match="no facet"):
         c.rest_facet(shape, np.array([[0.0, 0.0, 1.0]]))
-    assert c.shape_of(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).outward_B is None
-    assert c.shape_of(Vehicle("nothing")) is None
+    assert c.build_shape(Vehicle("flat", hull=[HullPart("plate", BOX[:4])])).outward_B is None
+    assert c.build_shape(Vehicle("nothing")) is None
 
 
 def spin(rate, t, phase):
@@ -116,7 +116,7 @@ def test_the_rate_at_contact_is_that_at_the_contact_time():
 def test_the_contact_of_a_rotating_rod_agrees_with_a_dense_search():
     """Height of the centre v (T - t) against L |cos(angle)|, the angle growing at a constant rate."""
     rng, n, t = np.random.default_rng(4), 60, np.linspace(0, 40, 101)
-    shape = c.shape_of(Vehicle("rod", hull=[HullPart("rod", [[0, 0, -1.5], [0, 0, 1.5]])]))
+    shape = c.build_shape(Vehicle("rod", hull=[HullPart("rod", [[0, 0, -1.5], [0, 0, 1.5]])]))
     rate, phase, v = (
         rng.uniform(-0.8, 0.8, n),
         rng.uniform(0, 2 * np.pi, n),

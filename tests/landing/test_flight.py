@@ -5,7 +5,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.dynamics.ensemble import Rows
-from sunspin.landing.flight import carry, fly, sun_height_shares
+from sunspin.landing.flight import fly, rz_time_shares, transfer_directions
 from sunspin.vehicle import Friction, Vehicle, Wheel
 from tests.support.vehicles import FIRST_SUN
 
@@ -34,7 +34,7 @@ def test_a_chain_of_kernel_runs_agrees_with_the_reference_schedule(name):
     track = fly(vehicle, start, SCHEDULES[name], 0.0, times)
     fixed = np.tile([0.6, -0.48, 0.64], (6, 1))
     momentum = fly(vehicle, start, SCHEDULES[name], 0.0, np.array([1e-3])).momentum_B[:, 0]
-    carried = carry(fixed, (momentum, start.sun_B), (track.momentum_B, track.sun_B))
+    carried = transfer_directions(fixed, (momentum, start.sun_B), (track.momentum_B, track.sun_B))
     for i in range(len(start)):
         run = ss.propagate(
             vehicle,
@@ -55,7 +55,9 @@ def test_a_chain_of_kernel_runs_agrees_with_the_reference_schedule(name):
             [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=-1
         )  # of N's first axis
         first = np.tile([1.0, 0.0, 0.0], (6, 1))
-        got = carry(first, (momentum, start.sun_B), (track.momentum_B, track.sun_B))[i]
+        got = transfer_directions(first, (momentum, start.sun_B), (track.momentum_B, track.sun_B))[
+            i
+        ]
         np.testing.assert_allclose(got, image, atol=5e-2)
     np.testing.assert_allclose(np.linalg.norm(carried, axis=-1), 1.0, atol=1e-9)
 
@@ -71,7 +73,7 @@ def test_a_flight_backward_and_forward_returns_to_its_start():
 
 def test_shares_of_time_agree_with_a_dense_track_and_sum_to_one():
     vehicle, start = ss.load_vehicle("philae"), rows(3)
-    share, outcome = sun_height_shares(vehicle, start, SCHEDULES["delayed"], 0.0, 1400.0, 80)
+    share, outcome = rz_time_shares(vehicle, start, SCHEDULES["delayed"], 0.0, 1400.0, 80)
     np.testing.assert_allclose(share.sum(axis=1), 1.0, rtol=1e-12)
     assert not outcome.any()
     t = np.arange(0.0, 1400.0, 0.25)
@@ -94,7 +96,7 @@ def test_shares_of_time_weigh_each_part_of_the_flight_by_its_duration():
     wheel = Wheel("w", [1, 0, 0], 0.01, 100.0, Friction(1e-4, 0.0))
     craft = Vehicle("wheel on x", np.diag([3.0, 2.5, 2.0]), wheels=[wheel])
     start = Rows(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.array([[100.0]]))
-    share, _ = sun_height_shares(craft, start, SCHEDULES["delayed"], 0.0, 1000.0, 80)
+    share, _ = rz_time_shares(craft, start, SCHEDULES["delayed"], 0.0, 1000.0, 80)
     moved = np.sqrt(
         2 * (3.0 - 0.01) * np.arccos(1 - 2 / 80) / 1e-4
     )  # s until r_z leaves the highest bin

@@ -9,7 +9,7 @@ import pytest
 import sunspin as ss
 from sunspin.compute.rows import ensemble
 from sunspin.landing import scenario as sc
-from sunspin.landing.outcomes import OutcomeRows, candidates_of
+from sunspin.landing.outcomes import OutcomeRows, read_candidates
 from sunspin.landing.strategies import best_delay, compare
 from sunspin.landing.tally import density, effective_runs, estimate, lowest_rz, probability, tally
 from sunspin.philae.rebound import published_candidates
@@ -33,8 +33,8 @@ def paper(case):
 
 def rows_of(case, n=24, strategy="off", **changes) -> OutcomeRows:
     scenario = replace(sc.case_scenario(case), **changes)
-    candidates = candidates_of(case.vehicle, published_candidates(case), scenario)
-    how = sc.strategy_of(case.vehicle, strategy)
+    candidates = read_candidates(case.vehicle, published_candidates(case), scenario)
+    how = sc.parse_strategy(case.vehicle, strategy)
     return OutcomeRows(case.vehicle, scenario, how, *candidates, n, 3)
 
 

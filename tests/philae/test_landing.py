@@ -6,7 +6,7 @@ import pytest
 import sunspin as ss
 from sunspin.landing import strategies as st
 from sunspin.landing.scenario import case_scenario
-from sunspin.landing.tally import estimate, explained, facts_of, weightings
+from sunspin.landing.tally import estimate, read_explained_share, read_facts, read_weightings
 from sunspin.philae import collision as co
 from sunspin.philae import strategies as sg
 from sunspin.philae.rebound import published_candidates
@@ -70,7 +70,7 @@ def test_the_best_wheel_off_delay_has_the_largest_probability(strategies):
 
 def test_the_wheel_may_stop_on_the_ground_without_sliding():
     """Section 4: 5 N m printed, the law gives 3.4e-3; 5 N m s is the angular momentum."""
-    way = {x["way"]: x for x in st.settling(ss.load_vehicle("philae"), 1e-3)}
+    way = {x["way"]: x for x in st.wheel_stop_at_rest(ss.load_vehicle("philae"), 1e-3)}
     assert way["off"]["torque_N_m"] == pytest.approx(1.0473e-3 + 2.693e-6 * 865, rel=1e-3)
     assert way["off"]["momentum_N_m_s"] == pytest.approx(5.017) and way["off"][
         "foot_force_N"
@@ -82,7 +82,7 @@ def test_the_wheel_may_stop_on_the_ground_without_sliding():
 
 def test_collision_weights_prefer_runs_near_the_landing_kernel(collision):
     found = collision.known
-    facts, weight = facts_of(found), found["weight"].values
+    facts, weight = read_facts(found), found["weight"].values
     near = np.hypot(
         found["velocity_change"] - facts["velocity_change"],
         found["speed_after"] - facts["speed_after"],
@@ -96,19 +96,19 @@ def test_collision_weights_prefer_runs_near_the_landing_kernel(collision):
             abs(mean - facts[name]) < abs(estimate(found[name].values).value - facts[name])
             or name == "speed_after"
         )
-    worth = {line["name"]: line["effective_runs"] for line in weightings(found)}
+    worth = {line["name"]: line["effective_runs"] for line in read_weightings(found)}
     assert (
         worth["kernel, sigma 0.01 m/s"]
         < worth["kernel, sigma 0.04 m/s"]
         < worth["as drawn"]
         == found.sizes["run"]
     )
-    assert 0.02 < explained(found).value < 0.25
+    assert 0.02 < read_explained_share(found).value < 0.25
     said = found.sunspin.summary()
     assert (
         said["facts"] == facts
-        and said["explained"] == explained(found)
-        and said["table"] == weightings(found)
+        and said["explained"] == read_explained_share(found)
+        and said["table"] == read_weightings(found)
     )
     assert (
         str(said).count("\n") == found.sizes["weighting"]

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from sunspin.solve.least_squares import Stop, least_squares, shortened
+from sunspin.solve.least_squares import Stop, least_squares, limit_length
 from sunspin.solve.linear import (
-    Bordered,
-    Dense,
-    bordered,
-    dense,
+    BorderedSystem,
+    DenseSystem,
     extreme_eigenvalues,
-    spread,
+    invert_bordered,
+    solve_bordered,
+    solve_dense,
     symmetric_inverse,
     symmetric_product,
 )
@@ -71,9 +71,9 @@ def powell(b):
 
 def solved(function, starts, steps=400, tolerance=0.0, **options):
     return least_squares(
-        lambda b: Dense.of(*function(b)),
+        lambda b: DenseSystem.from_residuals(*function(b)),
         lambda b, step: b + step,
-        dense,
+        solve_dense,
         np.array(starts, dtype=float),
         steps=steps,
         tolerance=tolerance,
@@ -107,7 +107,7 @@ def test_the_solver_reaches_the_certified_values_of_nist(
     assert found.state == pytest.approx(np.tile(certified, (2, 1)), rel=1e-6)
     assert sigma == pytest.approx(np.tile(deviations, (2, 1)), rel=1e-6)
     assert 2 * found.system.cost == pytest.approx(squares, rel=1e-9)
-    assert np.all(found.stop == Stop.STUCK)  # at rounding: with no tolerance nothing arrives
+    assert np.all(found.stop == Stop.NO_DESCENT)  # at rounding: with no tolerance nothing arrives
 
 
 def test_the_solver_follows_a_curved_valley_and_reaches_a_singular_minimum():
@@ -122,7 +122,8 @@ def test_a_batch_equals_each_problem_alone_bit_for_bit():
     starts = np.random.default_rng(0).uniform(-3, 3, (40, 2))
     together = solved(rosenbrock, starts, tolerance=1e-6)
     halted = [
-        solved(rosenbrock, starts, steps=n, tolerance=1e-6).stop == Stop.STEPS for n in (5, 15, 30)
+        solved(rosenbrock, starts, steps=n, tolerance=1e-6).stop == Stop.STEP_LIMIT
+        for n in (5, 15, 30)
     ]
     assert (
         0 < halted[2].sum() < halted[1].sum() <= halted[0].sum()
@@ -176,7 +177,9 @@ class Chain(NamedTuple):
             np.einsum("knmi,knmj->kij", c, c) + np.eye(3),
         )
         downhill = np.einsum("knmi,knm->ki", c, value) + state[1]
-        return Bordered(cost, diagonal, upper, slope, np.ones((k, 2)), border, corner, downhill)
+        return BorderedSystem(
+            cost, diagonal, upper, slope, np.ones((k, 2)), border, corner, downhill
+        )
 
 
 def whole(system, damping):
@@ -200,13 +203,13 @@ def test_a_bordered_chain_solves_as_the_whole_matrix(reached):
     rng = np.random.default_rng(7)
     system = Chain.drawn(rng, 3).bordered((rng.normal(size=(3, 5, 2)), rng.normal(size=(3, 3))))
     matrix, right = whole(system, 0.3)
-    (change, step), gain = bordered(system, np.full(3, 0.3))
+    (change, step), gain = solve_bordered(system, np.full(3, 0.3))
     assert step is not None
     assert gain[0] == pytest.approx(right @ np.linalg.solve(matrix, right) / 2)
     off = np.concatenate([change[0].ravel(), step[0]]) - np.linalg.solve(matrix, right)
     reached("difference of the steps", np.abs(off), "", 1e-10)
     assert np.abs(off).max() < 1e-10
-    matrix, told = whole(system, 0.0)[0], spread(system)
+    matrix, told = whole(system, 0.0)[0], invert_bordered(system)
     inverse = np.linalg.inv(matrix)
     assert (
         np.abs(
@@ -215,17 +218,20 @@ def test_a_bordered_chain_solves_as_the_whole_matrix(reached):
         < 1e-10
     )
     assert np.abs(told.border[0] - inverse[10:, 10:]).max() < 1e-10
-    assert told.log_size[0] == pytest.approx(np.linalg.slogdet(matrix)[1])
-    assert told.answer[0].reshape(10, 3) == pytest.approx(
+    assert told.log_determinant[0] == pytest.approx(np.linalg.slogdet(matrix)[1])
+    assert told.sensitivity[0].reshape(10, 3) == pytest.approx(
         -np.linalg.solve(matrix[:10, :10], matrix[:10, 10:])
     )
     bare = system._replace(border=None, corner=None, border_slope=None)
-    (change, step), _ = bordered(bare, np.full(3, 0.3))
+    (change, step), _ = solve_bordered(bare, np.full(3, 0.3))
     assert step is None
     assert change[0].ravel() == pytest.approx(
         np.linalg.solve(whole(system, 0.3)[0][:10, :10], right[:10])
     )
-    assert np.abs(spread(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max() < 1e-10
+    assert (
+        np.abs(invert_bordered(bare).nodes[0, 0] - np.linalg.inv(matrix[:10, :10])[:2, :2]).max()
+        < 1e-10
+    )
 
 
 def test_the_solver_steps_back_from_points_without_derivatives():
@@ -233,20 +239,22 @@ def test_the_solver_steps_back_from_points_without_derivatives():
 
     def linearise(x):
         with np.errstate(invalid="ignore", divide="ignore"):
-            return Dense.of(np.log(x) - 3, np.where(x == 5.0, np.nan, 1 / x)[..., None])
+            return DenseSystem.from_residuals(
+                np.log(x) - 3, np.where(x == 5.0, np.nan, 1 / x)[..., None]
+            )
 
     start = np.array([[0.01], [200.0], [-1.0], [5.0]])
     found = least_squares(
-        linearise, lambda x, step: x + step, dense, start, steps=200, tolerance=1e-20
+        linearise, lambda x, step: x + step, solve_dense, start, steps=200, tolerance=1e-20
     )
     assert found.state[:2, 0] == pytest.approx(np.exp([3, 3]), rel=1e-8)
-    assert found.state[2, 0] == -1.0 and found.stop[2] == Stop.LOST
-    assert found.state[3, 0] == 5.0 and found.stop[3] == Stop.STUCK
+    assert found.state[2, 0] == -1.0 and found.stop[2] == Stop.INVALID_START
+    assert found.state[3, 0] == 5.0 and found.stop[3] == Stop.NO_DESCENT
 
 
 def test_a_singular_problem_does_not_stop_the_others_of_a_batch():
     matrix = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
-    step = dense(Dense(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))[0]
+    step = solve_dense(DenseSystem(np.zeros(3), matrix, np.ones((3, 2))), np.zeros(3))[0]
     assert np.isnan(step[1]).all() and np.array_equal(step[[0, 2]], [[-1, -1], [-0.5, -0.5]])
 
 
@@ -255,17 +263,17 @@ def test_states_keep_within_limits_and_steps_within_their_length():
 
     def linearise(b):
         seen.append(b.copy())
-        return Dense.of(*rosenbrock(b))
+        return DenseSystem.from_residuals(*rosenbrock(b))
 
     found = least_squares(
         linearise,
         lambda b, step: b + step,
-        dense,
+        solve_dense,
         np.array([[-0.4, 0.1], [0.1, 0.1]]),
         steps=300,
         tolerance=0.0,
-        limit=lambda b: shortened(b, 0.5),
-        longest=lambda b, step: np.linalg.norm(step, axis=1) / 0.05,
+        limit=lambda b: limit_length(b, 0.5),
+        length_ratio=lambda b, step: np.linalg.norm(step, axis=1) / 0.05,
     )
     assert max(np.linalg.norm(b, axis=1).max() for b in seen) <= 0.5 * (1 + 1e-15)
     assert max(np.abs(seen[k + 1] - seen[0]).max() for k in range(4)) <= 4 * 0.05

@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.solve.rotations import (
+    components_after_rotation,
     cross_matrix,
-    matrix_of,
-    moved,
-    seen_turned,
-    smallest_turn,
-    tangents,
-    turn,
-    turn_between,
+    matrix_from_quaternion,
+    move_on_sphere,
+    rotate_attitude,
+    rotate_by_smallest,
+    rotation_between,
+    tangent_basis,
 )
 
 
@@ -25,10 +25,12 @@ def units(n, seed=0):
 
 def test_a_body_that_rotates_about_z_sees_the_sun_move_backward():
     quarter = np.array([0.0, 0.0, np.pi / 2])
-    assert seen_turned(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx(
+    assert components_after_rotation(np.array([1.0, 0.0, 0.0]), quarter) == pytest.approx(
         [0.0, -1.0, 0.0], abs=1e-15
     )
-    assert turn(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert rotate_attitude(np.eye(3), quarter) @ [1.0, 0.0, 0.0] == pytest.approx(
+        [0.0, -1.0, 0.0], abs=1e-15
+    )
     assert np.array_equal(
         cross_matrix(np.array([1.0, 2.0, 3.0])) @ [0.0, 0.0, 1.0],
         np.cross([1.0, 2.0, 3.0], [0.0, 0.0, 1.0]),
@@ -37,28 +39,30 @@ def test_a_body_that_rotates_about_z_sees_the_sun_move_backward():
 
 def test_rotation_vectors_of_any_shape_are_recovered_from_their_rotation():
     angle = np.random.default_rng(1).uniform(-1.5, 1.5, (2, 5, 3))
-    start = turn(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
-    end = turn(start, angle)
+    start = rotate_attitude(np.eye(3), np.random.default_rng(2).normal(size=(5, 3)))
+    end = rotate_attitude(start, angle)
     assert end.shape == (2, 5, 3, 3)
-    assert turn_between(np.broadcast_to(start, end.shape), end) == pytest.approx(angle, abs=1e-12)
+    assert rotation_between(np.broadcast_to(start, end.shape), end) == pytest.approx(
+        angle, abs=1e-12
+    )
     sun = units(1)[0]
-    assert seen_turned(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
+    assert components_after_rotation(start @ sun, angle) == pytest.approx(end @ sun, abs=1e-14)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-3, 1.0, 3.0, np.pi - 1e-9, np.pi, 5.0])
 def test_rotations_agree_with_scipy(size):
     """As matrices where half a turn one way is one the other way, too."""
     angle, start = size * units(50, 7), Rotation.random(50, rng=8).as_matrix()
-    end = turn(start, angle)
+    end = rotate_attitude(start, angle)
     expected = Rotation.from_rotvec(-angle).as_matrix() @ start
     assert end == pytest.approx(expected, abs=5e-15)
-    found = turn_between(start, end)
+    found = rotation_between(start, end)
     assert Rotation.from_rotvec(-found).as_matrix() @ start == pytest.approx(expected, abs=1e-14)
     assert np.linalg.norm(found, axis=1) == pytest.approx(
         np.full(50, min(size, 2 * np.pi - size)), abs=1e-14, rel=1e-12
     )
     quaternion = Rotation.from_rotvec(angle).as_quat()
-    assert matrix_of(-2 * quaternion) == pytest.approx(
+    assert matrix_from_quaternion(-2 * quaternion) == pytest.approx(
         Rotation.from_rotvec(angle).as_matrix(), abs=5e-15
     )
 
@@ -66,16 +70,16 @@ def test_rotations_agree_with_scipy(size):
 def test_the_smallest_rotation_between_directions_leaves_their_normal_fixed():
     a, b = units(20, 3), units(20, 4)
     across = np.cross(a, b)
-    assert smallest_turn(a, b, a) == pytest.approx(b, abs=1e-12)
-    assert smallest_turn(a, b, across) == pytest.approx(across, abs=1e-12)
+    assert rotate_by_smallest(a, b, a) == pytest.approx(b, abs=1e-12)
+    assert rotate_by_smallest(a, b, across) == pytest.approx(across, abs=1e-12)
 
 
 def test_steps_on_the_sphere_have_the_stated_length():
     a, step = units(20, 5), np.random.default_rng(6).normal(size=(20, 2))
-    e1, e2 = tangents(a)
+    e1, e2 = tangent_basis(a)
     assert np.einsum("ni,ni->n", np.cross(e1, e2), a) == pytest.approx(np.ones(20))
     angle = np.linalg.norm(step, axis=1)
-    assert np.einsum("ni,ni->n", a, moved(a, step)) == pytest.approx(np.cos(angle))
-    assert np.einsum("ni,ni->n", moved(a, 1e-7 * step) - a, e1) / 1e-7 == pytest.approx(
+    assert np.einsum("ni,ni->n", a, move_on_sphere(a, step)) == pytest.approx(np.cos(angle))
+    assert np.einsum("ni,ni->n", move_on_sphere(a, 1e-7 * step) - a, e1) / 1e-7 == pytest.approx(
         step[:, 0], abs=1e-6
     )

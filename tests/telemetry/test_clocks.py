@@ -13,7 +13,12 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import TelemetryError
 from sunspin.output.text import starts_text
-from sunspin.telemetry.restarts import Frames, boot_starts, clock_set_back, uptime_restart
+from sunspin.telemetry.restarts import (
+    Frames,
+    find_boot_starts,
+    find_clock_set_back,
+    find_uptime_restart,
+)
 from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
 from sunspin.vehicle.file import parse_vehicle
 
@@ -151,7 +156,7 @@ def test_live_frames_with_stored_ones_in_between_are_dated_by_the_live_ones():
     uptime = np.concatenate([5e5 + 20.0 * np.arange(30), 5e5 - 6000 + 20.0 * np.arange(30)])
     received = START + np.concatenate([20.0 * np.arange(30) + 1, 600 + np.arange(30)])
     np.testing.assert_allclose(
-        boot_starts(uptime, received, frames(60)), [START - 5e5 + 1], rtol=0, atol=1e-6
+        find_boot_starts(uptime, received, frames(60)), [START - 5e5 + 1], rtol=0, atol=1e-6
     )
 
 
@@ -159,7 +164,7 @@ def test_a_real_time_playback_is_not_taken_for_a_boot_if_uptime_exceeds_its_dela
     uptime = 1e6 + 20.0 * np.arange(60)
     received = START + uptime + np.where(np.arange(60) < 30, 3000.0, 0.0)
     np.testing.assert_allclose(
-        boot_starts(uptime, received, frames(60)), [START], rtol=0, atol=1e-6
+        find_boot_starts(uptime, received, frames(60)), [START], rtol=0, atol=1e-6
     )
 
 
@@ -167,8 +172,8 @@ def test_frames_of_a_station_an_hour_off_are_not_taken_for_a_boot():
     uptime = np.tile(10.0 + 20.0 * np.arange(30), 2)
     received = START + uptime + np.repeat([0.0, 3600.0], 30)
     same = Frames(np.tile(frames(30).cells, (2, 1)))
-    assert len(boot_starts(uptime, received, same)) == 1
-    assert len(boot_starts(uptime, received, frames(60))) == 2
+    assert len(find_boot_starts(uptime, received, same)) == 1
+    assert len(find_boot_starts(uptime, received, frames(60))) == 2
 
 
 def test_rows_of_telemetry_stored_for_days_are_counted(tmp_path):
@@ -196,7 +201,7 @@ def test_boots_that_overlap_are_refused_without_received_times(tmp_path):
 @pytest.mark.parametrize(("first", "second"), [(8, 20), (30, 300), (1000, 200)])
 def test_boots_of_any_lengths_that_overlap_are_refused(first, second):
     uptime = np.concatenate([40 + 20.0 * np.arange(first), 30 + 20.0 * np.arange(second)])
-    restart = uptime_restart(uptime, frames(first + second))
+    restart = find_uptime_restart(uptime, frames(first + second))
     assert restart is not None and restart.sure and restart.row == first
 
 
@@ -209,11 +214,11 @@ def test_elapsed_times_that_fall_without_overlap_are_noted(tmp_path):
 def test_stations_and_playbacks_are_not_taken_for_a_restart():
     live = 3000 + 20.0 * np.arange(40)
     again = Frames(np.vstack([frames(40).cells, frames(40).cells[::2]]))
-    assert uptime_restart(np.concatenate([live, live[::2]]), again) is None
+    assert find_uptime_restart(np.concatenate([live, live[::2]]), again) is None
     gaps = np.concatenate([np.delete(live, slice(10, 20)), live[10:20]])
-    restart = uptime_restart(gaps, frames(40))
+    restart = find_uptime_restart(gaps, frames(40))
     assert restart is not None and restart.row == 30 and not restart.sure
-    assert uptime_restart(live[::-1], frames(40)) is None
+    assert find_uptime_restart(live[::-1], frames(40)) is None
 
 
 def local(start, rows=40, step=20.0, seed=4):
@@ -366,24 +371,24 @@ def test_unordered_rows_are_not_taken_for_a_clock_set_back():
     t = 20.0 * np.arange(60)
     stations = np.concatenate([t, t[::3]])
     again = Frames(np.vstack([frames(60).cells, frames(60).cells[::3]]))
-    assert clock_set_back(stations, again, local=True) is None
-    assert clock_set_back(t[::-1], frames(60), local=True) is None
+    assert find_clock_set_back(stations, again, local=True) is None
+    assert find_clock_set_back(t[::-1], frames(60), local=True) is None
     playback = np.concatenate([t + 2 * 86400, t])
-    assert clock_set_back(playback, frames(120), local=True) is None
+    assert find_clock_set_back(playback, frames(120), local=True) is None
     swapped = t.copy()
     swapped[[20, 21, 40, 41]] = swapped[[21, 20, 41, 40]]
-    assert clock_set_back(swapped, frames(60), local=True) is None
+    assert find_clock_set_back(swapped, frames(60), local=True) is None
     blocks = np.concatenate([t + 3600, t, t + 7200, t + 1800])
-    assert clock_set_back(blocks, frames(240), local=False) is None
+    assert find_clock_set_back(blocks, frames(240), local=False) is None
     stored = [np.r_[t + k * 86400, t + k * 86400 - 1800 - 37 * k] for k in range(1, 6)]
-    assert clock_set_back(np.concatenate(stored), frames(600), local=True) is None
+    assert find_clock_set_back(np.concatenate(stored), frames(600), local=True) is None
     pairs = np.concatenate([60.0 * np.arange(60) + 3600 * hour for hour in (1, 0, 3, 2)])
-    assert clock_set_back(pairs, frames(240), local=True) is None
+    assert find_clock_set_back(pairs, frames(240), local=True) is None
     for seed in range(5):
         mixed = np.random.default_rng(seed).permutation(np.r_[t, t + 5000])
-        assert clock_set_back(mixed, frames(120), local=True) is None
+        assert find_clock_set_back(mixed, frames(120), local=True) is None
         near = t[np.argsort(t + np.random.default_rng(seed).uniform(0, 200, 60))]
-        assert clock_set_back(near, frames(60), local=True) is None
+        assert find_clock_set_back(near, frames(60), local=True) is None
 
 
 def test_a_fall_of_local_times_that_may_be_a_clock_set_back_is_reported(tmp_path):

@@ -9,7 +9,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.output.check.files import _about_panels
 from sunspin.telemetry.assess import assess, panel_quality
-from sunspin.telemetry.synthetic import drawn_tilts
+from sunspin.telemetry.synthetic import draw_tilts
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 
@@ -43,7 +43,7 @@ def drawn(seed: int, i: int, dead: bool) -> tuple[Vehicle, xr.Dataset, str]:
         None,
         t,
     )
-    tilt = drawn_tilts(craft, sigma, rng)
+    tilt = draw_tilts(craft, sigma, rng)
     power = craft.response_in().power(
         run["sun_B"].values, tilt=np.broadcast_to(tilt, (len(t), *tilt.shape))
     )

@@ -16,7 +16,7 @@ import sunspin as ss
 from sunspin.estimate.terms.panels import Instants
 from sunspin.estimate.wiring import signed_axes, to_write
 from sunspin.output.folder import write_netcdf
-from sunspin.telemetry.stored import stored_telemetry
+from sunspin.telemetry.stored import restore_telemetry
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -249,10 +249,10 @@ def test_suggested_keys_read_a_sensor_as_suggested():
         old = parse_vehicle(
             plain + tomlkit.dumps({table: base[table]}), "v.toml"
         ).sensors.with_columns[table]
-        seen = old.seen(raw[:, [header.index(name) for name in old.names]])[1]
+        seen = old.interpret(raw[:, [header.index(name) for name in old.names]]).values
         for _, order, sign in signed_axes():
             told = (
-                to_write(table, old.read_as(order, sign))
+                to_write(table, old.keys_for_axes(order, sign))
                 .removeprefix("set ")
                 .partition(" under ")[0]
             )
@@ -260,7 +260,7 @@ def test_suggested_keys_read_a_sensor_as_suggested():
             new = parse_vehicle(
                 plain + tomlkit.dumps({table: base[table] | keys}), "v.toml"
             ).sensors.with_columns[table]
-            got = new.seen(raw[:, [header.index(name) for name in new.names]])[1]
+            got = new.interpret(raw[:, [header.index(name) for name in new.names]]).values
             np.testing.assert_allclose(got, seen[:, order] * sign, atol=1e-9)
             np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])
 
@@ -299,7 +299,7 @@ def test_telemetry_of_a_results_folder_is_read_unchanged(stored):
         0.01,
     ]
     xr.testing.assert_identical(
-        stored_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data
+        restore_telemetry(data.assign(more=("time", [1, 2])), vehicle, path), data
     )
 
 
@@ -321,14 +321,14 @@ def test_any_damage_of_stored_telemetry_is_named(stored, how):
         one = data[name]
         wrong = data.assign_coords({name: (one.dims, SPOILT[how](one))})
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
-            stored_telemetry(wrong, vehicle, path)
+            restore_telemetry(wrong, vehicle, path)
         other = (
             data.rename_dims(time="row")
             if name == "time"
             else data.assign({name: one.mean("time")})
         )
         with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
-            stored_telemetry(other, vehicle, path)
+            restore_telemetry(other, vehicle, path)
 
 
 def test_stored_telemetry_that_was_changed_or_is_of_another_vehicle_is_refused(stored):
@@ -348,4 +348,4 @@ def test_stored_telemetry_that_was_changed_or_is_of_another_vehicle_is_refused(s
     )
     for wrong, why in spoilt:
         with pytest.raises(ss.TelemetryError, match=f"not that of this vehicle .found {why}"):
-            stored_telemetry(wrong, vehicle, path)
+            restore_telemetry(wrong, vehicle, path)

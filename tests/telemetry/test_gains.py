@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.telemetry.gains import estimate_gains, with_gains
+from sunspin.telemetry.gains import estimate_gains, scale_gains
 from sunspin.vehicle import Fact, Panel, Vehicle
 
 NORMALS = np.vstack([np.eye(3), -np.eye(3)])
@@ -28,7 +28,7 @@ def test_estimated_gains_cover_the_truth_with_a_tenth_of_outliers():
     square = []
     for _ in range(10):
         truth = np.exp(0.08 * rng.normal(size=6))
-        value = readings(with_gains(CUBE, truth), 150, rng)
+        value = readings(scale_gains(CUBE, truth), 150, rng)
         value[rng.uniform(size=150) < 0.1] *= 0.9
         found = estimate_gains(CUBE, value, 1.0, ALIVE, ALIVE, 0.0)
         square.append(((found.factor - truth) / found.sigma) ** 2)
@@ -40,7 +40,7 @@ def test_gain_sigmas_are_in_the_order_of_their_gains():
     """The same readings against gains of +x stated right and at half: it is found twice as large, as is its sigma."""
     wide = replace(CUBE, facts={f"panel.p{k}.gain_W": Fact(2.0, 2.0, "assumed") for k in range(6)})
     value = readings(CUBE, 150, np.random.default_rng(4))
-    doubled = with_gains(wide, np.array([0.5, 1, 1, 1, 1, 1]))
+    doubled = scale_gains(wide, np.array([0.5, 1, 1, 1, 1, 1]))
     half = estimate_gains(doubled, value, 1.0, ALIVE, ALIVE, 0.0)
     right = estimate_gains(wide, value, 1.0, ALIVE, ALIVE, 0.0)
     np.testing.assert_allclose(half.factor / right.factor, [2, 1, 1, 1, 1, 1], rtol=0.01)

@@ -7,7 +7,13 @@ import pytest
 from scipy.optimize import minimize
 
 import sunspin as ss
-from sunspin.telemetry.health import NOISE, TURNS, explanations, made_by, noise_alone
+from sunspin.telemetry.health import (
+    NOISE,
+    TURNS,
+    find_cause_without_loss,
+    find_explanations,
+    noise_alone,
+)
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.response.panels import panel_power
@@ -50,7 +56,7 @@ def test_four_panels_on_a_tetrahedron_allow_every_pattern_except_none_and_all():
 def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns():
     """Paper, section 4. By trial: remove each panel in turn from what random directions light."""
     patterns = [("2", "3", "6"), ("2", "3"), ("2",)]
-    assert explanations(PHILAE, patterns) == [("1",)]
+    assert find_explanations(PHILAE, patterns) == [("1",)]
     lit = panel_power(PHILAE, random_suns(20_000)) > 0
     names = np.array(PHILAE.panel_names)
     for k, name in enumerate(names):
@@ -62,8 +68,8 @@ def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns()
 
 def test_a_pair_of_dead_panels_is_named_only_if_no_single_one_explains_the_patterns():
     """Panel 2 alone wants panel 1 and panel 4 alone wants panel 5, by symmetry; opposite panels nothing can explain."""
-    assert explanations(PHILAE, [("2",), ("4",)]) == [("1", "5")]
-    assert explanations(PHILAE, [("1", "5")]) == []
+    assert find_explanations(PHILAE, [("2",), ("4",)]) == [("1", "5")]
+    assert find_explanations(PHILAE, [("1", "5")]) == []
 
 
 @pytest.mark.evidence("panel_health", "verified", "SciPy's Nelder-Mead from 25 starts")
@@ -127,10 +133,10 @@ def test_patterns_caused_by_noise_are_distinguished_from_a_dead_panel():
     )
     told = ss.panel_health(PHILAE, power, noise=SIGMA, lit_threshold=0.5 * SIGMA)
     assert told["impossible"] and all(verdict.largest > 0.3 for verdict in told["noise"].values())
-    assert made_by(told, len(power)) == NOISE
+    assert find_cause_without_loss(told, len(power)) == NOISE
     dead = panel_power(PHILAE, random_suns(300)) * [0, 1, 1, 1, 1, 1]
     strict = ss.panel_health(PHILAE, dead, noise=SIGMA, lit_threshold=0.5 * SIGMA)
-    assert strict["explanations"] == [("1",)] and not made_by(strict, len(dead))
+    assert strict["explanations"] == [("1",)] and not find_cause_without_loss(strict, len(dead))
     assert min(verdict.log10_together for verdict in strict["noise"].values()) < -100
 
 
@@ -160,11 +166,14 @@ def test_panels_misaligned_within_their_sigmas_are_not_called_dead():
         ss.panel_health(craft, noisy, noise=0.3, lit_threshold=1.5) for craft in (drawn, stated)
     )
     assert as_drawn["impossible"] and as_drawn["impossible"] == found["impossible"]
-    assert (made_by(as_drawn, 300), made_by(found, 300)) == ("", TURNS)
+    assert (find_cause_without_loss(as_drawn, 300), find_cause_without_loss(found, 300)) == (
+        "",
+        TURNS,
+    )
     assert found["explanations"] == [] and np.isnan(as_drawn["turned"].values).all()
     whole = drawn.response_in().power(random_suns(300, 6)) * [1, 1, 1, 1, 1, 1, 0]
     dead = ss.panel_health(stated, whole, noise=0.3, lit_threshold=1.5)
-    assert (made_by(dead, 300), dead["explanations"]) == ("", [("d",)])
+    assert (find_cause_without_loss(dead, 300), dead["explanations"]) == ("", [("d",)])
 
 
 @pytest.mark.parametrize(

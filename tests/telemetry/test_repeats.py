@@ -251,7 +251,7 @@ def test_a_gyro_that_repeats_while_panels_change_is_left_out():
     t, value = tumbling(120)
     gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
     found = looked_at(t, value, gyro_B=gyro)
-    assert not found.repeats.of("panels").any()
+    assert not found.repeats.repeated("panels").any()
     read = np.isfinite(found.sensors["gyro_B"].values).all(axis=1)
     assert np.flatnonzero(read).tolist() == list(range(0, 120, 5))
     assert "the gyro repeats the last reading in 96 samples" in repeat_lines(found)[1][0]

@@ -98,7 +98,7 @@ def test_the_best_direction_is_the_global_minimum_for_any_powers(seed, reached):
         0, 2, (1, len(vehicle.panels))
     )
     power[0, 0] += 0.1
-    n, delta = vehicle.response_in().best(power)
+    n, delta = vehicle.response_in().best_direction(power)
     grid = directions(20_000, 9)
     shape = panel_power(vehicle, grid)
     size = np.linalg.norm(shape, axis=1)

@@ -14,7 +14,7 @@ from sunspin.estimate.wiring import signed_axes
 from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.sun import sun_directions
 from sunspin.telemetry.units import panel_unit
-from sunspin.vehicle.file import line_of, parse_vehicle
+from sunspin.vehicle.file import find_line, parse_vehicle
 from sunspin.vehicle.response.panels import panel_power
 from tests.support import satellite_files
 
@@ -23,7 +23,7 @@ MAKERS = (satellite_files.six_faces, satellite_files.four_faces, satellite_files
 
 def changed(text: str, table: str, key: str, factor: float) -> str:
     """The vehicle file with one number times a factor."""
-    stands = line_of(text, table, key)
+    stands = find_line(text, table, key)
     assert stands is not None and stands[1].startswith(key)
     lines = text.splitlines()
     lines[stands[0] - 1] = re.sub(
@@ -81,7 +81,7 @@ def test_twenty_rows_of_sunlight_are_enough_to_name_a_wrong_unit(make, tmp_path)
 
 
 def with_scale(text: str) -> str:
-    has = line_of(text, "telemetry", "scale")[1].startswith("scale")
+    has = find_line(text, "telemetry", "scale")[1].startswith("scale")
     return text if has else text.replace("[telemetry]", "[telemetry]\nscale = 1.0")
 
 
@@ -164,7 +164,7 @@ def test_wrong_axes_of_a_gyro_are_named(tmp_path, seed):
         read = np.empty_like(rate)
         read[:, order] = rate * sign  # what the columns hold, if they are to be read so
         found = wrong_gyro_axes(assess(vehicle, samples.assign(gyro_B=(("time", "axis"), read))))
-        columns = vehicle.sensors.gyro.read_as(order, sign)["columns"]
+        columns = vehicle.sensors.gyro.keys_for_axes(order, sign)["columns"]
         assert found is None or (
             f"the gyro {what} agrees" in found and f"set columns = {json.dumps(columns)}" in found
         )
@@ -266,9 +266,9 @@ def test_a_sun_sensor_in_degrees_is_named(tmp_path, seed, reach_deg):
 
 def test_the_line_to_change_is_found_for_a_key():
     text = 'name = "v"\n[telemetry]\n# scale = 3\nscale = 2 # x\n[telemetry.columns]\nscale = "b"\n[[wheel]]\nname = "w"\n'
-    assert line_of(text, "telemetry", "scale") == (4, "scale = 2 # x")
-    assert line_of(text, "telemetry", "noise") == (2, "[telemetry]")
+    assert find_line(text, "telemetry", "scale") == (4, "scale = 2 # x")
+    assert find_line(text, "telemetry", "noise") == (2, "[telemetry]")
     assert (
-        line_of(text, "[wheel]", "name") == (8, 'name = "w"')
-        and line_of(text, "gyro", "zero") is None
+        find_line(text, "[wheel]", "name") == (8, 'name = "w"')
+        and find_line(text, "gyro", "zero") is None
     )

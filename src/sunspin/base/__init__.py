@@ -1,1 +1,1 @@
-"""What everything rests on: errors that say what to do, reading of untrusted files, files written whole or not at all."""
+"""Foundations of the package: errors, safe reading of files, atomic writing, tables, provenance."""

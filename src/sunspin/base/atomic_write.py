@@ -1,4 +1,7 @@
-"""Files that appear whole or not at all: written under a temporary name beside their place, then renamed; and locks."""
+"""Atomic writing of files, removal of abandoned temporary files, and file locks.
+
+A file is written under a temporary name in its own folder and then renamed, so that it appears complete or not at all.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +14,34 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from sunspin.base.untrusted import is_own
+from sunspin.base.untrusted import is_file_not_link
 
-PART = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
-"""A temporary name: the process that writes there, and what nobody guesses."""
+TEMPORARY_NAME = re.compile(r"\.sunspin-(\d{1,9})-[0-9a-f]{16}\.part")
+"""Temporary file name: the number of the writing process and 16 random hexadecimal digits."""
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it, or leave them as they are. Whatever its name, only OSError is raised."""
+    """Create a folder and its parents if they do not exist.
+
+    Raises only OSError, for any name: pathlib raises RecursionError for very deep paths and ValueError for a NUL.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except (RecursionError, ValueError):  # thousands of folders in each other; a NUL in a name
+    except (RecursionError, ValueError):
         raise OSError(errno.EINVAL, "no folder can have this name", str(folder)) from None
 
 
-def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
-    """Let `write` fill a temporary file, then give it its name. Raises what `write` raises, and OSError."""
+def write_atomically(target: Path, write: Callable[[Path], Any]) -> Path:
+    """Write a file through `write`, which gets a temporary path, and rename it to `target`; return `target`.
+
+    The temporary file is removed if `write` or the renaming fails. Raises the errors of `write`, and OSError.
+    """
     part = target.with_name(f".sunspin-{os.getpid()}-{secrets.token_hex(8)}.part")
     try:
         write(part)
-        with open(part, "rb") as file:  # or a power failure may leave an empty file
+        with open(
+            part, "rb"
+        ) as file:  # on disk before the renaming: a power failure must not leave an empty file
             os.fsync(file.fileno())
         os.replace(part, target)
     finally:
@@ -38,23 +49,24 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> Path:
     return target
 
 
-def sweep(folder: Path) -> None:
-    """Remove what killed runs had begun to write in a folder: files with a temporary name of a process that is no more."""
-    for entry in folder.iterdir() if os.name != "nt" else ():  # where a signal of 0 ends a process
-        name = PART.fullmatch(entry.name)
-        if name and is_own(entry):
+def remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files in a folder whose writing process no longer exists."""
+    # signal 0 only tests whether a process exists, but on Windows it would end that process
+    for entry in folder.iterdir() if os.name != "nt" else ():
+        name = TEMPORARY_NAME.fullmatch(entry.name)
+        if name and is_file_not_link(entry):
             try:
                 os.kill(int(name[1]), 0)
             except ProcessLookupError:
                 entry.unlink(missing_ok=True)
             except OSError:
-                pass  # it runs, for somebody else
+                pass  # the process exists and belongs to another user
 
 
-def hold(file: Any) -> None:
-    """Hold an open file alone until it is closed; `BlockingIOError` where another process holds it.
+def lock_file(file: Any) -> None:
+    """Lock an open file for this process until the file is closed; raise BlockingIOError if another process has locked it.
 
-    The system lets go of it when the process ends, however it ends.
+    The system releases the lock when the process ends, also after a crash.
     """
     try:
         import fcntl
@@ -68,8 +80,8 @@ def hold(file: Any) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def is_writable(folder: Path) -> bool:
-    """Make a folder, for this user alone, where it is not there yet; whether files can be written into it."""
+def ensure_writable(folder: Path) -> bool:
+    """Create a folder that only this user can access, if it does not exist, and return whether files can be written to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError:

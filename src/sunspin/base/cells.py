@@ -1,15 +1,15 @@
-"""Cells of CSV files that every reader takes for the same cells."""
+"""CSV cells that every reader interprets alike, with or without support for quotation marks."""
 
 from __future__ import annotations
 
 from typing import Any
 
 UNQUOTED = {",": ";", "#": "No.", '"': "'", "\n": " ", "\r": " "}
-"""What stands in a text for a character that `numpy.genfromtxt`, which knows no quotation marks, would take for a mark."""
+"""Replacements for characters that `numpy.genfromtxt`, which ignores quotation marks, would take for CSV syntax."""
 
 
 def plain_cell(cell: Any) -> Any:
-    """Return a cell, a text without the marks of a CSV file."""
+    """Return a cell in which a text has no character with a meaning in CSV; other values are returned unchanged."""
     if isinstance(cell, str):
         for mark, text in UNQUOTED.items():
             cell = cell.replace(mark, text)

@@ -1,7 +1,7 @@
-"""Errors that a person can act on: what is wrong, what was found, what to do.
+"""Errors that a user can act on: what is wrong, what was given, what to do.
 
-Every error that sunspin raises on purpose derives from :class:`SunspinError`; the command line prints its text as one
-sentence and exits with code 2 (130 after an interruption). Anything else that escapes is a defect of sunspin.
+Every error that sunspin raises on purpose derives from :class:`SunspinError`. The command line prints its text as one sentence and
+exits with code 2 (130 after an interruption). Any other exception that reaches the user is a defect of sunspin.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from datetime import date, time
 
 
 class SunspinError(ValueError):
-    """Base of all errors raised on purpose; ``str(error)`` is one sentence for the user, built by :func:`sentence`."""
+    """Base class of all errors raised on purpose; ``str(error)`` is one sentence, built by :func:`sentence`."""
 
     def __init__(
         self, what: str, *, got: object = None, do: str | None = None, where: str | None = None
@@ -27,23 +27,26 @@ class TelemetryError(SunspinError):
 
 
 class MotionError(SunspinError):
-    """A trajectory was asked for that the model cannot give."""
+    """The model cannot compute the requested trajectory."""
 
 
 class InputError(SunspinError):
-    """An argument of a function or command does not make sense."""
+    """An argument of a function or command is not valid."""
 
 
 class OutputError(SunspinError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 class Interrupted(SunspinError, KeyboardInterrupt):
-    """A run of many rows was stopped by Ctrl-C; the text says what was kept and how to go on."""
+    """A long run was stopped by Ctrl-C; the text says what was kept and how to resume."""
 
 
 def printable(text: str) -> str:
-    """Text from outside on one line, without characters that a terminal obeys or does not show: they become escapes."""
+    """Return a text on one line, with control and invisible characters replaced by escapes.
+
+    Texts from files would otherwise reach the terminal, which obeys control characters.
+    """
     return "".join(
         c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
         for c in " ".join(text.split())
@@ -53,13 +56,17 @@ def printable(text: str) -> str:
 def sentence(
     what: str, *, got: object = None, do: str | None = None, where: str | None = None
 ) -> str:
-    """Build the one-sentence text of an error: ``where: what, got ...; do``."""
+    """Return the one-sentence text of an error: ``where: what (found got); do``.
+
+    `got` is the offending value, shown with at most 120 characters; `do` is the advice.
+    """
     text = f"{where}: {what}" if where else what
     if got is not None:
-        try:  # a date as the file has it
+        try:
+            # a TOML date is shown as the file writes it
             shown = got.isoformat() if isinstance(got, date | time) else repr(got)
-        except ValueError:
-            shown = "a number too long to print"  # a whole one of thousands of digits
+        except ValueError:  # Python refuses to print integers of thousands of digits
+            shown = "a number too long to print"
         shown = (got if isinstance(got, str) else shown) or "nothing"
         text += f" (found {shown if len(shown) <= 120 else shown[:117] + '...'})"
     if do:

@@ -1,5 +1,7 @@
-"""Modules that are imported when something in them is first used: SymPy, heyoka and parts of SciPy take longer to import than a
-small scan takes to run."""
+"""Modules that are imported when one of their attributes is first used.
+
+SymPy, heyoka and parts of SciPy take longer to import than a small scan takes to run.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from typing import Any
 
 
 class lazy(ModuleType):
-    """The module of this name, imported at its first use; type checkers are given the import itself."""
+    """A stand-in for the module of this name, which is imported at its first use. Type checkers see the real import."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(import_module(self.__name__), name)

@@ -1,8 +1,8 @@
-"""Reading NetCDF-4 files that somebody may have damaged: one sentence, whatever the libraries below do.
+"""Reading of NetCDF-4 files that may be damaged, with one kind of error for all failures.
 
-HDF5 computes for ever on some damaged files, its wrappers raise whatever comes, and a half-opened file complains on stderr once
-more when it is thrown away. So a file is read in another process first, with limits; each of these becomes the one sentence.
-Without that process 7 of 2,000 damaged files hang (`validation corrupt --unguarded --only telemetry.nc` and results files).
+On some damaged files HDF5 never returns, its wrappers raise arbitrary exceptions, and a half-opened file prints to stderr when it
+is collected. A file is therefore read in a separate, limited process first, and each failure becomes one error sentence. Without
+that process 7 of 2,000 damaged files hang (`validation corrupt --unguarded --only telemetry.nc` and results files).
 """
 
 from __future__ import annotations
@@ -18,34 +18,35 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import SunspinError
-from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
+from sunspin.base.untrusted import IsolatedRunError, is_nonempty_file, run_isolated
 
 MAX_BYTES = 2_000_000_000
-"""Of files, and of all variables in memory: one that is compressed or nearly all fill value may name any size."""
+"""Limit for a file, and for its variables in memory: a compressed or mostly empty variable may state any size."""
 
 PROBE_S, PROBE_BYTES_PER_S = 4, 20_000_000
-"""CPU time (s) that a file may take to be read the first time, and what a larger one may have besides."""
+"""CPU time (s) allowed for the first reading of a file, and the file size (bytes) that allows one more second."""
 
-MEND = "it is damaged or not NetCDF-4: write it again"
+REPAIR = "it is damaged or not NetCDF-4: write it again"
+"""Advice in the errors about damaged files."""
 
 
 def read_netcdf(path: Path, where: str, error_type: type[SunspinError]) -> xr.Dataset:
-    """The root group of a NetCDF-4 file, loaded; `where` names it in messages."""
+    """Read the root group of a NetCDF-4 file into memory; `where` names the file in errors of `error_type`."""
     return read_groups(path, where, error_type, times=True)["/"]
 
 
-def trouble(path: Path) -> str:
-    """What goes wrong when another process reads this file; empty where nothing does."""
+def _read_failure(path: Path) -> str:
+    """Return why a separate process cannot read a file, or an empty text if it can."""
     try:
         size = path.stat().st_size
-        if not is_plain(path):
+        if not is_nonempty_file(path):
             return "it is empty, or no regular file"
         if size > MAX_BYTES:
             return f"it has more than {MAX_BYTES / 1e9:g} GB"
         if sys.executable:
             script = Path(__file__).with_name("netcdf_probe.py")
-            elsewhere(script, str(path), seconds=PROBE_S + size // PROBE_BYTES_PER_S)
-    except (OSError, Elsewhere) as error:
+            run_isolated(script, str(path), seconds=PROBE_S + size // PROBE_BYTES_PER_S)
+    except (OSError, IsolatedRunError) as error:
         return getattr(error, "strerror", None) or str(error)
     return ""
 
@@ -53,16 +54,17 @@ def trouble(path: Path) -> str:
 def read_groups(
     path: Path, where: str, error_type: type[SunspinError], probe: bool = True, times: bool = False
 ) -> dict[str, xr.Dataset]:
-    """The groups of a NetCDF-4 file by their paths; `times` says whether texts in units such as "s since ..." make dates.
+    """Read all groups of a NetCDF-4 file into memory and return them by their paths.
 
-    `probe` is false for a file that this program wrote or that another process has read.
+    `where` names the file in errors of `error_type`. `probe`: read it in a separate process first; False for a file that this
+    program wrote or has already probed. `times`: convert variables with units such as "s since ..." to dates.
     """
-    wrong = trouble(path) if probe else ""
-    if wrong:
-        raise error_type(f"this NetCDF file cannot be read ({wrong})", do=MEND, where=where)
+    failure = _read_failure(path) if probe else ""
+    if failure:
+        raise error_type(f"this NetCDF file cannot be read ({failure})", do=REPAIR, where=where)
     hook = sys.unraisablehook
     try:
-        # without warnings of attributes that mean nothing to xarray
+        # xarray warns of attributes that it does not know
         with warnings.catch_warnings(action="ignore"), ExitStack() as stack:
             form: Any = {"engine": "h5netcdf", "decode_times": times, "decode_timedelta": False}
             groups = xr.open_groups(path, **form)
@@ -72,20 +74,22 @@ def read_groups(
             if size > MAX_BYTES:
                 what = f"the file would take {size / 1e9:.3g} GB of memory"
                 raise error_type(what, do="cut it into parts", where=where)
+            # lone surrogates stand for bytes that are no UTF-8 text; they could not be printed or written again
             for data in groups.values():
-                about = [data.attrs, *(variable.attrs for variable in data.variables.values())]
-                texts = [text for attrs in about for pair in attrs.items() for text in pair]
-                every = " ".join(map(str, (*data.variables, *data.dims, *texts)))
-                if re.search("[\ud800-\udfff]", every):
+                attributes = [data.attrs, *(variable.attrs for variable in data.variables.values())]
+                texts = [text for attrs in attributes for pair in attrs.items() for text in pair]
+                all_texts = " ".join(map(str, (*data.variables, *data.dims, *texts)))
+                if re.search("[\ud800-\udfff]", all_texts):
                     what = "a name or an attribute in it is not UTF-8 text"
-                    raise error_type(what, do=MEND, where=where)
-            # how a file from outside was packed is no rule for the files that are written from it
+                    raise error_type(what, do=REPAIR, where=where)
+            # the encoding (packing, compression) of a file from outside must not be used for files written from it
             return {name: data.load().drop_encoding() for name, data in groups.items()}
     except SunspinError:
         raise
     except Exception as error:
+        # half-opened files print to stderr when they are collected: collect them now, without output
         sys.unraisablehook = lambda _: None
-        wrong = f"{type(error).__name__}: {str(error)[:200]}"
-    gc.collect()  # closes what was half opened, while nobody listens
+        failure = f"{type(error).__name__}: {str(error)[:200]}"
+    gc.collect()
     sys.unraisablehook = hook
-    raise error_type(f"this NetCDF file cannot be read ({wrong})", do=MEND, where=where)
+    raise error_type(f"this NetCDF file cannot be read ({failure})", do=REPAIR, where=where)

@@ -1,4 +1,4 @@
-"""What every result says of itself: its kind, by which `sunspin.output` knows it, and where it comes from."""
+"""Attributes of results: the kind, by which `sunspin.output` recognises a result, and the origin; units of their variables."""
 
 from __future__ import annotations
 
@@ -7,50 +7,52 @@ from functools import cache
 from importlib import metadata, resources
 from typing import Any
 
-CARRIED = ("epoch_utc", "synthetic", "file", "sha256", "clock_notes")
-"""Attributes of telemetry that results made from it take over."""
+COPIED_ATTRIBUTES = ("epoch_utc", "synthetic", "file", "sha256", "clock_notes")
+"""Attributes of telemetry that are copied to the results made from it."""
 
 
 @cache
-def vocabulary() -> dict[str, dict[str, str]]:
-    """Name of a variable of results -> its `units` and `long_name`."""
+def read_vocabulary() -> dict[str, dict[str, str]]:
+    """Read the `units` and `long_name` of each variable that results may contain, by its name."""
     file = resources.files("sunspin.base").joinpath("variables.csv")
     lines = file.read_text("utf-8").splitlines()
     return {row.pop("name"): row for row in DictReader(lines)}
 
 
-def described(data: Any) -> Any:
-    """A copy of a Dataset or DataTree with unit and long name of each variable of the vocabulary; times say their epoch in UTC, if
-    known."""
+def with_units(data: Any) -> Any:
+    """Return a copy of a Dataset or DataTree with the unit and long name of each variable that is in the vocabulary.
+
+    Time coordinates also get the epoch in UTC if it is known.
+    """
     data = data.copy()
     epoch = {"epoch_utc": data.attrs["epoch_utc"]} if "epoch_utc" in data.attrs else {}
     for node in getattr(data, "subtree", [data]):
         for name, variable in node.variables.items():
             timed = epoch if name in ("time", "curve_time") else {}
-            variable.attrs = vocabulary().get(name, {}) | timed | variable.attrs
+            variable.attrs = read_vocabulary().get(name, {}) | timed | variable.attrs
     return data
 
 
 def clock_notes(data: Any) -> list[str]:
-    """Return the sentences on the clock of the telemetry that a Dataset or DataTree was made from."""
+    """Return the notes on the clock of the telemetry from which a Dataset or DataTree was made, a sentence each."""
     return str(data.attrs.get("clock_notes", "")).splitlines()
 
 
 @cache
 def version() -> str:
-    """The version of sunspin that runs."""
+    """Return the version of sunspin that is running."""
     return metadata.version("sunspin")
 
 
-def provenance(kind: str, telemetry: Any = None, **said: Any) -> dict[str, Any]:
-    """The attributes of a result: `kind`, what it takes over from the telemetry's attributes, `said`, the version.
+def provenance(kind: str, telemetry: Any = None, **attributes: Any) -> dict[str, Any]:
+    """Return the attributes of a result: `kind`, attributes copied from the telemetry, `attributes`, and the version.
 
-    What is said of a vehicle is its `said`: name, and what was changed in its file.
+    For a vehicle pass ``**vehicle.result_attributes``: its name and the changes made to its file.
     """
     given = getattr(telemetry, "attrs", {})
     return {
         "kind": kind,
-        **{key: given[key] for key in CARRIED if key in given},
-        **said,
+        **{key: given[key] for key in COPIED_ATTRIBUTES if key in given},
+        **attributes,
         "sunspin_version": version(),
     }

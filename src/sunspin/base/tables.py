@@ -1,10 +1,10 @@
-"""Files with rows and columns: CSV, JSON, Parquet or NetCDF in, text cells out, or one sentence on what is wrong.
+"""Reading of files with rows and columns: CSV, JSON, Parquet or NetCDF in, text cells out.
 
-Cells stay text until the vehicle file has said what they are, so that an error can name the line and show what stands there.
+Cells stay text until the vehicle file has given their meaning, so that an error can name the line and show its content.
 
-JSON has an object a row: in lines, in a list, or in a page of SatNOGS DB's interface. Columns are named by keys; what lies inside
-of another object or list has both names with a point between (`sun.0`, `decoded.eps.u_bat`). A text that holds an object itself, as
-the field `decoded` of SatNOGS, is read as that object.
+JSON has an object per row: one on each line, in a list, or in a page of SatNOGS DB's interface. Keys name the columns. A value
+inside another object or list has both names, joined by a point (`sun.0`, `decoded.eps.u_bat`). A text that contains an object,
+such as the field `decoded` of SatNOGS, is read as that object.
 """
 
 from __future__ import annotations
@@ -22,39 +22,41 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.untrusted import decoded, plain_number, read_bytes
+from sunspin.base.untrusted import decode_text, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
 
 MAX_FILE_BYTES = 500_000_000
-"""A year of 1 Hz samples of six panels is about this much."""
+"""About a year of 1 Hz samples of six panels."""
 
 MAX_COLUMNS = 10_000
-"""No telemetry has more; a file of one line of commas does."""
+"""More than any telemetry has; a file with one line of commas can exceed it."""
 
 MAX_CELLS = 100_000_000
-"""Cells of a file in columns, which may hold any number of them in few bytes: beyond these it would not fit into memory."""
+"""Limit for compressed files, which can hold any number of cells in few bytes and would exceed the memory."""
 
 DELIMITERS = ",;\t"
-"""What may part the columns: the one that the header has most of."""
+"""Possible delimiters of columns; the one that occurs most often in the header is used."""
 
 DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d*),(\d+([eE][-+]?\d+)?\s*)", re.ASCII)
-"""A number as written where the semicolon parts the columns."""
+"""A number with a decimal comma, as written in files with semicolons between columns."""
 
-DEEPEST = 8
-"""Objects of JSON inside of each other; no telemetry has more."""
+MAX_DEPTH = 8
+"""Nesting of JSON objects; more than any telemetry has."""
 
 RAW_FRAME = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\|[0-9A-Fa-f]+(\|[^|]*)*", re.ASCII)
 """A line of SatNOGS DB's export of raw frames, which has no header."""
 
 FRAME_COLUMNS = ("timestamp", "frame", "observation_id", "observer")
-"""Its columns, named as in the same data base's JSON; the last two are in later exports."""
+"""Names for the columns of such a line, as in the JSON of the same database; older exports have only the first two."""
 
 
 class Table(NamedTuple):
-    """A file as text: its cells, indexed by the line of each row and the name of each column, comments, hash; its name in messages;
-    a NetCDF file as it is."""
+    """A table as text cells, indexed by the line of each row in the file and by the name of each column.
+
+    `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file.
+    """
 
     cells: pd.DataFrame
     comments: list[str]
@@ -64,26 +66,27 @@ class Table(NamedTuple):
 
     @property
     def header(self) -> list[str]:
+        """Names of the columns."""
         return self.cells.columns.tolist()
 
     def has(self, names: Iterable[str]) -> bool:
-        """Whether the table has all of these columns."""
+        """Return whether the table has all of these columns."""
         return set(names) <= set(self.cells.columns)
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """The cells of these columns as numbers (rows, columns), NaN where one is none.
+        """Return columns as numbers (rows, columns), with NaN for cells that are not plain numbers.
 
-        A cell may be damaged; `TelemetryError` is raised where the file writes its numbers in a form that is not read: with a
-        decimal comma, or no number in a whole column.
+        Single cells may be damaged. `TelemetryError` is raised for number formats that are not supported: a decimal comma, or a
+        column that has text with digits in every cell.
         """
         values = np.empty((len(self.cells), len(names)))
         for k, name in enumerate(names):
             cells = self.cells[name].tolist()
             values[:, k] = [plain_number(cell) for cell in cells]
-            none = np.flatnonzero(np.isnan(values[:, k])).tolist()
-            for i in none:
+            not_numbers = np.flatnonzero(np.isnan(values[:, k])).tolist()
+            for i in not_numbers:
                 comma = DECIMAL_COMMA.fullmatch(cells[i])
-                if comma or (len(none) == len(cells) and any(map(str.isdigit, cells[i]))):
+                if comma or (len(not_numbers) == len(cells) and any(map(str.isdigit, cells[i]))):
                     what = "no cell of this column is a number"
                     what = "the number has a decimal comma" if comma else what
                     do = "write plain decimals with a point, such as -1.5e-3"
@@ -91,60 +94,66 @@ class Table(NamedTuple):
         return values
 
     def place(self, row: int, name: str) -> str:
-        """A cell in messages."""
+        """Return the position of a cell in words for messages: file, line and column."""
         return f"{self.where}, line {self.cells.index[row]}, column {name!r}"
 
 
 def read_table(path: Path) -> Table:
-    """Read a table; the kind of file follows from its first bytes, not from its name."""
+    """Read a table; its first bytes, not its name, decide the file type. Raises `TelemetryError`."""
     where = str(path)
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
     data, comments = None, []
     if content.startswith(b"PAR1"):
-        cells = _of_columns(_parquet(content, where))
+        cells = _text_cells(_read_parquet(content, where))
     elif content.startswith(b"\x89HDF\r\n\x1a\n"):
-        columns, data = _netcdf(path)
-        cells = _of_columns(columns)
+        columns, data = _read_netcdf(path)
+        cells = _text_cells(columns)
     elif content.startswith(b"CDF"):
         do = "convert it to NetCDF-4 (nccopy -k nc4)"
         raise TelemetryError("this is NetCDF of version 3", do=do, where=where)
     else:
-        text = decoded(content, where, TelemetryError, "save it as CSV in UTF-8")
+        text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
         if "\0" in text or not text.strip():
             what = "the file holds binary data" if text.strip() else "the file is empty"
             do = "give a CSV in UTF-8 with a header and one row per sample"
             raise TelemetryError(what, do=do, where=where)
         if text.lstrip()[0] in "{[":
-            cells = _json(text, where)
+            cells = _read_json(text, where)
         else:
-            cells, comments = _csv(text, where)
+            cells, comments = _read_csv(text, where)
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
     return Table(cells, comments, hashlib.sha256(content).hexdigest(), where, data)
 
 
-def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
-    """Cells and comments. Rows are checked before pandas reads them: it fills short ones up."""
+def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
+    """Return the cells of a CSV text and its comments.
+
+    Rows are counted here before pandas parses them, as pandas fills up short rows without a message.
+    """
     lines = text.splitlines()
+    # comments before the header and between rows are collected
     begin = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), len(lines))
-    remarks = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
-    comments = [words for line in remarks if (words := line.lstrip("# ").strip())]
+    comment_lines = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
+    comments = [comment for line in comment_lines if (comment := line.lstrip("# ").strip())]
     first = lines[begin] if begin < len(lines) else ""
-    mark, header = max(DELIMITERS, key=first.count), {}
+    delimiter, header = max(DELIMITERS, key=first.count), {}
     if RAW_FRAME.fullmatch(first.strip()):
-        mark, header = "|", {0: "|".join(FRAME_COLUMNS[: first.count("|") + 1])}
+        delimiter, header = "|", {0: "|".join(FRAME_COLUMNS[: first.count("|") + 1])}
+    # line number in the file -> line; a raw frame export gets its header as line 0
     rows = header | {
         number: line
         for number, line in enumerate(lines[begin:], begin + 1)
-        if line.strip(f' {mark}\t"') and line[0] != "#"
+        if line.strip(f' {delimiter}\t"') and line[0] != "#"
     }
     width = 0
     for number, line in rows.items():
         at = f"{where}, line {number}"
-        n = line.count(mark) + 1
+        n = line.count(delimiter) + 1
+        # quoted cells may contain the delimiter
         if '"' in line:
             try:
-                n = len(next(csv.reader([line], strict=True, delimiter=mark)))
+                n = len(next(csv.reader([line], strict=True, delimiter=delimiter)))
             except csv.Error as error:
                 what, do = f"this is not valid CSV ({error})", "close the quotes, or remove them"
                 raise TelemetryError(what, do=do, where=at) from None
@@ -156,7 +165,11 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     if len(rows) < 2:
         raise TelemetryError("the file has a header but no samples", where=where)
     cells = pd.read_csv(
-        io.StringIO("\n".join(rows.values())), sep=mark, header=None, dtype=object, na_filter=False
+        io.StringIO("\n".join(rows.values())),
+        sep=delimiter,
+        header=None,
+        dtype=object,
+        na_filter=False,
     )
     names = cells.iloc[0].str.strip()
     for name in names[names.duplicated()]:
@@ -166,24 +179,29 @@ def _csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
             do = "write a header above it"
         raise TelemetryError(what, got=name or "an empty cell", do=do, where=where)
     cells = cells.iloc[1:].set_axis(list(rows)[1:]).set_axis(names.tolist(), axis=1)
-    if mark == ";":
+    if delimiter == ";":
         cells = cells.map(lambda c: c.replace(",", ".") if DECIMAL_COMMA.fullmatch(c) else c)
     return cells, comments
 
 
-def _json(text: str, where: str) -> pd.DataFrame:
-    """Cells (empty where a row has no such key), indexed by the line of each row, or counted from one in a list or page; columns
-    in the order in which they come."""
+def _read_json(text: str, where: str) -> pd.DataFrame:
+    """Return the cells of a JSON text, empty if a row lacks the key.
+
+    The index is the line of each row, or its number from one in a list or page. Columns are in the order of their first
+    occurrence.
+    """
     texts = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     first = texts[0][1].strip()
-    if not (first[0] == "{" and first[-1] == "}"):  # else each line is an object by itself
+    # JSON lines if the first line is a complete object, else one document
+    if not (first[0] == "{" and first[-1] == "}"):
         texts = [(1, text)]
     rows: list[dict[str, str]] = []
     lines: list[int] = []
     for number, line in texts:
         try:
-            item = json.loads(line, object_pairs_hook=_object)
-        except (ValueError, RecursionError) as error:  # of a key twice too, or thousands of digits
+            item = json.loads(line, object_pairs_hook=_object_without_repeats)
+        # ValueError also for a repeated key and for a number of thousands of digits
+        except (ValueError, RecursionError) as error:
             why = getattr(error, "msg", str(error))[:100]
             why = "it is nested too deeply" if isinstance(error, RecursionError) else why
             what, at = f"this is not valid JSON ({why})", number + getattr(error, "lineno", 1) - 1
@@ -204,28 +222,30 @@ def _json(text: str, where: str) -> pd.DataFrame:
 
 
 def _require_size(rows: int, columns: int, where: str) -> None:
+    """Raise `TelemetryError` if a table has too many columns or cells."""
     if columns > MAX_COLUMNS or rows * columns > MAX_CELLS:
         what = f"the file has more than {MAX_COLUMNS} columns or more than {MAX_CELLS:.0e} cells"
         got = f"{rows} rows of {columns}"
         raise TelemetryError(what, got=got, do="cut it into parts", where=where)
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object as a dict; raise ValueError if a key is repeated."""
     if len(dict(pairs)) < len(pairs):
         raise ValueError("a key stands twice in an object")
     return dict(pairs)
 
 
 def _leaves(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str, str]]:
-    """Names and texts of what lies in an object or list, however deep."""
-    if depth > DEEPEST:
-        what = f"objects lie more than {DEEPEST} deep in each other"
+    """Yield the names and texts of all values in a JSON object or list, at any depth."""
+    if depth > MAX_DEPTH:
+        what = f"objects lie more than {MAX_DEPTH} deep in each other"
         raise TelemetryError(what, where=where)
     if isinstance(item, str) and item[:1] == "{" and item[-1:] == "}":
         try:
-            item = json.loads(item, object_pairs_hook=_object)
+            item = json.loads(item, object_pairs_hook=_object_without_repeats)
         except (ValueError, RecursionError):
-            pass  # a text that only looks like an object stays a text
+            pass  # a text in braces that is not JSON stays a text
     if isinstance(item, dict | list):
         for key, value in item.items() if isinstance(item, dict) else enumerate(item):
             inner = f"{name}.{key}" if name else str(key).strip()
@@ -234,7 +254,8 @@ def _leaves(item: Any, name: str, where: str, depth: int) -> Iterator[tuple[str,
         yield name, "" if item is None else str(int(item) if isinstance(item, bool) else item)
 
 
-def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
+def _read_parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
+    """Return the columns of a Parquet file."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -245,19 +266,24 @@ def _parquet(content: bytes, where: str) -> dict[str, np.ndarray]:
         return {str(name): table[name].to_numpy() for name in table.column_names}
     except TelemetryError:
         raise
-    except Exception as error:  # a damaged file makes the library raise whatever comes
+    except Exception as error:  # on damaged files the library raises errors of any type
         what = f"this Parquet file cannot be read ({str(error)[:200]})"
         do = 'save it as CSV, or install pyarrow with pip install "sunspin[parquet]"'
         raise TelemetryError(what, do=do, where=where) from None
 
 
-def _netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
-    """Every variable over the one dimension that the samples share; (time, panel) becomes a column per panel. And the whole."""
+def _read_netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
+    """Return the columns of a NetCDF file and its whole Dataset.
+
+    A variable over the dimension of samples is a column. One with a second dimension, such as (time, panel), gives a column per
+    label.
+    """
     from sunspin.base.netcdf import read_netcdf
 
     data = read_netcdf(path, str(path), TelemetryError)
-    own = [name for name in data.sizes if name in data.coords or len(data.sizes) == 1]
-    longest = max(own, key=lambda name: data.sizes[name], default=None)
+    # only a dimension with a coordinate, or the single one of a file, can be that of the samples
+    candidates = [name for name in data.sizes if name in data.coords or len(data.sizes) == 1]
+    longest = max(candidates, key=lambda name: data.sizes[name], default=None)
     axis = "time" if "time" in data.sizes else longest
     if axis is None:
         what = "the NetCDF file has no dimension of samples"
@@ -274,9 +300,10 @@ def _netcdf(path: Path) -> tuple[dict[str, np.ndarray], xr.Dataset]:
     return columns, data
 
 
-def _of_columns(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
-    """Columns as text cells, rows counted from one."""
+def _text_cells(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """Return columns as text cells, with rows numbered from one."""
     cells = {}
+    # complex numbers and objects become texts that are not plain numbers
     for name, column in columns.items():
         values = column.tolist()
         if np.issubdtype(column.dtype, np.datetime64):
@@ -284,5 +311,5 @@ def _of_columns(columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
             values = ["" if np.isnat(time) else f"{time}Z" for time in times]
         elif np.issubdtype(column.dtype, np.number) and column.dtype.kind != "c":
             values = column.astype(np.float64).tolist()
-        cells[name] = [str(value) for value in values]  # complex cells are no numbers of ours
+        cells[name] = [str(value) for value in values]
     return pd.DataFrame(cells, dtype=object).rename(index=lambda row: row + 1)

@@ -1,4 +1,4 @@
-"""What comes from outside, within bounds: numbers of a size that can be squared, bytes of regular files, no more than was said."""
+"""Safe reading of input from outside: plain numbers, files of limited size, TOML, scripts in limited processes."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from typing import Any
 from sunspin.base.errors import SunspinError
 
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Sizes of numbers that files and options may give: far beyond any in use, and their squares and products are still numbers."""
+"""Range of the sizes of numbers in files and options: beyond any in use, while squares and products stay finite."""
 
 MAX_DOTS = 1000
-"""In a line of TOML: Python's reader takes a time that grows with the square of the parts of a dotted key."""
+"""Dots in a line of TOML: the time of Python's reader grows with the square of the parts of a dotted key."""
 
 SIZES = f"0 or a finite number between {SMALLEST:g} and {LARGEST:g} in size"
+"""The range of numbers in words, for errors."""
 
 
 def is_sensible(value: float) -> bool:
-    """Whether a number is zero or of a size that arithmetic stands."""
+    """Return whether a number is zero or of a size between `SMALLEST` and `LARGEST`."""
     return value == 0 or SMALLEST <= abs(value) <= LARGEST
 
 
 def plain_number(text: str) -> float:
-    """The number that a text from outside is: a plain decimal in ASCII digits, such as -1.5e-3; NaN for every other text.
+    """Return the number that a text contains, a plain decimal in ASCII digits such as -1.5e-3; NaN for any other text.
 
-    Python reads more as numbers, which nobody means by them: 1_000, digits of other scripts, inf, nan.
+    Python's `float` also accepts 1_000, digits of other scripts, inf and nan, which are errors in a data file.
     """
     try:
         value = math.nan if "_" in text or not text.isascii() else float(text)
@@ -39,35 +40,41 @@ def plain_number(text: str) -> float:
     return value if math.isfinite(value) else math.nan
 
 
-def read_bytes(path: Path, most: int, kind: str, error_type: type[SunspinError], do: str) -> bytes:
-    """The content of a file of at most `most` bytes; `kind` names it in messages, `do` says what to do where it cannot be read.
+def read_bytes(
+    path: Path, max_bytes: int, kind: str, error_type: type[SunspinError], do: str
+) -> bytes:
+    """Read a file of at most `max_bytes` bytes.
 
-    A device never ends and a pipe without a writer never begins: they are refused before they are opened. Nor is a file opened
-    that says that it is empty: the kernel's own, such as /proc/kmsg, say so and wait for ever.
+    `kind` names the file in messages; `do` is the advice if it cannot be read. Devices and pipes are refused before they are
+    opened, as reading them may not end. A file that states a size of zero is not opened either, and returned as empty: files of
+    the kernel such as /proc/kmsg state zero and block.
     """
     where, content = str(path), b""
     try:
-        about = path.stat()
-        is_regular = stat.S_ISREG(about.st_mode)
-        if is_regular and 0 < about.st_size <= most:
+        status = path.stat()
+        is_regular = stat.S_ISREG(status.st_mode)
+        if is_regular and 0 < status.st_size <= max_bytes:
             with open(path, "rb") as file:
-                content = file.read(most + 1)
-    except (OSError, ValueError) as error:  # also of a NUL in the path
+                content = file.read(max_bytes + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         what = f"the {kind} cannot be read ({getattr(error, 'strerror', None) or error})"
         raise error_type(what, do=do, where=where) from None
     if not is_regular:
-        sort = "a folder" if stat.S_ISDIR(about.st_mode) else "a device or a pipe"
+        sort = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
         do = "give a file, or save its content to one"
         raise error_type(f"this is {sort}, not a {kind}", do=do, where=where)
-    if max(about.st_size, len(content)) > most:
-        what, got = f"a {kind} is smaller than {most / 1e6:g} MB", f"{about.st_size / 1e6:.0f} MB"
+    if max(status.st_size, len(content)) > max_bytes:
+        what, got = (
+            f"a {kind} is smaller than {max_bytes / 1e6:g} MB",
+            f"{status.st_size / 1e6:.0f} MB",
+        )
         do = "cut it into parts, or give the right file"
         raise error_type(what, got=got, do=do, where=where)
     return content
 
 
-def decoded(content: bytes, where: str, error_type: type[SunspinError], do: str) -> str:
-    """The text of a file in UTF-8, with or without its mark; what is none is named with the line where it stops being so."""
+def decode_text(content: bytes, where: str, error_type: type[SunspinError], do: str) -> str:
+    """Decode UTF-8 with or without a byte order mark; raise `error_type` with the line of the first invalid byte."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -79,7 +86,10 @@ def decoded(content: bytes, where: str, error_type: type[SunspinError], do: str)
 def read_toml(
     text: str, where: str, error_type: type[SunspinError], do: str = "correct that line"
 ) -> dict[str, Any]:
-    """The table of a TOML text; `where` names the file in messages, `do` says what to do where it is no TOML."""
+    """Parse a TOML text into a table; raise `error_type` if it is not valid.
+
+    `where` names the file in messages, `do` is the advice.
+    """
     for number, line in enumerate(text.splitlines(), 1):
         if line.count(".") > MAX_DOTS:
             what, at = f"the line has more than {MAX_DOTS} dots", f"{where}, line {number}"
@@ -95,20 +105,23 @@ def read_toml(
     raise error_type(what, do=do, where=where)
 
 
-def is_plain(path: Path) -> bool:
-    """Whether this is, or leads to, a regular file that is not empty: no device, pipe or file of the kernel, which may not end."""
+def is_nonempty_file(path: Path) -> bool:
+    """Return whether a path is a regular file, or a link to one, that states a size above zero.
+
+    Excludes devices, pipes and files of the kernel, which may block a reader for ever.
+    """
     return os.path.isfile(path) and os.path.getsize(path) > 0
 
 
-def is_own(path: Path) -> bool:
-    """Whether a folder has this as a file of its own: regular, and no link, which could lead to anybody's file."""
+def is_file_not_link(path: Path) -> bool:
+    """Return whether a path is a regular file and not a link, which could point to a file of another owner."""
     return os.path.isfile(path) and not os.path.islink(path)
 
 
-MEMORY = 6_000_000_000
-"""Bytes of address space of another process that reads a file from outside."""
+MAX_MEMORY_BYTES = 6_000_000_000
+"""Address space of a separate process that reads a file from outside."""
 
-BOOT = """
+LIMITED_RUN = """
 import resource, runpy, sys
 for kind, wanted in ((resource.RLIMIT_CPU, int(sys.argv[1])), (resource.RLIMIT_AS, int(sys.argv[2]))):
     given = [limit for limit in resource.getrlimit(kind) if limit != resource.RLIM_INFINITY]
@@ -119,30 +132,47 @@ try:
 except Exception as error:
     sys.exit(" ".join(f"{type(error).__name__}: {error}".split()))
 """
+"""Program of the separate process: set the limits of CPU time (s) and memory (bytes), then run the script.
+
+Its arguments are both limits, the script and the script's own arguments."""
 
 
-class Elsewhere(Exception):
-    """Why a script in another process did not come to its end."""
+class IsolatedRunError(Exception):
+    """A script in a separate process failed; the text says why."""
 
 
-def elsewhere(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:
-    """What a script prints that runs in another process, under limits of CPU time and memory, with `content` to read.
+def run_isolated(script: Path, *arguments: str, content: bytes = b"", seconds: int) -> bytes:
+    """Run a script in a separate process with limited CPU time (s) and memory; return what it prints.
 
-    For the C libraries that read other people's files: on damaged ones they may compute for ever, or end the process. The
-    script imports nothing of ours, as it may not find it. Raises `Elsewhere` with the reason.
+    `content` is its standard input. This protects against C libraries that read files from outside: on damaged files they may
+    compute for ever or end the process. The script must not import sunspin, which the new process may not find.
+
+    Raises
+    ------
+    IsolatedRunError
+        If the script fails, exceeds a limit or crashes.
     """
-    # -P: the folder of the script is no place to import from
-    command = [sys.executable, "-P", "-c", BOOT, str(seconds), str(MEMORY), str(script), *arguments]
+    # -P: nothing is imported from the folder of the script
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        LIMITED_RUN,
+        str(seconds),
+        str(MAX_MEMORY_BYTES),
+        str(script),
+        *arguments,
+    ]
     try:
         done = subprocess.run(
             command, input=content, capture_output=True, timeout=60 + 20 * seconds
         )
     except subprocess.TimeoutExpired:
-        raise Elsewhere("reading it does not end") from None
+        raise IsolatedRunError("reading it does not end") from None
     if done.returncode < 0:
         limit = f"reading it takes more than {seconds} s or ends the program that reads it"
-        raise Elsewhere(f"{limit}, with signal {-done.returncode}")
+        raise IsolatedRunError(f"{limit}, with signal {-done.returncode}")
     if done.returncode:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        raise Elsewhere(lines[-1][:300] if lines else "no reason is known")
+        raise IsolatedRunError(lines[-1][:300] if lines else "no reason is known")
     return done.stdout

@@ -1,7 +1,6 @@
 """Built-in cases: vehicle, timeline, telemetry and published figures, as data.
 
-A case is a folder with a ``vehicle.toml``; ``timeline.toml``, ``telemetry.csv`` and ``published.toml`` stand beside it
-where there are any.
+A case is a folder with a ``vehicle.toml`` and, optionally, a ``timeline.toml``, a ``telemetry.csv`` and a ``published.toml``.
 """
 
 from __future__ import annotations
@@ -17,21 +16,22 @@ from typing import Any
 import xarray as xr
 
 from sunspin.base.errors import InputError, TelemetryError
-from sunspin.base.untrusted import decoded, read_bytes, read_toml
+from sunspin.base.untrusted import decode_text, read_bytes, read_toml
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import Vehicle, load_vehicle
-from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split
+from sunspin.vehicle.assumptions import Assumptions, read_assumptions, split_changes
 from sunspin.vehicle.changes import Changes
 from sunspin.vehicle.notebook import case_html
-from sunspin.vehicle.part import tuples
+from sunspin.vehicle.part import as_tuples
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
 PUBLISHED_TEXTS = ("unit", "what", "place")
+"""Keys of a published figure whose values are texts; each must be stated."""
 
 
 @dataclass(frozen=True)
 class Published:
-    """A figure that a publication states: its value (nested tuples where not one number), unit and place there."""
+    """A figure that a publication states: its value (a number or nested tuples), unit, meaning and place in the publication."""
 
     value: Any
     unit: str
@@ -40,13 +40,14 @@ class Published:
 
 
 MAX_TIMELINE_BYTES = 1_000_000
+"""Largest timeline file that is read."""
 
 
 @dataclass(frozen=True)
 class Case:
     """A landing, flight or test: the vehicle, what happened when, its telemetry and what was published about it.
 
-    `assumptions`: those of the paper's study, where they are changed.
+    `assumptions` holds the assumptions of the paper's study; some may have been changed for this run.
     """
 
     name: str
@@ -58,13 +59,13 @@ class Case:
 
     @property
     def changes(self) -> tuple[Any, ...]:
-        """What was set for this run, of the vehicle and of the assumptions."""
+        """Changes made for this run to values of the vehicle and to assumptions of the study."""
         return (*self.vehicle.changes, *self.assumptions.changes)
 
     @cached_property
     def telemetry(self) -> xr.Dataset:
-        """The case's own telemetry, read when first asked for."""
-        path = case_telemetry(self.name)
+        """Telemetry of the case; the file is read at the first access."""
+        path = case_telemetry_path(self.name)
         if path is None:
             raise TelemetryError(
                 f"case {self.name!r} comes without telemetry",
@@ -73,7 +74,7 @@ class Case:
         return read_telemetry(path, self.vehicle)
 
     def require_timeline(self) -> Timeline:
-        """The timeline, or an `InputError` that says where to add it."""
+        """Return the timeline; raise an `InputError` that says where to add it if there is none."""
         if self.timeline is None:
             raise InputError(
                 f"case {self.name!r} has no timeline",
@@ -86,12 +87,12 @@ class Case:
 
 
 def case_names() -> list[str]:
-    """Names of the built-in cases."""
+    """Return the names of the built-in cases, sorted."""
     return sorted(path.parent.name for path in _root().glob("*/vehicle.toml"))
 
 
-def case_telemetry(name: str) -> Path | None:
-    """The telemetry file that comes with a built-in case; None where there is none, or no such case."""
+def case_telemetry_path(name: str) -> Path | None:
+    """Return the telemetry file of a built-in case; None if there is no such case or it has no telemetry."""
     path = _root() / name / "telemetry.csv"
     return path if name in case_names() and path.is_file() else None
 
@@ -102,8 +103,8 @@ def load_case(name: str, changes: Changes = None) -> Case:
     Parameters
     ----------
     changes : dict or list of str, optional
-        Values of the vehicle or of the study's assumptions that take the place of those in the files, by their keys, as in
-        :func:`sunspin.load_vehicle`; of the assumptions for example ``{"study.lead_s": 30, "collision.restitution": 0.2}``.
+        Values that replace those of the vehicle file or of the study's assumptions, by key, as in :func:`sunspin.load_vehicle`.
+        Example for assumptions: ``{"study.lead_s": 30, "collision.restitution": 0.2}``.
 
     Returns
     -------
@@ -114,7 +115,7 @@ def load_case(name: str, changes: Changes = None) -> Case:
     Raises
     ------
     InputError
-        With the names there are, or with what is wrong in one of the case's files.
+        There is no case of this name (the message lists the names), or one of the case's files is not valid.
     """
     if name not in case_names():
         raise InputError(
@@ -125,19 +126,19 @@ def load_case(name: str, changes: Changes = None) -> Case:
     folder = _root() / name
     figures = folder / "published.toml"
     text = figures.read_text("utf-8") if figures.is_file() else ""
-    of_vehicle, of_study = split(changes)
+    vehicle_changes, study_changes = split_changes(changes)
     return Case(
         name=name,
         folder=folder,
-        vehicle=load_vehicle(name, of_vehicle),
-        timeline=_timeline_in(folder),
+        vehicle=load_vehicle(name, vehicle_changes),
+        timeline=_read_timeline_in(folder),
         published=parse_published(text, str(figures)),
-        assumptions=read_assumptions(of_study),
+        assumptions=read_assumptions(study_changes),
     )
 
 
 def load_example(name: str = "cubesat") -> tuple[Vehicle, xr.Dataset]:
-    """The example that `sunspin init` writes: a made-up satellite and its synthetic telemetry.
+    """Load the example that `sunspin init` writes: an invented satellite and its synthetic telemetry.
 
     Parameters
     ----------
@@ -148,12 +149,12 @@ def load_example(name: str = "cubesat") -> tuple[Vehicle, xr.Dataset]:
     -------
     vehicle : Vehicle
     telemetry : Dataset
-        As of :func:`sunspin.read_telemetry`; ``attrs["synthetic"]`` is 1.
+        As returned by :func:`sunspin.read_telemetry`; ``attrs["synthetic"]`` is 1.
 
     Raises
     ------
     InputError
-        For another name.
+        `name` is not the name of an example.
     """
     if name != "cubesat":
         raise InputError("there is no example of this name", got=name, do="known: cubesat")
@@ -162,45 +163,65 @@ def load_example(name: str = "cubesat") -> tuple[Vehicle, xr.Dataset]:
     return vehicle, read_telemetry(folder / "telemetry.csv", vehicle)
 
 
-def timeline_of(vehicle: object) -> Timeline | None:
-    """The `timeline.toml` beside a vehicle file, as `sunspin reproduce` writes both; of a built-in vehicle that of its case.
+def read_timeline(vehicle: object) -> Timeline | None:
+    """Read the `timeline.toml` of a vehicle; return None if there is no such file.
 
-    None where there is none.
+    Parameters
+    ----------
+    vehicle : str or path
+        A vehicle file: the timeline is read from the same folder, in which `sunspin reproduce` writes both. Or the name of a
+        built-in vehicle: the timeline is that of its case.
 
     Raises
     ------
     InputError
-        With what is wrong in the file.
+        The file is not a valid timeline.
     """
     built_in = isinstance(vehicle, str) and vehicle in case_names()
-    return _timeline_in(_root() / str(vehicle) if built_in else Path(str(vehicle)).parent)
+    return _read_timeline_in(_root() / str(vehicle) if built_in else Path(str(vehicle)).parent)
 
 
-def _timeline_in(folder: Path) -> Timeline | None:
+def _read_timeline_in(folder: Path) -> Timeline | None:
+    """Read the `timeline.toml` of a folder; return None if there is no such file."""
     path = folder / "timeline.toml"
     if not path.is_file():
         return None
     content = read_bytes(
         path, MAX_TIMELINE_BYTES, "timeline", InputError, "move it away, or write it again"
     )
-    return parse_timeline(decoded(content, str(path), InputError, "save it as UTF-8"), str(path))
+    return parse_timeline(
+        decode_text(content, str(path), InputError, "save it as UTF-8"), str(path)
+    )
 
 
 def parse_published(text: str, where: str) -> Mapping[str, Published]:
-    """Read the text of a ``published.toml``; `where` names the file in messages. Tables without a value state no figure."""
+    """Read the text of a ``published.toml``: figure name -> `Published`. Tables without the key `value` are skipped.
+
+    Parameters
+    ----------
+    where : str
+        Names the file in messages.
+
+    Raises
+    ------
+    InputError
+        A figure lacks one of `PUBLISHED_TEXTS`.
+    """
     figures = {}
     for key, entry in read_toml(text, where, InputError).items():
         if "value" not in entry:
             continue
+        # a figure without a stated unit is dimensionless
         texts = [({"unit": "1"} | entry).get(name, "") for name in PUBLISHED_TEXTS]
         if not all(text.strip() for text in texts):
             raise InputError(
                 f"a published figure has {', '.join(PUBLISHED_TEXTS)}, none of them empty",
                 where=f"{where}, {key}",
             )
-        figures[key] = Published(tuples(entry["value"]), *texts)
+        figures[key] = Published(as_tuples(entry["value"]), *texts)
     return MappingProxyType(figures)
 
 
 def _root() -> Path:
+    """Return the folder that holds a folder for each built-in case."""
     return Path(str(resources.files("sunspin").joinpath("cases")))

@@ -41,8 +41,8 @@ def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output)
     from sunspin.estimate.calibrate.sensors import new_values
     from sunspin.estimate.orbit.judged import orbit_of
     from sunspin.output.folder import write_whole
-    from sunspin.vehicle.file import parse_vehicle, vehicle_text
-    from sunspin.vehicle.rewrite import rewritten
+    from sunspin.vehicle.file import parse_vehicle, read_vehicle_text
+    from sunspin.vehicle.rewrite import rewrite_values
 
     craft, samples = read_both(vehicle, telemetry)
     orbit = orbit_of(craft, samples, elements, shift_sigma)
@@ -54,7 +54,7 @@ def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output)
     result = run(craft, samples, orbit, progress=output.progress)
     lines = []
     if copy is not None:
-        text = rewritten(vehicle_text(vehicle), new_values(result))
+        text = rewrite_values(read_vehicle_text(vehicle), new_values(result))
         parse_vehicle(text, str(copy))  # what is written can be read
         write_whole(copy, text)
         lines = [f"Calibrated copy: {copy}"]

@@ -118,12 +118,12 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
         @wraps(function)
         def command(sets: tuple[str, ...], **given: Any) -> None:
             from sunspin.vehicle.assumptions import TABLES, read_assumptions
-            from sunspin.vehicle.changes import changes_of
+            from sunspin.vehicle.changes import parse_changes
 
             source = click.get_current_context().get_parameter_source
             typed = [name for name in given if source(name) is ParameterSource.COMMANDLINE]
             said = {SHORT[name][0]: name for name in typed if name in SHORT}
-            changes = changes_of(sets)
+            changes = parse_changes(sets)
             for change in changes:
                 if name := said.get(re.sub(r"\[[^\]]*\]", "", change.key)):
                     what = f"--{name.replace('_', '-')} and --set {change.key} say the same thing"
@@ -133,7 +133,7 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
                     what, do = "this command does not use that assumption", "`--set list` shows all"
                     raise InputError(what, got=change.key, do=do)
             values = [(SHORT[name][0], given.pop(name)) for name in short]
-            own = changes_of([f"{key}={value}" for key, value in values if value is not None])
+            own = parse_changes([f"{key}={value}" for key, value in values if value is not None])
             function(changes=own + changes, **given)
 
         decorated: Any = command
@@ -149,11 +149,11 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
 def opened(vehicle: Any, changes: Iterable[Change]) -> Opened:
     """The vehicle and the assumptions with the changes."""
     from sunspin.vehicle import load_vehicle
-    from sunspin.vehicle.assumptions import read_assumptions, split
-    from sunspin.vehicle.file import changed_file
+    from sunspin.vehicle.assumptions import read_assumptions, split_changes
+    from sunspin.vehicle.file import attach_changes
 
-    of_vehicle, of_study = split(changes)
-    file = changed_file(vehicle, of_vehicle)
+    of_vehicle, of_study = split_changes(changes)
+    file = attach_changes(vehicle, of_vehicle)
     craft, assumptions = load_vehicle(file), read_assumptions(of_study)
     context = click.get_current_context(silent=True)
     say_idle(changes, getattr(context and context.command.callback, "idle", ()))
@@ -177,11 +177,11 @@ def _among(key: str, names: Iterable[str]) -> bool:
 def print_list(vehicle: str, command: Any, as_json: bool) -> None:
     """Key, value, unit and source of all that a command can change."""
     from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
-    from sunspin.vehicle.changes import settings, shown
-    from sunspin.vehicle.file import VehicleFile, vehicle_table
+    from sunspin.vehicle.changes import format_value, list_settings
+    from sunspin.vehicle.file import VehicleFile, read_vehicle_table
 
-    of_vehicle = settings(vehicle_table(vehicle), VehicleFile)
-    of_study = settings(assumptions_table(), AssumptionsFile)
+    of_vehicle = list_settings(read_vehicle_table(vehicle), VehicleFile)
+    of_study = list_settings(assumptions_table(), AssumptionsFile)
     rows = [each for each in of_vehicle if not _among(each.key, command.idle)]
     rows += [each for each in of_study if _among(each.key, command.uses)]
     if as_json:
@@ -191,4 +191,4 @@ def print_list(vehicle: str, command: Any, as_json: bool) -> None:
     width = max(len(each.key) for each in rows)
     for key, value, unit, source, _ in rows:
         about = f"({source})" if source else ""
-        click.echo(f"{key:{width}}  {' '.join(filter(None, (shown(value), unit, about)))}")
+        click.echo(f"{key:{width}}  {' '.join(filter(None, (format_value(value), unit, about)))}")

@@ -246,7 +246,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
     """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry, and `-` for
     what is piped in, as a file for as long as the command runs: readers need its size before they begin."""
     from sunspin.base.tables import MAX_FILE_BYTES
-    from sunspin.cases import case_telemetry
+    from sunspin.cases import case_telemetry_path
 
     if path == "-":
         if sys.stdin is None or sys.stdin.isatty():
@@ -260,7 +260,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
         return piped
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
-        given = case_telemetry(path) or given
+        given = case_telemetry_path(path) or given
     with suppress(OSError, ValueError):  # no name of a file: its reader says so
         if data is not None and not given.exists() and (data / given).exists():
             return data / given

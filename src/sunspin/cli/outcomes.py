@@ -94,14 +94,14 @@ def outcomes(
       sunspin outcomes philae --runs 20000 --strategy off --strategy held --out landing
       sunspin outcomes vehicle.toml --omega-deg-s 6,0,12 --sun 0,0,1 --after 600 --collision-speed 0 --runs 1000
     """
-    from sunspin.landing.scenario import scenario_of, strategy_of
-    from sunspin.landing.strategies import compare, compared
+    from sunspin.landing.scenario import build_scenario, parse_strategy
+    from sunspin.landing.strategies import compare, comparison_tree
     from sunspin.philae.candidates import starts
     from sunspin.philae.collision import against_kernel
 
     opening = opened(vehicle, changes)
     craft, assumed = opening.craft, opening.assumptions
-    wanted = [strategy_of(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
+    wanted = [parse_strategy(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
     known |= {
         "lead_s": assumed.study.lead_s if lead is None else lead,
         "wheel_speed_rad_s": wheel_speed,
@@ -111,12 +111,12 @@ def outcomes(
     given = {key: value for key, value in known.items() if value is not None}
     if given.get("collision_speed_m_s") == 0:
         given["collision_speed_m_s"] = None
-    scenario = scenario_of(vehicle, craft, given)
+    scenario = build_scenario(vehicle, craft, given)
     candidates, whose = starts(craft, omega_B, scan, factor)
     output.claim()
     how = {"store": store, "workers": workers, "executor": executor, "progress": output.progress}
     table, outcome = compare(craft, candidates, wanted, runs, seed, scenario, **how)
     weighted = against_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
-    tree = opening.mark(compared(table, outcome, weighted))
+    tree = opening.mark(comparison_tree(table, outcome, weighted))
     about, lines = {"candidates_from": whose}, [f"Candidates: {whose}"]
     output.deliver(tree, opening.file, also=about, lines=lines)

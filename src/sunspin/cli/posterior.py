@@ -76,9 +76,9 @@ def posterior(
       sunspin posterior philae --predict 16:20,17:25 --out philae-posterior
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store checkpoints
     """
-    from sunspin.cases import case_telemetry, timeline_of
+    from sunspin.cases import case_telemetry_path, read_timeline
     from sunspin.estimate.posterior.estimate import posterior as run
-    from sunspin.landing.predictions import with_predictions
+    from sunspin.landing.predictions import add_predictions
     from sunspin.telemetry.reader import read_telemetry
 
     if output.quiet:
@@ -87,7 +87,7 @@ def posterior(
     craft = opening.craft
     if predict is None:
         say_idle(opening.changes, ("body.mass_kg", "leg", "collision"))  # of a collision
-    if telemetry is None and (telemetry := case_telemetry(vehicle)) is None:
+    if telemetry is None and (telemetry := case_telemetry_path(vehicle)) is None:
         raise InputError("TELEMETRY is missing", do="only a built-in case comes with its own")
     samples = read_telemetry(telemetry, craft)
     epoch = samples.attrs.get("epoch_utc")
@@ -109,6 +109,6 @@ def posterior(
         periods=evidence,
     )
     if asked is not None:
-        collision, timeline = opening.assumptions.collision, timeline_of(vehicle)
-        with_predictions(craft, tree, asked, seed, timeline, collision, workers)
+        collision, timeline = opening.assumptions.collision, read_timeline(vehicle)
+        add_predictions(craft, tree, asked, seed, timeline, collision, workers)
     output.deliver(opening.mark(tree), opening.file, samples)

@@ -1,1 +1,1 @@
-"""Many rows on many cores: chunks, resume, clusters, the identity of a result, the settings of the compiler."""
+"""Computation of many rows on many cores or a cluster: chunks, resuming, the identity of a result."""

@@ -1,6 +1,7 @@
-"""Rows on a Dask cluster, through Dask's own client.
+"""Computation of rows on a Dask cluster, through Dask's own client.
 
-A local cluster listens on 127.0.0.1 alone, without a dashboard; Dask does not ask which user of this machine connects.
+A local cluster listens on 127.0.0.1 only, without a dashboard. Dask does not authenticate: other users of the same machine can
+connect.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
 
 IN_FLIGHT = 4
-"""Chunks in flight for each thread of the cluster: enough that none waits for the next, few enough for memory."""
+"""Chunks in flight per thread of the cluster: enough that no thread waits, few enough for memory."""
 
 CONNECT_S, FIRST_WORKER_S, RESTART_S = 5, 60, 300
-"""How long an address has to answer, a cluster to get its first worker, and a worker that died to be there again: Dask looks
-once, 15 s after each death, and a second death at that moment would end the worker for good."""
+"""Time limits: answer of an address, first worker of a cluster, restart of a worker that died.
+Dask looks once, 15 s after each death; a second death at that moment would end the worker for good."""
 
 
-def on_cluster(
+def compute_on_cluster(
     function: RowFunction, chunks: Iterator[slice], scheduler: Any, n_workers: int
 ) -> Generator[tuple[slice, Values]]:
-    """Each chunk of rows with its results, as they are finished; what a dead worker had is computed again."""
+    """Yield each chunk of rows with its results as it is finished; chunks of a dead worker are computed again."""
     with ExitStack() as stack:
         client = _connect(scheduler, n_workers, stack)
-        # sent once, as the result of a task: Dask gets it again when the worker that has it dies
+        # sent once, as the result of a task, so that Dask can restore it if the worker that holds it dies
         shared = client.submit(lambda: function, pure=False)
         running, finished = dict[Any, slice](), as_completed(loop=client.loop)
         threads: Any = client.nthreads()  # no coroutine, as the client is not asynchronous
@@ -47,41 +48,47 @@ def on_cluster(
             while True:
                 for rows in islice(chunks, free):
                     index = np.arange(rows.start, rows.stop)
-                    # once more if it fails: a machine may be short of memory or disk for a moment
+                    # one retry, as a machine may be short of memory or disk for a moment
                     task = client.submit(call, shared, index, retries=1, pure=False)
                     running[task] = rows
                     finished.add(task)
                 if not running:
                     return
                 task, free = next(finished), 1
-                yield running.pop(task), task.result()  # waited for anew if it is lost by now
+                yield running.pop(task), task.result()  # waits again if the result was lost
         except (KilledWorker, CancelledError) as error:
             what = "the cluster has dropped a chunk of rows, perhaps as its workers ended for lack of memory"
             raise InputError(what, got=str(error), do="use a smaller chunk") from None
         finally:
-            with suppress(Exception):  # they may already be out of reach
+            with suppress(Exception):  # the scheduler may be unreachable by now
                 client.cancel([shared, *running])
 
 
-class _Undisturbed(WorkerPlugin):
-    """Lets Ctrl-C, which a terminal sends to all its processes, reach the client alone: it ends the workers in good order."""
+class _IgnoreInterrupt(WorkerPlugin):
+    """Plugin by which workers ignore Ctrl-C, which a terminal sends to all its processes.
+
+    The client handles the interruption and ends the workers in order.
+    """
 
     def setup(self, worker: Any) -> None:
+        """Ignore the interrupt signal in a worker process."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
-    """A client with at least one worker; what is opened for it is closed with the stack."""
+    """Return a client with at least one worker; everything opened for it is closed with the stack. Raises `InputError`."""
     try:
         if isinstance(scheduler, Client):
             client = scheduler
         elif scheduler == "local":
             cluster = stack.enter_context(local_cluster(n_workers))
             client = stack.enter_context(Client(cluster, set_as_default=False))
-            client.register_plugin(_Undisturbed())
-        else:  # asked first, as a Client that never connected cannot be closed in peace
-            with ThreadPoolExecutor(1) as aside:  # a notebook runs an event loop in this thread
-                kind = aside.submit(asyncio.run, _kind_at(str(scheduler))).result()
+            client.register_plugin(_IgnoreInterrupt())
+        else:
+            # tested before, as closing a Client that never connected raises errors; in a thread of its own, as a notebook
+            # already runs an event loop in this one
+            with ThreadPoolExecutor(1) as thread:
+                kind = thread.submit(asyncio.run, _server_type(str(scheduler))).result()
             if kind != "Scheduler":
                 raise ValueError(f"a {kind}")
             client = stack.enter_context(Client(scheduler, set_as_default=False))
@@ -93,8 +100,8 @@ def _connect(scheduler: Any, n_workers: int, stack: ExitStack) -> Client:
     return client
 
 
-async def _kind_at(address: str) -> str:
-    """What kind of Dask server listens at the address."""
+async def _server_type(address: str) -> str:
+    """Return the type of the Dask server that listens at an address, such as "Scheduler"."""
     async with asyncio.timeout(CONNECT_S), rpc(address, timeout=CONNECT_S) as server:
         identity: Any = await server.identity()
         return identity["type"]
@@ -102,14 +109,17 @@ async def _kind_at(address: str) -> str:
 
 @contextmanager
 def local_cluster(n_workers: int) -> Generator[LocalCluster]:
-    """Worker processes of one thread each. They are silent: what goes wrong in a row comes back with its result, and a worker
-    that finds its cluster closed would print a traceback over the sentence of an interruption."""
-    options: dict[str, Any] = {  # no pages, a port of the system's choice
+    """Start worker processes with one thread each on this machine, for the duration of a `with` block.
+
+    Workers write no log: errors in a row are returned with its result, and a worker that loses its cluster would print a
+    traceback over the message of an interruption.
+    """
+    options: dict[str, Any] = {  # no dashboard, a free port
         "host": "127.0.0.1",
         "dashboard_address": None,
         "scheduler_kwargs": {"dashboard": False, "dashboard_address": "127.0.0.1:0"},
         "silence_logs": logging.CRITICAL,
     }
-    lost = dask.config.set({"distributed.deploy.lost-worker-timeout": f"{RESTART_S} s"})
-    with lost, LocalCluster(n_workers=n_workers, threads_per_worker=1, **options) as cluster:
+    restart = dask.config.set({"distributed.deploy.lost-worker-timeout": f"{RESTART_S} s"})
+    with restart, LocalCluster(n_workers=n_workers, threads_per_worker=1, **options) as cluster:
         yield cluster

@@ -1,4 +1,4 @@
-"""What a result depends on, as JSON: so that a store can tell whether it belongs to a run."""
+"""Identity of a result, as JSON and hash of everything it depends on: a store uses it to recognise its own run."""
 
 from __future__ import annotations
 
@@ -15,18 +15,22 @@ from typing import Any
 import numpy as np
 
 
-def plain(value: Any) -> Any:
-    """Data as JSON knows it: large arrays as their shape, type and SHA-256, data classes as the fields that they are made from."""
+def to_json(value: Any) -> Any:
+    """Return data as JSON types.
+
+    Dataclasses become the fields that they are constructed from; arrays of more than 16 elements become shape, type and
+    SHA-256. Raises TypeError for other types.
+    """
     if is_dataclass(value) and not isinstance(value, type):
-        return {x.name: plain(getattr(value, x.name)) for x in fields(value) if x.init}
+        return {x.name: to_json(getattr(value, x.name)) for x in fields(value) if x.init}
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json(item) for item in value]
     if hasattr(value, "__array__"):
         array = np.asarray(value)
-        if array.size <= 16:  # written out, for people to read
-            return plain(array.tolist())
+        if array.size <= 16:  # small arrays stay readable
+            return to_json(array.tolist())
         digest = hashlib.sha256(np.ascontiguousarray(array).view(np.uint8).data).hexdigest()
         return {"dtype": str(array.dtype), "shape": list(array.shape), "sha256": digest}
     if isinstance(value, Enum):
@@ -39,14 +43,14 @@ def plain(value: Any) -> Any:
 
 
 def fingerprint(value: Any) -> str:
-    """SHA-256 of data, whatever the order of keys."""
-    text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"))
+    """Return the SHA-256 of data, independent of the order of keys."""
+    text = json.dumps(to_json(value), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 @lru_cache(maxsize=1)
-def code() -> dict[str, str]:
-    """Versions of sunspin and of the compiler, and the SHA-256 of the package's Python files."""
+def code_identity() -> dict[str, str]:
+    """Return the versions of sunspin and of the compiler, and the SHA-256 of the package's Python files."""
     digest, root = hashlib.sha256(), Path(__file__).parents[1]
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())

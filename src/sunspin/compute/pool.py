@@ -1,8 +1,8 @@
-"""The cores of this machine.
+"""Threads and processes on the cores of this machine.
 
-Compiled kernels release Python's lock: threads serve them (`ThreadPoolExecutor`). Work in Python goes to `processes`. On Linux
-these are copies of this process (`fork`), which begin at once with all that it has imported and read; but a lock that another
-thread holds would stay locked in a copy, so that a process with more than one thread is never copied.
+Compiled kernels release Python's lock and run in threads (`ThreadPoolExecutor`). Python code runs in a `process_pool`. On Linux
+its processes are copies of this one (`fork`), which start immediately with everything imported. But a lock that another thread
+holds would stay locked in a copy, so a process with more than one thread is never copied.
 """
 
 from __future__ import annotations
@@ -23,37 +23,40 @@ from sunspin.base.errors import InputError
 
 
 def worker_count(workers: int | None) -> int:
-    """The number of workers to use: as given, else one per core that this process may use."""
+    """Return the number of workers: the given one, by default one per core that this process may use."""
     if workers is None and hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    return (os.cpu_count() or 1) if workers is None else whole("workers", workers)
+    return (os.cpu_count() or 1) if workers is None else positive_integer("workers", workers)
 
 
-def whole(name: str, value: Any) -> int:
-    """A positive whole number, or `InputError`."""
+def positive_integer(name: str, value: Any) -> int:
+    """Return a positive whole number as int; raise `InputError` for any other value."""
     if isinstance(value, bool) or not hasattr(value, "__index__") or value < 1:
         raise InputError(f"{name} must be a positive whole number", got=value)
     return int(value)
 
 
 def may_fork() -> bool:
-    """Whether this process may be copied: on Linux, while it has one thread."""
+    """Return whether this process may be copied: on Linux, as long as it has one thread."""
     return sys.platform == "linux" and threading.active_count() == 1
 
 
 @contextmanager
-def processes(workers: int) -> Generator[Executor | None]:
-    """Processes as an executor, or None where one suffices. They end with the block, at once if an error leaves it."""
+def process_pool(workers: int) -> Generator[Executor | None]:
+    """Start worker processes for the duration of a `with` block; yield an executor, or None for fewer than two workers.
+
+    If an error leaves the block, the processes are ended at once.
+    """
     if workers < 2:
         yield None
         return
     before, method = set(active_children()), "fork" if may_fork() else "spawn"
-    pool = ProcessPoolExecutor(workers, get_context(method), _begin)
+    pool = ProcessPoolExecutor(workers, get_context(method), _prepare_worker)
     try:
-        # the linear algebra's threads stand still and are made again in a copy
+        # the idle threads of the linear algebra library do no harm: a copy starts its own
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "This process .* is multi-threaded")
-            pool.submit(int)  # copies are made now, before the pool has a thread here
+            pool.submit(int)  # starts the copies now, before the pool adds a thread to this process
         yield pool
     except BaseException as error:
         for process in set(active_children()) - before:
@@ -66,9 +69,9 @@ def processes(workers: int) -> Generator[Executor | None]:
         pool.shutdown(cancel_futures=True)
 
 
-def _begin() -> None:
-    """In a new process, which the process that waits for it ends: Ctrl-C reaches that one alone."""
-    gc.freeze()  # to look for garbage among what was copied would copy the memory
+def _prepare_worker() -> None:
+    """Set up a new worker process: it ignores Ctrl-C, as its parent ends it, and obeys the default of other signals."""
+    gc.freeze()  # garbage collection would touch, and so copy, the memory shared with the parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for kind in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(kind, signal.SIG_DFL)

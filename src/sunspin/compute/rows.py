@@ -1,7 +1,8 @@
-"""Many rows: a pure function of row numbers, computed in chunks by threads or a cluster, kept on disk if wanted.
+"""Computation of many rows: a pure function of row numbers, evaluated in chunks by threads or a cluster, stored if wanted.
 
-The kernels release Python's lock, so that threads are enough on one machine. Only the calling thread writes the result: memory
-is the result and the chunks in flight. A row is the same to 1e-9 for any chunks, workers and machines, resumed or not.
+The kernels release Python's lock, so that threads suffice on one machine. Only the calling thread writes the result: the memory
+is that of the result and of the chunks in flight. A row agrees to 1e-9 for all chunk sizes, workers and machines, resumed or
+not.
 """
 
 from __future__ import annotations
@@ -19,30 +20,32 @@ import numpy as np
 from tqdm import tqdm
 
 from sunspin.base.errors import InputError, Interrupted
-from sunspin.compute.pool import whole, worker_count
+from sunspin.compute.pool import positive_integer, worker_count
 from sunspin.compute.store import open_store
 
 Values = dict[str, np.ndarray]
+"""Name of each result -> its array, whose first axis is the row."""
 
 CHUNK = 8192
-"""Rows per chunk: large against a block of lanes (little padding), small against a second of work."""
+"""Rows per chunk: many against a block of lanes (little padding), few against a second of work."""
 
-LEAST_CHUNK = 64
-"""Chunks are not made smaller than this so that all workers have one: two blocks of lanes."""
+MIN_CHUNK = 64
+"""Smallest chunk size to which chunks are reduced so that every worker has one: two blocks of lanes."""
 
 IN_FLIGHT = 2
-"""Chunks in flight for each thread: the next one is there when one ends."""
+"""Chunks in flight per thread: the next one is waiting when one ends."""
 
 MEMORY_SHARE = 0.5
-"""Of the machine's memory that results may take."""
+"""Largest share of the machine's memory for results."""
 
 
 class RowFunction(Protocol):
     """A pure function of row numbers, called by several threads at once.
 
-    A frozen dataclass of plain data, on whose fields its rows depend (:func:`sunspin.compute.identity.plain`). It is sent to
-    other processes and compiles there what it needs. `outputs`: name of each result -> its dtype (numbers or truth values)
-    and its shape beyond the rows. Called with row numbers (n), it returns each of them with shape (n, ...).
+    Implement it as a frozen dataclass of plain data, all fields of which identify its rows
+    (:func:`sunspin.compute.identity.to_json`). It is sent to other processes and compiles there what it needs. `outputs`: name
+    of each result -> its dtype (numbers or truth values) and its shape without the rows. A call with row numbers (n) returns
+    each result with shape (n, ...).
     """
 
     @property
@@ -62,36 +65,41 @@ def ensemble(
     progress: bool = False,
     label: str = "rows",
 ) -> Values:
-    """All rows of a function: a dict of arrays, each (n_rows, ...).
+    """Compute all rows of a function and return a dict of arrays, each (n_rows, ...).
 
     Parameters
     ----------
     workers : int, optional
         Threads on this machine, or worker processes of a "local" cluster; default one per core.
     chunk : int
-        Rows per call of the function, at most. An interruption costs the chunks in flight.
+        Largest number of rows per call of the function. An interruption loses the chunks in flight.
     store : path, optional
-        A folder, new or empty, in which finished chunks are kept: the same call resumes there after any interruption, be it
-        kill -9 or a power failure; once complete it is simply read.
+        A folder, new or empty, in which finished chunks are kept. The same call resumes there after any interruption, including
+        kill -9 and power failure; a complete store is only read.
     scheduler : "local", address, dask.distributed.Client or concurrent.futures.Executor, optional
-        An executor computes the rows and is not shut down. Else run on a Dask cluster: "local" starts worker processes on this
-        machine (the script that asks for it needs `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster
-        whose workers have sunspin installed.
+        An executor computes the rows and is not shut down. Other values use a Dask cluster: "local" starts worker processes on this
+        machine (the calling script needs `if __name__ == "__main__":`), "tcp://host:port" uses a running cluster whose workers have
+        sunspin installed.
     progress : bool
-        Show a progress bar on a terminal, called `label`.
+        Show a progress bar on a terminal, labelled `label`.
 
     Raises
     ------
     InputError
-        Arguments that make no sense, a store of other inputs, a cluster that does not answer.
+        For invalid arguments, a store of other inputs, or a cluster that does not answer.
     Interrupted
-        After Ctrl-C; its text says what was kept. Whatever the function raises comes through at once.
+        After Ctrl-C; its text says what was kept. Errors of the function are raised unchanged and at once.
     """
-    n_workers, chunk, n_rows = worker_count(workers), whole("chunk", chunk), function.n_rows
+    n_workers, chunk, n_rows = (
+        worker_count(workers),
+        positive_integer("chunk", chunk),
+        function.n_rows,
+    )
     cluster = scheduler is not None and not isinstance(scheduler, Executor)
     if cluster and find_spec("distributed") is None:
         what = "a scheduler needs Dask, which is not installed"
         raise InputError(what, do='pip install "sunspin[cluster]"')
+    # refused before it is allocated: the system would end the process later
     outputs = function.outputs.items()
     size = n_rows * sum(np.dtype(kind).itemsize * int(np.prod(s)) for _, (kind, s) in outputs)
     if hasattr(os, "sysconf"):
@@ -101,7 +109,8 @@ def ensemble(
             got = f"a machine with {memory / 1e9:.2g} GB"
             raise InputError(what, got=got, do="ask for fewer rows")
     out = {name: np.zeros((n_rows, *shape), kind) for name, (kind, shape) in outputs}
-    chunk = min(chunk, max(LEAST_CHUNK, -(-n_rows // n_workers)))
+    # enough chunks that every worker gets one
+    chunk = min(chunk, max(MIN_CHUNK, -(-n_rows // n_workers)))
     chunks = (slice(k, min(k + chunk, n_rows)) for k in range(0, n_rows, chunk))
     save, done = None, 0
     bar: dict[str, Any] = {"desc": label, "unit": "row", "unit_scale": True, "leave": False}
@@ -111,26 +120,26 @@ def ensemble(
             if store is not None and n_rows:
                 save, missing = stack.enter_context(open_store(store, function, chunk, out))
                 chunks, done = iter(missing), n_rows - sum(c.stop - c.start for c in missing)
-            shown = stack.enter_context(tqdm(total=n_rows, initial=done, **bar))
+            progress_bar = stack.enter_context(tqdm(total=n_rows, initial=done, **bar))
             if not cluster or done == n_rows:
                 executor = None if cluster else scheduler
-                computed = _on_executor(function, chunks, executor, n_workers)
+                computed = _compute_on_executor(function, chunks, executor, n_workers)
             else:
-                from sunspin.compute.cluster import on_cluster
+                from sunspin.compute.cluster import compute_on_cluster
 
-                computed = on_cluster(function, chunks, scheduler, n_workers)
+                computed = compute_on_cluster(function, chunks, scheduler, n_workers)
             for rows, values in stack.enter_context(closing(computed)):
-                given = {name: (v.dtype.str, v.shape) for name, v in values.items()}
-                wanted = {name: (v.dtype.str, v[rows].shape) for name, v in out.items()}
-                if given != wanted:
-                    what = f"the row function must return {wanted}"
-                    raise InputError(what, got=str(given))
+                returned = {name: (v.dtype.str, v.shape) for name, v in values.items()}
+                declared = {name: (v.dtype.str, v[rows].shape) for name, v in out.items()}
+                if returned != declared:
+                    what = f"the row function must return {declared}"
+                    raise InputError(what, got=str(returned))
                 for name, array in values.items():
                     out[name][rows] = array
                 if save is not None:
                     save(rows)
                 done += rows.stop - rows.start
-                shown.update(rows.stop - rows.start)
+                progress_bar.update(rows.stop - rows.start)
     except KeyboardInterrupt:
         what = f"interrupted, {done} of {n_rows} rows are done and kept in {store}"
         do = "run the same command again to resume"
@@ -141,10 +150,10 @@ def ensemble(
     return out
 
 
-def _on_executor(
+def _compute_on_executor(
     function: RowFunction, chunks: Iterator[slice], executor: Executor | None, n_workers: int
 ) -> Generator[tuple[slice, Values]]:
-    """Each chunk of rows with its results, as an executor finishes them; without one threads of this process do."""
+    """Yield each chunk of rows with its results as the executor finishes it; without an executor, threads compute them."""
     pool = executor or ThreadPoolExecutor(n_workers, "sunspin")
     running = dict[Future[Values], slice]()
     try:
@@ -155,7 +164,8 @@ def _on_executor(
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(future), future.result()
-    finally:  # what still runs ends unheard: to wait for it would hold back an error
+    finally:
+        # chunks that still run are abandoned: waiting for them would delay an error
         for future in running:
             future.cancel()
         if executor is None:

@@ -1,8 +1,8 @@
-"""Rows on disk: a folder of chunks that a run killed at any moment resumes from.
+"""Storage of rows on disk: a folder of chunks from which a run that was killed at any moment resumes.
 
-Each finished chunk is a file `rows-DIGEST-START-STOP.npz` that appears whole or not at all. DIGEST is a hash of what the rows
-depend on, the package's code included, so that no chunk of another state is used. A chunk that cannot be read counts as not
-computed. `lock` is held by the run that writes; any number of runs may read a complete store.
+Each finished chunk is a file `rows-DIGEST-START-STOP.npz`, written atomically. DIGEST is a hash of everything the rows depend
+on, including the package's code, so that chunks of other inputs or code are never used. A chunk that cannot be read counts as
+missing. The file `lock` is locked by the run that writes; any number of runs may read a complete store.
 """
 
 from __future__ import annotations
@@ -15,24 +15,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sunspin.base.atomic_write import PART, hold, make_folder, sweep, write_whole
+from sunspin.base.atomic_write import (
+    TEMPORARY_NAME,
+    lock_file,
+    make_folder,
+    remove_abandoned,
+    write_atomically,
+)
 from sunspin.base.errors import InputError, OutputError
-from sunspin.compute.identity import code, fingerprint
+from sunspin.compute.identity import code_identity, fingerprint
 
 if TYPE_CHECKING:
     from sunspin.compute.rows import RowFunction, Values
 
 LOCK = "lock"
+"""Name of the lock file."""
 CHUNK_FILE = re.compile(r"rows-([0-9a-f]{16})-(\d{1,15})-(\d{1,15})\.npz")
+"""Name of a chunk: digest, first row, end row."""
 
 
 @contextmanager
 def open_store(
     path: str | Path, function: RowFunction, chunk: int, out: Values
 ) -> Generator[tuple[Callable[[slice], None], list[slice]]]:
-    """Read what a store has of a function's rows into `out`; gives what keeps rows of `out`, and the chunks to be computed."""
+    """Read the stored rows of a function into `out`; yield a function that stores rows of `out`, and the missing chunks.
+
+    Raises `InputError` for a store of other inputs or one that another run is writing to, `OutputError` if it cannot be
+    written.
+    """
     folder = Path(path)
-    digest = fingerprint([code(), type(function).__name__, function])[:16]
+    digest = fingerprint([code_identity(), type(function).__name__, function])[:16]
 
     def cannot_write(error: OSError) -> OutputError:
         what = f"the store cannot be written ({error.strerror or error}); nothing that it holds is lost"
@@ -43,22 +55,26 @@ def open_store(
         arrays: dict[str, Any] = {name: array[rows] for name, array in out.items()}
 
         def write(part: Path) -> None:
-            with open(part, "wb") as file:  # NumPy would change the ending of a name
+            with open(part, "wb") as file:  # for a file name NumPy would append .npz
                 np.savez(file, **arrays)
 
         try:
-            write_whole(folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write)
+            write_atomically(
+                folder / f"rows-{digest}-{rows.start:010d}-{rows.stop:010d}.npz", write
+            )
         except OSError as error:
             raise cannot_write(error) from None
 
     with ExitStack() as stack:
         try:
-            missing = _read(folder, digest, chunk, out)
+            missing = _read_chunks(folder, digest, chunk, out)
             if missing:
                 make_folder(folder)
-                hold(stack.enter_context(open(folder / LOCK, "a+b")))
-                sweep(folder)
-                missing = _read(folder, digest, chunk, out)  # what another run has written by now
+                lock_file(stack.enter_context(open(folder / LOCK, "a+b")))
+                remove_abandoned(folder)
+                missing = _read_chunks(
+                    folder, digest, chunk, out
+                )  # another run may have added some
         except BlockingIOError:
             what, do = "another run is writing to this store", "wait for it or choose another"
             raise InputError(what, do=do, where=str(folder)) from None
@@ -67,8 +83,8 @@ def open_store(
         yield save, missing
 
 
-def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
-    """Read the chunks in a folder that are whole; those that are missing, of at most this size."""
+def _read_chunks(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
+    """Read all complete chunks of a folder into `out`; return the missing rows as slices of at most `chunk` rows."""
     done = np.zeros(len(next(iter(out.values()))), dtype=bool)
     for path in folder.iterdir() if folder.exists() else ():
         name = CHUNK_FILE.fullmatch(path.name)
@@ -77,17 +93,18 @@ def _read(folder: Path, digest: str, chunk: int, out: Values) -> list[slice]:
             try:
                 with open(path, "rb") as file, np.load(file) as chunk_file:
                     arrays = {key: chunk_file[key] for key in out}
-            except Exception:  # NumPy raises errors of many kinds
+            except Exception:  # on damaged files NumPy raises errors of many types
                 continue
             forms = {key: (array.dtype, array[rows].shape) for key, array in out.items()}
             if forms == {key: (array.dtype, array.shape) for key, array in arrays.items()}:
                 for key, array in arrays.items():
                     out[key][rows] = array
                 done[rows] = True
-        elif path.name != LOCK and not PART.fullmatch(path.name):
+        elif path.name != LOCK and not TEMPORARY_NAME.fullmatch(path.name):
             what = "this is no store, or one of other inputs or of another version of sunspin"
             do = "give the same inputs or choose another folder"
             raise InputError(what, got=path.name, do=do, where=str(folder))
+    # first and end row of each run of missing rows
     ends = np.flatnonzero(np.diff(done, prepend=True, append=True)).reshape(-1, 2).tolist()
     begins = ((k, stop) for start, stop in ends for k in range(start, stop, chunk))
     return [slice(k, min(k + chunk, stop)) for k, stop in begins]

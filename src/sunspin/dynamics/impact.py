@@ -218,7 +218,7 @@ def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
         },
         attrs=provenance(
             "impact",
-            **vehicle.said,
+            **vehicle.result_attributes,
             source="paper, eqs. 8-11: inelastic sticking impact at one point",
         ),
     )

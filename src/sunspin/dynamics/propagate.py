@@ -524,7 +524,7 @@ def _dataset(vehicle, t, y, omega, speeds, run: _Run, rtol) -> xr.Dataset:
             "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=provenance("trajectory", **vehicle.said)
+        attrs=provenance("trajectory", **vehicle.result_attributes)
         | {
             "rtol": rtol,
             "frame_N": BODY_AT_START if environment is None else environment.frame_N,

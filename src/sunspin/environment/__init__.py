@@ -1,7 +1,7 @@
-"""What surrounds the spacecraft, as functions of time: Sun, eclipse, the Earth with its field and its light.
+"""Environment of the spacecraft as a function of time: Sun, eclipse, and the Earth with its field and albedo.
 
-:mod:`sunspin.environment.orbit` knows them by an orbit that others have determined; here are the environments without one. Vectors
-are in N, a frame without rotation; which one is said by `frame_N`, here and in the attributes of results with an attitude.
+:mod:`sunspin.environment.orbit` computes it for a known orbit; here are the environments without one. Vectors are in N, a
+non-rotating frame. `frame_N` says which, here and in the attributes of results with an attitude.
 """
 
 from __future__ import annotations
@@ -20,44 +20,49 @@ __all__ = ["Circular", "Environment", "Surroundings", "Unknown", "circular", "un
 
 @dataclass(frozen=True)
 class Unknown:
-    """Nothing is known but that the Sun stands still: N has its z axis to it."""
+    """An environment of which nothing is known but a fixed Sun, along the z axis of N."""
 
     frame_N: str = SUN_Z_LOCAL
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        """Return the surroundings at times (n): the Sun along z."""
         return Surroundings(np.tile([0.0, 0.0, 1.0], (np.size(t_s), 1)))
 
 
 def unknown() -> Environment:
-    """The environment of a pass of which only the telemetry is known."""
+    """Return the environment of a pass without orbit."""
     return Unknown()
 
 
 @dataclass(frozen=True)
 class Circular:
-    """A circular orbit: the nadir turns evenly about the orbit's normal, and the Sun stands still, along z of N."""
+    """A circular orbit: the nadir rotates at a constant rate about the orbit normal; the Sun is fixed, along z of N.
+
+    `nadir_N` is the nadir at t = 0.
+    """
 
     rate_rad_s: float
     normal_N: tuple[float, ...]
-    nadir_N: tuple[float, ...]  # at t = 0
+    nadir_N: tuple[float, ...]
     frame_N: str = SUN_Z_LOCAL
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        """Return the surroundings at times (n) in s."""
         angle = self.rate_rad_s * np.atleast_1d(np.asarray(t_s, dtype=np.float64))[:, None]
-        begin, normal = np.array(self.nadir_N), np.array(self.normal_N)
-        nadir = np.cos(angle) * begin + np.sin(angle) * np.cross(normal, begin)
-        turn = np.tile(self.rate_rad_s * normal, (len(angle), 1))
+        start, normal = np.array(self.nadir_N), np.array(self.normal_N)
+        nadir = np.cos(angle) * start + np.sin(angle) * np.cross(normal, start)
+        rate = np.tile(self.rate_rad_s * normal, (len(angle), 1))
         sun = np.tile([0.0, 0.0, 1.0], (len(angle), 1))
-        return Surroundings(sun, nadir_N=nadir, nadir_turn_N=turn)
+        return Surroundings(sun, nadir_N=nadir, nadir_turn_N=rate)
 
 
 def circular(
     rate_rad_s: float, normal_N: npt.ArrayLike, nadir_N: npt.ArrayLike = (1.0, 0.0, 0.0)
 ) -> Environment:
-    """A circular orbit at this rate (rad/s) about the direction `normal_N` (3), for tests and first studies.
+    """Return the environment of a circular orbit with this rate (rad/s) about `normal_N` (3), for tests and first studies.
 
-    `nadir_N` (3): where the nadir is at t = 0; its part along the normal is taken out. The Sun stands still along z of N.
-    `InputError` for a rate that is not positive, or directions that leave no nadir.
+    `nadir_N` (3): nadir at t = 0, from which the component along the normal is removed. The Sun is fixed along z of N. Raises
+    `InputError` if the rate is not positive or the nadir is along the normal.
     """
     normal, nadir = (np.asarray(vector, dtype=np.float64) for vector in (normal_N, nadir_N))
     if any(v.shape != (3,) or not np.isfinite(v).all() for v in (normal, nadir)):

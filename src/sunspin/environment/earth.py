@@ -1,7 +1,8 @@
-"""Where the Earth's axes and the Sun are: time scales, TEME, Earth-fixed axes and Sun in J2000, by ERFA (the IAU's SOFA).
+"""Time scales, Earth orientation and the Sun, by ERFA (the IAU's SOFA): frames TEME, Earth-fixed and J2000.
 
-J2000 stands for the axes of the GCRS, which are those of the mean equator and equinox of J2000.0 to 0.02 arcseconds. UT1 is taken
-to be UTC, which it is within 0.9 s (13 arcseconds of the Earth's turn): nothing needs to be downloaded.
+J2000 here means the axes of the GCRS, which agree with the mean equator and equinox of J2000.0 to 0.02 arcseconds. UT1 is
+replaced by UTC, from which it differs by less than 0.9 s (13 arcseconds of Earth rotation), so that no data need to be
+downloaded.
 """
 
 from __future__ import annotations
@@ -18,24 +19,26 @@ EQUATOR_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 """The Earth's equatorial radius (m) and flattening: WGS 84."""
 
 MU_M3_S2 = 3.986004418e14
-"""Its gravitational parameter: WGS 84."""
+"""The Earth's gravitational parameter (m3/s2): WGS 84."""
 
 SUN_M = 6.957e8
-"""The Sun's radius: IAU 2015, resolution B3."""
+"""The Sun's radius (m): IAU 2015, resolution B3."""
 
 NODES_DAYS = 0.25
-"""Precession and nutation are computed so often and interpolated between: to 1e-9."""
+"""Interval at which precession and nutation are computed; between, they are interpolated with an error of 1e-9."""
 
 DAY_S = 86400.0
+"""Seconds of a day."""
 
 TT_AHEAD_OF_TAI_S, TAI_AHEAD_OF_GPS_S = 32.184, 19.0
+"""Fixed offsets (s) between time scales."""
 
 TIME_SCALES = ("UTC", "UT1", "TAI", "TT", "TDT", "TDB", "GPS")
-"""Time scales whose times can be converted to UTC. UT1 is taken for UTC here."""
+"""Time scales that can be converted to UTC; UT1 is taken as UTC."""
 
 
 class Instants(NamedTuple):
-    """UTC Julian dates: a day `jd` (n) and its `fraction` (n), and how far TT is ahead (days)."""
+    """UTC Julian dates as a day `jd` (n) and a `fraction` (n) of it, and TT - UTC in days."""
 
     jd: np.ndarray
     fraction: np.ndarray
@@ -43,7 +46,10 @@ class Instants(NamedTuple):
 
     @classmethod
     def of(cls, epoch_utc: str, t_s: np.ndarray) -> Instants:
-        """Times (n) in s from an ISO-8601 UTC epoch. A leap second between them is not counted, as in Unix time."""
+        """Return the instants at times (n) in s from an ISO-8601 UTC epoch.
+
+        A leap second in between is not counted, as in Unix time; TT - UTC is that of the epoch.
+        """
         import erfa
 
         moment = datetime.fromisoformat(epoch_utc.replace("Z", "+00:00"))
@@ -51,7 +57,8 @@ class Instants(NamedTuple):
         fraction = (
             moment.hour * 3600 + moment.minute * 60 + moment.second + moment.microsecond / 1e6
         ) / DAY_S
-        with warnings.catch_warnings():  # years beyond the announced leap seconds
+        # ERFA warns of years for which leap seconds have not been announced
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", erfa.ErfaWarning)
             tai_ahead = float(erfa.dat(moment.year, moment.month, moment.day, fraction))
         later = fraction + np.asarray(t_s, dtype=np.float64) / DAY_S
@@ -60,28 +67,39 @@ class Instants(NamedTuple):
         )
 
     def later(self, seconds: Any) -> Instants:
+        """Return the instants `seconds` later, a number or (..., n)."""
         return self._replace(fraction=self.fraction + np.asarray(seconds) / DAY_S)
 
     @property
-    def middle(self) -> float:
-        """UTC Julian date in the middle."""
-        both = self.jd + self.fraction
-        return float((both.min() + both.max()) / 2)
+    def middle_jd(self) -> float:
+        """UTC Julian date halfway between the first and the last instant."""
+        jd = self.jd + self.fraction
+        return float((jd.min() + jd.max()) / 2)
 
-    def slowly(self, function: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-        """A slow function of TT (two parts) at these instants, by straight lines between nodes."""
-        both = self.jd + self.fraction + self.tt_ahead
-        low, high = NODES_DAYS * np.floor(both.min() / NODES_DAYS), both.max()
+    def interpolate_slow(
+        self, function: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Return a slowly changing function of TT (two-part Julian date) at these instants, interpolated linearly between nodes.
+
+        Precession and nutation take too long to be computed at every instant.
+        """
+        tt = self.jd + self.fraction + self.tt_ahead
+        low, high = NODES_DAYS * np.floor(tt.min() / NODES_DAYS), tt.max()
         nodes = low + NODES_DAYS * np.arange(int(np.ceil((high - low) / NODES_DAYS)) + 2)
         values = function(np.full(len(nodes), low), nodes - low)
-        at = (both - low) / NODES_DAYS
-        k = at.astype(int)
-        share = (at - k).reshape(-1, *(1,) * (values.ndim - 1))
+        position = (tt - low) / NODES_DAYS
+        k = position.astype(int)
+        share = (position - k).reshape(-1, *(1,) * (values.ndim - 1))
         return (1 - share) * values[k] + share * values[k + 1]
 
 
-def _remembered(function: Callable[[Instants], np.ndarray]) -> Callable[[Instants], np.ndarray]:
-    """The same, without computing anew what was asked for just before: a fit asks for many orbits at the same times."""
+def _cached_by_instants(
+    function: Callable[[Instants], np.ndarray],
+) -> Callable[[Instants], np.ndarray]:
+    """Return a function that keeps its last four results, by the bytes of its instants.
+
+    A fit computes many orbits at the same times.
+    """
 
     @lru_cache(maxsize=4)
     def rotation(jd: bytes, fraction: bytes, tt_ahead: float) -> np.ndarray:
@@ -90,28 +108,29 @@ def _remembered(function: Callable[[Instants], np.ndarray]) -> Callable[[Instant
         return value
 
     @wraps(function)
-    def remembered(when: Instants) -> np.ndarray:
+    def cached(when: Instants) -> np.ndarray:
         return rotation(when.jd.tobytes(), when.fraction.tobytes(), when.tt_ahead)
 
-    return remembered
+    return cached
 
 
 def ahead_of_utc_s(scale: str, when: Instants) -> float:
-    """Return by how many seconds one of `TIME_SCALES` is ahead of UTC at these instants."""
+    """Return the offset in s of one of `TIME_SCALES` from UTC at these instants."""
     if scale in ("UTC", "UT1"):
         return 0.0
     tt = when.tt_ahead * DAY_S
     if scale == "TDB":  # Astronomical Almanac, page B7
-        return tt + 1.657e-3 * float(np.sin(6.24 + 0.017202 * (when.middle - 2451545.0)))
+        return tt + 1.657e-3 * float(np.sin(6.24 + 0.017202 * (when.middle_jd - 2451545.0)))
     tai = tt - TT_AHEAD_OF_TAI_S
     return {"TAI": tai, "GPS": tai - TAI_AHEAD_OF_GPS_S}.get(scale, tt)
 
 
-@_remembered
+@_cached_by_instants
 def J2000_from_TEME(when: Instants) -> np.ndarray:
-    """Matrices (n, 3, 3) from the true equator and mean equinox of SGP4 to J2000.
+    """Return matrices (n, 3, 3) from TEME, the true equator and mean equinox of SGP4, to J2000.
 
-    The equinox of SGP4 lies off the true one by the equation of the equinoxes of 1994 (Vallado et al. 2006, AIAA 2006-6753).
+    The equinox of SGP4 differs from the true one by the equation of the equinoxes of 1994 (Vallado et al. 2006, AIAA
+    2006-6753).
     """
     import erfa
 
@@ -119,24 +138,24 @@ def J2000_from_TEME(when: Instants) -> np.ndarray:
         true = erfa.pnm06a(jd1, jd2)
         return np.swapaxes(erfa.rz(erfa.eqeq94(jd1, jd2), true), -1, -2)
 
-    return when.slowly(matrix)
+    return when.interpolate_slow(matrix)
 
 
-@_remembered
+@_cached_by_instants
 def earth_from_J2000(when: Instants) -> np.ndarray:
-    """Matrices (n, 3, 3) from J2000 to the axes that turn with the Earth (ITRF without polar motion, which is 0.3 arcseconds)."""
+    """Return matrices (n, 3, 3) from J2000 to Earth-fixed axes (ITRF without polar motion, which is 0.3 arcseconds)."""
     import erfa
 
-    return erfa.rz(erfa.era00(when.jd, when.fraction), when.slowly(erfa.c2i06a))
+    return erfa.rz(erfa.era00(when.jd, when.fraction), when.interpolate_slow(erfa.c2i06a))
 
 
-@_remembered
+@_cached_by_instants
 def sun_J2000_m(when: Instants) -> np.ndarray:
-    """The Sun (n, 3) in m from the Earth's centre, where it is seen: aberration included."""
+    """Return the apparent position of the Sun (n, 3) in m from the Earth's centre, with aberration, in J2000."""
     import erfa
 
     heliocentric, barycentric = erfa.epv00(when.jd, when.fraction + when.tt_ahead)
     place = -heliocentric["p"]
     distance = np.linalg.norm(place, axis=-1, keepdims=True)
-    seen = place / distance + barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
-    return erfa.DAU * distance * seen / np.linalg.norm(seen, axis=-1, keepdims=True)
+    apparent = place / distance + barycentric["v"] * (erfa.DAU / DAY_S / erfa.CMPS)
+    return erfa.DAU * distance * apparent / np.linalg.norm(apparent, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Orbital elements as others publish them: TLE and OMM (CCSDS 502.0-B) in, one sentence on what is wrong with them."""
+"""Orbital elements as published: TLE and OMM (CCSDS 502.0-B), with one error sentence for each defect."""
 
 from __future__ import annotations
 
@@ -21,31 +21,32 @@ from sunspin.base.untrusted import plain_number
 from sunspin.environment.earth import TIME_SCALES, Instants, ahead_of_utc_s
 
 OLD_DAYS = 10.0
-"""Elements farther than this from the telemetry are warned about: the place along the track is no longer known to a few seconds."""
+"""Age of elements beyond which a warning is given: the position along the track is not known to a few seconds any more."""
 
-THREE = r"(?:\d{3}| \d\d|  \d)"
-"""A whole number of at most three digits, at the right of its columns: SGP4's own reader takes `1 5` for 1."""
+THREE_DIGITS = r"(?:\d{3}| \d\d|  \d)"
+"""A whole number of up to three digits, right-aligned: SGP4's own reader would take `1 5` for 1."""
 
 LINE_1 = re.compile(
-    rf"1 [0-9A-Z ][0-9 ]{{4}}[ -~] [ -~]{{8}} \d\d{THREE}\.\d{{8}} [-+ ][ .\d]\d{{8}} "
+    rf"1 [0-9A-Z ][0-9 ]{{4}}[ -~] [ -~]{{8}} \d\d{THREE_DIGITS}\.\d{{8}} [-+ ][ .\d]\d{{8}} "
     r"[-+ ]\d{5}[-+]\d [-+ ]\d{5}[-+]\d [ \d] [ \d]{4}\d",
     re.ASCII,
 )
 LINE_2 = re.compile(
-    rf"2 [0-9A-Z ][0-9 ]{{4}} {THREE}\.\d{{4}} {THREE}\.\d{{4}} \d{{7}} {THREE}\.\d{{4}} {THREE}\.\d{{4}} "
+    rf"2 [0-9A-Z ][0-9 ]{{4}} {THREE_DIGITS}\.\d{{4}} {THREE_DIGITS}\.\d{{4}} \d{{7}} "
+    rf"{THREE_DIGITS}\.\d{{4}} {THREE_DIGITS}\.\d{{4}} "
     r"[ \d]\d\.\d{8}[ \d]{5}\d",
     re.ASCII,
 )
 """Columns of the two lines, checksum included."""
 
 EPHEMERIS_COLUMN = 62
-"""Index in line 1 of the ephemeris type, which says for which propagator the elements are."""
+"""Index in line 1 of the ephemeris type, which names the propagator of the elements."""
 
 FOR_SGP4 = ("0", "1", "2", "3")
-"""Ephemeris types of elements for SGP4: 0 in all published ones; 1 (SGP), 2 (SGP4) and 3 (SDP4, its part for deep space) in a few.
-4 is SGP4-XP, whose elements SGP4 propagates to wrong places without an error."""
+"""Ephemeris types of elements for SGP4: 0 in nearly all, 1 (SGP), 2 (SGP4) and 3 (SDP4, its deep-space part) in a few.
+Type 4 is SGP4-XP, whose elements SGP4 propagates to wrong positions without an error."""
 
-NUMBERS = (
+NUMERIC_KEYS = (
     "MEAN_MOTION",
     "ECCENTRICITY",
     "INCLINATION",
@@ -58,10 +59,10 @@ NUMBERS = (
 )
 """Numbers of an OMM that SGP4 needs."""
 
-KEYS = ("EPOCH", *NUMBERS[:6], "NORAD_CAT_ID", *NUMBERS[6:])
+REQUIRED_KEYS = ("EPOCH", *NUMERIC_KEYS[:6], "NORAD_CAT_ID", *NUMERIC_KEYS[6:])
 """Keys that an OMM must have."""
 
-ASSUMED = {
+DEFAULTS = {
     "CENTER_NAME": "EARTH",
     "REF_FRAME": "TEME",
     "TIME_SYSTEM": "UTC",
@@ -70,18 +71,18 @@ ASSUMED = {
     "OBJECT_NAME": "",
     "MEAN_MOTION_DDOT": "0",
 }
-"""What an OMM means that leaves a key out: the first four are those of all published ones for SGP4."""
+"""Meaning of an OMM without a key: the first four hold for all published elements for SGP4."""
 
 THEORIES = {"SGP", "SGP4", "SGPSGP4", "SDP4", "SGP4SDP4"}
 TEME = {"TEME", "TEMEOFDATE"} | {
     f"TRUEEQUATOR{link}MEANEQUINOX{date}" for link in ("", "AND") for date in ("", "OFDATE")
 }
-"""Names of theory and frame, in capitals, of letters and digits alone."""
+"""Names of the theory and of the frame, in capitals, with letters and digits only."""
 
 FIRST_YEAR = 1957
-"""Of a satellite."""
+"""Year of the first satellite."""
 
-NOT_USED = {
+UNUSED_KEYS = {
     "NORAD_CAT_ID": "0",
     "EPHEMERIS_TYPE": "0",
     "CLASSIFICATION_TYPE": "U",
@@ -89,17 +90,17 @@ NOT_USED = {
     "REV_AT_EPOCH": "0",
     "OBJECT_ID": "",
 }
-"""What the reader of the library `sgp4` asks for and no orbit depends on. It holds no number above 339999."""
+"""Values of keys that the library `sgp4` requires but that do not affect the orbit; it accepts no number above 339999."""
 
 ALPHA_5 = "0123456789ABCDEFGHJKLMNPQRSTUVWXYZ"
-"""Tens of thousands of a catalogue number in one character: Alpha-5 leaves out I and O."""
+"""Alpha-5: the ten thousands of a catalogue number as one character, without I and O."""
 
 
 @dataclass(frozen=True)
 class Elements:
-    """One set of mean elements for SGP4, as it was given: the two lines, or the keys of an OMM.
+    """A set of mean elements for SGP4, as given: two lines, or keys of an OMM.
 
-    `epoch_jd`: its instant, a UTC Julian date in two parts; `where` names file and line in messages.
+    `epoch_jd`: its epoch, a UTC Julian date in two parts; `where` names file and line in messages.
     """
 
     given: tuple[str, str] | tuple[tuple[str, str], ...]
@@ -110,8 +111,10 @@ class Elements:
     frame: str = "TEME"
 
     def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) m and velocities (n, 3) m/s in the true equator and mean equinox of date, at UTC Julian dates (n) and
-        fractions of a day (n). `InputError` where SGP4 gives none: the orbit has decayed, or is none."""
+        """Return positions (n, 3) m and velocities (n, 3) m/s in TEME, at UTC Julian dates (n) and fractions of a day (n).
+
+        Raises `InputError` if SGP4 fails, for example as the orbit has decayed.
+        """
         error, place, speed = _satrec(self.given).sgp4_array(
             np.ascontiguousarray(jd), np.ascontiguousarray(fraction)
         )
@@ -122,20 +125,22 @@ class Elements:
             raise InputError(what, do="give elements of the telemetry's time", where=self.where)
         return 1e3 * place, 1e3 * speed
 
-    def require(self, jd: np.ndarray) -> None:
-        """SGP4 gives a place at any time."""
+    def require_coverage(self, jd: np.ndarray) -> None:
+        """Accept any time, as SGP4 has no limits in time."""
 
     @property
     def period_s(self) -> float:
+        """Orbital period."""
         return float(2 * np.pi / _satrec(self.given).no_kozai * 60)
 
     def days_to(self, jd: float) -> float:
-        """Days from the epoch to a UTC Julian date."""
+        """Return the days from the epoch to a UTC Julian date."""
         return jd - self.epoch_jd[0] - self.epoch_jd[1]
 
 
 @lru_cache(maxsize=64)
 def _satrec(given: tuple) -> Any:
+    """Return the object of the library `sgp4` for elements."""
     from sgp4 import omm
     from sgp4.api import Satrec
 
@@ -147,23 +152,23 @@ def _satrec(given: tuple) -> Any:
 
 
 def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
-    """The element sets of one satellite, oldest first: TLE, with names or without, or OMM as KVN, XML, CSV or JSON.
+    """Parse the element sets of one satellite, oldest first: TLE, with or without names, or OMM as KVN, XML, CSV or JSON.
 
-    `where` names the file in messages. `InputError` names file, line, what was found there and what to do.
+    `where` names the file in messages. Raises `InputError` with the file, the line, the offending text and the advice.
     """
-    begin = text.lstrip()[:1]
-    if begin == "<":
-        messages = _xml(text, where)
-    elif begin in ("[", "{"):
-        messages = _json(text, where)
+    first = text.lstrip()[:1]
+    if first == "<":
+        messages = _read_xml(text, where)
+    elif first in ("[", "{"):
+        messages = _read_json(text, where)
     elif "MEAN_MOTION" in text.split("\n", 1)[0]:
         messages = csv.DictReader(io.StringIO(text.strip()))
     elif re.search(r"^\s*MEAN_MOTION\s*=", text, re.MULTILINE):
-        messages = _kvn(text)
+        messages = _read_kvn(text)
     else:
         messages = None
     if messages is None:
-        sets = list(_lines(text, where))
+        sets = list(_read_tle(text, where))
     else:
         listed = list(messages)
         sets = [
@@ -182,14 +187,15 @@ def parse_elements(text: str, where: str) -> tuple[Elements, ...]:
 
 
 def nearest(sets: tuple[Elements, ...], jd: float) -> Elements:
-    """The elements whose epoch is nearest to a UTC Julian date."""
+    """Return the elements whose epoch is nearest to a UTC Julian date."""
     return min(sets, key=lambda elements: abs(elements.days_to(jd)))
 
 
 # ------------------------------------------------------------------------------------------------------------------------- TLE
 
 
-def _lines(text: str, where: str) -> Iterator[Elements]:
+def _read_tle(text: str, where: str) -> Iterator[Elements]:
+    """Yield the element sets of a text in lines; a line before each pair may be a name."""
     name, first = "", None
     for number, line in enumerate(text.splitlines(), 1):
         line, at = line.strip(), f"{where}, line {number}"
@@ -199,24 +205,26 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
             if line[0] == "2" and len(line) > 60:
                 what = "line 2 of the elements comes before line 1"
                 raise InputError(what, do="exchange the two lines", where=at)
-            first = _checked(line, LINE_1, at)
+            first = _check_line(line, LINE_1, at)
             _require_SGP4(first[EPHEMERIS_COLUMN].replace(" ", "0"), at)
         elif first is not None:
             if not line.startswith("2 "):
                 what = "line 2 of the elements must follow their line 1"
                 raise InputError(what, got=line, where=at)
-            second = _checked(line, LINE_2, at)
-            satellites = [_catalogue_number(each[2:7], at) for each in (first, second)]
+            second = _check_line(line, LINE_2, at)
+            # columns 3 to 7: catalogue number; 21 to 32 of line 1: day of the year of the epoch
+            satellites = [_parse_catalogue_number(each[2:7], at) for each in (first, second)]
             if satellites[0] != satellites[1]:
                 what, got = "the two lines are of different satellites", (first[2:7], second[2:7])
                 raise InputError(what, got=" and ".join(got), do="keep those of yours", where=at)
             if not 1 <= float(first[20:32]) < 367:
                 what = "the epoch's day of the year must be from 1 to 366"
                 raise InputError(what, got=first[20:32], where=at)
+            # the library reads catalogue numbers padded with zeros only
             given = tuple(
                 f"{each[:2]}{each[2:7].strip():0>5}{each[7:]}" for each in (first, second)
             )
-            yield _elements(given, satellites[0], name, at)
+            yield _build_elements(given, satellites[0], name, at)
             name, first = "", None
         else:
             name = line.removeprefix("0 ").strip()[:100]
@@ -224,7 +232,8 @@ def _lines(text: str, where: str) -> Iterator[Elements]:
         raise InputError("line 1 of the elements has no line 2", do="add it", where=where)
 
 
-def _checked(line: str, form: re.Pattern[str], at: str) -> str:
+def _check_line(line: str, form: re.Pattern[str], at: str) -> str:
+    """Return a line of elements whose length, checksum and columns are valid; raise `InputError` otherwise."""
     if len(line) != 69:
         what = "a line of elements has 69 characters"
         raise InputError(what, got=f"{len(line)}", do="copy it whole", where=at)
@@ -238,8 +247,8 @@ def _checked(line: str, form: re.Pattern[str], at: str) -> str:
     return line
 
 
-def _catalogue_number(text: str, at: str) -> int:
-    """Return the number of a satellite: digits, padded by blanks or zeros or not, or Alpha-5."""
+def _parse_catalogue_number(text: str, at: str) -> int:
+    """Return the catalogue number of a satellite: digits, possibly padded with blanks or zeros, or Alpha-5."""
     text = text.strip()
     if digits := re.fullmatch(r"0*(\d{1,9})(\.0*)?", text, re.ASCII):
         return int(digits[1])
@@ -251,7 +260,7 @@ def _catalogue_number(text: str, at: str) -> int:
 
 
 def _require_SGP4(ephemeris_type: str, at: str) -> None:
-    """Refuse elements that are for another propagator by their ephemeris type."""
+    """Raise `InputError` for elements of another propagator, by their ephemeris type."""
     if ephemeris_type not in FOR_SGP4:
         xp = " (SGP4-XP)" if ephemeris_type == "4" else ""
         what = "the ephemeris type says that the elements are not for SGP4"
@@ -259,7 +268,8 @@ def _require_SGP4(ephemeris_type: str, at: str) -> None:
         raise InputError(what, got=f"{ephemeris_type}{xp}", do=do, where=at)
 
 
-def _elements(given: tuple, number: int, name: str, at: str) -> Elements:
+def _build_elements(given: tuple, number: int, name: str, at: str) -> Elements:
+    """Return elements that SGP4 accepts; raise `InputError` otherwise."""
     try:
         satellite = _satrec(given)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
@@ -276,42 +286,47 @@ def _elements(given: tuple, number: int, name: str, at: str) -> Elements:
 
 
 def _from_omm(fields: dict[str, Any], where: str) -> Elements:
-    """Return the elements of one message. What it says of its theory, frame, centre and time system is obeyed or refused."""
-    known = ASSUMED | {
+    """Return the elements of one OMM.
+
+    Raises `InputError` if its theory, frame, centre or time system is not supported.
+    """
+    known = DEFAULTS | {
         str(key).strip(): text
         for key, value in fields.items()
         if key and value is not None and (text := str(value).strip())
     }
-    if _letters(known["MEAN_ELEMENT_THEORY"]) not in THEORIES:
+    if _normalise_name(known["MEAN_ELEMENT_THEORY"]) not in THEORIES:
         what, do = "the OMM's elements are not for SGP4", "give SGP4 elements"
         raise InputError(what, got=known["MEAN_ELEMENT_THEORY"], do=do, where=where)
     _require_SGP4(known["EPHEMERIS_TYPE"].removesuffix(".0").lstrip("0") or "0", where)
     if known["CENTER_NAME"].upper() not in ("EARTH", "399"):  # 399 is NAIF's number of the Earth
         what, do = "CENTER_NAME of the OMM is not EARTH", "give elements about the Earth"
         raise InputError(what, got=known["CENTER_NAME"], do=do, where=where)
-    if _letters(known["REF_FRAME"]) not in TEME:
+    if _normalise_name(known["REF_FRAME"]) not in TEME:
         what = "REF_FRAME of the OMM is not TEME, the frame of SGP4"
         do = "get SGP4 elements, whose frame is TEME: a changed label would turn the orbit"
         raise InputError(what, got=known["REF_FRAME"], do=do, where=where)
-    if missing := [key for key in KEYS if key not in known]:
+    if missing := [key for key in REQUIRED_KEYS if key not in known]:
         do = "give the whole message"
         raise InputError("the OMM lacks a key", got=missing[0], do=do, where=where)
-    for key in NUMBERS:
+    for key in NUMERIC_KEYS:
         if np.isnan(plain_number(known[key])):
             raise InputError(f"{key} must be a number", got=known[key], where=where)
-    number = _catalogue_number(known["NORAD_CAT_ID"], where)
-    epoch = _utc(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(timespec="microseconds")
-    given = NOT_USED | {key: known[key] for key in NUMBERS} | {"EPOCH": epoch}
-    return _elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
+    number = _parse_catalogue_number(known["NORAD_CAT_ID"], where)
+    epoch = _parse_epoch(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(
+        timespec="microseconds"
+    )
+    given = UNUSED_KEYS | {key: known[key] for key in NUMERIC_KEYS} | {"EPOCH": epoch}
+    return _build_elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
 
 
-def _letters(name: str) -> str:
-    """Return a name in capitals, without what is neither letter nor digit."""
+def _normalise_name(name: str) -> str:
+    """Return a name in capitals, with letters and digits only."""
     return re.sub(r"[^A-Z0-9]", "", name.upper())
 
 
-def _utc(epoch: str, scale: str, where: str) -> datetime:
-    """Return the UTC of an epoch in a time scale: of the calendar, or of a day of the year."""
+def _parse_epoch(epoch: str, scale: str, where: str) -> datetime:
+    """Return the UTC of an epoch given in a time scale, as a calendar date or a day of the year."""
     form = re.fullmatch(r"(\d{4}-(?:\d\d-\d\d|(\d{3}))T\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII)
     try:
         if form is None:
@@ -330,14 +345,15 @@ def _utc(epoch: str, scale: str, where: str) -> datetime:
         do = f"give EPOCH and TIME_SYSTEM in one of {', '.join(exact)}"
         raise InputError(what, got=scale, do=do, where=where)
     utc = given
-    for _ in range(2):  # the leap seconds are those of the UTC, which the first round finds
+    # the number of leap seconds depends on the UTC, which is known after the first iteration
+    for _ in range(2):
         when = Instants.of(utc.isoformat(), np.zeros(1))
         utc = given - timedelta(seconds=ahead_of_utc_s(scale.upper(), when))
     return utc
 
 
-def _kvn(text: str) -> Iterator[dict[str, str]]:
-    """Messages of keys and values; each begins with its version or name, of which a file may have either."""
+def _read_kvn(text: str) -> Iterator[dict[str, str]]:
+    """Yield the messages of a KVN text; a repeated key, such as the version or the name, begins a new one."""
     fields: dict[str, str] = {}
     for line in text.splitlines():
         key, equals, value = line.partition("=")
@@ -352,7 +368,8 @@ def _kvn(text: str) -> Iterator[dict[str, str]]:
         yield fields
 
 
-def _json(text: str, where: str) -> list[dict[str, Any]]:
+def _read_json(text: str, where: str) -> list[dict[str, Any]]:
+    """Return the messages of a JSON text; raise `InputError` if it is no list of objects."""
     try:
         table = json.loads(text)
     except (ValueError, RecursionError):
@@ -364,8 +381,11 @@ def _json(text: str, where: str) -> list[dict[str, Any]]:
     return table
 
 
-def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
-    """The root of an XML text, a `kind` of file, without entities: a few lines of those may stand for gigabytes."""
+def parse_xml(text: str, kind: str, where: str) -> ElementTree.Element:
+    """Return the root of an XML text; `kind` names the file in messages.
+
+    Entities are refused, as a few lines of them can expand to gigabytes.
+    """
     if "<!" in text.replace("<!--", ""):
         raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
     try:
@@ -375,13 +395,14 @@ def xml_root(text: str, kind: str, where: str) -> ElementTree.Element:
         raise InputError(what, do="give the whole file", where=where) from None
 
 
-def _xml(text: str, where: str) -> Iterator[dict[str, str]]:
-    root = xml_root(text, "OMM", where)
+def _read_xml(text: str, where: str) -> Iterator[dict[str, str]]:
+    """Yield the messages of an XML text."""
+    root = parse_xml(text, "OMM", where)
     for message in root.iter():
-        if _plain_tag(message) == "omm":
-            yield {_plain_tag(leaf): leaf.text or "" for leaf in message.iter() if not len(leaf)}
+        if _tag_name(message) == "omm":
+            yield {_tag_name(leaf): leaf.text or "" for leaf in message.iter() if not len(leaf)}
 
 
-def _plain_tag(element: ElementTree.Element) -> str:
-    """Return the name of an element without its namespace; nothing for a comment."""
+def _tag_name(element: ElementTree.Element) -> str:
+    """Return the name of an XML element without its namespace; empty for a comment."""
     return str(element.tag).rpartition("}")[2]

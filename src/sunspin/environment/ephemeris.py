@@ -1,7 +1,7 @@
-"""Orbits as tables of positions: OEM (CCSDS 502.0-B, KVN and XML), CSV and SPK in, one sentence on what is wrong with them.
+"""Orbits as tables of positions: OEM (CCSDS 502.0-B, KVN and XML), CSV and SPK, with one error sentence for each defect.
 
-Between the positions of a stretch a spline of seventh degree is laid; stretches end where the file says so (segments of an OEM) and
-where positions are missing. How good the spline is follows from leaving out every other position.
+The positions of a segment are interpolated by a spline of degree seven. Segments end where the file says so (segments of an
+OEM) and where positions are missing. The error of the spline is estimated by leaving out every second position.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from sunspin.base.lazy import lazy
 from sunspin.base.tables import TelemetryError, read_table
 from sunspin.base.untrusted import (
     LARGEST,
-    Elsewhere,
-    decoded,
-    elsewhere,
+    IsolatedRunError,
+    decode_text,
     plain_number,
     read_bytes,
+    run_isolated,
 )
 from sunspin.environment.earth import (
     DAY_S,
@@ -35,7 +35,7 @@ from sunspin.environment.earth import (
     ahead_of_utc_s,
     earth_from_J2000,
 )
-from sunspin.environment.elements import Elements, parse_elements, xml_root
+from sunspin.environment.elements import Elements, parse_elements, parse_xml
 
 if TYPE_CHECKING:
     from scipy import interpolate
@@ -43,39 +43,41 @@ else:
     interpolate = lazy("scipy.interpolate")
 
 MAX_FILE_BYTES = 50_000_000
-"""Positions of a month, one a minute, are 5 MB."""
+"""Limit for a file; positions of a month, one a minute, are 5 MB."""
 
-DEGREE, FEWEST = 7, 9
-"""Of the spline, and positions that a stretch needs for it."""
+DEGREE, MIN_POSITIONS = 7, 9
+"""Degree of the spline, and the fewest positions of a segment."""
 
-GAP = 5.0
-"""Positions farther apart than this many usual steps belong to two stretches."""
+GAP_STEPS = 5.0
+"""A gap of more than this many usual steps separates two segments."""
 
-COARSEST_M = 10.0
-"""A table whose spline is worse than this is refused."""
+MAX_SPLINE_ERROR_M = 10.0
+"""A table with a larger interpolation error is refused."""
 
-HIGHEST_M = 1e8
-"""No orbit about the Earth whose field and shadow matter reaches farther from its centre."""
+MAX_RADIUS_M = 1e8
+"""Farther from the Earth's centre, its field and shadow do not matter."""
 
-VELOCITY_M_S = 30.0
-"""Velocities given may differ so much from those of the spline: more is another unit or another frame."""
+VELOCITY_TOLERANCE_M_S = 30.0
+"""Largest difference between given velocities and those of the spline; a larger one means another unit or frame."""
 
-BESIDE_S = 1.0
-"""Telemetry may lie so far beside a table whose times are cut to whole seconds."""
+OUTSIDE_S = 1.0
+"""Time by which telemetry may exceed a table, whose times may be cut to whole seconds."""
 
-SPK_STEP_S, SPK_CPU_S, MOST_STATES = 60.0, 60, 200_000
+SPK_STEP_S, SPK_CPU_S, MAX_STATES = 60.0, 60, 200_000
+"""Time step of states read from an SPK, CPU time for reading it, and the largest number of states."""
 
 INERTIAL = {"EME2000", "GCRF", "ICRF", "J2000", "ICRF2", "ICRF3"}
+"""Names of frames that agree with J2000 within the accuracy needed."""
 TIME = re.compile(r"(\d{4})-(?:(\d{3})|\d\d-\d\d)(T\d\d(?::\d\d(?::\d\d(?:\.\d*)?)?)?)?", re.ASCII)
-"""A time of the calendar or, with the second group, of a day of the year."""
+"""A calendar time or, if the second group matches, a time with a day of the year."""
 
-FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
-"""Names of frames: that of J2000, and those that turn with the Earth."""
+EARTH_FIXED = re.compile(r"ITRF(-?\d+)?|WGS-?84|ECEF|EFG|GRC")
+"""Names of Earth-fixed frames."""
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """Positions (n, 3) m in J2000 at s (n) from a UTC Julian date."""
+class Segment:
+    """Positions (n, 3) m in J2000 at times (n) in s from a UTC Julian date."""
 
     jd: float
     t_s: np.ndarray
@@ -83,6 +85,7 @@ class Stretch:
 
     @cached_property
     def spline(self) -> interpolate.BSpline:
+        """Interpolating spline of the positions."""
         return interpolate.make_interp_spline(self.t_s, self.place, k=DEGREE)
 
     @property
@@ -91,28 +94,33 @@ class Stretch:
         return self.jd + self.t_s[0] / DAY_S, self.jd + self.t_s[-1] / DAY_S
 
     def outside_days(self, jd: np.ndarray) -> np.ndarray:
-        """By how many days dates (n) lie outside."""
+        """Return the days by which dates (n) are outside of the segment, 0 inside."""
         first, last = self.span_jd
         return np.maximum(np.maximum(first - jd, jd - last), 0.0)
 
     def state(self, t_s: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions (..., 3) m and velocities (..., 3) m/s at times (...) in s."""
         return self.spline(t_s), self.spline(t_s, 1)
 
     def error_m(self) -> float:
-        """What the spline is off between the positions, by that through every other one."""
-        if len(self.t_s) < 2 * FEWEST:
+        """Return the estimated interpolation error in m; 0 for segments too short for the estimate.
+
+        A spline through every second position is compared with the positions in between. The error of the full spline is
+        smaller by 2^(degree + 1), as its step is half as long.
+        """
+        if len(self.t_s) < 2 * MIN_POSITIONS:
             return 0.0
         coarse = interpolate.make_interp_spline(self.t_s[::2], self.place[::2], k=DEGREE)
         inside = slice(1, len(self.t_s) - 1 - (len(self.t_s) % 2 == 0), 2)
-        off = np.linalg.norm(coarse(self.t_s[inside]) - self.place[inside], axis=1)
-        return float(off.max()) / 2 ** (DEGREE + 1)
+        error = np.linalg.norm(coarse(self.t_s[inside]) - self.place[inside], axis=1)
+        return float(error.max()) / 2 ** (DEGREE + 1)
 
 
 @dataclass(frozen=True)
 class Ephemeris:
-    """A satellite's place as a table: :class:`sunspin.environment.orbit.Orbit` takes it where it takes elements."""
+    """A satellite's positions as a table; :class:`sunspin.environment.orbit.Orbit` accepts it in place of elements."""
 
-    stretches: tuple[Stretch, ...]
+    segments: tuple[Segment, ...]
     number: str
     name: str
     where: str
@@ -120,76 +128,88 @@ class Ephemeris:
 
     @property
     def epoch_jd(self) -> tuple[float, float]:
-        """The middle of the table."""
+        """Middle of the table, as a UTC Julian date in two parts."""
         first, last = self.span_jd
         return first, (last - first) / 2
 
     @property
     def span_jd(self) -> tuple[float, float]:
-        return self.stretches[0].span_jd[0], self.stretches[-1].span_jd[1]
+        """UTC Julian dates of the first and the last position."""
+        return self.segments[0].span_jd[0], self.segments[-1].span_jd[1]
 
     @property
     def period_s(self) -> float:
-        first = self.stretches[0]
+        """Orbital period of the Kepler ellipse at the middle of the first segment."""
+        first = self.segments[0]
         place, speed = first.state(first.t_s[len(first.t_s) // 2])
         energy = speed @ speed / 2 - MU_M3_S2 / np.linalg.norm(place)
         return float(2 * np.pi * np.sqrt(max(-MU_M3_S2 / (2 * energy), EQUATOR_M) ** 3 / MU_M3_S2))
 
     def days_to(self, jd: float) -> float:
-        """Days from the table to a UTC Julian date; 0 within it."""
+        """Return the days from the table to a UTC Julian date; 0 within it."""
         first, last = self.span_jd
         return min(jd - first, 0.0) + max(jd - last, 0.0)
 
     def states(self, jd: np.ndarray, fraction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) m and velocities (n, 3) m/s in J2000, at UTC Julian dates (n) and fractions of a day (n).
+        """Return positions (n, 3) m and velocities (n, 3) m/s in J2000, at UTC Julian dates (n) and fractions of a day (n).
 
-        Outside the table the nearest stretch goes on along an ellipse: for shifts along the track, and orbits turned at random."""
-        nearest = np.argmin([s.outside_days(jd + fraction) for s in self.stretches], axis=0)
-        both = np.empty((2, len(jd), 3))
-        for k, stretch in enumerate(self.stretches):
-            mine = nearest == k
-            t = ((jd[mine] - stretch.jd) + fraction[mine]) * DAY_S
-            within = np.clip(t, stretch.t_s[0], stretch.t_s[-1])
-            both[:, mine] = _along_ellipse(*stretch.state(within), t - within)
-        return both[0], both[1]
+        Outside the table the nearest segment is continued along a Kepler ellipse: for shifts along the track and for comparison
+        orbits.
+        """
+        nearest = np.argmin([s.outside_days(jd + fraction) for s in self.segments], axis=0)
+        states = np.empty((2, len(jd), 3))
+        for k, segment in enumerate(self.segments):
+            is_nearest = nearest == k
+            t = ((jd[is_nearest] - segment.jd) + fraction[is_nearest]) * DAY_S
+            inside = np.clip(t, segment.t_s[0], segment.t_s[-1])
+            states[:, is_nearest] = _propagate_ellipse(*segment.state(inside), t - inside)
+        return states[0], states[1]
 
-    def require(self, jd: np.ndarray) -> None:
-        """`InputError` where a date (n) of telemetry is not in the table."""
-        missing = np.min([s.outside_days(jd) for s in self.stretches], axis=0) > BESIDE_S / DAY_S
+    def require_coverage(self, jd: np.ndarray) -> None:
+        """Raise `InputError` if a date (n) of the telemetry is not in the table."""
+        missing = np.min([s.outside_days(jd) for s in self.segments], axis=0) > OUTSIDE_S / DAY_S
         if missing.any():
-            got = f"{utc_of(self.span_jd[0])} to {utc_of(self.span_jd[1])}, but not {utc_of(float(jd[missing][0]))}"
+            got = f"{utc_from_jd(self.span_jd[0])} to {utc_from_jd(self.span_jd[1])}, but not {utc_from_jd(float(jd[missing][0]))}"
             do = "give one that does, or only the telemetry that it covers"
             what = "the ephemeris does not cover the telemetry"
             raise InputError(what, got=got, do=do, where=self.where)
 
 
-def _along_ellipse(
+def _propagate_ellipse(
     place: np.ndarray, speed: np.ndarray, t_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities (n, 3) after `t_s` (n) on Kepler's ellipse through these; those with 0 s stay as they are."""
-    out = np.flatnonzero(t_s)
+    """Return positions and velocities (n, 3) after `t_s` (n) on the Kepler ellipses of states (n, 3).
+
+    States with a time of exactly zero are returned unchanged. Kepler's equation is solved for the change of the eccentric
+    anomaly by Newton's method, and the state follows from Lagrange's f and g functions.
+    """
+    moved = np.flatnonzero(t_s)
     place, speed = place.copy(), speed.copy()
-    r, v, t = place[out], speed[out], t_s[out]
+    r, v, t = place[moved], speed[moved], t_s[moved]
     size = np.linalg.norm(r, axis=1)
     axis = 1 / (2 / size - (v**2).sum(axis=1) / MU_M3_S2)
-    along, mean = (r * v).sum(axis=1) / np.sqrt(MU_M3_S2 * axis), np.sqrt(MU_M3_S2 / axis**3)
-    near = 1 - size / axis
-    change = mean * t  # of the eccentric anomaly
+    # r.v / sqrt(mu a) = e sin E and 1 - r / a = e cos E at the start; mean motion
+    e_sin, mean_motion = (r * v).sum(axis=1) / np.sqrt(MU_M3_S2 * axis), np.sqrt(MU_M3_S2 / axis**3)
+    e_cos = 1 - size / axis
+    change = mean_motion * t  # of the eccentric anomaly
     for _ in range(20):
-        off = change - near * np.sin(change) + along * (1 - np.cos(change)) - mean * t
-        change = change - off / (1 - near * np.cos(change) + along * np.sin(change))
+        residual = change - e_cos * np.sin(change) + e_sin * (1 - np.cos(change)) - mean_motion * t
+        change = change - residual / (1 - e_cos * np.cos(change) + e_sin * np.sin(change))
     f = 1 - axis / size * (1 - np.cos(change))
-    g = t - (change - np.sin(change)) / mean
+    g = t - (change - np.sin(change)) / mean_motion
     later = f[:, None] * r + g[:, None] * v
     reached = np.linalg.norm(later, axis=1)
     f_dot = -np.sqrt(MU_M3_S2 * axis) / (size * reached) * np.sin(change)
     g_dot = 1 - axis / reached * (1 - np.cos(change))
-    place[out], speed[out] = later, f_dot[:, None] * r + g_dot[:, None] * v
+    place[moved], speed[moved] = later, f_dot[:, None] * r + g_dot[:, None] * v
     return place, speed
 
 
-class _Table(NamedTuple):
-    """Positions (n, 3) and velocities (n, 3; NaN: none) in m and m/s, in a frame, at s (n) from an epoch in a time scale."""
+class _PositionTable(NamedTuple):
+    """A table as it is in the file, in SI units.
+
+    Positions (n, 3) in m and velocities (n, 3) in m/s (NaN: none) in a frame, at times (n) in s from an epoch in a time scale.
+    """
 
     epoch: str
     scale: str
@@ -200,80 +220,85 @@ class _Table(NamedTuple):
 
 
 def read_orbit(path: Path | str) -> tuple[Elements, ...] | tuple[Ephemeris]:
-    """Elements (TLE, OMM) or the positions of one satellite (OEM in KVN or XML, CSV, SPK), whichever the file has.
+    """Read elements (TLE, OMM) or the positions of one satellite (OEM in KVN or XML, CSV, SPK).
 
-    A CSV has the columns `time_utc` (ISO-8601), `x_km`, `y_km`, `z_km` (or `x_m` and so on), if known `vx_km_s`, `vy_km_s` and
-    `vz_km_s` (or `vx_m_s`), and says its frame in a comment above: ``# frame: J2000`` (or TEME, ITRF).
+    A CSV has the columns `time_utc` (ISO-8601) and `x_km`, `y_km`, `z_km` (or `x_m` and so on). Velocities are optional:
+    `vx_km_s`, `vy_km_s`, `vz_km_s` (or `vx_m_s`). A comment above states the frame: ``# frame: J2000`` (or TEME, ITRF).
 
     Raises
     ------
     InputError
-        Naming file, line, what was found there and what to do.
+        With the file, the line, the offending text and the advice.
     """
     path, do = Path(path), "give the path of a TLE, OMM, OEM, CSV or SPK"
     where, meta = str(path), dict[str, str]()
     content = read_bytes(path, MAX_FILE_BYTES, "file of elements", InputError, do)
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
-        tables = [_spk(path)]
+        tables = [_read_spk(path)]
     else:
-        text = decoded(content, where, InputError, do)
+        text = decode_text(content, where, InputError, do)
         rows = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
         if "CCSDS_OEM_VERS" in text[:20_000] or "<oem" in text[:20_000]:
-            read = _oem_xml if text.lstrip()[:1] == "<" else _oem_kvn
-            meta, tables = read(text, where)
+            read_oem = _read_oem_xml if text.lstrip()[:1] == "<" else _read_oem_kvn
+            meta, tables = read_oem(text, where)
         elif re.search(r"\b(time_utc|[xyz]_k?m)\b", next(rows, "")):
-            tables = [_csv(path)]
+            tables = [_read_csv(path)]
         else:
             return parse_elements(text, where)
-    stretches = [stretch for table in tables for stretch in _stretches(table, where)]
-    if not stretches:
-        what = f"the ephemeris has no {FEWEST} positions in a row"
+    segments = [segment for table in tables for segment in _build_segments(table, where)]
+    if not segments:
+        what = f"the ephemeris has no {MIN_POSITIONS} positions in a row"
         raise InputError(what, do="give one with a position every minute or so", where=where)
-    stretches.sort(key=lambda stretch: stretch.span_jd[0])
-    if (worst := max(stretch.error_m() for stretch in stretches)) > COARSEST_M:
-        step = float(np.median(np.diff(stretches[0].t_s)))
+    segments.sort(key=lambda segment: segment.span_jd[0])
+    if (worst := max(segment.error_m() for segment in segments)) > MAX_SPLINE_ERROR_M:
+        step = float(np.median(np.diff(segments[0].t_s)))
         what = f"the positions are {step:.0f} s apart, between which an orbit is known to {worst:.0f} m only"
-        do = f"give them close enough for {COARSEST_M:.0f} m, a minute in a low orbit"
+        do = f"give them close enough for {MAX_SPLINE_ERROR_M:.0f} m, a minute in a low orbit"
         raise InputError(what, do=do, where=where)
     number, name = meta.get("OBJECT_ID", ""), meta.get("OBJECT_NAME", path.stem)
-    return (Ephemeris(tuple(stretches), number[:100], name[:100], where),)
+    return (Ephemeris(tuple(segments), number[:100], name[:100], where),)
 
 
-def _stretches(table: _Table, where: str) -> list[Stretch]:
+def _build_segments(table: _PositionTable, where: str) -> list[Segment]:
+    """Return the segments of a table, in UTC and J2000; raise `InputError` for implausible positions or velocities."""
     if np.any(np.diff(table.t_s) <= 0):
         what, do = "the times of the ephemeris do not increase", "sort its rows, remove repeats"
         raise InputError(what, do=do, where=where)
     radius = np.linalg.norm(table.place, axis=1)
-    wrong = (radius <= 0.99 * EQUATOR_M) | (radius >= HIGHEST_M)
+    wrong = (radius <= 0.99 * EQUATOR_M) | (radius >= MAX_RADIUS_M)
     if wrong.any():
         what = "a position is not one of an orbit about the Earth"
         got = f"{radius[wrong][0] / 1e3:.6g} km from its centre"
         do = "check the unit (km in an OEM) and the centre"
         raise InputError(what, got=got, do=do, where=where)
-    when = _instants(table, where)
-    place, speed = _in_J2000(table, when, where)
+    when = _utc_instants(table, where)
+    place, speed = _to_J2000(table, when, where)
     step = np.median(np.diff(table.t_s)) if len(radius) > 1 else 0.0
-    stretches = []
+    # segments are separated by gaps; those too short for a spline are dropped
+    segments = []
     jd = float(when.jd[0])
     t_s = (when.jd - jd + when.fraction) * DAY_S
-    gaps = np.flatnonzero(np.diff(table.t_s) > GAP * step) + 1
+    gaps = np.flatnonzero(np.diff(table.t_s) > GAP_STEPS * step) + 1
     for part in np.split(np.arange(len(radius)), gaps):
-        if len(part) < FEWEST:
+        if len(part) < MIN_POSITIONS:
             continue
-        stretch = Stretch(jd, t_s[part], place[part])
-        off = np.linalg.norm(stretch.spline(stretch.t_s, 1) - speed[part], axis=1)
-        if np.nanmax(np.append(off, 0.0)) > VELOCITY_M_S and np.nanmedian(off) > VELOCITY_M_S / 10:
-            what = f"the velocities are not those of the positions: {np.nanmedian(off):.0f} m/s off in the median"
+        segment = Segment(jd, t_s[part], place[part])
+        difference = np.linalg.norm(segment.spline(segment.t_s, 1) - speed[part], axis=1)
+        if (
+            np.nanmax(np.append(difference, 0.0)) > VELOCITY_TOLERANCE_M_S
+            and np.nanmedian(difference) > VELOCITY_TOLERANCE_M_S / 10
+        ):
+            what = f"the velocities are not those of the positions: {np.nanmedian(difference):.0f} m/s off in the median"
             do = "check units and frame: positions of a frame that turns with the Earth are ITRF, not J2000"
             raise InputError(what, do=do, where=where)
-        stretches.append(stretch)
-    return stretches
+        segments.append(segment)
+    return segments
 
 
-def _instants(table: _Table, where: str) -> Instants:
-    """The times in UTC."""
+def _utc_instants(table: _PositionTable, where: str) -> Instants:
+    """Return the UTC instants of a table; raise `InputError` for an unknown epoch or time scale."""
     try:
-        when = Instants.of(_iso(table.epoch), table.t_s)
+        when = Instants.of(_normalise_time(table.epoch), table.t_s)
     except ValueError:
         what = "this is not a time such as 2026-01-31T12:00:00"
         raise InputError(what, got=table.epoch, where=where) from None
@@ -284,17 +309,17 @@ def _instants(table: _Table, where: str) -> Instants:
     return when.later(-ahead_of_utc_s(table.scale, when))
 
 
-def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities; of a frame that turns with the Earth only positions."""
+def _to_J2000(table: _PositionTable, when: Instants, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and velocities in J2000; those of an Earth-fixed frame have no velocities (NaN)."""
     frame = table.frame.upper().replace(" ", "")
     if frame in INERTIAL:
         return table.place, table.speed
     if frame == "TEME":
-        turn = J2000_from_TEME(when)
-        return (turn @ table.place[..., None])[..., 0], (turn @ table.speed[..., None])[..., 0]
-    if FIXED.fullmatch(frame):
-        turn = np.swapaxes(earth_from_J2000(when), -1, -2)
-        return (turn @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
+        matrix = J2000_from_TEME(when)
+        return (matrix @ table.place[..., None])[..., 0], (matrix @ table.speed[..., None])[..., 0]
+    if EARTH_FIXED.fullmatch(frame):
+        matrix = np.swapaxes(earth_from_J2000(when), -1, -2)
+        return (matrix @ table.place[..., None])[..., 0], np.full_like(table.speed, np.nan)
     do = f"give positions in one of {', '.join(sorted(INERTIAL))}, TEME, ITRF"
     raise InputError("the frame of the ephemeris is not known", got=table.frame, do=do, where=where)
 
@@ -302,7 +327,8 @@ def _in_J2000(table: _Table, when: Instants, where: str) -> tuple[np.ndarray, np
 # -------------------------------------------------------------------------------------------------------------------------- OEM
 
 
-def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
+def _read_oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_PositionTable]]:
+    """Return the metadata of the last segment and the tables of all segments of an OEM in KVN."""
     meta: dict[str, str] = {}
     rows: list[tuple[str, list[str]]] = []
     tables, inside, skipping = [], False, False
@@ -311,7 +337,7 @@ def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
         if not line or line.startswith("COMMENT"):
             continue
         if line == "META_START":
-            tables += [_oem_table(meta, rows, where)] if rows else []
+            tables += [_build_oem_table(meta, rows, where)] if rows else []
             meta, rows, inside, skipping = {}, [], True, False
         elif line == "META_STOP":
             inside = False
@@ -326,12 +352,13 @@ def _oem_kvn(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
                 what = "a line of an OEM has a time, three coordinates and three of velocity"
                 raise InputError(what, got=line, where=f"{where}, line {number}")
             rows.append((cells[0], cells[1:7]))
-    tables += [_oem_table(meta, rows, where)] if rows else []
+    tables += [_build_oem_table(meta, rows, where)] if rows else []
     return meta, tables
 
 
-def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
-    root = xml_root(text, "OEM", where)
+def _read_oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_PositionTable]]:
+    """Return the metadata of the last segment and the tables of all segments of an OEM in XML."""
+    root = parse_xml(text, "OEM", where)
     tables, meta = [], {}
     for segment in root.iter("segment"):
         leaves = [leaf for part in segment.iter("metadata") for leaf in part if not len(leaf)]
@@ -341,14 +368,17 @@ def _oem_xml(text: str, where: str) -> tuple[dict[str, str], list[_Table]]:
             cells = {leaf.tag: (leaf.text or "").strip() for leaf in vector}
             keys = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
             rows.append((cells.get("EPOCH", ""), [cells.get(key, "nan") for key in keys]))
-        tables += [_oem_table(meta, rows, where)] if rows else []
+        tables += [_build_oem_table(meta, rows, where)] if rows else []
     if not tables:
         what, do = "the XML is no OEM with positions", "give an OEM, a CSV or an SPK"
         raise InputError(what, do=do, where=where)
     return meta, tables
 
 
-def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str) -> _Table:
+def _build_oem_table(
+    meta: dict[str, str], rows: list[tuple[str, list[str]]], where: str
+) -> _PositionTable:
+    """Return the table of an OEM segment; rows are times and text cells. Raises `InputError` for missing metadata."""
     for key in ("CENTER_NAME", "REF_FRAME", "TIME_SYSTEM"):
         if not meta.get(key):
             do = "give the whole message"
@@ -356,60 +386,67 @@ def _oem_table(meta: dict[str, str], rows: list[tuple[str, list[str]]], where: s
     if meta["CENTER_NAME"].upper() != "EARTH":
         what = "the positions of the OEM are not about the Earth"
         raise InputError(what, got=meta["CENTER_NAME"], where=where)
-    return _table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
+    return _build_table(rows, 1e3, 1e3, meta["TIME_SYSTEM"].upper(), meta["REF_FRAME"], where)
 
 
-def _table(
+def _build_table(
     rows: list[tuple[str, list[str]]],
     to_m: float,
     to_m_s: float,
     scale: str,
     frame: str,
     where: str,
-) -> _Table:
+) -> _PositionTable:
+    """Return a table from rows of times and text cells, with factors to m and m/s; raise `InputError` for bad cells."""
     try:
-        times = np.array([_iso(time) for time, _ in rows], dtype="datetime64[us]")
+        times = np.array([_normalise_time(time) for time, _ in rows], dtype="datetime64[us]")
     except ValueError as error:
         raise InputError(f"a time of the ephemeris cannot be read ({error})", where=where) from None
     t_s = (times - times[0]) / np.timedelta64(1, "us") / 1e6
     values = np.full((len(rows), 6), np.nan)
     for row, (_, cells) in zip(values, rows, strict=True):
         row[: len(cells)] = [plain_number(cell) for cell in cells]
-        odd = [cell for cell in cells if cell not in ("", "nan") and np.isnan(plain_number(cell))]
-        if odd:
-            what, do = (
-                "a coordinate of the ephemeris is no number",
-                "write plain decimals, such as -6778.137",
-            )
-            raise InputError(what, got=odd[0], do=do, where=where)
+        not_numbers = [
+            cell for cell in cells if cell not in ("", "nan") and np.isnan(plain_number(cell))
+        ]
+        if not_numbers:
+            what = "a coordinate of the ephemeris is no number"
+            do = "write plain decimals, such as -6778.137"
+            raise InputError(what, got=not_numbers[0], do=do, where=where)
     if not np.isfinite(values[:, :3]).all():
         raise InputError("a coordinate of the ephemeris is missing or not finite", where=where)
-    return _Table(rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame)
+    return _PositionTable(
+        rows[0][0], scale, t_s, to_m * values[:, :3], to_m_s * values[:, 3:], frame
+    )
 
 
-def _iso(time: str) -> str:
-    """A time of the calendar; a day of the year becomes a date. `ValueError` for what is no time: NumPy knows `today`."""
+def _normalise_time(time: str) -> str:
+    """Return a time as calendar date and time with at most microseconds; a day of the year becomes a date.
+
+    Raises ValueError for other texts, of which NumPy would accept some, such as `today`.
+    """
     time = time.rstrip("Z").replace(" ", "T")
     form = TIME.fullmatch(time)
     if form is None or (form[2] and not 1 <= int(form[2]) <= 366):
         raise ValueError(f"{time!r} is not a time such as 2026-01-31T12:00:00")
     if form[2]:
         time = str(np.datetime64(form[1], "D") + int(form[2]) - 1) + (form[3] or "")
-    whole, _, part = time.partition(".")
-    return f"{whole}.{part[:6]}" if part else whole
+    seconds, _, fraction = time.partition(".")
+    return f"{seconds}.{fraction[:6]}" if fraction else seconds
 
 
 # ------------------------------------------------------------------------------------------------------------------- CSV and SPK
 
 
-def _csv(path: Path) -> _Table:
+def _read_csv(path: Path) -> _PositionTable:
+    """Return the table of a CSV file; raise `InputError` if columns or the frame are missing."""
     where = str(path)
     try:
         table = read_table(path)
     except TelemetryError as error:
         raise InputError(str(error)) from None
-    forms = (re.fullmatch(r"(?i)frame\s*[:=]\s*(\S+)", line) for line in table.comments)
-    frames = [form[1] for form in forms if form]
+    matches = (re.fullmatch(r"(?i)frame\s*[:=]\s*(\S+)", line) for line in table.comments)
+    frames = [match[1] for match in matches if match]
     unit = next((unit for unit in ("km", "m") if f"x_{unit}" in table.header), "")
     wanted = ["time_utc", *(f"{axis}_{unit}" for axis in "xyz")]
     missing = [name for name in wanted if name not in table.header]
@@ -421,20 +458,21 @@ def _csv(path: Path) -> _Table:
         what = "the ephemeris does not say its frame"
         do = "add a first line such as `# frame: J2000` (or TEME, ITRF)"
         raise InputError(what, do=do, where=where)
-    fast = next((unit for unit in ("km_s", "m_s") if f"vx_{unit}" in table.header), None)
-    names = [*wanted, *(f"v{axis}_{fast}" for axis in "xyz" if fast)]
+    speed_unit = next((unit for unit in ("km_s", "m_s") if f"vx_{unit}" in table.header), None)
+    names = [*wanted, *(f"v{axis}_{speed_unit}" for axis in "xyz" if speed_unit)]
     if absent := [name for name in names if name not in table.header]:
         what = f"the column {absent[0]!r} of velocity is missing"
         raise InputError(what, where=where)
     rows = [(row[0], row[1:]) for row in table.cells[names].to_numpy().tolist()]
-    to_m, to_m_s = (1e3 if unit == "km" else 1.0), (1e3 if fast == "km_s" else 1.0)
-    return _table(rows, to_m, to_m_s, "UTC", frames[0], where)
+    to_m, to_m_s = (1e3 if unit == "km" else 1.0), (1e3 if speed_unit == "km_s" else 1.0)
+    return _build_table(rows, to_m, to_m_s, "UTC", frames[0], where)
 
 
-def _spk(path: Path) -> _Table:
-    """States once a minute of the one body that an SPK holds, read in another process: a damaged kernel ends SPICE.
+def _read_spk(path: Path) -> _PositionTable:
+    """Return states of the only body in an SPK, one a minute, read in a separate process as a damaged kernel may crash SPICE.
 
-    Without that process 1 of 7,000 damaged files ends this one (`validation corrupt --unguarded --only earth.bsp`, seeds 0 to 3).
+    Without that process 1 of 7,000 damaged files ends this one (`validation corrupt --unguarded --only earth.bsp`, seeds 0 to
+    3).
     """
     where = str(path)
     try:
@@ -442,10 +480,12 @@ def _spk(path: Path) -> _Table:
     except ImportError:
         do = 'pip install "sunspin[spice]"'
         raise InputError("an SPK needs spiceypy", do=do, where=where) from None
-    script, most = Path(__file__).with_name("spk_states.py"), str(MOST_STATES)
+    script, most = Path(__file__).with_name("spk_states.py"), str(MAX_STATES)
     try:
-        printed = elsewhere(script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S)
-    except Elsewhere as error:
+        printed = run_isolated(
+            script, str(path.resolve()), str(SPK_STEP_S), most, seconds=SPK_CPU_S
+        )
+    except IsolatedRunError as error:
         raise InputError(f"the SPK cannot be used ({error})", where=where) from None
     values = np.frombuffer(printed, dtype=np.float64).reshape(-1, 7)
     if not len(values):
@@ -453,13 +493,14 @@ def _spk(path: Path) -> _Table:
     if not (np.abs(values) < LARGEST).all():
         do = "give the whole file"
         raise InputError("the SPK holds a number beyond any orbit", do=do, where=where)
-    begin = int(values[0, 0])  # the leap seconds of an epoch hold for its table
+    # a calendar epoch near the table, as TT - UTC is taken at the epoch
+    begin = int(values[0, 0])
     epoch = str(np.datetime64("2000-01-01T12:00:00") + np.timedelta64(begin, "s"))
     place, speed = 1e3 * values[:, 1:4], 1e3 * values[:, 4:]
-    return _Table(epoch, "TDB", values[:, 0] - begin, place, speed, "J2000")
+    return _PositionTable(epoch, "TDB", values[:, 0] - begin, place, speed, "J2000")
 
 
-def utc_of(jd: float) -> str:
-    """A UTC Julian date as a time of the calendar, to the second."""
+def utc_from_jd(jd: float) -> str:
+    """Return a UTC Julian date as a calendar time, to the second."""
     seconds = round((jd - 2440587.5) * DAY_S)
     return f"{np.datetime64(seconds, 's')}Z"

@@ -1,7 +1,8 @@
-"""The Earth's magnetic field by IGRF, as a map that is read quickly.
+"""The Earth's magnetic field (IGRF), interpolated in a map for speed.
 
-`ppigrf` sums the 195 coefficients; 20,000 places take it a second. A map of 5 degrees in latitude and longitude on a few spheres,
-in Earth-fixed components, read by cubic splines and a polynomial of the radius, gives the same field to 2 nT.
+`ppigrf` sums the 195 coefficients at 20,000 positions per second. A map with 5 degrees in latitude and longitude on a few
+spheres, in Earth-fixed components, gives the same field to 2 nT. It is interpolated by cubic splines on each sphere and by a
+polynomial in the radius.
 """
 
 from __future__ import annotations
@@ -21,36 +22,42 @@ else:
     ndimage = lazy("scipy.ndimage")
 
 YEARS = (1900.0, 2030.0)
-"""Of IGRF-14."""
+"""Years for which IGRF-14 is defined."""
 
 MODEL_SIGMA_T = 1.5e-7
-"""What IGRF leaves out in each component: crust, currents in the ionosphere and around the Earth on a quiet day."""
+"""Error of IGRF in each component on a quiet day: crust, and currents in the ionosphere and around the Earth."""
 
 STEP_DEG = 5
-BEYOND = 8
-"""Rows of the map beyond each pole, so that its splines have no edge there."""
+"""Grid step of the map."""
+POLE_ROWS = 8
+"""Rows of the map beyond each pole, so that its splines have no boundary there."""
 
 REFERENCE_M = 6_371_200.0
+"""Reference radius of IGRF."""
 MAP_DAYS = 30.0
-"""The field of one day stands for half this many before and after: it changes by 0.1 uT a year."""
+"""Time step of maps: the field changes by 0.1 uT a year, so that of one day is used for half a step on both sides."""
 
 
 class FieldMap(NamedTuple):
-    """Spline coefficients (radii, 3, latitudes, longitudes) of B (r / a)^3 in T, on the spheres a / r = `inverse`."""
+    """A map of the field on spheres of different radii.
+
+    `coefficients` (radii, 3, latitudes, longitudes): spline coefficients of B (r / a)^3 in T; `inverse`: a / r of each sphere.
+    """
 
     coefficients: np.ndarray
     inverse: np.ndarray
 
     def at(self, place: np.ndarray) -> np.ndarray:
-        """The field (..., 3) in T at Earth-fixed places (..., 3) in m, in Earth-fixed axes."""
+        """Return the field (..., 3) in T at Earth-fixed positions (..., 3) in m, in Earth-fixed axes."""
         flat = place.reshape(-1, 3)
         radius = np.linalg.norm(flat, axis=1)
-        row = (90 - np.degrees(np.arcsin(flat[:, 2] / radius))) / STEP_DEG + BEYOND
-        column = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360 / STEP_DEG + BEYOND
+        row = (90 - np.degrees(np.arcsin(flat[:, 2] / radius))) / STEP_DEG + POLE_ROWS
+        column = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360 / STEP_DEG + POLE_ROWS
         inverse, field = REFERENCE_M / radius, np.zeros_like(flat)
         for k, node in enumerate(self.inverse):
-            others = np.delete(self.inverse, k)
-            weight = np.prod((inverse[:, None] - others) / (node - others), axis=1)
+            # Lagrange polynomial in a / r that is one at this sphere and zero at the others
+            rest = np.delete(self.inverse, k)
+            weight = np.prod((inverse[:, None] - rest) / (node - rest), axis=1)
             for axis in range(3):
                 field[:, axis] += weight * ndimage.map_coordinates(
                     self.coefficients[k, axis], [row, column], prefilter=False
@@ -59,51 +66,61 @@ class FieldMap(NamedTuple):
 
 
 def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
-    """The map for a UTC Julian date and between two radii (m). `InputError` outside the years of IGRF."""
+    """Return the map for a UTC Julian date and positions between two radii (m).
+
+    Raises `InputError` outside the years of IGRF. Date and radii are rounded, so that maps can be cached.
+    """
     year = 2000 + (jd - 2451544.5) / 365.25
     if not YEARS[0] <= year < YEARS[1]:
         what = f"the Earth's field is known from {YEARS[0]:.0f} to {YEARS[1]:.0f} (IGRF-14)"
         raise InputError(what, got=f"a time in {year:.0f}", do="check the clock of the telemetry")
     step = 1e4
     low, high = step * np.floor(radius_m[0] / step), step * np.ceil(radius_m[1] / step)
-    return _field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))
+    return _build_field_map(MAP_DAYS * round(jd / MAP_DAYS), float(low), float(high))
 
 
 @lru_cache(maxsize=8)
-def _field_map(jd: float, low: float, high: float) -> FieldMap:
+def _build_field_map(jd: float, low: float, high: float) -> FieldMap:
+    """Compute the map for a Julian date and two radii (m), on spheres at Chebyshev nodes of a / r."""
     span = REFERENCE_M / low - REFERENCE_M / high
     spheres = 3 + int(np.ceil(12 * span))
-    bend = np.cos(np.pi * (np.arange(spheres) + 0.5) / spheres)
+    chebyshev = np.cos(np.pi * (np.arange(spheres) + 0.5) / spheres)
     inverse = (
-        REFERENCE_M / high + span * (1 + bend) / 2 if span > 0 else np.array([REFERENCE_M / low])
+        REFERENCE_M / high + span * (1 + chebyshev) / 2
+        if span > 0
+        else np.array([REFERENCE_M / low])
     )
     latitude, longitude = np.arange(90, -91, -STEP_DEG), np.arange(0, 360, STEP_DEG)
     rows = []
     for value in inverse:
-        field = value**-3 * _igrf(jd, REFERENCE_M / value, latitude, longitude)
-        half = np.roll(field, len(longitude) // 2, axis=2)  # beyond a pole is the other side
+        field = value**-3 * _compute_igrf(jd, REFERENCE_M / value, latitude, longitude)
+        # a row beyond a pole has the longitudes of the opposite meridian
+        half = np.roll(field, len(longitude) // 2, axis=2)
         field = np.concatenate(
-            [half[:, BEYOND:0:-1], field, half[:, -2 : -2 - BEYOND : -1]], axis=1
+            [half[:, POLE_ROWS:0:-1], field, half[:, -2 : -2 - POLE_ROWS : -1]], axis=1
         )
         rows.append(
-            np.concatenate([field[:, :, -BEYOND:], field, field[:, :, : BEYOND + 1]], axis=2)
+            np.concatenate([field[:, :, -POLE_ROWS:], field, field[:, :, : POLE_ROWS + 1]], axis=2)
         )
     return FieldMap(
         np.array([[ndimage.spline_filter(part) for part in row] for row in rows]), inverse
     )
 
 
-def _igrf(jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray) -> np.ndarray:
-    """The field (3, latitudes, longitudes) in T, in Earth-fixed axes."""
+def _compute_igrf(
+    jd: float, radius_m: float, latitude: np.ndarray, longitude: np.ndarray
+) -> np.ndarray:
+    """Return the field (3, latitudes, longitudes) in T, in Earth-fixed axes, for grids of latitude and longitude (deg)."""
     import ppigrf
 
     date = datetime(2000, 1, 1) + timedelta(days=jd - 2451544.5)
-    # at a pole itself the eastward component is 0 / 0
+    # at a pole itself ppigrf computes 0 / 0 for the eastward component
     colatitude = np.clip(90.0 - latitude, 1e-4, 180 - 1e-4)[:, None]
     up, south, east = (
         part[0] * 1e-9 for part in ppigrf.igrf_gc(radius_m / 1e3, colatitude, longitude[None], date)
     )
     theta, phi = np.radians(colatitude), np.radians(longitude)[None]
+    # from up, south and east to Earth-fixed x, y and z; `level` is the component in the equatorial plane
     level = up * np.sin(theta) + south * np.cos(theta)
     x, y = level * np.cos(phi) - east * np.sin(phi), level * np.sin(phi) + east * np.cos(phi)
     return np.array([x, y, up * np.cos(theta) - south * np.sin(theta)])

@@ -1,16 +1,17 @@
-"""The surroundings of a spacecraft in an orbit about the Earth that others have determined.
+"""Environment of a spacecraft in a known orbit about the Earth.
 
-Two numbers say how far that orbit may be trusted along its track, each with its error: `shift_s`, how far the spacecraft is ahead
-of the elements (negative: it comes later), and `clock_s`, how far the telemetry's clock is behind UTC. The Sun and the Earth's
-turn follow the clock, the place follows clock plus shift. The Earth turns by only a degree in four minutes, so that what data
-determine well is the sum. What the sum gains in a day, `drift_s_day`, is an error of the elements' mean motion, drag, or a clock
-that is slow: data do not part these either.
+Two numbers with errors describe the uncertainty along the track. `shift_s` is the time by which the spacecraft is ahead of the
+elements (negative: behind). `clock_s` is the time by which the telemetry's clock is behind UTC. The Sun and the rotation of the
+Earth depend on the clock, the position on clock plus shift. The Earth rotates by only one degree in four minutes, so data
+determine mainly the sum. `drift_s_day` is the daily change of the sum, from an error of the mean motion, drag or a slow clock,
+which data do not distinguish either.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from datetime import date
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,43 +27,60 @@ from sunspin.environment.elements import OLD_DAYS, Elements
 from sunspin.environment.ephemeris import Ephemeris
 from sunspin.environment.field import MODEL_SIGMA_T, FieldMap, field_map
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
-from sunspin.environment.light import REFLECTIVITY, REFLECTIVITY_SIGMA, albedo_light, lit
+from sunspin.environment.light import (
+    REFLECTIVITY,
+    REFLECTIVITY_SIGMA,
+    albedo_light,
+    sunlit_fraction,
+)
 from sunspin.environment.surroundings import Surroundings
 
 SUN_SIGMA_RAD = 1e-5
-"""ERFA's Sun, parallax of the orbit included."""
+"""Error of ERFA's Sun direction; the parallax of the orbit is included in the direction."""
 
 CLOCK_SIGMA_S = 1.0
-"""Of a telemetry clock of which nothing is said: stamps in whole seconds."""
+"""Standard deviation of a telemetry clock without further information: time tags in whole seconds."""
 
 
 def age_sigma_s(days: float) -> float:
-    """How far elements may be off along the track after so many days, s: 2 km at their epoch and in a low orbit 1.5 km more a day,
-    growing with the square of the time as drag's errors do (an assumption; Vallado and Cefola 2012 find 1 to 3 km a day)."""
+    """Return the standard deviation along the track (s) of elements that are `days` old.
+
+    It is 2 km at the epoch and in a low orbit 1.5 km more per day, with a quadratic term for errors of drag. This is an
+    assumption; Vallado and Cefola 2012 report 1 to 3 km per day.
+    """
     return 0.3 + 0.2 * abs(days) + 0.01 * days**2
 
 
 DRIFT_DAYS = 30.0
-"""In so many days the shift may change by its own sigma, whatever made it: another satellite of the same launch, a clock."""
+"""Time in which the shift may change by its own sigma for other reasons: another satellite of the same launch, a clock."""
 
 
 def drift_sigma_s_day(shift_sigma_s: float, days: float) -> float:
-    """How much the shift of elements so many days old may change in a day: as :func:`age_sigma_s` grows, and see `DRIFT_DAYS`."""
+    """Return the standard deviation of the drift (s/day): the growth of :func:`age_sigma_s`, and a change within `DRIFT_DAYS`."""
     return float(np.hypot(0.2 + 0.02 * abs(days), shift_sigma_s / DRIFT_DAYS))
 
 
 Source = Elements | Ephemeris
-"""What gives positions. `states`: positions (n, 3) m and velocities (n, 3) m/s in `frame`, "TEME" or "J2000", at UTC Julian dates
-(n) and fractions (n). `days_to`: from its epoch, or the table's nearer end, to a UTC Julian date. `require`: `InputError` where
-telemetry at such dates (n) has no position."""
+"""A source of positions, elements or a table.
+`states` returns positions (n, 3) m and velocities (n, 3) m/s in `frame`, "TEME" or "J2000", at UTC Julian dates (n) and fractions
+(n). `days_to` returns the days from its epoch, or the nearer end of its table, to a UTC Julian date. `require_coverage` raises
+`InputError` if it has no positions at Julian dates (n)."""
+
+
+class _AtPosition(NamedTuple):
+    """What depends on the position: visible fraction of the Sun (n), magnetic field (n, 3) in T, albedo vector (n, 3)."""
+
+    lit: np.ndarray
+    field_J2000: np.ndarray
+    albedo: np.ndarray
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """An environment by elements; times are s from `epoch_utc`, the telemetry's. Made by :func:`in_orbit`.
+    """Environment of a spacecraft in an orbit, made by :func:`in_orbit`. Times are s from `epoch_utc` of the telemetry.
 
-    `node_rad` turns the whole orbit about the Earth's axis: the orbit check compares with orbits turned at random. The shift is
-    that at `middle_jd` (UTC) and drifts by `drift_s_day`.
+    `node_rad` rotates the whole orbit about the Earth's axis: the orbit check compares with randomly rotated orbits. The shift
+    holds at `middle_jd` (UTC) and drifts by `drift_s_day`.
     """
 
     epoch_utc: str
@@ -78,104 +96,118 @@ class Orbit:
     frame_N: str = J2000
 
     def days(self, when: Instants) -> np.ndarray:
-        """Days (n) from the middle of the telemetry."""
+        """Return the days (n) from the middle of the telemetry."""
         return (when.jd - self.middle_jd) + when.fraction
 
     def ahead_s(self, when: Instants) -> np.ndarray:
-        """How far the spacecraft is ahead of the elements (n), s."""
+        """Return the time (n) by which the spacecraft is ahead of the elements, s."""
         return self.shift_s + self.drift_s_day * self.days(when)
 
     def ahead_sigma_s(self, when: Instants) -> np.ndarray:
-        """One sigma (n) of the place along the track, s: of shift, drift and clock."""
+        """Return the standard deviation (n) along the track in s, from shift, drift and clock."""
         constant = np.hypot(self.shift_sigma_s, self.clock_sigma_s)
         return np.hypot(constant, self.drift_sigma_s_day * self.days(when))
 
     def instants(self, t_s: npt.ArrayLike) -> Instants:
-        """The true times."""
+        """Return the true instants of telemetry times (n), corrected for the clock."""
         t = np.atleast_1d(np.asarray(t_s, dtype=np.float64))
         return Instants.of(self.epoch_utc, t + self.clock_s)
 
     def states(
         self, when: Instants, ahead_s: npt.ArrayLike | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities (..., n, 3) in J2000, m and m/s, `ahead_s` (..., n) along the track; default: as known."""
+        """Return positions (m) and velocities (m/s) (..., n, 3) in J2000 for times `ahead_s` (..., n) along the track.
+
+        By default `ahead_s` is the known shift with its drift.
+        """
         moved = when.later(self.ahead_s(when) if ahead_s is None else ahead_s)
         jd, fraction = (part.ravel() for part in np.broadcast_arrays(moved.jd, moved.fraction))
         epochs = [sum(source.epoch_jd) for source in self.elements]
         which = np.abs((jd + fraction)[:, None] - epochs).argmin(axis=1)
-        both = np.empty((2, len(jd), 3))
+        # each time uses the elements with the nearest epoch
+        states = np.empty((2, len(jd), 3))
         for k in np.unique(which):
-            both[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
-        turn = J2000_from_TEME(when) if self.elements[0].frame == "TEME" else np.eye(3)
+            states[:, which == k] = self.elements[k].states(jd[which == k], fraction[which == k])
+        # precession and nutation of the telemetry times serve for all shifts, which are short
+        to_J2000 = J2000_from_TEME(when) if self.elements[0].frame == "TEME" else np.eye(3)
         if self.node_rad:
             c, s = np.cos(self.node_rad), np.sin(self.node_rad)
-            turn = turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        place, speed = turned(turn, both.reshape(2, *moved.fraction.shape, 3))
+            to_J2000 = to_J2000 @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        place, speed = rotate_vectors(to_J2000, states.reshape(2, *moved.fraction.shape, 3))
         return place, speed
 
-    def map(self, when: Instants, place: np.ndarray) -> FieldMap:
-        """The field's map that covers these times and places."""
+    def field_map_around(self, when: Instants, place: np.ndarray) -> FieldMap:
+        """Return the map of the magnetic field that covers these times and positions."""
         radius = np.linalg.norm(place, axis=-1)
-        return field_map(when.middle, (float(radius.min()), float(radius.max())))
+        return field_map(when.middle_jd, (float(radius.min()), float(radius.max())))
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
-        """The surroundings at times (n) in s from the epoch; sigmas are those of shift and clock, and of the models."""
+        """Return the surroundings at times (n) in s from the epoch, in J2000.
+
+        Errors come from shift and clock, and from the models. Those along the track are differences to positions one standard
+        deviation ahead and behind.
+        """
         when = self.instants(t_s)
-        sun, turn = sun_J2000_m(when), earth_from_J2000(when)
+        sun, to_earth = sun_J2000_m(when), earth_from_J2000(when)
         place, speed = self.states(when)
-        fields = self.map(when, place)
+        fields = self.field_map_around(when, place)
         ahead, along = self.ahead_s(when), self.ahead_sigma_s(when)
 
-        def seen(at: np.ndarray) -> tuple[np.ndarray, ...]:
-            field = turned(np.swapaxes(turn, -1, -2), fields.at(turned(turn, at)))
-            return lit(at, sun), field, albedo_light(at, sun)
+        def evaluate(position: np.ndarray) -> _AtPosition:
+            field = fields.at(rotate_vectors(to_earth, position))
+            field_J2000 = rotate_vectors(np.swapaxes(to_earth, -1, -2), field)
+            lit, albedo = sunlit_fraction(position, sun), albedo_light(position, sun)
+            return _AtPosition(lit, field_J2000, albedo)
 
-        here = seen(place)
-        sides = [seen(self.states(when, ahead + side)[0]) for side in (-along, along)]
-        lit_sigma, field_sigma, light_sigma = (
-            _spread(*three) for three in zip(here, *sides, strict=True)
+        here = evaluate(place)
+        behind, in_front = [
+            evaluate(self.states(when, ahead + side)[0]) for side in (-along, along)
+        ]
+        lit_sigma, field_sigma, albedo_sigma = (
+            _larger_difference(*values) for values in zip(here, behind, in_front, strict=True)
         )
         to_sun, distance = sun - place, np.linalg.norm(place, axis=1)
-        turning = np.cross(place, speed) / distance[:, None] ** 2
+        # angular velocity of the position vector, and so of the nadir
+        nadir_rate = np.cross(place, speed) / distance[:, None] ** 2
         return Surroundings(
             sun_N=to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True),
             sun_sigma_rad=np.full(len(place), SUN_SIGMA_RAD),
-            lit=here[0],
+            lit=here.lit,
             lit_sigma=lit_sigma,
-            field_N=here[1],
+            field_N=here.field_J2000,
             field_sigma_T=np.hypot(np.linalg.norm(field_sigma, axis=1), MODEL_SIGMA_T),
             nadir_N=-place / distance[:, None],
-            nadir_sigma_rad=np.linalg.norm(turning, axis=1) * along,
-            nadir_turn_N=turning,
+            nadir_sigma_rad=np.linalg.norm(nadir_rate, axis=1) * along,
+            nadir_turn_N=nadir_rate,
             earth_radius_rad=np.arcsin(EQUATOR_M / distance),
-            albedo_light_N=here[2],
+            albedo_light_N=here.albedo,
             albedo_sigma=np.hypot(
-                np.linalg.norm(light_sigma, axis=1),
-                REFLECTIVITY_SIGMA / REFLECTIVITY * np.linalg.norm(here[2], axis=1),
+                np.linalg.norm(albedo_sigma, axis=1),
+                REFLECTIVITY_SIGMA / REFLECTIVITY * np.linalg.norm(here.albedo, axis=1),
             ),
-            field_along_N=(sides[1][1] - sides[0][1]) / 2,
+            field_along_N=(in_front.field_J2000 - behind.field_J2000) / 2,
         )
 
     def notes(self, t_s: npt.ArrayLike) -> list[str]:
-        """What has to be said of these elements at these times."""
+        """Return warnings about the elements for telemetry at these times: samples before all elements, and old elements."""
         when = self.instants(t_s)
         jd = when.jd + when.fraction
         return [*self._before_all(jd), *self._far(jd[[0, -1]])]
 
     def _before_all(self, jd: np.ndarray) -> list[str]:
-        """Return a sentence on samples (n, UTC Julian dates) dated long before the first elements, as by a wrong clock."""
+        """Return a warning if samples (n, UTC Julian dates) are long before the first elements, as with a wrong clock."""
         first = min(sum(source.epoch_jd) for source in self.elements)
         early = jd[jd < first - OLD_DAYS]
         if not early.size:
             return []
-        first_day, last_day = _date(early.min()), _date(early.max())
+        first_day, last_day = _iso_date(early.min()), _iso_date(early.max())
         days = first_day if first_day == last_day else f"{first_day} to {last_day}"
         return [
-            f"{early.size} of {jd.size} samples are dated {days}, before the first elements ({_date(first)}): check the clock"
+            f"{early.size} of {jd.size} samples are dated {days}, before the first elements ({_iso_date(first)}): check the clock"
         ]
 
     def _far(self, ends: np.ndarray) -> list[str]:
-        """Return a sentence on elements that are old at either end of the telemetry (2, UTC Julian dates)."""
+        """Return a warning if the elements are old at either end of the telemetry (2, UTC Julian dates)."""
         days = max(min(abs(source.days_to(jd)) for source in self.elements) for jd in ends)
         if days < OLD_DAYS:
             return []
@@ -185,51 +217,54 @@ class Orbit:
         return [f"the elements are {days:.0f} days from the telemetry: {known}"]
 
 
-def _date(jd: float) -> str:
-    """Return the day of a Julian date as ISO-8601 writes it."""
+def _iso_date(jd: float) -> str:
+    """Return the day of a Julian date in ISO-8601."""
     return date.fromordinal(int(np.floor(jd - 1_721_424.5))).isoformat()
 
 
 @dataclass(frozen=True)
 class SunAlongZ:
-    """An orbit's environment in axes whose z is the Sun's direction at each time, as `rates` wants it, their x at right angles to
-    the Earth's axis. They turn in space with the Sun, by 2e-7 rad/s, which is left out wherever N stands still."""
+    """An orbit's environment in axes with z along the Sun direction at each time, as `rates` uses it.
+
+    x is perpendicular to the Earth's axis. The axes rotate with the Sun at 2e-7 rad/s, which is neglected.
+    """
 
     orbit: Orbit
     frame_N: str = SUN_Z_LOCAL
 
     def at(self, t_s: npt.ArrayLike) -> Surroundings:
+        """Return the surroundings at times (n), with all vectors in these axes."""
         here = self.orbit.at(t_s)
-        matrix = _along_z(here.sun_N)
-        vectors = {name: turned(matrix, getattr(here, name)) for name in VECTORS}
+        matrix = _axes_along_z(here.sun_N)
+        vectors = {name: rotate_vectors(matrix, getattr(here, name)) for name in VECTORS}
         return replace(here, **vectors)
 
     def N_from_J2000(self, t_s: npt.ArrayLike) -> np.ndarray:
-        """Matrices (n, 3, 3) from J2000 to these axes."""
+        """Return matrices (n, 3, 3) from J2000 to these axes."""
         when = self.orbit.instants(t_s)
         to_sun = sun_J2000_m(when) - self.orbit.states(when)[0]
-        return _along_z(to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True))
+        return _axes_along_z(to_sun / np.linalg.norm(to_sun, axis=1, keepdims=True))
 
 
 VECTORS = ("sun_N", "field_N", "field_along_N", "nadir_N", "nadir_turn_N", "albedo_light_N")
-"""What of the surroundings has components in N."""
+"""Fields of the surroundings that have components in N."""
 
 
-def _along_z(sun: np.ndarray) -> np.ndarray:
-    """Matrices (n, 3, 3) to axes with z along directions (n, 3) that are never those of the Earth's axis."""
+def _axes_along_z(sun: np.ndarray) -> np.ndarray:
+    """Return matrices (n, 3, 3) to axes with z along directions `sun` (n, 3), which are never along the Earth's axis."""
     first = np.cross([0.0, 0.0, 1.0], sun)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(sun, first), sun], axis=1)
 
 
-def turned(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Matrices (n, 3, 3) times vectors (..., n, 3)."""
+def rotate_vectors(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return matrices (n, 3, 3) times vectors (..., n, 3)."""
     return (matrix @ vector[..., None])[..., 0]
 
 
-def _spread(here: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """How much a value differs along the track: the larger difference of the two sides."""
-    return np.maximum(np.abs(before - here), np.abs(after - here))
+def _larger_difference(here: np.ndarray, behind: np.ndarray, in_front: np.ndarray) -> np.ndarray:
+    """Return the larger of the differences of a value to those behind and ahead along the track."""
+    return np.maximum(np.abs(behind - here), np.abs(in_front - here))
 
 
 def in_orbit(
@@ -242,17 +277,16 @@ def in_orbit(
     clock_s: float = 0.0,
     clock_sigma_s: float | None = None,
 ) -> Orbit:
-    """The environment of telemetry whose times (n) count from `epoch_utc`, in an orbit by these elements (`read_elements`), or by
-    this table of positions (`read_ephemeris`).
+    """Return the environment of telemetry whose times (n) count from `epoch_utc`, in an orbit.
 
-    Of several element sets the one whose epoch is nearest serves each time. `shift_s`, `clock_s` and their sigmas (s): see the
-    module; by default the shift is as uncertain as the elements are old, and the clock by 1 s. The shift's drift is 0, as uncertain
-    as :func:`drift_sigma_s_day` says.
+    `elements` are element sets or a table of positions (`read_orbit`). Of several element sets, each time uses the one with the
+    nearest epoch. `shift_s`, `clock_s` and their sigmas (s): see the module; by default the sigma of the shift is that of the
+    elements' age, and that of the clock 1 s. The drift is 0, with the sigma of :func:`drift_sigma_s_day`.
     """
     clock_sigma = CLOCK_SIGMA_S if clock_sigma_s is None else clock_sigma_s
     orbit = Orbit(epoch_utc, elements, shift_s, 0.0, clock_s, clock_sigma)
     when = orbit.instants(t_s)
-    elements[0].require(when.later(shift_s).jd + when.later(shift_s).fraction)
+    elements[0].require_coverage(when.later(shift_s).jd + when.later(shift_s).fraction)
     middle = float((when.jd + when.fraction).mean())
     days = min((source.days_to(middle) for source in elements), key=abs)
     sigma = age_sigma_s(days) if shift_sigma_s is None else shift_sigma_s

@@ -1,6 +1,7 @@
-"""Run as a script in another process: states of an SPK's body about the Earth, which the C library may not survive if damaged.
+"""Script for a separate process: states of a body about the Earth from an SPK, as SPICE may crash on a damaged file.
 
-Arguments: kernel, step (s), most states. Standard output: TDB seconds past J2000, position (km) and velocity (km/s) in J2000.
+Arguments: kernel, time step (s), largest number of states. Standard output: TDB seconds past J2000, position (km) and velocity
+(km/s) in J2000, as float64.
 """
 
 import sys
@@ -8,26 +9,28 @@ import sys
 import numpy as np
 
 EARTH = 399
+"""NAIF number of the Earth."""
 
 
 def main() -> None:
-    import spiceypy as sp
+    """Write the states of the only body in the kernel; end with a message if there is none, or another problem."""
+    import spiceypy
 
-    kernel, step, most = sys.argv[1], float(sys.argv[2]), int(sys.argv[3])
+    kernel, step, max_states = sys.argv[1], float(sys.argv[2]), int(sys.argv[3])
     rows = []
     try:
-        sp.furnsh(kernel)
-        bodies = [body for body in sp.spkobj(kernel) if body != EARTH]
+        spiceypy.furnsh(kernel)
+        bodies = [body for body in spiceypy.spkobj(kernel) if body != EARTH]
         if len(bodies) != 1:
             sys.exit(f"it has {len(bodies)} bodies: {', '.join(map(str, bodies[:5]))}; keep yours")
-        window = sp.spkcov(kernel, bodies[0])
-        spans = [sp.wnfetd(window, k) for k in range(sp.wncard(window))]
-        if sum(end - begin for begin, end in spans) / step > most:
-            sys.exit(f"it covers more than {most * step / 86400:.0f} days: cut it")
+        window = spiceypy.spkcov(kernel, bodies[0])
+        spans = [spiceypy.wnfetd(window, k) for k in range(spiceypy.wncard(window))]
+        if sum(end - begin for begin, end in spans) / step > max_states:
+            sys.exit(f"it covers more than {max_states * step / 86400:.0f} days: cut it")
         for begin, end in spans:
             for et in np.append(np.arange(begin, end, step), end):
-                rows.append([et, *sp.spkgeo(bodies[0], et, "J2000", EARTH)[0]])
-    except sp.exceptions.SpiceyError as error:
+                rows.append([et, *spiceypy.spkgeo(bodies[0], et, "J2000", EARTH)[0]])
+    except spiceypy.exceptions.SpiceyError as error:
         sys.exit(f"SPICE says {type(error).__name__}")
     sys.stdout.buffer.write(np.array(rows, dtype=np.float64).tobytes())
 

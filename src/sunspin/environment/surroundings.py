@@ -1,4 +1,4 @@
-"""What an environment says: directions, light and field at times, each with its error."""
+"""Data that an environment gives: directions, light and field at times, each with its error."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The surroundings at n times; None is what is not known, an error included.
+    """Surroundings of the spacecraft at n times, in frame N; None for unknown values and errors.
 
-    `sun_N` (n, 3) unit, direction to the Sun; `lit` (n) the part of the Sun's disc that is seen, 0 to 1; `field_N` (n, 3) T;
-    `nadir_N` (n, 3) unit, and `nadir_turn_N` (n, 3) the rate (rad/s) at which it turns in N, None where it stands;
-    `earth_radius_rad` (n) of the Earth's disc; `albedo_light_N` (n, 3) in parts of full Sun, from where it comes. Sigmas (n):
-    `sun_sigma_rad` and `nadir_sigma_rad` of directions, `field_sigma_T` of the vector, `lit_sigma`, and `albedo_sigma` of the light
-    as a vector; that of the disc's radius is less than 1e-3 of it. `field_along_N` (n, 3) T: the part of the field's error that all
-    times share, what one sigma along the track changes.
+    `sun_N` (n, 3): unit direction to the Sun. `lit` (n): visible fraction of the Sun's disc, 0 to 1. `field_N` (n, 3): magnetic
+    field, T. `nadir_N` (n, 3): unit nadir; `nadir_turn_N` (n, 3): its angular velocity (rad/s), None if fixed.
+    `earth_radius_rad` (n): angular radius of the Earth. `albedo_light_N` (n, 3): albedo vector in parts of full Sun, towards
+    its source.
+
+    Standard deviations (n): `sun_sigma_rad`, `nadir_sigma_rad`, `field_sigma_T` (of the vector), `lit_sigma`, `albedo_sigma`
+    (of the vector). The relative error of the Earth's radius is below 1e-3. `field_along_N` (n, 3) T: change of the field for
+    one standard deviation along the track, an error that is common to all times.
     """
 
     sun_N: np.ndarray
@@ -37,7 +39,7 @@ class Surroundings:
 
 
 class Environment(Protocol):
-    """Anything that gives the surroundings at times in s from a dataset's epoch, in the frame `frame_N`."""
+    """An object that gives the surroundings at times in s from a dataset's epoch, in the frame `frame_N`."""
 
     @property
     def frame_N(self) -> str: ...

@@ -20,7 +20,7 @@ import xarray as xr
 from sunspin.estimate.inertia import ASSUMED, inertia_errors
 from sunspin.telemetry.gains import prior_sigmas
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma
 
 CLEARLY = 10.0
 """Log evidence by which a change, or a pass without one of its sensors, must be better before that is named. Changes are equivalent
@@ -334,7 +334,7 @@ def _panel_maps(
     if any(len(own[k]) > 1 and sums[own[k]] != sums[other[k]] for k in lit):
         return
     from_normals, to_normals = _normals(observed, first), _normals(observed, second)
-    sigma = np.hypot(stated_sigma(vehicle)[0], ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2))
+    sigma = np.hypot(misalignment_sigma(vehicle)[0], ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2))
     gain_sigma = np.zeros(len(vehicle.panels))
     for one, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
         gain_sigma[list(one.panels)] = value

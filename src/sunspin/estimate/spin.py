@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from sunspin.base.errors import InputError
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 
 PHASE_STEP = 0.7
 """rad; between neighbours of the scan the phase at either end of the window differs by half of this at most."""
@@ -102,7 +102,7 @@ def phase(coefficients: npt.ArrayLike, t_s: npt.ArrayLike) -> np.ndarray:
 
 def turned(sun_B: npt.ArrayLike, axis_B: npt.ArrayLike, angle: np.ndarray) -> np.ndarray:
     """The Sun's direction (n, 3) in body axes when the body has turned by each angle (n) about the axis."""
-    return seen_turned(
+    return components_after_rotation(
         np.asarray(sun_B, dtype=np.float64), np.asarray(angle)[:, None] * np.asarray(axis_B)
     )
 

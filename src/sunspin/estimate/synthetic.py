@@ -13,9 +13,9 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.torques import Steady
-from sunspin.telemetry.sun import of_panels
+from sunspin.telemetry.sun import per_panel
 from sunspin.telemetry.synthetic import (
-    drawn_tilts,
+    draw_tilts,
     generator,
     noisy_power,
     on_time_grid,
@@ -62,7 +62,7 @@ def synthetic_telemetry(
     known = _truth(truth)
     noise = vehicle.input_noise if known.noise is None else known.noise
     be = "the noise of a twin must be zero or positive"
-    noise = of_panels(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
+    noise = per_panel(vehicle, 0.0 if noise is None else noise, np.greater_equal, be)
     scale = _scale(known, vehicle)
     speeds = known.wheel_speed_rad_s
     if speeds is None:
@@ -135,4 +135,4 @@ def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarra
     ):
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {many}, in rad"
         raise InputError(what, got=given.shape or float(given))
-    return given if given.ndim else drawn_tilts(vehicle, float(given), rng)
+    return given if given.ndim else draw_tilts(vehicle, float(given), rng)

@@ -173,7 +173,7 @@ def misfit(sigmas: np.ndarray) -> Misfit:
 
 def alike_motions(vehicle: Vehicle) -> str:
     """Which motions panels on shared inputs cannot tell apart, for the verdict; empty where they tell all."""
-    count = len(vehicle.response_in().images)
+    count = len(vehicle.response_in().symmetries)
     if count == 1:
         return ""
     shared = [one.name for one in vehicle.inputs if len(one.panels) > 1]

@@ -171,20 +171,24 @@ Read = Iterator[tuple[str, np.ndarray, dict[str, Any]]]
 
 def _axes(sensor: ThreeAxes) -> Read:
     for what, order, sign in signed_axes():
-        yield what, axes_matrix(order, sign), sensor.read_as(order, sign)
+        yield what, axes_matrix(order, sign), sensor.keys_for_axes(order, sign)
 
 
 def _readings(sensor: Attitude) -> Read:
     """Of quaternions, scalar last, B_from_N, as the vehicle file states them."""
     other_scalar = np.eye(4)[[3, 0, 1, 2]]  # what stands last is the first of its columns
     away = np.diag([-1.0, -1.0, -1.0, 1.0])
-    yield "read as the file states", np.eye(4), sensor.read_as(False, False)
-    yield "read the other way round (B_to_N for N_to_B)", away, sensor.read_as(False, True)
-    yield "with its scalar at the other end", other_scalar, sensor.read_as(True, False)
+    yield "read as the file states", np.eye(4), sensor.keys_for_convention(False, False)
+    yield (
+        "read the other way round (B_to_N for N_to_B)",
+        away,
+        sensor.keys_for_convention(False, True),
+    )
+    yield "with its scalar at the other end", other_scalar, sensor.keys_for_convention(True, False)
     yield (
         "with its scalar at the other end and read the other way round",
         away @ other_scalar,
-        sensor.read_as(True, True),
+        sensor.keys_for_convention(True, True),
     )
 
 

@@ -1,1 +1,1 @@
-"""What a motion means for a lander: collision, flight, contact, wheel strategies."""
+"""Consequences of a motion for a lander: collision, flight, first contact, wheel strategies."""

@@ -1,7 +1,7 @@
-"""What touches the ground first, and on what the vehicle comes to rest: the convex hull of its parts against a plane.
+"""First contact with the ground, and the facet on which the vehicle comes to rest: the convex hull of its parts and a plane.
 
-The support function of a set of points, S(d) = max over its points x of x.d, is how far the vehicle reaches from its
-centre of mass in the direction d: with d straight down it is the height of the centre of mass over flat ground at contact.
+The support function of a set of points is S(d) = max over its points x of x.d. It is the reach of the vehicle from its centre of
+mass in the direction d. With d straight down it is the height of the centre of mass over flat ground at contact.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from sunspin.base.errors import InputError
 from sunspin.vehicle import Vehicle
 
 KINDS = ("leg", "panel", "body")
-"""What a point of the shape belongs to; a corner that panels share with the bare body counts as panel."""
+"""Part to which a point of the shape belongs; a corner that panels share with the bare body counts as panel."""
 
 COPLANAR = 1e-6
-"""Facets closer than this (directions, and m per m of size) are one facet."""
+"""Two facets are one if their normals, and their distances over the size of the shape, differ by less than this."""
 
 REFINE = 16
-"""Instants per sampling interval at which the first contact is looked for once its interval is known."""
+"""Number of instants at which the sampling interval of the first contact is searched."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,12 @@ class Shape:
     points_B_m : (n_point, 3) m from the centre of mass, body axes.
     kind : (n_point) index in `KINDS`.
     leg : (n_point) number of the leg whose end the point is, or -1.
-    panels : (n_point, n_panel) whether the point is a corner of that panel.
-    outward_B, distances_m : outward unit vectors (n_facet, 3) and distances of the facets, or None: see `rest_facet`.
-    facet_kind : (n_facet) index in `KINDS` of what the vehicle rests on: "leg" if on ends of legs only, "panel" if a corner
-        of a panel takes part.
-    complete : False where no hull is given, so that the ends of the legs are all there is.
+    panels : (n_point, n_panel) True if the point is a corner of that panel.
+    outward_B, distances_m : outward unit vectors (n_facet, 3) of the facets and their distances (n_facet) from the centre of mass;
+        None if the hull has no volume around the centre of mass.
+    facet_kind : (n_facet) index in `KINDS` of the part on which the vehicle rests: "leg" if on ends of legs only, "panel" if a
+        corner of a panel takes part; None as above.
+    complete : False if the vehicle file gives no hull, so that the points are the ends of the legs only.
     """
 
     points_B_m: np.ndarray
@@ -55,9 +56,9 @@ class Shape:
         return float(np.linalg.norm(self.points_B_m, axis=1).max())
 
 
-def shape_of(vehicle: Vehicle) -> Shape | None:
-    """The vehicle's shape: parts of the hull and ends of the legs; None where the file gives neither."""
-    entries: dict[tuple, dict] = {}
+def build_shape(vehicle: Vehicle) -> Shape | None:
+    """Return the shape of a vehicle, from the parts of its hull and the ends of its legs; None if the file gives neither."""
+    entries: dict[tuple, dict] = {}  # point -> leg and panels to which it belongs
     for part in vehicle.hull:
         for point in part.points_B_m:
             entry = entries.setdefault(tuple(np.round(point, 9)), {"leg": -1, "panels": set()})
@@ -79,52 +80,56 @@ def shape_of(vehicle: Vehicle) -> Shape | None:
 def _facets(
     points: np.ndarray, kind: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | tuple[None, None, None]:
-    """Normals, distances and kinds of the hull's facets; None where it has no volume or leaves the centre of mass out."""
+    """Return outward normals (n_facet, 3), distances (n_facet) and kinds (n_facet) of the hull's facets.
+
+    All are None if the hull has no volume, or if the centre of mass (the origin) is not inside.
+    """
     try:
-        equations = ConvexHull(points).equations
+        equations = ConvexHull(
+            points
+        ).equations  # rows (normal, offset): normal . x + offset <= 0 inside
     except QhullError:
         return None, None, None
     size = np.linalg.norm(points, axis=1).max()
     if np.any(equations[:, 3] >= -COPLANAR * size):
         return None, None, None
+    # ConvexHull returns triangles: those in one plane are one facet
     _, first = np.unique(np.round(equations / COPLANAR / 10), axis=0, return_index=True)
     facets = equations[np.sort(first)]
     outward, distances = facets[:, :3], -facets[:, 3]
-    on = np.abs(points @ outward.T - distances) < 100 * COPLANAR * size  # (point, facet)
+    corners = np.abs(points @ outward.T - distances) < 100 * COPLANAR * size  # (point, facet)
     facet_kind = [
-        0 if np.all(kind[part] == 0) else 1 if np.any(kind[part] == 1) else 2 for part in on.T
+        0 if np.all(kind[own] == 0) else 1 if np.any(kind[own] == 1) else 2 for own in corners.T
     ]
     return outward, distances, np.array(facet_kind)
 
 
 def support(points_B_m: np.ndarray, direction_B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The support function and where it is reached.
+    """Return the support function S(d) in m (...), and the number of the point that reaches it (...).
+
+    If several points do, it is the first.
 
     Parameters
     ----------
     points_B_m : (n_point, 3) m
-    direction_B : (..., 3) unit vectors
-
-    Returns
-    -------
-    S (...) in m and the number of the point (...); among equals the first.
+    direction_B : (..., 3) unit vectors d
     """
     heights = direction_B @ points_B_m.T
     index = np.argmax(heights, axis=-1)
     return np.take_along_axis(heights, index[..., None], axis=-1)[..., 0], index
 
 
-def legs_down(shape: Shape, up_B: np.ndarray) -> np.ndarray:
-    """Whether, the ground's normal being up_B (..., 3), the lowest point of the shape is the end of a leg."""
+def is_leg_lowest(shape: Shape, up_B: np.ndarray) -> np.ndarray:
+    """Return whether the lowest point of the shape is the end of a leg, for the ground's normal up_B (..., 3)."""
     return shape.kind[support(shape.points_B_m, -up_B)[1]] == 0
 
 
 def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
-    """Facet (n) on which a vehicle set down with the ground's normal at up_B (n, 3) comes to rest, rolling without speed.
+    """Return the facet (n) on which a vehicle comes to rest that is set down with the ground's normal at up_B (n, 3).
 
-    The plumb line from the centre of mass meets one facet; the vehicle tips onto it, its centre of mass sinks to the
-    facet's distance, and so on until the foot of the perpendicular lies inside the facet. Each step lowers the centre of
-    mass: (plumb meets g when resting on f) d_g <= d_f n_g.n_f < d_f, so it ends.
+    The vehicle rolls without speed. The plumb line from the centre of mass meets one facet, onto which the vehicle tips. This is
+    repeated until the foot of the perpendicular on the facet lies inside it. Each step lowers the centre of mass, so that the
+    iteration ends: if the plumb line meets facet g while the vehicle rests on facet f, then d_g <= d_f n_g.n_f < d_f.
     """
     outward, distances = shape.outward_B, shape.distances_m
     if outward is None or distances is None:
@@ -135,16 +140,16 @@ def rest_facet(shape: Shape, up_B: np.ndarray) -> np.ndarray:
     down = -up_B
     facet = np.full(len(up_B), -1)
     for _ in range(len(distances) + 1):
-        beyond = np.argmax(down @ outward.T / distances, axis=1)
-        if np.array_equal(beyond, facet):
+        met = np.argmax(down @ outward.T / distances, axis=1)  # facet that the plumb line meets
+        if np.array_equal(met, facet):
             break
-        facet, down = beyond, outward[beyond]
+        facet, down = met, outward[met]
     return facet
 
 
 @dataclass(frozen=True)
 class Contact:
-    """First contact with flat ground: time (n) s, point (n), the ground's normal (n, 3) and body rate (n, 3) rad/s then."""
+    """First contact with flat ground: time (n) s, number of the point (n), ground's normal (n, 3) and body rate (n, 3) rad/s."""
 
     t_s: np.ndarray
     point: np.ndarray
@@ -155,7 +160,10 @@ class Contact:
 def first_contact(
     shape: Shape, t_s: np.ndarray, up_B: np.ndarray, omega_B: np.ndarray, approach_m_s: np.ndarray
 ) -> Contact:
-    """Where a vehicle that turns while it comes down first touches flat ground.
+    """Find the first contact with flat ground of a vehicle that rotates while it descends.
+
+    Within the sampling interval in which the lowest point first passes the plane, the contact is searched at `REFINE` instants. The
+    normal is interpolated between samples by cubic Hermite polynomials, with du/dt = u x omega.
 
     Parameters
     ----------
@@ -165,13 +173,9 @@ def first_contact(
         The ground's normal in body axes at these instants.
     omega_B : (n, n_t, 3) rad/s
     approach_m_s : (n,)
-        Speed of the centre of mass towards the plane, constant: gravity is left out, on a comet it adds millimetres.
+        Speed of the centre of mass towards the plane. It is constant, without gravity, which on a comet adds millimetres.
 
-    Returns
-    -------
-    Contact
-        Within the sampling interval in which the lowest point first passes the plane, `REFINE` instants decide, the
-        normal interpolated by cubic Hermite pieces (du/dt = u x omega). Samples must be a fraction of a radian apart.
+    Samples must be so close that the vehicle rotates by a fraction of a radian in between.
     """
     rows = np.arange(len(up_B))
     height = approach_m_s[:, None] * (t_s[-1] - t_s)
@@ -183,6 +187,7 @@ def first_contact(
     u0, u1 = up_B[rows, before][:, None], up_B[rows, after][:, None]
     w0, w1 = omega_B[rows, before][:, None], omega_B[rows, after][:, None]
     slope0, slope1 = (np.cross(u, w) * span[:, None, None] for u, w in ((u0, w0), (u1, w1)))
+    # cubic Hermite polynomials of the normal, normalised
     up = (
         u0 * (1 + 2 * s) * (1 - s) ** 2
         + slope0 * s * (1 - s) ** 2

@@ -1,8 +1,8 @@
-"""Chains of kernel runs: many motions under one schedule of wheel commands, and where a fixed direction then points.
+"""Propagation of many motions under one schedule of wheel commands, and of directions that are fixed in space.
 
-A schedule is a sequence of (time, command for all wheels); the kernel takes one command at a time, so a motion is a chain of
-runs from switch to switch. Total momentum and the direction to the Sun are two directions fixed in space: together they
-carry any third one from one instant to another (not through an impact, where the body has no time to turn).
+A schedule is a sequence of (time, command for all wheels). The kernel takes one command at a time, so that a motion is a chain of
+runs from switch to switch. Total momentum and the direction to the Sun are two directions fixed in space. Together they determine
+the body components of any third one, except across an impact, which changes the momentum.
 """
 
 from __future__ import annotations
@@ -11,17 +11,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import EMD_ERROR, Rows, run_rows
 from sunspin.dynamics.wheel_modes import Schedule, command_at, switch_times
 from sunspin.vehicle import Vehicle
 
 DIRECTION_ERROR = 1e-2
-"""Error (rad) wanted of each leg of a chain, for statistics over motions that are uncertain by much more."""
+"""Accuracy (rad) of each run of a chain, sufficient for statistics over motions that are uncertain by much more."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """Motions (n) at instants (n_t): total momentum, Sun, rate (n, n_t, 3), wheel speeds (n, n_t, n_wheel); outcome (n)."""
+    """Motions (n) at instants (n_t), in body axes.
+
+    Total momentum (N m s), direction to the Sun and rate (rad/s) are (n, n_t, 3), wheel speeds (rad/s) are (n, n_t, n_wheel).
+    `outcome` (n): code of `sunspin.dynamics.ensemble.Outcome`, 0 if the motion was computed.
+    """
 
     momentum_B: np.ndarray
     sun_B: np.ndarray
@@ -29,28 +33,39 @@ class Track:
     wheel_speed_rad_s: np.ndarray
     outcome: np.ndarray
 
-    def at(self, i: int) -> k.Rows:
-        """States at one instant, to start from."""
-        return k.Rows(self.omega_B[:, i], self.sun_B[:, i], self.wheel_speed_rad_s[:, i])
+    def at(self, i: int) -> Rows:
+        """Return the states at instant number `i`, as initial states of another run."""
+        return Rows(self.omega_B[:, i], self.sun_B[:, i], self.wheel_speed_rad_s[:, i])
 
 
-def legs_of(schedule: Schedule, begin_s: float, end_s: float) -> list[tuple[float, float, str]]:
-    """(from, to, command) between the switches; backward where the end is before the beginning."""
+def split_at_switches(
+    schedule: Schedule, begin_s: float, end_s: float
+) -> list[tuple[float, float, str]]:
+    """Return the intervals between the switches of a schedule as (begin, end, command); backward in time if end < begin."""
     edges = [begin_s, *switch_times([schedule], begin_s, end_s), end_s]
     return [(a, b, command_at(schedule, min(a, b))) for a, b in zip(edges, edges[1:], strict=False)]
 
 
 def fly(
-    vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, times_s: np.ndarray
+    vehicle: Vehicle, rows: Rows, schedule: Schedule, begin_s: float, times_s: np.ndarray
 ) -> Track:
-    """Run motions from `begin_s` and return them at `times_s` (n_t,): all later and increasing, or all earlier, decreasing."""
+    """Propagate motions from `begin_s` and return them at `times_s`.
+
+    Parameters
+    ----------
+    rows : Rows
+        Initial states (n) at `begin_s`.
+    times_s : (n_t,)
+        Either later than `begin_s` and increasing, or earlier and decreasing.
+    """
     times = np.asarray(times_s, dtype=np.float64)
     pieces, outcome = [], np.zeros(len(rows), dtype=np.int64)
-    for begin, end, command in legs_of(schedule, begin_s, times[-1]):
+    for begin, end, command in split_at_switches(schedule, begin_s, times[-1]):
         low, high = sorted((begin, end))
         wanted = times[(times >= low) & (times <= high) & (times != begin)]
+        # the state at the switch is needed to go on, also if it is none of `times`
         stops = wanted if len(wanted) and wanted[-1] == end else np.append(wanted, end)
-        run = k.run_rows(
+        run = run_rows(
             vehicle, rows, stops - begin, wheel_mode=command, direction_error=DIRECTION_ERROR
         )
         outcome = np.where(outcome == 0, run.outcome, outcome)
@@ -60,14 +75,17 @@ def fly(
     return Track(*(np.concatenate(piece, axis=1) for piece in zip(*pieces, strict=True)), outcome)
 
 
-def sun_height_shares(
-    vehicle: Vehicle, rows: k.Rows, schedule: Schedule, begin_s: float, end_s: float, bins: int
+def rz_time_shares(
+    vehicle: Vehicle, rows: Rows, schedule: Schedule, begin_s: float, end_s: float, bins: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the time (n, bins) that r_z spends in each of `bins` equal bins of [-1, 1], and the outcome (n)."""
+    """Return the share of the time (n, bins) that r_z spends in each of `bins` equal bins of [-1, 1], and the outcome (n).
+
+    `rows` are the initial states (n) at `begin_s`.
+    """
     total, outcome = np.zeros((len(rows), bins)), np.zeros(len(rows), dtype=np.int64)
-    for begin, end, command in legs_of(schedule, begin_s, end_s):
-        result = k.run_rows(
-            vehicle, rows, end - begin, wheel_mode=command, emd_error=k.EMD_ERROR, bins=bins
+    for begin, end, command in split_at_switches(schedule, begin_s, end_s):
+        result = run_rows(
+            vehicle, rows, end - begin, wheel_mode=command, emd_error=EMD_ERROR, bins=bins
         )
         seconds = result.hist.astype(np.float64)
         total += seconds / seconds.sum(axis=1, keepdims=True) * ((end - begin) / (end_s - begin_s))
@@ -78,34 +96,39 @@ def sun_height_shares(
 
 
 def _unit(vector: np.ndarray, smallest: float = 0.0) -> np.ndarray:
-    """Unit vectors; NaN for those no longer than `smallest`."""
+    """Return the vectors (..., 3) scaled to unit length; NaN for vectors no longer than `smallest`."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.where(length > smallest, vector / np.where(length > smallest, length, 1.0), np.nan)
 
 
-def carry(
+def transfer_directions(
     direction_B: np.ndarray,
     start: tuple[np.ndarray, np.ndarray],
     end: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Body components at the end of directions fixed in space.
+    """Return the body components, at the end of a motion, of directions that are fixed in space.
 
     Parameters
     ----------
-    direction_B : (n, 3) or several, (n_direction, n, 3), at the start
-    start, end : (momentum_B, sun_B), (n, 3) at the start and (n, ..., 3) at the end; no impact between
+    direction_B : (n, 3) or (n_direction, n, 3)
+        Body components at the start.
+    start, end : (momentum_B, sun_B)
+        Total momentum and direction to the Sun, (n, 3) at the start and (n, ..., 3) at the end. Both are fixed in space, so there
+        must be no impact in between.
 
     Returns
     -------
-    (n, ..., 3) or (n_direction, n, ..., 3), NaN where momentum and Sun are parallel.
+    (n, ..., 3) or (n_direction, n, ..., 3)
+        NaN if momentum and Sun are parallel.
     """
 
     def triad(momentum_B: np.ndarray, sun_B: np.ndarray) -> np.ndarray:
-        """Orthonormal triads (..., 3, 3), rows in body axes."""
+        """Return the orthonormal triads (..., 3, 3) of momentum and Sun; the rows are unit vectors in body axes."""
         first = _unit(momentum_B)
         third = _unit(np.cross(first, sun_B), smallest=1e-6)
         return np.stack([first, np.cross(third, first), third], axis=-2)
 
+    # components in the triad, which is fixed in space, are the same at start and end
     fixed = np.einsum("nij,...nj->...ni", triad(*start), direction_B)
     frames = triad(*end)
     fixed = fixed.reshape(*fixed.shape[:-1], *(1,) * (frames.ndim - 3), 3)
@@ -115,9 +138,9 @@ def carry(
 def angle_about(
     vector: np.ndarray, axis: np.ndarray, zero: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n) rad of vectors (n, 3) to an axis (n, 3), and about it from the side on which `zero` (n, 3) lies.
+    """Return the angles (n), rad, of vectors (n, 3) to an axis (n, 3), and about the axis.
 
-    NaN where a direction needed is not known.
+    The angle about the axis is counted from the direction `zero` (n, 3). NaN if a vector has no length.
     """
     along = _unit(axis)
     cosine = np.sum(_unit(vector) * along, axis=-1)

@@ -1,4 +1,4 @@
-"""The runs of :func:`sunspin.landing.outcomes.outcomes` as a labelled Dataset, with what could not be told and why."""
+"""The runs of :func:`sunspin.landing.outcomes.outcomes` as a labelled Dataset, with sentences on quantities that are missing."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.provenance import provenance
-from sunspin.compute.identity import plain
+from sunspin.compute.identity import to_json
 from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
 from sunspin.landing.contact import KINDS
-from sunspin.landing.scenario import verticals
+from sunspin.landing.scenario import possible_verticals
 
 if TYPE_CHECKING:
     from sunspin.landing.outcomes import OutcomeRows
 
 BINS = 80
-"""Bins of r_z over [-1, 1]; the paper's bounds -0.5 and -0.2 lie between bins."""
+"""Number of bins of r_z over [-1, 1]; the paper's bounds -0.5 and -0.2 are edges of bins."""
 
 VARIABLES = {
     "outcome": ("i1", "1", "0: computed as asked"),
@@ -48,24 +48,24 @@ VARIABLES = {
     "antenna_at_rest": ("i1", "1", "1: the orbiter is in the antenna cone at rest"),
     "rest_facet": ("i2", "1", "facet on which the vehicle comes to rest, rolling without speed"),
 }
-"""Type, unit and meaning of each variable; -1 and NaN: not told."""
+"""Type, unit and meaning of each variable; -1 and NaN mean that the value is not known."""
 
 
-def dim_of(name: str) -> str | None:
-    """The dimension that a variable has beyond the runs: "rz" (`BINS`), "axis" (3) or none."""
+def extra_dimension(name: str) -> str | None:
+    """Return the dimension of a variable in addition to the runs: "rz" (length `BINS`), "axis" (length 3) or None."""
     return "rz" if name == "rz_share" else "axis" if name.endswith("_B") else None
 
 
-def dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Dataset:
-    """The results of an ensemble of `OutcomeRows` as a Dataset over `run`.
+def outcome_dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Dataset:
+    """Return the results of an ensemble of `OutcomeRows` (name of `VARIABLES` -> array over runs) as a Dataset over `run`.
 
-    The shape's points and facets are coordinates, so that the numbers in the runs can be read without the vehicle.
+    Points and facets of the shape are coordinates, so that their numbers in the runs can be read without the vehicle.
     """
     vehicle, scenario, shape = rows.vehicle, rows.scenario, rows.shape
     data = {}
     for name, array in values.items():
         _, units, text = VARIABLES[name]
-        dims = ("run", *filter(None, [dim_of(name)]))
+        dims = ("run", *filter(None, [extra_dimension(name)]))
         data[name] = (dims, array, {"units": units, "long_name": text})
     edges = np.linspace(-1.0, 1.0, BINS + 1)
     rz = {"units": "1", "long_name": "middle of the bin of r_z"}
@@ -92,23 +92,23 @@ def dataset(rows: OutcomeRows, values: dict[str, np.ndarray]) -> xr.Dataset:
         "flag_meanings": " ".join(o.name.lower() for o in Outcome),
     }
     return result.assign_attrs(
-        provenance("outcomes", **vehicle.said)
+        provenance("outcomes", **vehicle.result_attributes)
         | {
             "seed": rows.seed,
             "strategy": rows.strategy.name,
-            "schedule": json.dumps(plain(rows.strategy.schedule)),
-            "scenario": json.dumps(plain(scenario), sort_keys=True),
-            "vertical": verticals(vehicle, scenario.vertical)[1],
+            "schedule": json.dumps(to_json(rows.strategy.schedule)),
+            "scenario": json.dumps(to_json(scenario), sort_keys=True),
+            "vertical": possible_verticals(vehicle, scenario.vertical)[1],
             "candidates": len(rows.candidates),
-            "not_told": " ".join(_not_told(rows, values)),
+            "not_told": " ".join(_explain_missing(rows, values)),
             "not_computed": "; ".join(f"{int(o)}: {OUTCOME_TEXT[o]}" for o in Outcome),
             "source": "paper, sections 3.3 and 4; distributions of what is not known: sunspin.landing.scenario",
         }
     )
 
 
-def _not_told(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterator[str]:
-    """One sentence for each thing that this vehicle's file, or the geometry of runs, does not allow to tell."""
+def _explain_missing(rows: OutcomeRows, values: dict[str, np.ndarray]) -> Iterator[str]:
+    """Yield a sentence for each quantity that cannot be computed for this vehicle file, or in some runs."""
     vehicle, shape = rows.vehicle, rows.shape
     if rows.scenario.collision_speed_m_s is None:
         yield "There is no collision in this scenario, so none is reported."

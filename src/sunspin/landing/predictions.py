@@ -1,8 +1,8 @@
-"""What a vehicle with a known collision did before and after it, as far as a posterior of its free motion tells.
+"""Predictions from a posterior of the free motion for a vehicle with a known collision, before and after it.
 
-Up to the collision the draws of the posterior run on; there each meets an impact of a leg, which sticks (paper, eqs. 8-11) unless
-assumed otherwise, from a direction drawn as in section 3.3, and runs on after it. The impact takes the vehicle's nominal inertia:
-1 % of it is nothing beside a blow from anywhere.
+The draws of the posterior are propagated up to the collision. There each undergoes an impact of a leg, which sticks (paper, eqs. 8
+to 11) unless assumed otherwise. The direction of the impact is drawn as in section 3.3. The impact uses the vehicle's nominal
+inertia, because its uncertainty of 1 % is negligible compared with the unknown direction.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from sunspin.cases import case_names, load_case
-from sunspin.dynamics import ensemble as k
+from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.posterior.predict import (
     carried,
     checked_times,
@@ -25,20 +25,21 @@ from sunspin.estimate.posterior.predict import (
     run_to,
 )
 from sunspin.landing.outcomes import collide
-from sunspin.landing.scenario import draws, paper_scenario
+from sunspin.landing.scenario import draw_uniform, paper_scenario
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.assumptions import Collision
 from sunspin.vehicle.timeline import Timeline
 
 STICKS = Collision()
+"""Law of the collision without changes: the leg sticks for an instant."""
 
 
-def collision_s(
+def collision_time_s(
     vehicle: Vehicle, epoch_utc: str | None, timeline: Timeline | None = None
 ) -> float | None:
-    """s from the epoch to the collision of a built-in case, by its timeline or the one given; None where there is none.
+    """Return the time of the collision of a built-in case, s from the epoch, from `timeline` or else the case's own.
 
-    Nor is there one if the epoch is another.
+    None if the vehicle is not that of a built-in case, its timeline has no collision, or the timeline has another epoch.
     """
     if vehicle.name in case_names():
         timeline = timeline or load_case(vehicle.name).timeline
@@ -49,7 +50,7 @@ def collision_s(
     return next((event.t_s for event in timeline.events if event.name == "collision"), None)
 
 
-def predicted(
+def predict_through_collision(
     vehicle: Vehicle,
     tree: xr.DataTree,
     times_s: npt.ArrayLike,
@@ -58,58 +59,87 @@ def predicted(
     collision: Collision = STICKS,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """As :func:`sunspin.estimate.posterior.predict.predict`, through the collision where the built-in case has one.
+    """Predict the motion as :func:`sunspin.estimate.posterior.predict.predict` does, through the collision of the built-in case.
 
-    At the instant of the collision it is the motion before. Coordinate `after_collision (predicted_s)` says which times
-    are behind it, `attrs["collision"]` in words how it was drawn. `seed` is that of legs and directions, `collision` what the blow
-    does; `workers`: threads, one per core unless told, on which nothing of the result depends.
+    Parameters
+    ----------
+    tree : DataTree
+        A posterior.
+    times_s : (n_t)
+        Times of the predictions, s from the epoch. At the instant of the collision the motion before it is returned.
+    seed : int
+        Seed of the legs that hit and of the directions of the impact.
+    timeline : Timeline, optional
+        Gives the time of the collision; default: that of the case.
+    collision : Collision
+        Law of the collision.
+    workers : int, optional
+        Number of threads, by default one per core; the result does not depend on it.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over `predicted_s`, as of `predict`, with the coordinate `after_collision (predicted_s)`. ``attrs["collision"]`` states in
+        words how the collision was drawn.
     """
     first = float(tree.attrs["t_first_s"])
     times = checked_times(times_s, first)
-    blow = collision_s(vehicle, tree.attrs.get("epoch_utc"), timeline)
+    impact_s = collision_time_s(vehicle, tree.attrs.get("epoch_utc"), timeline)
     unknown, rows = drawn_rows(vehicle, tree)
-    mode, parts, said = unknown.wheel_mode, [], "none: free motion throughout"
-    behind = np.zeros(times.size, dtype=bool) if blow is None else times > blow
-    if not behind.all():
-        run = run_to(vehicle, rows, times[~behind] - first, mode, workers)
-        parts.append(predictions(unknown, rows, run, times[~behind]))
-    if blow is not None:
-        said = "later than all times"
-    if blow is not None and behind.any():
-        at = run_to(vehicle, rows, [blow - first], mode, workers)
-        fine = np.all(np.isfinite(at["omega_B"]), axis=(1, 2))
-        before = k.Rows(
-            np.nan_to_num(at["omega_B"][:, 0]),
-            np.where(fine[:, None], at["sun_B"][:, 0], rows.sun_B),
-            np.nan_to_num(at["wheel_speed_rad_s"][:, 0]),
+    mode, parts, description = unknown.wheel_mode, [], "none: free motion throughout"
+    later = np.zeros(times.size, dtype=bool) if impact_s is None else times > impact_s
+    if not later.all():
+        run = run_to(vehicle, rows, times[~later] - first, mode, workers)
+        parts.append(predictions(unknown, rows, run, times[~later]))
+    if impact_s is not None:
+        description = "later than all times"
+    if impact_s is not None and later.any():
+        at_impact = run_to(vehicle, rows, [impact_s - first], mode, workers)
+        # a draw whose motion could not be computed goes through the impact with finite numbers, and is NaN afterwards
+        computed = np.all(np.isfinite(at_impact["omega_B"]), axis=(1, 2))
+        before = Rows(
+            np.nan_to_num(at_impact["omega_B"][:, 0]),
+            np.where(computed[:, None], at_impact["sun_B"][:, 0], rows.sun_B),
+            np.nan_to_num(at_impact["wheel_speed_rad_s"][:, 0]),
         )
         law = {"restitution": collision.restitution, "damper": collision.damper}
         scenario = replace(paper_scenario(load_case(vehicle.name)), **law)
-        _, hit = collide(vehicle, scenario, draws(seed, np.arange(len(rows))), before, mode)
-        bodies = rows.bodies_of(vehicle)  # of torques after the blow nothing is known
+        draw = draw_uniform(seed, np.arange(len(rows)))
+        _, hit = collide(vehicle, scenario, draw, before, mode)
+        bodies = rows.bodies_of(vehicle)
+        # torques after the impact are not known
         bodies = replace(bodies, steady_N_m=np.zeros_like(bodies.steady_N_m))
         speeds = hit["wheel_speed_rad_s"].values
-        after = k.Rows(hit["omega_B"].values, before.sun_B, speeds, bodies)
-        run = run_to(vehicle, after, times[behind] - blow, mode, workers)
-        run = {name: np.where(fine[:, None, None], x, np.nan) for name, x in run.items()}
-        parts.append(predictions(unknown, after, run, times[behind]))
-        does = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
-        does = "sticks for an instant" if collision == STICKS else does
-        said = (
-            f"a leg drawn at random {does}, the centre of mass at {scenario.collision_speed_m_s:g} m/s in any direction with a "
+        after = Rows(hit["omega_B"].values, before.sun_B, speeds, bodies)
+        run = run_to(vehicle, after, times[later] - impact_s, mode, workers)
+        run = {name: np.where(computed[:, None, None], x, np.nan) for name, x in run.items()}
+        parts.append(predictions(unknown, after, run, times[later]))
+        action = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"
+        action = "sticks for an instant" if collision == STICKS else action
+        description = (
+            f"a leg drawn at random {action}, the centre of mass at {scenario.collision_speed_m_s:g} m/s in any direction with a "
             "part along -z"
         )
     return (
         xr.concat(parts, "predicted_s", data_vars="minimal")
-        .assign_coords(after_collision=("predicted_s", behind))
-        .assign_attrs(carried(tree), collision=said)
+        .assign_coords(after_collision=("predicted_s", later))
+        .assign_attrs(carried(tree), collision=description)
     )
 
 
-def with_predictions(
+def add_predictions(
     vehicle: Vehicle, tree: xr.DataTree, times: Mapping[float, str], *options: Any
 ) -> None:
-    """Add the group `predictions` to a posterior: :func:`predicted` at `times`, s from the epoch -> as asked for."""
-    at_times = predicted(vehicle, tree, list(times), *options)
-    asked = ("predicted_s", list(times.values()))
-    tree["predictions"] = xr.DataTree(at_times.assign_coords(asked=asked))
+    """Add the group `predictions` of :func:`predict_through_collision` to a posterior.
+
+    Parameters
+    ----------
+    times : mapping
+        Time of each prediction, s from the epoch -> text with which the user asked for it.
+    *options
+        `seed`, `timeline` and so on of `predict_through_collision`, in its order.
+    """
+    at_times = predict_through_collision(vehicle, tree, list(times), *options)
+    tree["predictions"] = xr.DataTree(
+        at_times.assign_coords(asked=("predicted_s", list(times.values())))
+    )

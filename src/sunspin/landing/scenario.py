@@ -1,4 +1,4 @@
-"""What may happen after a touchdown, as data: times, speeds, what is not known and how it is drawn, what the wheels are told."""
+"""Scenario after a touchdown, as data: times, speeds, distributions of unknown quantities, and commands of the wheels."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import is_sensible, plain_number
-from sunspin.cases import Case, case_names, load_case, timeline_of
+from sunspin.cases import Case, case_names, load_case, read_timeline
 from sunspin.dynamics.wheel_modes import Schedule, schedules
-from sunspin.landing.contact import legs_down, shape_of
+from sunspin.landing.contact import build_shape, is_leg_lowest
 from sunspin.vehicle import Vehicle
 
 SPIRAL = 20_000
-"""Directions, evenly over the sphere, among which the local vertical is drawn: 1.5 degrees apart."""
+"""Number of directions, evenly spread over the sphere and 1.5 degrees apart, from which the local vertical is drawn."""
 
 STEEPEST_SINE = 0.2
-"""Landings flatter than this (normal speed over speed; 12 degrees) are left out: they would last too long to sample."""
+"""Smallest ratio of normal speed to speed at the landing (12 degrees): flatter landings would last too long to sample."""
 
 DRAWS = (
     "candidate",
@@ -33,31 +33,33 @@ DRAWS = (
     "incidence",
     "heading",
 )
-"""What is drawn for each run, in this order: uniform numbers of its own generator. New ones are added at the end."""
+"""Names of the uniform random numbers of a run, in the order in which its own generator draws them. Add new ones at the end."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """From a touchdown over a collision to the next contact with the ground. Time 0 is the touchdown.
+    """Events from a touchdown, through an optional collision, to the next contact with the ground. Time 0 is the touchdown.
 
     Attributes
     ----------
     sun_B, wheel_speed_rad_s
-        Direction to the Sun and wheel speeds that go with the candidate rates.
-    lead_s : s from the touchdown to the instant of the candidates; the motion in between is run back, wheels coasting
-        or, at rest, standing still.
+        Direction to the Sun (unit vector) and wheel speeds (rad/s) at the instant of the candidate rates.
+    lead_s : s from the touchdown to the instant of the candidates. The motion in between is propagated backward, with wheels that
+        coast, or stand still if they are at rest.
     before_s, after_s : s from the candidates' instant to the collision, and from there to the landing.
-    collision_speed_m_s : speed of the centre of mass at the collision, its direction any with a component along
-        `collision_axis_B`; None: no collision.
-    landing_speed_m_s : speed at the landing; its angle to the ground's normal follows from a plane of any direction being
-        hit in proportion to the area it shows (cosine law), see `STEEPEST_SINE`.
+    collision_speed_m_s : speed of the centre of mass at the collision; None: no collision. Its direction is any with a component
+        along `collision_axis_B`.
+    landing_speed_m_s : speed at the landing. Its angle to the ground's normal is drawn by the cosine law: a plane is hit in
+        proportion to the area that it shows to the velocity (see `STEEPEST_SINE`).
     restitution, damper : of the collision, see :func:`sunspin.impact`.
-    vertical : how the ground's normal at the landing is drawn, as a direction fixed in space, body axes at the touchdown.
-        "legs_down": any for which the ends of legs were the lowest points at the touchdown; "any"; a number: within this
-        angle (rad) of the opposite of the legs' mean direction (of z without legs); three numbers: this one. The turning of
-        a celestial body under the flight (67P: 54 degrees in 111 min) is not followed: no frame kernel says about which axis
-        of the body frame, and the default is far wider.
-    orbiter : "above_horizon" of the touchdown, "any", or three numbers: direction to the orbiter, likewise.
+    vertical : distribution of the ground's normal at the landing, a direction fixed in space, body axes at the touchdown.
+        "legs_down": all directions for which the end of a leg was the lowest point at the touchdown. "any": all directions. A
+        number: within this angle (rad) of the opposite of the legs' mean direction (of z without legs). Three numbers: one
+        direction. The rotation of a celestial body during the flight (67P: 54 degrees in 111 min) is neglected: no frame kernel
+        gives its axis in the body frame, and the default distribution is far wider.
+    orbiter : direction to the orbiter, fixed in space, body axes at the touchdown: "above_horizon" of the touchdown, "any", or
+    three
+        numbers.
     """
 
     sun_B: tuple[float, ...]
@@ -97,24 +99,30 @@ class Scenario:
             if not 0 <= getattr(self, name) < np.inf:
                 what = f"{name} must be zero or a positive time in s"
                 raise InputError(what, got=getattr(self, name))
-        blow = () if self.collision_speed_m_s is None else ("collision_speed_m_s",)
-        for name in ("after_s", "landing_speed_m_s", *blow):
+        optional = () if self.collision_speed_m_s is None else ("collision_speed_m_s",)
+        for name in ("after_s", "landing_speed_m_s", *optional):
             if getattr(self, name) is None or not 0 < getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be positive", got=getattr(self, name))
 
     @property
     def collision_s(self) -> float:
+        """Time of the collision, s from the touchdown."""
         return self.lead_s + self.before_s
 
     @property
     def landing_s(self) -> float:
+        """Time of the landing, s from the touchdown."""
         return self.collision_s + self.after_s
 
 
 def paper_scenario(case: Case) -> Scenario:
-    """Section 3.3 of the paper: from the first sample at nominal wheel speed, 45 min, speed 0.2355 m/s, 65 min on."""
+    """Return the scenario of section 3.3 of the paper.
+
+    It begins at the first sample, with nominal wheel speed. The collision at 0.2355 m/s is 45 min later, the landing 65 min after
+    it.
+    """
     published = case.published
-    return _of_case(
+    return _build_case_scenario(
         case,
         before_s=60.0 * published["scan_duration"].value,
         after_s=60.0 * published["duration_after_collision"].value,
@@ -127,11 +135,19 @@ TIMES = {
     "before_s": ("first_sample_after_touchdown", "collision"),
     "after_s": ("collision", "second_touchdown"),
 }
-"""Time of a scenario -> the events between which it is."""
+"""Duration of a scenario -> the two events of a timeline that it lies between."""
 
 
 def case_scenario(case: Case) -> Scenario:
-    """The case with the times of its timeline and the speeds of its trajectory kernel; candidates as in the paper."""
+    """Return the scenario of a case, with the times of its timeline and the speeds of its trajectory kernel.
+
+    Candidate motions are at the first sample after the touchdown, as in the paper.
+
+    Raises
+    ------
+    InputError
+        The case has no timeline or no speeds.
+    """
     if case.timeline is None or "kernel_speed_before" not in case.published:
         what = f"case {case.name!r} knows of no landing"
         raise InputError(what, do="give a Scenario of your own")
@@ -139,11 +155,11 @@ def case_scenario(case: Case) -> Scenario:
     if case.assumptions.study.lead_s is not None:
         times["lead_s"] = case.assumptions.study.lead_s
     speed = case.published["kernel_speed_before"].value
-    return _of_case(case, collision_speed_m_s=speed, **times)
+    return _build_case_scenario(case, collision_speed_m_s=speed, **times)
 
 
-def _of_case(case: Case, **fields: Any) -> Scenario:
-    """A scenario with the case's first direction, wheels, landing speed and law of the collision."""
+def _build_case_scenario(case: Case, **fields: Any) -> Scenario:
+    """Return a scenario with the given fields, and with the case's first Sun direction, wheels, landing speed and collision law."""
     sun = np.array(case.published["first_sun"].value)
     return Scenario(
         sun_B=tuple(sun / np.linalg.norm(sun)),
@@ -155,15 +171,22 @@ def _of_case(case: Case, **fields: Any) -> Scenario:
     )
 
 
-def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scenario:
-    """The case's own scenario with what is given instead, or one made of what is given and the timeline beside the vehicle file.
+def build_scenario(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scenario:
+    """Return the scenario of a vehicle from the fields that are given, and otherwise from its case or timeline.
 
     Parameters
     ----------
-    vehicle : name or path from which `craft` was read
-    given : fields of `Scenario`
+    vehicle : str
+        Name or path from which `craft` was read. A `timeline.toml` in the same folder gives the times.
+    given : mapping
+        Fields of `Scenario`.
+
+    Raises
+    ------
+    InputError
+        The direction to the Sun or the time after the collision is not known.
     """
-    timeline = timeline_of(vehicle)
+    timeline = read_timeline(vehicle)
     case = load_case(craft.name) if craft.name in case_names() else None
     if case is not None and case.timeline is not None:
         case = replace(case, vehicle=craft, timeline=timeline or case.timeline)
@@ -182,57 +205,58 @@ def scenario_of(vehicle: str, craft: Vehicle, given: Mapping[str, Any]) -> Scena
 
 @dataclass(frozen=True)
 class Strategy:
-    """What all wheels are told from the touchdown on: (s after it, command) pairs."""
+    """Commands of all wheels from the touchdown on: `schedule` has pairs of (s after the touchdown, command)."""
 
     name: str
     schedule: Schedule
 
 
-NAMED = {
+NAMED_STRATEGIES = {
     "off": ((0.0, "coast"),),
     "held": ((0.0, "hold"),),
     "brake": ((0.0, "brake"),),
     "after_rest": ((0.0, "hold"),),
 }
-"""Strategies by name. "after_rest" flies as "held" does: what differs happens on the ground (`strategies.settling`)."""
+"""Name of a strategy -> its schedule. In flight "after_rest" is equal to "held"; it differs on the ground
+(`strategies.wheel_stop_at_rest`)."""
 
 
-def strategy_of(vehicle: Vehicle, given: Any) -> Strategy:
-    """A strategy from its name ("off", "held", "brake", "after_rest", "delay:SECONDS"), a schedule or a Strategy.
+def parse_strategy(vehicle: Vehicle, given: Any) -> Strategy:
+    """Return a strategy from its name ("off", "held", "brake", "after_rest", "delay:SECONDS"), a schedule or a `Strategy`.
 
     Raises
     ------
     InputError, MotionError
-        Unknown names, delays that are no positive number, a brake that the vehicle does not have.
+        The name is unknown, the delay is not a positive number, or the vehicle does not have the brake.
     """
     if isinstance(given, Strategy):
         strategy = given
-    elif isinstance(given, str) and given in NAMED:
-        strategy = Strategy(given, NAMED[given])
+    elif isinstance(given, str) and given in NAMED_STRATEGIES:
+        strategy = Strategy(given, NAMED_STRATEGIES[given])
     elif isinstance(given, str) and given.startswith("delay:"):
         delay = plain_number(given.removeprefix("delay:"))
         if not (is_sensible(delay) and delay >= 0):
             what = "a delay must be zero or a positive number of seconds below 1e30"
             raise InputError(what, got=given.removeprefix("delay:"), do="for example delay:600")
-        strategy = delayed(delay)
+        strategy = delayed_switch_off(delay)
     elif isinstance(given, Sequence) and not isinstance(given, str):
         strategy = Strategy("schedule", tuple((float(t), str(command)) for t, command in given))
     else:
-        known = f"{', '.join(NAMED)}, delay:SECONDS"
+        known = f"{', '.join(NAMED_STRATEGIES)}, delay:SECONDS"
         raise InputError("there is no wheel strategy of this name", got=given, do=f"known: {known}")
-    schedules(vehicle, strategy.schedule)
+    schedules(vehicle, strategy.schedule)  # raises an error if the commands do not fit the wheels
     return strategy
 
 
-def delayed(delay_s: float) -> Strategy:
-    """Held from the touchdown on, switched off `delay_s` later."""
+def delayed_switch_off(delay_s: float) -> Strategy:
+    """Return the strategy that holds the wheels' speed from the touchdown on and switches them off `delay_s` later."""
     if delay_s == 0:
-        return Strategy("delay:0", NAMED["off"])
+        return Strategy("delay:0", NAMED_STRATEGIES["off"])
     return Strategy(f"delay:{delay_s:g}", ((0.0, "hold"), (float(delay_s), "coast")))
 
 
 def spiral(count: int = SPIRAL) -> np.ndarray:
-    """Directions (count, 3) evenly spread over the sphere (Fibonacci spiral)."""
+    """Return directions (count, 3) evenly spread over the sphere (Fibonacci spiral)."""
     z = 1 - (2 * np.arange(count) + 1) / count
     angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
     return np.stack(
@@ -240,13 +264,24 @@ def spiral(count: int = SPIRAL) -> np.ndarray:
     )
 
 
-def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
-    """Equally likely directions up from the ground (m, 3), body axes at the touchdown, and in words what they are."""
-    shape, everywhere = shape_of(vehicle), spiral()
-    standing = (
+def possible_verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
+    """Return equally probable directions up from the ground (m, 3), body axes at the touchdown, and their description.
+
+    `wanted` is the field `vertical` of a `Scenario`.
+
+    Raises
+    ------
+    InputError
+        `wanted` is not valid, or no leg of the vehicle can be its lowest point.
+    """
+    shape, everywhere = build_shape(vehicle), spiral()
+    # up if the vehicle stands on its legs: opposite to their mean direction
+    away_from_legs = (
         -np.sum([leg.tip_B_m for leg in vehicle.legs], axis=0) if vehicle.legs else np.zeros(3)
     )
-    up = standing / np.linalg.norm(standing) if standing.any() else np.array([0.0, 0.0, 1.0])
+    up = np.array([0.0, 0.0, 1.0])
+    if away_from_legs.any():
+        up = away_from_legs / np.linalg.norm(away_from_legs)
     if isinstance(wanted, str) and wanted == "any":
         return everywhere, "every direction"
     if isinstance(wanted, str) and wanted == "legs_down":
@@ -255,12 +290,12 @@ def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
         if not shape.complete:
             words = "every direction on the legs' side (no hull is given)"
             return everywhere[everywhere @ up > 0], words
-        low = everywhere[legs_down(shape, everywhere)]
-        if not len(low):
+        allowed = everywhere[is_leg_lowest(shape, everywhere)]
+        if not len(allowed):
             what = "no leg of this vehicle can be its lowest point"
             raise InputError(what, do="check the hull, or give a vertical")
         words = "every direction for which an end of a leg was the lowest point at the touchdown"
-        return low, words
+        return allowed, words
     if not isinstance(wanted, str) and np.ndim(wanted) == 0 and 0 < float(wanted) <= np.pi:
         near = everywhere[everywhere @ up >= np.cos(float(wanted))]
         return near, f"within {np.degrees(float(wanted)):g} degrees of {up}"
@@ -270,24 +305,32 @@ def verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
     raise InputError(what, got=wanted)
 
 
-def draws(seed: int, index: np.ndarray) -> dict[str, np.ndarray]:
-    """Uniform numbers in [0, 1) for the runs `index` (n): each of `DRAWS` -> (n). A run's numbers are its own."""
-    table = [_drawn(seed, i) for i in index.tolist()]
+def draw_uniform(seed: int, index: np.ndarray) -> dict[str, np.ndarray]:
+    """Draw uniform numbers in [0, 1) for the runs with the numbers `index` (n): name of `DRAWS` -> (n).
+
+    The numbers of a run depend only on the seed and the number of the run.
+    """
+    table = [_draw_run(seed, i) for i in index.tolist()]
     return dict(zip(DRAWS, np.array(table).reshape(-1, len(DRAWS)).T, strict=True))
 
 
 @lru_cache(maxsize=1 << 15)
-def _drawn(seed: int, i: int) -> np.ndarray:
-    """Kept, because strategies and scenarios are compared on the same draws."""
+def _draw_run(seed: int, i: int) -> np.ndarray:
+    """Draw the numbers of one run; cached, because strategies and scenarios are compared on the same draws."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))).random(len(DRAWS))
 
 
-def about(axis_B: np.ndarray, cosine: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) at the given cosine from axis_B (n, 3), turned about it by 2 pi `turn`."""
+def directions_at_angle(
+    axis_B: np.ndarray, cosine: np.ndarray, revolutions: np.ndarray
+) -> np.ndarray:
+    """Return unit vectors (n, 3) at the angle with this `cosine` (n) from an axis (n, 3).
+
+    `revolutions` (n) is the angle about the axis, from 0 to 1; its zero is arbitrary.
+    """
     helper = np.where(np.abs(axis_B[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(axis_B, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(axis_B, first)
-    sine, angle = np.sqrt(np.maximum(1 - cosine**2, 0.0)), 2 * np.pi * turn
+    sine, angle = np.sqrt(np.maximum(1 - cosine**2, 0.0)), 2 * np.pi * revolutions
     side = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
     return cosine[:, None] * axis_B + sine[:, None] * side

@@ -1,4 +1,4 @@
-"""What the wheel should have done: strategies compared run by run, the best delay, and whether it may stop on the ground."""
+"""Wheel strategies compared run by run, the best delay of switching off, and the stop of a wheel at rest on the ground."""
 
 from __future__ import annotations
 
@@ -12,16 +12,22 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.dynamics.ensemble import OUTCOME_TEXT, Outcome
 from sunspin.dynamics.friction import spin_down_time
-from sunspin.landing.outcomes import outcomes, own_scenario
-from sunspin.landing.scenario import Scenario, delayed, strategy_of
+from sunspin.landing.outcomes import default_scenario, outcomes
+from sunspin.landing.scenario import Scenario, delayed_switch_off, parse_strategy
 from sunspin.landing.tally import Estimate, estimate, per_run, tally
 from sunspin.vehicle import Vehicle
 
 STRATEGIES = ("off", "held", "delay:1200", "delay:3000", "brake", "after_rest")
+"""Strategies that are compared by default."""
+
 DELAYS_S = (0.0, 300.0, 600.0, 1200.0, 1800.0, 2400.0, 3000.0, 3600.0, 4500.0, 5400.0, 6300.0)
+"""Delays (s after the touchdown) that are compared by default, if the flight is longer."""
+
 LEVELS = (0.05, 0.5, 0.95)
+"""Quantiles over runs."""
+
 BOOTSTRAP = 400
-"""Resamplings of the runs for the spread of the best delay."""
+"""Number of resamplings of the runs for the spread of the best delay."""
 
 
 def compare(
@@ -33,24 +39,31 @@ def compare(
     scenario: Scenario | None = None,
     **options: Any,
 ) -> tuple[xr.Dataset, dict[str, xr.Dataset]]:
-    """Strategies on the same draws.
+    """Compute the outcomes of several strategies on the same draws, and their differences from the first.
 
     Parameters
     ----------
+    candidates, n, seed, scenario
+        As for :func:`sunspin.landing.outcomes.outcomes`.
+    strategies : sequence
+        Names, schedules or `Strategy` objects.
     options
-        Of :func:`sunspin.landing.outcomes.outcomes`; a `store` gets a folder in it for each schedule.
+        Other options of `outcomes`; each schedule has its own folder in `store`.
 
     Returns
     -------
     xarray.Dataset
         `value` and `error` over (strategy, quantity), quantities as in :func:`sunspin.landing.tally.per_run`; `quantile` over
-        runs at `LEVELS`; `gain` and `gain_error`: difference from the first strategy, run by run, so that what both share cancels.
+        runs at `LEVELS`; `gain` and `gain_error`: mean difference from the first strategy, run by run, so that the variation
+        common to both cancels.
     dict
-        The runs of each strategy by its name.
+        Name of each strategy -> its runs.
     """
     runs, store = dict[str, xr.Dataset](), options.pop("store", None)
-    flown = dict[str, xr.Dataset]()  # by schedule: two strategies may differ on the ground only
-    for strategy in [strategy_of(vehicle, each) for each in strategies]:
+    flown = dict[
+        str, xr.Dataset
+    ]()  # schedule -> runs: two strategies may differ on the ground only
+    for strategy in [parse_strategy(vehicle, each) for each in strategies]:
         name, schedule = strategy.name, repr(strategy.schedule)
         if schedule not in flown:
             own = None if store is None else Path(store) / name.replace(":", "-")
@@ -86,14 +99,14 @@ def compare(
     return table, runs
 
 
-def compared(
+def comparison_tree(
     table: xr.Dataset,
     runs: Mapping[str, xr.Dataset],
     collision: xr.Dataset | None = None,
 ) -> xr.DataTree:
-    """Both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy.
+    """Return both results of :func:`compare` as one tree: `strategies`, and `runs` with a node for each strategy.
 
-    With `collision`, runs weighted by what is known of the blow.
+    `collision` (optional) becomes a node of its own: runs weighted by the known speeds of the collision.
     """
     nodes = {"strategies": table} | {f"runs/{name}": run for name, run in runs.items()}
     nodes |= {} if collision is None else {"collision": collision}
@@ -112,32 +125,38 @@ def best_delay(
     scenario: Scenario | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """The delay (s after touchdown) that makes `metric` largest, and how sure that is; unless given, of eleven before the landing.
+    """Find the delay of switching off (s after the touchdown) that maximises the mean of `metric`, with its uncertainty.
 
-    All delays are tried on the same draws; the uncertainty is that of the Monte Carlo runs and their scenario, not of the
-    models (vertical, terrain, hull). The largest of many noisy means is biased upward: look at `as_good`, not at `value`.
+    All delays are computed on the same draws; by default eleven delays before the landing. The uncertainty is that of the Monte
+    Carlo runs and their scenario, not of the models (vertical, terrain, hull). The largest of many noisy means is biased upward;
+    use `as_good` instead of `value`.
 
     Returns
     -------
     xarray.Dataset
-        The table of :func:`compare` with a strategy for each delay, `delay_s (strategy)`; `behind`, `behind_error (strategy)`:
-        difference of `metric` to the best, run by run; `as_good (strategy)`: not behind by more than two errors. `attrs`:
-        `metric`, `best_s`, and `spread_s`, the central 68 % of the best delay over resampled runs.
+        The table of :func:`compare` with a strategy for each delay, `delay_s (strategy)`; `behind` and `behind_error (strategy)`:
+        mean difference of `metric` from the best delay, run by run; `as_good (strategy)`: not behind by more than two errors.
+        `attrs`: `metric`, `best_s`, and `spread_s`, the central 68 % of the best delay over resampled runs.
+
+    Raises
+    ------
+    InputError
+        The vehicle has no wheel, or the runs do not determine `metric`.
     """
     if not vehicle.wheels:
         raise InputError(f"vehicle {vehicle.name!r} has no wheel to switch off")
-    scenario = scenario or own_scenario(vehicle)
+    scenario = scenario or default_scenario(vehicle)
     if delays_s is None:
         even = np.linspace(0.0, scenario.landing_s, len(DELAYS_S), endpoint=False).round(1).tolist()
         delays_s = DELAYS_S if scenario.landing_s > DELAYS_S[-1] else even
     table, runs = compare(
-        vehicle, candidates, [delayed(t) for t in delays_s], n, seed, scenario, **options
+        vehicle, candidates, [delayed_switch_off(t) for t in delays_s], n, seed, scenario, **options
     )
     each = [per_run(x).get(metric, np.array([np.nan])) for x in runs.values()]
     if not np.isfinite(each[0]).any():
         what, known = "these runs do not tell the quantity to be made largest", table["quantity"]
         raise InputError(what, got=metric, do=f"known: {', '.join(known.values)}")
-    values = np.array(each)
+    values = np.array(each)  # (delay, run)
     values = values[:, np.isfinite(values).all(axis=0)]
     best = int(np.argmax(values.mean(axis=1)))
     behind, error = np.array([estimate(row - values[best]) for row in values]).T
@@ -160,15 +179,15 @@ def best_delay(
     )
 
 
-def settling(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, Any]]:
-    """Section 4's argument on switching a wheel off at rest: can the feet's friction hold the body against it?
+def wheel_stop_at_rest(vehicle: Vehicle, gravity_m_s2: float) -> list[dict[str, Any]]:
+    """Return the friction at the feet that holds the body at rest while a wheel stops (paper, section 4).
 
     Returns
     -------
-    list of dict, one per wheel and way to stop it
-        Torque (N m) of the law mu0 + mu1 W (eq. 5), with the brake where there is one; angular momentum (N m s) that it
-        passes to the ground; force at each foot (N), torque / (number of feet * mean |l|) as in the paper; weight per foot
-        (N); the coefficient of friction that is needed; time to stop (s).
+    list of dict
+        One for each wheel and way to stop it ("off", or "brake" if there is one). Torque (N m) of the law mu0 + mu1 W (eq. 5), with
+        the brake if it is used; angular momentum (N m s) that passes to the ground; force at each foot (N), torque / (number of
+        feet * mean |l|) as in the paper; weight per foot (N); the necessary coefficient of friction; time to stop (s).
     """
     if not vehicle.legs:
         raise InputError(f"vehicle {vehicle.name!r} has no legs to stand on")

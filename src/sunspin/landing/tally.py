@@ -1,6 +1,6 @@
-"""From runs to probabilities and densities, each with its standard error; runs may carry weights.
+"""Probabilities and densities of runs, each with its standard error; runs may have weights.
 
-Collisions that were weighted by what is known of the blow are a Dataset of their own (kind "collision").
+Collisions weighted by their known speeds are a Dataset of their own (kind "collision").
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from sunspin.base.errors import InputError
 from sunspin.landing.contact import KINDS
 
 LOW_RZ = (-0.5, -0.2, 0.0)
-"""Bounds of r_z of which the paper speaks."""
+"""Bounds of r_z that the paper uses."""
 
 TRUTHS = ("touch_", "rest_", "rz_ever_", "antenna_at_")
-"""How the names of questions begin that a run answers with yes or no."""
+"""Prefixes of quantities of `per_run` that are true or false in each run."""
 
 
 class Quantity(NamedTuple):
-    """A question as people read it: in words, its unit ("": a probability or a share), and shown over stored value."""
+    """Text for a quantity: its meaning in words, its unit (empty: a probability or a share), and displayed over stored value."""
 
     text: str
     unit: str = ""
@@ -30,7 +30,7 @@ class Quantity(NamedTuple):
 
     @property
     def heading(self) -> str:
-        """The words and the unit."""
+        """Meaning and unit."""
         return f"{self.text}, {self.unit}" if self.unit else self.text
 
 
@@ -63,17 +63,17 @@ QUANTITIES = {
     "rate_before": Quantity("angular speed before the collision", "deg/s", DEGREES),
     "rate_after": Quantity("angular speed after the collision", "deg/s", DEGREES),
 }
-"""Names of `per_run`, in the order in which they are listed; files have angular speeds in rad/s."""
+"""Quantity of `per_run` -> its text, in the order in which they are listed; files have angular speeds in rad/s."""
+
+ONE_PANEL = "touch_panel_"
+"""Prefix of the quantity of a single panel; the name of the panel follows."""
 
 
 def quantity(name: str) -> Quantity:
-    """A name of `per_run` for people; that of one panel by the panel's."""
+    """Return the text for a quantity of `per_run`."""
     if name.startswith(ONE_PANEL):
         return Quantity(f"panel {name.removeprefix(ONE_PANEL)} touches first")
     return QUANTITIES.get(name, Quantity(name.replace("_", " ")))
-
-
-ONE_PANEL = "touch_panel_"
 
 
 class Estimate(NamedTuple):
@@ -87,10 +87,10 @@ class Estimate(NamedTuple):
 
 
 def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
-    """Weighted mean of values (n) and its standard error sqrt(sum w^2 (x - mean)^2) / sum w; values NaN take no part.
+    """Return the weighted mean of values (n) and its standard error sqrt(sum w^2 (x - mean)^2) / sum w, without values NaN.
 
-    For equal weights the error is that of the mean of n runs (with n, not n - 1); for truth values sqrt(p (1 - p) / n). One
-    value has no error that could be told (NaN).
+    For equal weights the error is that of the mean of n runs (with n, not n - 1); for truth values sqrt(p (1 - p) / n). The error
+    of a single value is NaN.
     """
     x = np.asarray(values, dtype=np.float64)
     w = np.ones_like(x) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -107,8 +107,10 @@ def estimate(values: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Est
 
 
 def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Estimate:
-    """Weighted share of truth values (n) and its standard error, as `estimate`; but what happened in all runs, or in none, is not
-    certain: its error is that of a share of (k + 1) / (n + 2), k of n runs, which is about 1 / n (rule of succession).
+    """Return the weighted share of truth values (n) and its standard error.
+
+    The error is that of `estimate`, unless the event happened in all runs or in none. It is then not certain: the error is that of
+    a share of (k + 1) / (n + 2) for k of n runs (rule of succession), which is about 1 / n.
     """
     x = np.asarray(happened, dtype=np.float64)
     share = estimate(x, weights)
@@ -119,14 +121,18 @@ def probability(happened: npt.ArrayLike, weights: npt.ArrayLike | None = None) -
 
 
 def effective_runs(weights: npt.ArrayLike) -> float:
-    """Number of equally weighted runs worth as much: (sum w)^2 / sum w^2 (Kish)."""
+    """Return the effective sample size of weighted runs, (sum w)^2 / sum w^2 (Kish); 0 without a positive weight."""
     w = np.asarray(weights, dtype=np.float64)
     return float(w.sum() ** 2 / np.sum(w**2)) if np.any(w > 0) else 0.0
 
 
 def density(runs: xr.Dataset, merge: int = 1) -> xr.Dataset:
-    """Probability density of r_z over time and runs (area 1; paper, Fig. 13); `merge` bins of the runs, a divisor of their number,
-    become one.
+    """Return the probability density of r_z over time and runs (area 1; paper, Fig. 13).
+
+    Parameters
+    ----------
+    merge : int
+        Number of bins of the runs that become one bin; a divisor of their number.
 
     Returns
     -------
@@ -149,7 +155,7 @@ def density(runs: xr.Dataset, merge: int = 1) -> xr.Dataset:
 
 
 def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, Estimate]:
-    """Probabilities and means of all that the runs tell (names as in `per_run`); what they do not tell is absent."""
+    """Return the probability or mean of each quantity of `per_run`; quantities that are unknown in all runs are left out."""
     estimates = {
         name: (probability if name.startswith(TRUTHS) else estimate)(values, weights)
         for name, values in per_run(runs).items()
@@ -158,27 +164,27 @@ def tally(runs: xr.Dataset, weights: npt.ArrayLike | None = None) -> dict[str, E
 
 
 def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
-    """What each run (n) says on each question: truth values, shares of time or numbers; NaN where it says nothing.
+    """Return the quantities of each run: name -> values (n), which are truth values, shares of time or numbers; NaN if unknown.
 
-    `touch_leg`, `touch_panel`, `touch_body`: what touches first, turning and descending; `touch_panel_NAME` (a corner shared by
-    panels counts for each); `rest_leg`, `rest_panel`, `rest_body`;
-    `rz_time_below_X` share of the time, `rz_ever_below_X`; `antenna_share`, `antenna_at_contact`, `antenna_at_rest`; speeds
+    `touch_leg`, `touch_panel`, `touch_body`: the part that touches the ground first; `touch_panel_NAME`: the panel that does (a
+    corner shared by panels counts for each); `rest_leg`, `rest_panel`, `rest_body`: the part on which the vehicle rests;
+    `rz_time_below_X`: share of the time; `rz_ever_below_X`; `antenna_share`, `antenna_at_contact`, `antenna_at_rest`; speeds
     (m/s); `rate_before`, `rate_after` (rad/s).
     """
-    answers: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     share = runs["rz_share"].values.astype(np.float64)
     edges = runs["rz"].values + 1.0 / share.shape[1]
     for bound in LOW_RZ:
         low = share[:, edges <= bound + 1e-9].sum(axis=1)
         low = np.where(np.isfinite(share).all(axis=1), low, np.nan)
-        answers[f"rz_time_below_{bound:g}"] = low
-        answers[f"rz_ever_below_{bound:g}"] = np.where(np.isnan(low), np.nan, low > 0)
+        values[f"rz_time_below_{bound:g}"] = low
+        values[f"rz_ever_below_{bound:g}"] = np.where(np.isnan(low), np.nan, low > 0)
     for when in ("before", "after"):
-        answers[f"rate_{when}"] = np.linalg.norm(runs[f"omega_{when}_B"].values, axis=1)
+        values[f"rate_{when}"] = np.linalg.norm(runs[f"omega_{when}_B"].values, axis=1)
     for name in (str(name) for name in runs.data_vars if name in QUANTITIES):
-        values = runs[name].values
-        unknown = np.isnan(values) if values.dtype.kind == "f" else values < 0
-        answers[name] = np.where(unknown, np.nan, values)
+        stored = runs[name].values
+        unknown = np.isnan(stored) if stored.dtype.kind == "f" else stored < 0
+        values[name] = np.where(unknown, np.nan, stored)
     for prefix, number, kinds in (
         ("touch", "contact_point", "point_kind"),
         ("rest", "rest_facet", "facet_kind"),
@@ -186,30 +192,33 @@ def per_run(runs: xr.Dataset) -> dict[str, np.ndarray]:
         if kinds in runs.coords:
             index, names = runs[number].values, runs[kinds].values
             for kind in (kind for kind in KINDS if kind in names):
-                answers[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
+                values[f"{prefix}_{kind}"] = np.where(index < 0, np.nan, names[index] == kind)
     if "point_on_panel" in runs.coords:
         index = runs["contact_point"].values
         on_panel = runs["point_on_panel"].values[index].astype(float)
-        for panel, on in zip(runs["panel"].values, on_panel.T, strict=True):
-            answers[f"{ONE_PANEL}{panel}"] = np.where(index < 0, np.nan, on)
-    return answers
+        for panel, touches in zip(runs["panel"].values, on_panel.T, strict=True):
+            values[f"{ONE_PANEL}{panel}"] = np.where(index < 0, np.nan, touches)
+    return values
 
 
 def lowest_rz(runs: xr.Dataset) -> np.ndarray:
-    """Lower edge (n) of the lowest bin of r_z that each run reaches."""
+    """Return the lower edge (n) of the lowest bin of r_z that each run reaches; NaN if the run has no r_z."""
     share = runs["rz_share"].values
     edge = runs["rz"].values[np.argmax(share > 0, axis=1)] - 1.0 / share.shape[1]
     return np.where(np.isnan(share[:, 0]), np.nan, edge)
 
 
-def facts_of(tally: Any) -> dict[str, float]:
-    """What the trajectory shows, by name."""
+def read_facts(tally: Any) -> dict[str, float]:
+    """Return the values that the trajectory kernel gives for the collision (name -> value), from a Dataset of kind "collision"."""
     values = tally["fact_value"].values.tolist()
     return dict(zip(tally["fact"].values.tolist(), values, strict=True))
 
 
-def weightings(tally: Any) -> list[dict[str, Any]]:
-    """A line for each weighting: its `name`, and each quantity as an `Estimate`, or as a number where it is no mean."""
+def read_weightings(tally: Any) -> list[dict[str, Any]]:
+    """Return a dict for each weighting of a Dataset of kind "collision": its `name`, and each quantity as an `Estimate`.
+
+    Quantities that are not means are plain numbers.
+    """
     numbers, quantities = ("effective_runs", "median_period_after"), tally["quantity"].values
     lines = []
     for i, name in enumerate(tally["weighting"].values):
@@ -221,6 +230,6 @@ def weightings(tally: Any) -> list[dict[str, Any]]:
     return lines
 
 
-def explained(tally: Any) -> Estimate:
-    """The share of collisions, as drawn, that come near the trajectory's speeds."""
+def read_explained_share(tally: Any) -> Estimate:
+    """Return the share of the drawn collisions that come near the trajectory's speeds, from a Dataset of kind "collision"."""
     return Estimate(float(tally["explained"]), float(tally["explained_error"]))

@@ -18,10 +18,10 @@ import numpy as np
 from sunspin.base import atomic_write
 from sunspin.base.cells import plain_cell
 from sunspin.base.errors import InputError, OutputError
-from sunspin.base.provenance import described
-from sunspin.base.untrusted import is_own, read_bytes
+from sunspin.base.provenance import with_units
+from sunspin.base.untrusted import is_file_not_link, read_bytes
 from sunspin.output.kind import Drawing, Table
-from sunspin.vehicle.file import vehicle_text
+from sunspin.vehicle.file import read_vehicle_text
 
 MARKER = ".sunspin-results"
 """A file that says that sunspin made the folder, and with which command."""
@@ -45,8 +45,8 @@ def results_folder(path: Any, command: str) -> Path:
     try:
         _CLAIMED.append(_Claim.of(folder))
         atomic_write.make_folder(folder)
-        atomic_write.sweep(folder)
-        if is_own(marker):
+        atomic_write.remove_abandoned(folder)
+        if is_file_not_link(marker):
             if (owner := maker(marker)) != command:
                 what = f"the folder holds results of `sunspin {owner}`"
         elif any(folder.iterdir()):
@@ -103,13 +103,13 @@ def maker(marker: Path) -> str:
 
 def write_whole(target: Path, content: str | bytes | Callable[[Path], Any]) -> Path:
     """Write text (half characters of names become escapes), bytes or what a function writes, as
-    :func:`sunspin.base.atomic_write.write_whole`; where the file cannot be written, one sentence."""
+    :func:`sunspin.base.atomic_write.write_atomically`; where the file cannot be written, one sentence."""
     if isinstance(content, str):
         content = content.encode("utf-8", "backslashreplace")
     try:
         if callable(content):
-            return atomic_write.write_whole(target, content)
-        return atomic_write.write_whole(target, lambda part: part.write_bytes(content))
+            return atomic_write.write_atomically(target, content)
+        return atomic_write.write_atomically(target, lambda part: part.write_bytes(content))
     except OSError as error:
         what = f"the file cannot be written ({error.strerror or error}) and nothing that was there is lost"
         do = "free space or choose another --out"
@@ -154,7 +154,7 @@ def write_netcdf(target: Path, data: Any) -> Path:
     with h5netcdf.File(buffer, "w") as file:
         for path, dataset in groups.items():
             store = H5NetCDFStore(file, group=path, mode="a")
-            described(dataset).dump_to_store(store)
+            with_units(dataset).dump_to_store(store)
             store.sync()
     return write_whole(target, buffer.getvalue())
 
@@ -188,7 +188,7 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     for table in contents.tables:
         write_whole(folder / f"{table.name}.csv", table_text(table, contents.synthetic))
     if contents.vehicle is not None:
-        write_whole(folder / "vehicle.toml", vehicle_text(contents.vehicle))
+        write_whole(folder / "vehicle.toml", read_vehicle_text(contents.vehicle))
     manifest = {
         "data": [f"{name}.nc" for name in data],
         "figures": [
@@ -202,7 +202,7 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     }
     write_json(folder / "summary.json", {"version": metadata.version("sunspin"), **summary})
     try:
-        files = [path for path in sorted(folder.iterdir()) if is_own(path)]
+        files = [path for path in sorted(folder.iterdir()) if is_file_not_link(path)]
         digests = {path.name: _digest(path) for path in files if path.name != MANIFEST}
     except OSError as error:
         what = f"a file of the results folder cannot be read back ({error.strerror or error})"
@@ -241,11 +241,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     what, do = "", "run the command again"
     manifest: dict[str, Any] = {}
-    command = maker(folder / MARKER) if is_own(folder / MARKER) else ""
+    command = maker(folder / MARKER) if is_file_not_link(folder / MARKER) else ""
     if not command:
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
         what, do = what if folder.is_dir() else "there is no such folder", "give a command's --out"
-    elif not is_own(folder / MANIFEST):
+    elif not is_file_not_link(folder / MANIFEST):
         what = f"the folder has no {MANIFEST}: the run did not end"
     else:
         try:
@@ -270,7 +270,7 @@ def as_written(folder: Path, manifest: dict[str, Any], name: Any) -> Path:
         It is missing, a link, or not what the manifest's SHA-256 says.
     """
     known = isinstance(name, str) and Path(name).name == name and name in manifest["sha256"]
-    if not known or not is_own(folder / name):
+    if not known or not is_file_not_link(folder / name):
         what, do = "this is not a regular file of the folder", "put the file itself there"
         raise InputError(what, do=do, where=str(name)[:200])
     if _digest(folder / name) != manifest["sha256"][name]:

@@ -297,7 +297,11 @@ def starts(
     if omega:
         return np.array(omega), "as given"
     if scan is not None:
-        of, mine, about = stored_vehicle(scan), craft.said, f"the near-minimum set of {scan.name}"
+        of, mine, about = (
+            stored_vehicle(scan),
+            craft.result_attributes,
+            f"the near-minimum set of {scan.name}",
+        )
         if of != mine:
             about += f"; of another body than this run's: {body(of)}, here {body(mine)}"
         return stored_near_minimum(scan, factor), about
@@ -308,7 +312,7 @@ def starts(
     if rb.moving_and_seeing(craft) != rb.moving_and_seeing(case.vehicle):
         raise InputError(
             "the published lines hold for another body, wheel or panels than these",
-            got=body(craft.said),
+            got=body(craft.result_attributes),
             do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )
     return rb.published_candidates(case), "the lines that the paper prints"

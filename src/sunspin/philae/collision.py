@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.base.untrusted import Elsewhere, elsewhere
+from sunspin.base.untrusted import IsolatedRunError, run_isolated
 from sunspin.cases import Case, case_names, load_case
 from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import Scenario
@@ -25,11 +25,11 @@ from sunspin.landing.tally import (
     density,
     effective_runs,
     estimate,
-    explained,
-    facts_of,
     lowest_rz,
+    read_explained_share,
+    read_facts,
+    read_weightings,
     tally,
-    weightings,
 )
 from sunspin.philae.candidates import Candidates, Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
@@ -100,12 +100,12 @@ def rows(collision: AfterCollision) -> list[Row]:
     densities = [density(each)["density"] for each in runs["chosen"].values()]
     areas = [float(each.sum() * 2 / each.size) for each in densities]
 
-    weighted, facts = {line["name"]: line for line in weightings(known)}, facts_of(known)
+    weighted, facts = {line["name"]: line for line in read_weightings(known)}, read_facts(known)
     drawn, kernel = weighted["as drawn"], weighted[f"kernel, sigma {SIGMA_M_S:g} m/s"]
     slowest = facts["speed_after"] / max(np.linalg.norm(leg.tip_B_m) for leg in case.vehicle.legs)
     texts: dict[str, Any] = {"off": off, "held": held, "kernel": kernel, "drawn": drawn}
     texts |= {"mean": chosen.speed_collision.mean(), "runs": n, "reaches": reaches}
-    texts |= {"explained": explained(known), "within": 2 * SIGMA_M_S, "rarely": RARELY}
+    texts |= {"explained": read_explained_share(known), "within": 2 * SIGMA_M_S, "rarely": RARELY}
     texts |= {"often": OFTEN, "period": 2 * np.pi / slowest}
     row_of = partial(row, case, **texts)
 
@@ -263,8 +263,8 @@ def states_of(path: Path, tdb_s: Sequence[float]) -> np.ndarray:
     script = Path(__file__).with_name("kernel_states.py")
     times = np.asarray(tdb_s, dtype=np.float64).tobytes()
     try:
-        printed = elsewhere(script, str(path.resolve()), content=times, seconds=30)
-    except Elsewhere as error:
+        printed = run_isolated(script, str(path.resolve()), content=times, seconds=30)
+    except IsolatedRunError as error:
         what = f"the trajectory kernel cannot be read ({error})"
         raise InputError(what, do="download it again", where=where) from None
     states = np.frombuffer(printed, dtype=np.float64).reshape(-1, 6)

@@ -20,8 +20,8 @@ from sunspin.philae.rebound import case_seconds, rebound_samples
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import whole_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
-from sunspin.telemetry.synthetic import drawn_tilts, generator
-from sunspin.vehicle.response.panels import patterns_of_turned, stated_sigma
+from sunspin.telemetry.synthetic import draw_tilts, generator
+from sunspin.vehicle.response.panels import misalignment_sigma, patterns_of_misaligned
 
 LEAST_DIRECTIONS = 8
 """Nobody would fit a rebound with fewer."""
@@ -101,11 +101,11 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     forbidden = sun.isel(time=early & (status == SunStatus.IMPOSSIBLE))
     unexplained = np.ones(forbidden.sizes["time"], dtype=bool)
     # one turn of all panels forbids and allows nothing: it is a turn of the Sun
-    tilt_rad, _ = stated_sigma(vehicle)
+    tilt_rad, _ = misalignment_sigma(vehicle)
     if unexplained.size and tilt_rad.any():
         draws, names = generator(0, 10), np.array(vehicle.input_names)
-        tilts = np.array([drawn_tilts(vehicle, tilt_rad, draws) for _ in range(100)])
-        shown = patterns_of_turned(vehicle, tilts)
+        tilts = np.array([draw_tilts(vehicle, tilt_rad, draws) for _ in range(100)])
+        shown = patterns_of_misaligned(vehicle, tilts)
         patterns = [frozenset(names[lit].tolist()) for lit in forbidden["lit"].values]
         unexplained = np.array([pattern not in shown for pattern in patterns])
         unexplained |= forbidden["delta"].values > limit

@@ -16,7 +16,7 @@ from sunspin.landing.scenario import spiral
 from sunspin.philae import rebound as rb
 from sunspin.philae.row import Row, row, tables
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.part import tuples
+from sunspin.vehicle.part import as_tuples
 from sunspin.vehicle.timeline import utc_seconds
 
 
@@ -27,7 +27,7 @@ def rows(case: Case) -> list[Row]:
 
     def taken(name: str, ours: Any, **texts: Any) -> Row:
         """Return the row of an input, which may not be as published in this run."""
-        if tuples(ours) != paper[name]:
+        if as_tuples(ours) != paper[name]:
             texts["note"] = "not as published: this run has another value"
         return row(case, name, ours, **texts)
 

@@ -14,7 +14,7 @@ import xarray as xr
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.base.untrusted import read_toml
 from sunspin.cases import Case
-from sunspin.compute.identity import plain
+from sunspin.compute.identity import to_json
 from sunspin.dynamics import gyrostat
 from sunspin.dynamics.ensemble import Mask, Rows
 from sunspin.dynamics.propagate import propagate
@@ -149,7 +149,7 @@ def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
         for several in (vehicle.panels, vehicle.channels)
     )
     light = panels, vehicle.panel_response, vehicle.sun_rules, channels
-    return plain([vehicle.inertia_kg_m2, wheels, *light])
+    return to_json([vehicle.inertia_kg_m2, wheels, *light])
 
 
 def momentum_angles(vehicle: Vehicle, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -28,9 +28,9 @@ from sunspin.philae.row import Row
 from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
 from sunspin.telemetry.reader import read_telemetry
 from sunspin.vehicle import load_vehicle
-from sunspin.vehicle.assumptions import split
-from sunspin.vehicle.changes import Change, Changes, changes_of
-from sunspin.vehicle.file import changed_file
+from sunspin.vehicle.assumptions import split_changes
+from sunspin.vehicle.changes import Change, Changes, parse_changes
+from sunspin.vehicle.file import attach_changes
 
 SHOWN_BY_THE_PAPER = (
     "structure of Philae; panels, legs, wheel; panel powers and Sun directions over time; Sun directions in four phases; "
@@ -100,7 +100,7 @@ def reproduce(
         Values of the vehicle or of the study's assumptions to change, as in :func:`sunspin.load_case`.
     """
     began = time.perf_counter()
-    asked = changes_of(changes)
+    asked = parse_changes(changes)
     case, source = _case(telemetry, vehicle, asked)
     if telemetry is not None and Path(out).resolve() in Path(telemetry).resolve().parents:
         what = "the telemetry lies in the results folder, which is replaced"
@@ -124,7 +124,9 @@ def reproduce(
     summary = summary_of(study, sheets, time.perf_counter() - began)
     summary["changes"] = [str(change) for change in case.changes]
     summary |= {"command": shlex.join(words), "inputs": _inputs(case, vehicle)}
-    vehicle_text = changed_file(case.name if vehicle is None else vehicle, split(asked)[0])
+    vehicle_text = attach_changes(
+        case.name if vehicle is None else vehicle, split_changes(asked)[0]
+    )
     unchanged = telemetry is None and vehicle is None and not asked
     tables = [_contradictions(case)] if unchanged else []
     samples = case.telemetry, study.synthetic
@@ -137,7 +139,7 @@ def _case(
     telemetry: str | Path | None, vehicle: str | Path | None, changes: tuple[Change, ...]
 ) -> tuple[Case, Path]:
     """The case with the vehicle, the changes and the telemetry given, all refused before any work; the file of the telemetry."""
-    of_vehicle, of_study = split(changes)
+    of_vehicle, of_study = split_changes(changes)
     case = load_case("philae", changes if vehicle is None else of_study)
     source = case.folder / "telemetry.csv" if telemetry is None else Path(telemetry)
     if vehicle is not None:

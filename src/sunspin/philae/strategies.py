@@ -66,7 +66,7 @@ def rows(strategies: Strategies) -> list[Row]:
     paper = {key: figure.value for key, figure in case.published.items()}
     held = tally(strategies.runs["held"])
     # the wheel switched off at rest: its torque, and what the feet have to hold
-    ways = st.settling(case.vehicle, paper["gravity"])
+    ways = st.wheel_stop_at_rest(case.vehicle, paper["gravity"])
     rest = next(way for way in ways if way["way"] == "off")
     shares = strategies.alternatives.items()
     spread = ", ".join(f"{assumed} {share['touch_leg'].value:.3f}" for assumed, share in shares)

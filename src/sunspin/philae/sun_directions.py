@@ -20,7 +20,7 @@ from sunspin.cases import Case
 from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
 from sunspin.philae.rebound import case_seconds, with_telemetry
 from sunspin.philae.row import Row, interval, row
-from sunspin.telemetry.health import PanelHealth, explanations, panel_health
+from sunspin.telemetry.health import PanelHealth, find_explanations, panel_health
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle import Vehicle
@@ -215,7 +215,7 @@ def rows(r: Phases) -> list[Row]:
     before = {"samples": int(early.sum()), "phases": ", ".join(counts).replace("_", " ")}
     explained = [list(panels) for panels in health["explanations"]]
     single = {panel for panels in explained for panel in panels}
-    pairs = explanations(vehicle, list(impossible), size=2)
+    pairs = find_explanations(vehicle, list(impossible), size=2)
     others = ["-".join(pair) for pair in pairs if not single & {*pair}]
     allowed = ["-".join(pattern) for pattern in health["allowed"]]
     verdicts = health["noise"]
@@ -227,7 +227,7 @@ def rows(r: Phases) -> list[Row]:
     at_rest = sorted(sorted(map(str, pattern)) for pattern in paper["lit_patterns_at_rest"])
     missed = {*map(frozenset, at_rest)} - {*map(frozenset, impossible)}
     # whether turning panel 1 to the Sun was a risk: samples that only its loss explains
-    panel_1 = sum(n for p, n in impossible.items() if explanations(vehicle, [p]) == [("1",)])
+    panel_1 = sum(n for p, n in impossible.items() if find_explanations(vehicle, [p]) == [("1",)])
     patterns: dict[str, Any] = {"published": at_rest, "agrees": not missed}
     lost: dict[str, Any] = {"published": [["1"]], "agrees": explained == [["1"]]}
     result += [

@@ -48,7 +48,7 @@ from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.synthetic import Truth, synthetic_telemetry
 from sunspin.telemetry.synthetic import (
     csv_text,
-    drawn_tilts,
+    draw_tilts,
     generator,
     noisy_power,
     on_time_grid,
@@ -57,7 +57,7 @@ from sunspin.telemetry.synthetic import (
     write_new,
 )
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma
 
 CELL_W = 0.02
 """Power of one cell at normal incidence at 2.99 AU: chosen, not measured."""
@@ -174,7 +174,7 @@ def philae_twin(
     """
     case = load_case("philae")
     vehicle, timeline = case.vehicle, case.require_timeline()
-    own, common = stated_sigma(vehicle)
+    own, common = misalignment_sigma(vehicle)
     own = own if tilt_rad is None else tilt_rad
     common = common if turned_rad is None else turned_rad
     tilt = panel_turns(vehicle, own, common, generator(seed, 7))
@@ -222,7 +222,7 @@ def panel_turns(
     """Turns (n_panel, 3) in rad of the panels: each its own, and one of all; None where neither is asked for."""
     if not (np.any(tilt_rad) or turned_rad):
         return None
-    return turned_rad * rng.standard_normal(3) + drawn_tilts(vehicle, tilt_rad, rng)
+    return turned_rad * rng.standard_normal(3) + draw_tilts(vehicle, tilt_rad, rng)
 
 
 def drawn_panels(
@@ -230,7 +230,7 @@ def drawn_panels(
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Turns (n_panel, 3) of the panels, drawn with the sigmas of the vehicle's file (None where it has none), and the direction (3)
     behind what they show; drawn again where no Sun makes them show it."""
-    sigmas = stated_sigma(vehicle)
+    sigmas = misalignment_sigma(vehicle)
     for _ in range(MAX_DRAWS):
         tilt = panel_turns(vehicle, *sigmas, rng)
         if tilt is None:
@@ -248,7 +248,7 @@ def behind(vehicle: Vehicle, shown_B: np.ndarray, tilt: np.ndarray) -> np.ndarra
     turned = response.slopes(shown_B, tilt=tilt)
     # power is linear in the direction while the same panels are lit
     rows = turned.to_sun + turned.power[:, None] * shown_B
-    drawn = np.where(lit, response.under(shown_B)[1], 0.0)
+    drawn = np.where(lit, response.light_power(shown_B)[1], 0.0)
     sun = np.linalg.solve(np.linalg.pinv(drawn) @ np.where(lit, rows, 0.0), shown_B)
     sun /= np.linalg.norm(sun)
     if not np.array_equal(response.power(sun, tilt=tilt) > 0, lit[:, 0]):
@@ -272,7 +272,9 @@ def noisy_readings(
     direction.
     """
     power = noisy_power(vehicle, exact, sigma, rng)
-    rows = np.where((exact[first] > 0)[:, None], vehicle.response_in().under(sun_B[first])[1], 0.0)
+    rows = np.where(
+        (exact[first] > 0)[:, None], vehicle.response_in().light_power(sun_B[first])[1], 0.0
+    )
     noise = power[first] - exact[first]
     power[first] = exact[first] + noise - rows @ (np.linalg.pinv(rows) @ noise)
     return power

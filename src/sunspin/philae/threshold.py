@@ -23,7 +23,7 @@ from tqdm import tqdm
 from sunspin.base import atomic_write
 from sunspin.base.errors import InputError, TelemetryError
 from sunspin.cases import Case
-from sunspin.compute.identity import fingerprint, plain
+from sunspin.compute.identity import fingerprint, to_json
 from sunspin.compute.pool import worker_count
 from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
@@ -32,7 +32,7 @@ from sunspin.estimate.scan.window import target_weights
 from sunspin.philae import rebound as rb
 from sunspin.philae.telemetry import drawn_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
-from sunspin.vehicle.response.panels import brightness, stated_sigma
+from sunspin.vehicle.response.panels import brightness, misalignment_sigma
 
 CONFIDENCE = 0.9
 """Probability that a calibrated set holds the truth, where nobody asks for another."""
@@ -120,7 +120,7 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
         {
             "study": "threshold of a level set, truths even in the scanned box",
             "vehicle": rb.moving_and_seeing(vehicle),
-            "panel_sigmas": plain(stated_sigma(vehicle)),
+            "panel_sigmas": to_json(misalignment_sigma(vehicle)),
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(),
             "directions": rebound.z.size,
             "noise": float(sun["noise"]),
@@ -131,7 +131,7 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
             "lead_s": round(rebound.lead_s, 3),
             "target_weights": None if rebound.weights is None else weights,
             "axes": [np.round(axis, 6).tolist() for axis in axes],
-            "mask": plain(rb.counted(rebound.case)),
+            "mask": to_json(rb.counted(rebound.case)),
             "bins": BINS,
             "emd_error": k.EMD_ERROR,
             "alike": ALIKE,
@@ -284,4 +284,4 @@ def write(calibration: Calibration, path: Path) -> None:
     for name in ("ratio", "emd_min", "directions"):
         data[name] = [float(f"{x:.6g}") for x in getattr(calibration, name)]
     text = json.dumps(data) + "\n"
-    atomic_write.write_whole(path, lambda part: part.write_text(text, "utf-8"))
+    atomic_write.write_atomically(path, lambda part: part.write_text(text, "utf-8"))

@@ -1,1 +1,1 @@
-"""Mathematics only: least squares for many problems at once, rotations. Knows nothing of spacecraft."""
+"""Mathematics without spacecraft: rotations, and least squares for many problems at once."""

@@ -1,10 +1,12 @@
-"""Damped least squares on many problems at once, each with its own damping and its own stop.
+"""Damped least squares for many problems at once, each with its own damping and stopping.
 
-Levenberg's and Marquardt's method (Marquardt 1963, J. Soc. Indust. Appl. Math. 11, 431): a step solves the normal equations with
-something added to their diagonal; a step that lowers the cost is taken and the damping falls, any other is dropped and the damping
-grows. The caller linearises, derivatives included, and moves a state by a step, on whatever manifold it lives; the linear solver is
-:func:`sunspin.solve.linear.dense`, :func:`sunspin.solve.linear.bordered` or the caller's. What is decided about a problem depends
-on that problem alone.
+Levenberg-Marquardt (Marquardt 1963, J. Soc. Indust. Appl. Math. 11, 431): a step solves the normal equations with a damping
+term on their diagonal. If the step lowers the cost, it is taken and the damping decreases; else it is dropped and the damping
+increases.
+
+The caller linearises a state, with derivatives, and moves it by a step on its own manifold. The linear solver is
+:func:`sunspin.solve.linear.solve_dense`, :func:`sunspin.solve.linear.solve_bordered` or the caller's. The result of a problem
+does not depend on the others in the batch.
 """
 
 from __future__ import annotations
@@ -15,32 +17,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-FIRST, LESS, MORE = 1e-3, 0.2, 8.0
-"""Damping of a first step; by what it is multiplied after a step that lowered the cost, and after one that did not."""
+FIRST_DAMPING, DAMPING_DECREASE, DAMPING_INCREASE = 1e-3, 0.2, 8.0
+"""Damping of the first step, and its factors after a step that lowered the cost and one that did not."""
 
-FULL, MOST = 0.1, 1e6
-"""A small gain is promised in earnest only where the damping is below the first; above the second, no step lowers the cost."""
+CONVERGED_DAMPING, MAX_DAMPING = 0.1, 1e6
+"""A small predicted gain ends a problem only below the first damping; above the second no step lowers the cost."""
 
 TOLERANCE = 1e-4
-"""A step that promises a smaller gain in cost is the last. Where the cost is minus the logarithm of a density, that is 0.014 sigma.
-What a step did gain says less: in a bent valley many small gains follow each other."""
+"""Predicted gain in cost below which a step is the last: 0.014 sigma if the cost is a negative log density.
+The achieved gain is no criterion: along a curved valley many small gains follow each other."""
 
 
 class Stop(IntEnum):
-    """Why a problem stopped."""
+    """Reason why a problem stopped."""
 
-    STEPS = 0
-    """It did not: the steps ran out."""
-    ARRIVED = 1
-    """Its last step promised to gain less than the tolerance."""
-    STUCK = 2
+    STEP_LIMIT = 0
+    """Not converged within the allowed number of steps."""
+    CONVERGED = 1
+    """The predicted gain of its last step was below the tolerance."""
+    NO_DESCENT = 2
     """No step lowers its cost, however short."""
-    LOST = 3
+    INVALID_START = 3
     """Its start has no finite cost."""
 
 
 class Solution(NamedTuple):
-    """`state` and `system` as the caller gives them, at the lowest cost that was met; `stop` (K): why each problem stopped."""
+    """State and system of each problem at its lowest cost, in the form given by the caller, and the reason to `stop` (K)."""
 
     state: Any
     system: Any
@@ -57,130 +59,135 @@ def least_squares(
     tolerance: float = TOLERANCE,
     system: Any = None,
     limit: Callable[[Any], Any] | None = None,
-    longest: Callable[[Any, Any], np.ndarray] | None = None,
+    length_ratio: Callable[[Any, Any], np.ndarray] | None = None,
     carry: Callable[[Any, Any], Any] | None = None,
 ) -> Solution:
-    """The nearest minima of K costs.
+    """Return a local minimum of each of K costs, by damped Gauss-Newton steps from given starts.
 
-    States, systems and steps are arrays whose first axis is the problem, or (named) tuples of such, or None. Functions are called
-    with those problems that still go on, and must not change what they are given: what a problem has of its own (its readings, say)
-    belongs into its state.
+    States, systems and steps are arrays whose first axis is the problem, or (named) tuples of such arrays, or None. The
+    functions below are called with the problems that are still running only, and must not change their arguments. Data of a
+    single problem, such as its readings, therefore belong in its state.
 
     Parameters
     ----------
     linearise : state -> system
-        Costs and normal equations; `system.cost` (K) is read here, the rest by the solver. A cost that is not finite refuses the
-        state.
+        Costs and normal equations. `system.cost` (K) is read here, the rest by the solver. A state whose cost is not finite is
+        rejected.
     retract : (state, step) -> state
         The state moved by a step.
     solver : (system, damping) -> (step, gain)
-        Steps under damping (K), and by how much they lower the cost (K) where it is quadratic. A step that is not finite is not
-        taken.
+        Steps under damping (K), and the decrease of the cost (K) predicted by its quadratic model. A step that is not finite is
+        rejected.
     state
         Starts.
     steps : int
-        Trials of a problem, at most.
+        Largest number of trial steps of a problem.
     tolerance : float
-        A problem ends with a step that promises to gain less, in the unit of its cost.
+        A problem ends with a step whose predicted gain is smaller, in the unit of its cost.
     system : optional
-        The starts linearised, if the caller has that.
+        The linearised starts, if the caller has them.
     limit : state -> state, optional
-        Draws a trial state back to what is allowed.
-    longest : (state, step) -> (K), optional
-        How many times too long a step is; those that are get shortened as a whole.
+        Projects a trial state onto the allowed states.
+    length_ratio : (state, step) -> (K), optional
+        Ratio of the length of a step to the longest allowed; a step with a ratio above one is shortened as a whole.
     carry : (state, system) -> state, optional
-        A trial state with what it takes over from its own system, such as derivatives that steps correct.
+        Copies into a trial state what it keeps of its own system, such as derivatives that later steps update.
 
     Returns
     -------
     Solution
     """
     system = linearise(state) if system is None else system
-    damping = np.full(len(system.cost), FIRST)
-    going, stop = np.isfinite(system.cost), np.full(len(system.cost), Stop.STEPS)
-    stop[~going] = Stop.LOST
+    damping = np.full(len(system.cost), FIRST_DAMPING)
+    running, stop = np.isfinite(system.cost), np.full(len(system.cost), Stop.STEP_LIMIT)
+    stop[~running] = Stop.INVALID_START
     for _ in range(steps):
-        on = np.flatnonzero(going)
-        if not len(on):
+        active = np.flatnonzero(running)
+        if not len(active):
             break
-        here, there = _some(state, on), _some(system, on)
-        step, gain = solver(there, damping[on])
-        step, fine = _finite(step)
-        if longest is not None:
-            times = np.maximum(longest(here, step), 1.0)
-            step = _map(lambda part, by: part / _as_column(by, part), step, times)
-        trial = retract(here, step)
+        active_state, active_system = _take_sorted(state, active), _take_sorted(system, active)
+        step, gain = solver(active_system, damping[active])
+        step, finite = _zero_if_not_finite(step)
+        if length_ratio is not None:
+            times = np.maximum(length_ratio(active_state, step), 1.0)
+            step = _map_arrays(lambda part, by: part / _as_column(by, part), step, times)
+        trial = retract(active_state, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
         trial = trial if carry is None else carry(trial, new)
-        better = fine & np.isfinite(new.cost) & (new.cost < there.cost)
-        arrived = fine & (gain < tolerance) & (damping[on] <= FULL)
-        damping[on] *= np.where(better, LESS, MORE)
-        stuck = ~better & (damping[on] > MOST)
-        stop[on[arrived]], stop[on[stuck]] = Stop.ARRIVED, Stop.STUCK
-        going[on] = ~(arrived | stuck)
+        better = finite & np.isfinite(new.cost) & (new.cost < active_system.cost)
+        # under strong damping a predicted gain is small because the step is short
+        converged = finite & (gain < tolerance) & (damping[active] <= CONVERGED_DAMPING)
+        damping[active] *= np.where(better, DAMPING_DECREASE, DAMPING_INCREASE)
+        no_descent = ~better & (damping[active] > MAX_DAMPING)
+        stop[active[converged]], stop[active[no_descent]] = Stop.CONVERGED, Stop.NO_DESCENT
+        running[active] = ~(converged | no_descent)
         state, system = (
-            _put(old, on[better], _some(got, np.flatnonzero(better)))
-            for old, got in ((state, trial), (system, new))
+            _replace_problems(old, active[better], _take_sorted(moved, np.flatnonzero(better)))
+            for old, moved in ((state, trial), (system, new))
         )
     return Solution(state, system, stop)
 
 
-def shortened(vector: np.ndarray, limit: float) -> np.ndarray:
-    """Vectors (..., d) no longer than `limit`, as a limit of states."""
+def limit_length(vector: np.ndarray, limit: float) -> np.ndarray:
+    """Return vectors (..., d), those longer than `limit` shortened to it; for use as the argument `limit` of states."""
     size = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector * np.minimum(1.0, limit / np.maximum(size, 1e-300))
 
 
-def take(tree: Any, rows: np.ndarray) -> Any:
-    """Some problems of states, systems or steps."""
-    return _map(lambda part: part[rows], tree)
+def take_problems(tree: Any, rows: np.ndarray) -> Any:
+    """Return some problems (rows) of states, systems or steps."""
+    return _map_arrays(lambda part: part[rows], tree)
 
 
-def _leaves(tree: Any) -> Iterator[np.ndarray]:
+def _arrays(tree: Any) -> Iterator[np.ndarray]:
+    """Yield the arrays of a state, system or step."""
     if isinstance(tree, tuple):
         for part in tree:
-            yield from _leaves(part)
+            yield from _arrays(part)
     elif tree is not None:
         yield tree
 
 
-def _map(function: Callable[..., Any], tree: Any, *more: Any) -> Any:
-    """A function on each array of a tree; `more` are handed on."""
+def _map_arrays(function: Callable[..., Any], tree: Any, *arguments: Any) -> Any:
+    """Apply a function to each array of a (nested) tuple of arrays; further arguments are passed on."""
     if tree is None:
         return None
     if not isinstance(tree, tuple):
-        return function(tree, *more)
-    parts = [_map(function, part, *more) for part in tree]
+        return function(tree, *arguments)
+    parts = [_map_arrays(function, part, *arguments) for part in tree]
     return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
 
 
-def _some(tree: Any, rows: np.ndarray) -> Any:
-    """The same for rising rows, without a copy where they are all."""
-    return _map(lambda part: part if len(rows) == len(part) else part[rows], tree)
+def _take_sorted(tree: Any, rows: np.ndarray) -> Any:
+    """Return the problems `rows`, which are in increasing order, without a copy if these are all problems."""
+    return _map_arrays(lambda part: part if len(rows) == len(part) else part[rows], tree)
 
 
-def _put(tree: Any, rows: np.ndarray, other: Any) -> Any:
-    """The tree with some rows replaced; nothing that was handed in is changed."""
+def _replace_problems(tree: Any, rows: np.ndarray, new: Any) -> Any:
+    """Return a copy in which the problems `rows` have the values of `new`."""
     if isinstance(tree, tuple):
-        parts = [_put(part, rows, value) for part, value in zip(tree, other, strict=True)]
+        parts = [
+            _replace_problems(part, rows, value) for part, value in zip(tree, new, strict=True)
+        ]
         return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
     if tree is None or len(rows) == len(tree):
-        return other
-    whole = np.array(tree)
-    whole[rows] = other
-    return whole
+        return new
+    replaced = np.array(tree)
+    replaced[rows] = new
+    return replaced
 
 
 def _as_column(values: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """Return values (K) with trailing axes of length one, to be broadcast against `like` (K, ...)."""
     return values.reshape(-1, *(1,) * (like.ndim - 1))
 
 
-def _finite(step: Any) -> tuple[Any, np.ndarray]:
-    """Steps with zero in place of those that are not finite, and which are (K)."""
-    fine = np.logical_and.reduce(
-        [np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _leaves(step)]
+def _zero_if_not_finite(step: Any) -> tuple[Any, np.ndarray]:
+    """Return steps with zero for those that are not finite, and which are finite (K)."""
+    finite = np.logical_and.reduce(
+        [np.isfinite(part).reshape(len(part), -1).all(axis=1) for part in _arrays(step)]
     )
-    if not fine.all():
-        step = _map(lambda part: np.where(_as_column(fine, part), part, 0.0), step)
-    return step, fine
+    if not finite.all():
+        step = _map_arrays(lambda part: np.where(_as_column(finite, part), part, 0.0), step)
+    return step, finite

@@ -1,7 +1,7 @@
 """Normal equations of many least-squares problems at once, and their solution: dense, or block-tridiagonal with a border.
 
-A problem minimises a cost whose quadratic model about its present state is cost + slope.step + step.matrix.step / 2. One whose
-matrix is singular or contains non-finite numbers gives a step of NaN and leaves the others alone.
+Near its present state the cost of a problem is approximated by cost + slope.step + step.matrix.step / 2. A problem whose matrix
+is singular or not finite gives a step of NaN and does not affect the others.
 """
 
 from __future__ import annotations
@@ -12,44 +12,50 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Dense(NamedTuple):
-    """K problems of D unknowns: `cost` (K), `matrix` (K, D, D), `slope` (K, D); `scale` (K, D) is what one unit of damping adds to
-    the diagonal (None: the diagonal itself); `kept`: arrays (K, ...) of the same state that the caller wants back."""
+class DenseSystem(NamedTuple):
+    """Normal equations of K problems with D unknowns.
+
+    `cost` (K), `matrix` (K, D, D), `slope` (K, D). `scale` (K, D) is added to the diagonal per unit of damping; None: the
+    diagonal of the matrix (Marquardt's choice). `extras` are arrays (K, ...) of the same state that the caller wants back.
+    """
 
     cost: np.ndarray
     matrix: np.ndarray
     slope: np.ndarray
     scale: np.ndarray | None = None
-    kept: tuple[np.ndarray, ...] = ()
+    extras: tuple[np.ndarray, ...] = ()
 
     @classmethod
-    def of(
+    def from_residuals(
         cls, residual: np.ndarray, jacobian: np.ndarray, scale: np.ndarray | None = None
-    ) -> Dense:
-        """Half the sum of squares of residuals (K, R) with the Jacobian (K, R, D)."""
-        turned = np.swapaxes(jacobian, -1, -2)
+    ) -> DenseSystem:
+        """Return the system whose cost is half the sum of squares of residuals (K, R), with their Jacobian (K, R, D)."""
+        transposed = np.swapaxes(jacobian, -1, -2)
         return cls(
             (residual**2).sum(axis=1) / 2,
-            turned @ jacobian,
-            (turned @ residual[..., None])[..., 0],
+            transposed @ jacobian,
+            (transposed @ residual[..., None])[..., 0],
             scale,
         )
 
 
-def dense(system: Dense, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (K, D) under `damping` (K), and what they gain (K) by the quadratic model if the damping is small."""
+def solve_dense(system: DenseSystem, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps (K, D) under `damping` (K), and the decrease of cost (K) that the quadratic model predicts for small damping."""
     scale = np.einsum("kii->ki", system.matrix) if system.scale is None else system.scale
-    step = _each(
-        np.linalg.solve, _damped(system.matrix, damping[:, None] * scale), -system.slope[..., None]
+    step = _nan_if_singular(
+        np.linalg.solve,
+        _add_to_diagonal(system.matrix, damping[:, None] * scale),
+        -system.slope[..., None],
     )[..., 0]
     return step, -(system.slope * step).sum(axis=1) / 2
 
 
-class Bordered(NamedTuple):
-    """K chains of n nodes with b unknowns each, of which neighbours meet, and m unknowns that meet all.
+class BorderedSystem(NamedTuple):
+    """Normal equations of K chains of n nodes with b unknowns each, and m unknowns that all nodes share (the border).
 
-    `cost` (K); `diagonal` (K, n, b, b), `upper` (K, n-1, b, b), `slope` (K, n, b); `scale` (K, b) is what one unit of damping adds
-    to the diagonal of each node; `border` (K, n, b, m), `corner` (K, m, m), `border_slope` (K, m), not damped; None without them.
+    Only neighbouring nodes are coupled. `cost` (K); `diagonal` (K, n, b, b), `upper` (K, n-1, b, b), `slope` (K, n, b); `scale`
+    (K, b) is added to the diagonal of each node per unit of damping. `border` (K, n, b, m), `corner` (K, m, m) and
+    `border_slope` (K, m) are not damped; None without shared unknowns.
     """
 
     cost: np.ndarray
@@ -62,120 +68,139 @@ class Bordered(NamedTuple):
     border_slope: np.ndarray | None = None
 
 
-class Spread(NamedTuple):
-    """What the inverse of the undamped matrix contains: covariances of the nodes (K, n, b, b) and of the border's unknowns
-    (K, m, m), what the nodes change per unit of each of the latter (K, n, b, m), and the logarithm of the determinant (K)."""
+class BorderedInverse(NamedTuple):
+    """Parts of the inverse of an undamped bordered matrix.
+
+    `nodes` (K, n, b, b) and `border` (K, m, m): covariances of the nodes and of the shared unknowns. `sensitivity` (K, n, b,
+    m): change of the nodes per unit of each shared unknown. `log_determinant` (K): of the matrix.
+    """
 
     nodes: np.ndarray
     border: np.ndarray
-    answer: np.ndarray
-    log_size: np.ndarray
+    sensitivity: np.ndarray
+    log_determinant: np.ndarray
 
 
-def bordered(
-    system: Bordered, damping: np.ndarray
+def solve_bordered(
+    system: BorderedSystem, damping: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray | None], np.ndarray]:
-    """Steps of the nodes (K, n, b) and of the border's unknowns (K, m) under `damping` (K), and what they gain (K) by the quadratic
-    model if the damping is small."""
-    diagonal = _damped(system.diagonal, (damping[:, None] * system.scale)[:, None])
-    factors = _factors(diagonal, system.upper)
+    """Return steps under `damping` (K), and the decrease of cost (K) that the quadratic model predicts for small damping.
+
+    The steps are those of the nodes (K, n, b) and of the shared unknowns (K, m), None without these.
+    """
+    diagonal = _add_to_diagonal(system.diagonal, (damping[:, None] * system.scale)[:, None])
+    factors = _factorise(diagonal, system.upper)
     if system.border is None:
-        change, step = -_substituted(factors, system.slope[..., None])[..., 0], None
+        change, step = -_substitute(factors, system.slope[..., None])[..., 0], None
     else:
-        change, step, _, _ = _with_border(factors, system)
+        change, step, _, _ = _solve_with_border(factors, system)
+    # at the minimum of the quadratic model the cost is lower by -slope.step / 2
     gain = -(system.slope * change).reshape(len(change), -1).sum(axis=1) / 2
     return (change, step), gain if step is None else gain - (system.border_slope * step).sum(
         axis=1
     ) / 2
 
 
-def spread(system: Bordered) -> Spread:
-    """Covariances and determinant of the undamped equations."""
-    factors = _factors(system.diagonal, system.upper)
-    nodes, size = _covariances(factors), np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
+def invert_bordered(system: BorderedSystem) -> BorderedInverse:
+    """Return the covariances and the determinant of the undamped equations."""
+    factors = _factorise(system.diagonal, system.upper)
+    nodes = _diagonal_of_inverse(factors)
+    log_determinant = np.linalg.slogdet(factors.pivots)[1].sum(axis=1)
     if system.border is None:
         k, n, b = system.slope.shape
-        return Spread(nodes, np.zeros((k, 0, 0)), np.zeros((k, n, b, 0)), size)
-    _, _, answer, schur = _with_border(factors, system)
-    border = _each(np.linalg.inv, schur)
-    nodes = nodes + answer @ border[:, None] @ np.swapaxes(answer, -1, -2)
-    return Spread(nodes, border, answer, size + np.linalg.slogdet(schur)[1])
+        return BorderedInverse(nodes, np.zeros((k, 0, 0)), np.zeros((k, n, b, 0)), log_determinant)
+    _, _, sensitivity, schur = _solve_with_border(factors, system)
+    border = _nan_if_singular(np.linalg.inv, schur)
+    nodes = nodes + sensitivity @ border[:, None] @ np.swapaxes(sensitivity, -1, -2)
+    return BorderedInverse(
+        nodes, border, sensitivity, log_determinant + np.linalg.slogdet(schur)[1]
+    )
 
 
 class _Factors(NamedTuple):
-    """Block elimination from the first node on: pivots (K, n, b, b), their inverses, and pivot^-1 upper (K, n-1, b, b)."""
+    """Block LU factors, eliminated from the first node on.
+
+    `pivots` (K, n, b, b), their `inverse`, and `gain` = pivot^-1 upper (K, n-1, b, b).
+    """
 
     pivots: np.ndarray
     inverse: np.ndarray
     gain: np.ndarray
 
 
-def _factors(diagonal: np.ndarray, upper: np.ndarray) -> _Factors:
+def _factorise(diagonal: np.ndarray, upper: np.ndarray) -> _Factors:
+    """Return the factors of block-tridiagonal matrices; their lower blocks are the transposed upper ones."""
     pivots, gain = diagonal.copy(), np.zeros_like(upper)
     for i in range(upper.shape[1]):
-        gain[:, i] = _each(np.linalg.solve, pivots[:, i], upper[:, i])
+        gain[:, i] = _nan_if_singular(np.linalg.solve, pivots[:, i], upper[:, i])
         pivots[:, i + 1] -= np.swapaxes(upper[:, i], -1, -2) @ gain[:, i]
-    return _Factors(pivots, _each(np.linalg.inv, pivots), gain)
+    return _Factors(pivots, _nan_if_singular(np.linalg.inv, pivots), gain)
 
 
-def _substituted(factors: _Factors, right: np.ndarray) -> np.ndarray:
-    """Solutions (K, n, b, r) for right-hand sides of that shape."""
+def _substitute(factors: _Factors, right: np.ndarray) -> np.ndarray:
+    """Return the solutions (K, n, b, r) for r right-hand sides (K, n, b, r), by forward and backward substitution."""
     right = right.copy()
-    turned = np.swapaxes(factors.gain, -1, -2)
+    gain_T = np.swapaxes(factors.gain, -1, -2)
     for i in range(right.shape[1] - 1):
-        right[:, i + 1] -= turned[:, i] @ right[:, i]
+        right[:, i + 1] -= gain_T[:, i] @ right[:, i]
     right = factors.inverse @ right
     for i in range(right.shape[1] - 2, -1, -1):
         right[:, i] -= factors.gain[:, i] @ right[:, i + 1]
     return right
 
 
-def _covariances(factors: _Factors) -> np.ndarray:
-    """Blocks (K, n, b, b) on the diagonal of the inverse."""
-    covariance, turned = factors.inverse.copy(), np.swapaxes(factors.gain, -1, -2)
+def _diagonal_of_inverse(factors: _Factors) -> np.ndarray:
+    """Return the diagonal blocks (K, n, b, b) of the inverse, by recursion from the last node."""
+    covariance, gain_T = factors.inverse.copy(), np.swapaxes(factors.gain, -1, -2)
     for i in range(covariance.shape[1] - 2, -1, -1):
-        covariance[:, i] += factors.gain[:, i] @ covariance[:, i + 1] @ turned[:, i]
+        covariance[:, i] += factors.gain[:, i] @ covariance[:, i + 1] @ gain_T[:, i]
     return covariance
 
 
-def _with_border(factors: _Factors, system: Bordered) -> tuple[np.ndarray, ...]:
-    """Steps of nodes and border, what the nodes change per unit of the border's unknowns, and the Schur complement (K, m, m)."""
+def _solve_with_border(factors: _Factors, system: BorderedSystem) -> tuple[np.ndarray, ...]:
+    """Return the steps of nodes and shared unknowns, the nodes' sensitivity to these, and the Schur complement (K, m, m)."""
     assert system.border is not None
     assert system.corner is not None and system.border_slope is not None
-    # all at once: the loop over nodes is what costs
+    # one substitution for slope and border: the loop over the nodes takes the time
     right = -np.concatenate([system.slope[..., None], system.border], axis=-1)
-    both = _substituted(factors, right)
-    change, answer = both[..., 0], both[..., 1:]
+    solution = _substitute(factors, right)
+    change, sensitivity = solution[..., 0], solution[..., 1:]
     k, n, b, m = system.border.shape
-    dot = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ both.reshape(k, n * b, 1 + m)
+    dot = np.swapaxes(system.border.reshape(k, n * b, m), -1, -2) @ solution.reshape(
+        k, n * b, 1 + m
+    )
     schur, downhill = system.corner + dot[..., 1:], system.border_slope[..., None] + dot[..., :1]
-    step = _each(np.linalg.solve, schur, -downhill)[..., 0]
-    return change + (answer @ step[:, None, :, None])[..., 0], step, answer, schur
+    step = _nan_if_singular(np.linalg.solve, schur, -downhill)[..., 0]
+    return change + (sensitivity @ step[:, None, :, None])[..., 0], step, sensitivity, schur
 
 
-def _damped(matrix: np.ndarray, more: np.ndarray) -> np.ndarray:
-    """A copy with `more` added to the diagonals."""
-    matrix, each = matrix.copy(), np.arange(matrix.shape[-1])
-    matrix[..., each, each] += more
+def _add_to_diagonal(matrix: np.ndarray, addend: np.ndarray) -> np.ndarray:
+    """Return a copy of matrices (..., d, d) with `addend` (..., d) added to their diagonals."""
+    matrix, index = matrix.copy(), np.arange(matrix.shape[-1])
+    matrix[..., index, index] += addend
     return matrix
 
 
-def _each(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
-    """A function of linear algebra on stacks of matrices, with NaN where one of them is singular."""
+def _nan_if_singular(function: Callable[..., Any], *stacks: np.ndarray) -> np.ndarray:
+    """Apply a function of NumPy's linear algebra to stacks of matrices; singular ones give NaN.
+
+    NumPy raises LinAlgError for a whole stack if one of its matrices is singular; then the function is applied to each matrix.
+    """
     try:
         return function(*stacks)
     except np.linalg.LinAlgError:
         if stacks[0].ndim == 2:
             return np.full_like(stacks[-1], np.nan)
-        return np.stack([_each(function, *each) for each in zip(*stacks, strict=True)])
+        return np.stack(
+            [_nan_if_singular(function, *matrices) for matrices in zip(*stacks, strict=True)]
+        )
 
 
 def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest eigenvalue (...) of symmetric matrices (..., 3, 3), in closed form: many times as fast as LAPACK's.
+    """Return the smallest and the largest eigenvalue (...) of symmetric matrices (..., 3, 3), in closed form.
 
-    Good to 1e-8 of the largest where two are nearly alike, else to rounding.
-
-    The roots of the cubic are trigonometric: O. K. Smith, Comm. ACM 4 (1961), 168.
+    Several times as fast as LAPACK. Accurate to rounding, or to 1e-8 of the largest eigenvalue if two are nearly equal. The
+    roots of the cubic are trigonometric: O. K. Smith, Comm. ACM 4 (1961), 168.
     """
     a, b, c = (matrix[..., k, k] for k in range(3))
     f, e, d = matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2]
@@ -189,8 +214,10 @@ def extreme_eigenvalues(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
-    """The inverse of symmetric matrices (..., 3, 3) as (xx, xy, xz, yy, yz, zz) (..., 6), by cofactors: many times as fast as
-    LAPACK's, and good to rounding times the ratio of the eigenvalues."""
+    """Return the inverses of symmetric matrices (..., 3, 3) as (xx, xy, xz, yy, yz, zz) (..., 6), by cofactors.
+
+    Several times as fast as LAPACK. The relative error is rounding times the ratio of the eigenvalues.
+    """
     a, b, c = (matrix[..., k, k] for k in range(3))
     f, e, d = matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2]
     xx, xy, xz = b * c - d * d, e * d - c * f, f * d - b * e
@@ -199,7 +226,7 @@ def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 def symmetric_product(elements: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Symmetric matrices, given as (xx, xy, xz, yy, yz, zz) (..., 6), times vectors (..., 3)."""
+    """Multiply symmetric matrices, given as (xx, xy, xz, yy, yz, zz) (..., 6), by vectors (..., 3)."""
     xx, xy, xz, yy, yz, zz = np.moveaxis(elements, -1, 0)
     x, y, z = np.moveaxis(vector, -1, 0)
     return np.stack(

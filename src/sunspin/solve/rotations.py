@@ -1,6 +1,8 @@
-"""Rotations of many vectors and attitudes; attitudes are matrices B_from_N, turns rotation vectors of the body.
+"""Rotations of many vectors and attitudes at once.
 
-`turn` and `turn_between` are those of SciPy, without what that checks each time: of few attitudes it takes five times as long.
+Attitudes are matrices B_from_N (body from reference frame). Rotations of the body are rotation vectors in body axes B (rad).
+`rotate_attitude` and `rotation_between` give the results of SciPy's `Rotation` without its checks, which take most of the time
+for small batches (a factor of five).
 """
 
 from __future__ import annotations
@@ -18,28 +20,32 @@ else:
 
 
 def cross_matrix(v: np.ndarray) -> np.ndarray:
-    """[v]x (..., 3, 3): [v]x b = v x b."""
+    """Return the matrices [v]x (..., 3, 3) with [v]x b = v x b."""
     matrix = np.zeros((*v.shape, 3))
     for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         matrix[..., i, j], matrix[..., j, i] = -v[..., k], v[..., k]
     return matrix
 
 
-def turn(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
-    """Attitudes (..., 3, 3), B_from_N, turned by small or large rotation vectors (..., 3) of the body, in body axes."""
+def rotate_attitude(matrix: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
+    """Return attitudes B_from_N (..., 3, 3) after the body has rotated by `angle_B` (..., 3), a rotation vector of any size.
+
+    The matrix exp(-[angle]x) multiplies from the left: a rotation of the body rotates components in B the opposite way.
+    """
     square = np.einsum("...i,...i->...", angle_B, angle_B)[..., None, None]
     size = np.sqrt(square)
-    bend = np.sinc(size / (2 * np.pi)) ** 2 / 2  # (1 - cos) / square
-    around = bend * (angle_B[..., :, None] * angle_B[..., None, :])
+    versine = np.sinc(size / (2 * np.pi)) ** 2 / 2  # (1 - cos(size)) / size^2, finite at zero
+    outer = versine * (angle_B[..., :, None] * angle_B[..., None, :])
     return (
-        (1 - bend * square) * np.eye(3) - np.sinc(size / np.pi) * cross_matrix(angle_B) + around
+        (1 - versine * square) * np.eye(3) - np.sinc(size / np.pi) * cross_matrix(angle_B) + outer
     ) @ matrix
 
 
-def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) of the body that :func:`turn` needs to go from attitude `start` to `end`."""
+def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (..., 3) in B by which :func:`rotate_attitude` takes attitude `start` to `end`."""
     m = end @ np.swapaxes(start, -1, -2)
-    # four times the products of the quaternion's elements, of which the row of the largest is the quaternion (Shepperd)
+    # four times the products q_i q_j of the quaternion's elements; the row with the largest diagonal element is
+    # proportional to the quaternion and loses no digits (Shepperd 1978)
     products = np.empty((*m.shape[:-2], 4, 4))
     products[..., :3, :3] = m + np.swapaxes(m, -1, -2)
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
@@ -57,8 +63,8 @@ def turn_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return q[..., :3] * np.where(sine > 0, angle / np.where(sine > 0, sine, 1.0), 0.0)
 
 
-def matrix_of(quaternion: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of quaternions (..., 4), the scalar last, of any length."""
+def matrix_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """Return the matrices (..., 3, 3) of quaternions (..., 4), scalar last, of any length."""
     v, w = quaternion[..., :3], quaternion[..., 3, None, None]
     square = np.einsum("...i,...i->...", v, v)[..., None, None]
     matrix = (w * w - square) * np.eye(3) + 2 * (
@@ -67,22 +73,26 @@ def matrix_of(quaternion: np.ndarray) -> np.ndarray:
     return matrix / (w * w + square)
 
 
-def continuous(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Unit quaternions (n, 4), scalar last, of the same rotations, without a change of sign between neighbours of the same `part`
-    (n): whoever interpolates their components must not pass through zero. Each part begins with a scalar of zero or more."""
+def without_sign_jumps(quaternion: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return unit quaternions (n, 4) of the same rotations, without sign jumps within a part.
+
+    The scalar is last. q and -q are the same rotation, but interpolation between them passes through zero. `part` (n) is
+    constant within a part. Each part begins with a scalar of zero or more.
+    """
     if not len(quaternion):
         return quaternion
     same = part[1:] == part[:-1]
-    against = same & (np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0)
-    sign = np.cumprod(np.append(1.0, np.where(against, -1.0, 1.0)))
+    opposite = same & (np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0)
+    sign = np.cumprod(np.append(1.0, np.where(opposite, -1.0, 1.0)))
+    # index of the first sample of each part
     begin = np.maximum.accumulate(np.append(0, np.where(same, 0, np.arange(1, len(quaternion)))))
     return (
         quaternion * (sign * sign[begin] * np.where(quaternion[begin, 3] < 0, -1.0, 1.0))[:, None]
     )
 
 
-def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
-    """Components (..., 3) in body axes of vectors (..., 3) fixed in space after the body has turned by `angle_B` (..., 3)."""
+def components_after_rotation(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
+    """Return body-axis components (..., 3) of space-fixed vectors (..., 3) after the body has rotated by `angle_B` (..., 3)."""
     shape = np.broadcast_shapes(vector.shape, angle_B.shape)
     flat = np.array(np.broadcast_to(vector, shape)).reshape(-1, 3)
     return (
@@ -92,31 +102,32 @@ def seen_turned(vector: np.ndarray, angle_B: np.ndarray) -> np.ndarray:
     )
 
 
-def smallest_turn(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """x (n, 3) under the smallest rotation that takes the unit vectors a to b."""
+def rotate_by_smallest(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return vectors x (n, 3) after the smallest rotation that takes the unit vectors a (n, 3) to b (n, 3)."""
     v, c = cross(a, b), np.sum(a * b, axis=1, keepdims=True)
     return x + cross(v, x) + cross(v, cross(v, x)) / np.maximum(1 + c, 1e-9)
 
 
-def tangents(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (n, 3) that make a right-handed frame with each direction (n, 3)."""
-    other = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = cross(unit, other)
+def tangent_basis(unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors (n, 3) that form a right-handed frame with each direction (n, 3)."""
+    # the x axis, or the y axis for directions near x
+    helper = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = cross(unit, helper)
     first = first / np.linalg.norm(first, axis=1, keepdims=True)
     return first, cross(unit, first)
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """NumPy's `cross` of vectors (..., 3), bit by bit; for few of them it takes several times as long."""
+    """Return the cross products of vectors (..., 3), bit by bit those of NumPy, which takes several times as long for few."""
     out = np.empty(a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape))
     for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
     return out
 
 
-def moved(unit: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Directions (n, 3) moved along great circles by tangent vectors (n, 2) in the frame of `tangents`."""
-    e1, e2 = tangents(unit)
+def move_on_sphere(unit: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return directions (n, 3) moved along great circles by tangent vectors (n, 2) in the frame of `tangent_basis`."""
+    e1, e2 = tangent_basis(unit)
     angle = np.linalg.norm(step, axis=1, keepdims=True)
     along = (step[:, :1] * e1 + step[:, 1:] * e2) * np.sinc(angle / np.pi)
     out = np.cos(angle) * unit + along

@@ -1,1 +1,1 @@
-"""What was seen: files, their quality, and the Sun directions that the panels' powers give."""
+"""Telemetry files: reading, quality of the readings, and Sun directions from the power of the panels."""

@@ -1,4 +1,4 @@
-"""What a telemetry file shows by itself: assessed once, then read by every estimator, command and figure."""
+"""Assessment of a telemetry file without a motion model: made once, then read by every estimator, command and figure."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark
 from sunspin.telemetry.quality import (
     DEAD_SAMPLES,
     SURELY_LIT,
-    came_late,
+    find_late_frames,
     judge_readings,
-    known_readings,
-    without_spikes,
+    remove_negative_readings,
+    remove_spikes,
 )
 from sunspin.telemetry.repeats import SENSORS, Repeats, find_repeats
 from sunspin.telemetry.signals import signals
@@ -25,22 +25,21 @@ from sunspin.telemetry.units import WrongUnit, panel_unit, wrong_units
 from sunspin.vehicle import Vehicle
 
 HEALTH_SAMPLES = 3000
-"""Impossible lit patterns are explained on at most this many samples, evenly chosen: a day at 1 Hz must not take minutes."""
+"""Largest number of samples, evenly chosen, that are searched for impossible lit patterns: a day at 1 Hz must not take minutes."""
 
-
-OF_SENSOR = dict.fromkeys(
+DERIVED_FROM = dict.fromkeys(
     ("sun_sensor_cov_B", "sun_sensor_other_B", "sun_sensor_other_cov_B", "sun_sensor_angle"),
     "sun_sensor_B",
 )
-"""Variables of telemetry that follow from another one."""
+"""Variables of telemetry that are computed from another one: name -> name of that one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """A telemetry file and what its readings show. Each property is computed at its first use and kept, so that a command pays for
-    what it reads, and only once. The Datasets must not be changed.
+    """Telemetry of a vehicle and properties of its readings.
 
-    `telemetry` is a Dataset of :func:`sunspin.read_telemetry`, or one with Sun directions in place of panel readings.
+    Each property is computed at its first access and cached, so that a command computes only what it reads. The Datasets must not
+    be changed. `telemetry` is a Dataset of :func:`sunspin.read_telemetry`, or one with Sun directions instead of panel readings.
     """
 
     vehicle: Vehicle
@@ -48,45 +47,47 @@ class Assessment:
 
     @property
     def has_panels(self) -> bool:
-        """Whether the file has readings of panels."""
+        """True if the file has panel readings."""
         return "power_W" in self.telemetry or "current_A" in self.telemetry
 
     @cached_property
     def quality(self) -> xr.Dataset:
-        """Usable or the reason, sigma and brightness factor of each sample; gains, Earth's light, lost panels of the file: the
-        Dataset of :func:`panel_quality`."""
+        """Quality of each reading and sample, with gains, Earth's light and lost panels: the Dataset of :func:`panel_quality`."""
         return judge_readings(self.vehicle, self.telemetry, lambda: self.panel_unit, self.repeats)
 
     @cached_property
     def repeats(self) -> Repeats:
-        """Samples that repeat earlier ones: frozen telemetry, copies of a frame, held values."""
-        usable, value = ~came_late(self.telemetry), None
+        """Samples that repeat earlier ones (frozen telemetry, copies of a frame, held values)."""
+        usable, value = ~find_late_frames(self.telemetry), None
         if self.has_panels:
-            value, _ = known_readings(self.vehicle, signals(self.telemetry))
+            value, _ = remove_negative_readings(self.vehicle, signals(self.telemetry))
             usable &= np.isfinite(value).any(axis=1)
-            value = without_spikes(self.vehicle, value)
+            value = remove_spikes(self.vehicle, value)
         return find_repeats(self.telemetry, value, usable)
 
     @cached_property
     def sensors(self) -> xr.Dataset:
-        """The telemetry without what sensors other than panels repeat: NaN there."""
-        kept = {}
-        for name in (name for name in (*SENSORS, *OF_SENSOR) if name in self.telemetry):
-            repeated = self.repeats.of(OF_SENSOR.get(name, name))
+        """Telemetry in which repeated readings of sensors other than panels are NaN."""
+        masked = {}
+        for name in (name for name in (*SENSORS, *DERIVED_FROM) if name in self.telemetry):
+            repeated = self.repeats.repeated(DERIVED_FROM.get(name, name))
             if repeated.any():
-                kept[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))
-        return self.telemetry.assign(kept) if kept else self.telemetry
+                masked[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))
+        return self.telemetry.assign(masked) if masked else self.telemetry
 
     @cached_property
     def panel_unit(self) -> WrongUnit | None:
-        """The wrong unit of the panels' readings; None if they are in the unit of the vehicle file."""
+        """Wrong unit of the panel readings; None if they agree with the unit of the vehicle file."""
         return panel_unit(self.vehicle, signals(self.telemetry)) if self.has_panels else None
 
     @cached_property
     def noise(self) -> tuple[np.ndarray, str]:
-        """One sigma of a reading of each panel (n_panel), in its unit, and where it comes from: the vehicle file, else readings
-        below zero of the whole file, else assumed; readings that no light explains, and late frames, do not count. :attr:`sun`
-        asks the redundancy of its directions before the latter two."""
+        """Noise of a panel reading, one sigma (n_panel) in its unit, and its origin in words.
+
+        The noise is that of the vehicle file, else it is estimated from readings below zero, else assumed. The estimate leaves out
+        readings that are not light and late frames. :attr:`sun` instead estimates an unstated noise first from the redundancy of
+        its directions.
+        """
         stated, value = self.vehicle.input_noise, signals(self.telemetry)
         if stated is not None:
             return stated, "given"
@@ -97,9 +98,10 @@ class Assessment:
 
     @cached_property
     def lit_threshold(self) -> float | None:
-        """What a reading must exceed to count as lit by the Sun and not by the Earth, in its unit: twice the light on unlit panels.
+        """Reading, in its unit, above which the Sun and not the Earth lights a panel: twice the light on unlit panels.
 
-        None if the vehicle file gives a threshold, too few samples show that light, or it is below six sigma of noise.
+        None if the vehicle file states a threshold, too few readings show the light on unlit panels, or this light is below six
+        sigma of noise.
         """
         if self.vehicle.telemetry.lit_threshold is not None:
             return None
@@ -113,7 +115,7 @@ class Assessment:
 
     @cached_property
     def sun(self) -> xr.Dataset:
-        """Sun directions by the panels, with status and covariance: the Dataset of :func:`sun_directions`."""
+        """Sun directions from the panels, with status and covariance: the Dataset of :func:`sun_directions`."""
         return sun_directions(
             self.vehicle,
             self.telemetry,
@@ -124,20 +126,24 @@ class Assessment:
 
     @property
     def health_stride(self) -> int:
-        """Every how many samples lit patterns are explained."""
+        """Stride of the samples of :attr:`health`: 1 for files of at most `HEALTH_SAMPLES`."""
         return -(-self.telemetry.sizes["time"] // HEALTH_SAMPLES)
 
     @cached_property
     def health(self) -> PanelHealth:
-        """Impossible lit patterns and the panels whose loss would explain them, of every `health_stride`-th sample."""
-        some = self.telemetry.isel(time=slice(None, None, self.health_stride))
-        quality = self.quality.isel(time=slice(None, None, self.health_stride))
-        return panel_health(self.vehicle, some, lit_threshold=self.lit_threshold, quality=quality)
+        """Impossible lit patterns and the panels whose loss would explain them, from every `health_stride`-th sample."""
+        stride = slice(None, None, self.health_stride)
+        samples, quality = self.telemetry.isel(time=stride), self.quality.isel(time=stride)
+        return panel_health(
+            self.vehicle, samples, lit_threshold=self.lit_threshold, quality=quality
+        )
 
     @cached_property
     def still_directions(self) -> list[np.ndarray]:
-        """Unit directions (n, 3), body axes, that keep still in space for minutes: the Sun by each kind of sensor, and the field if
-        the vehicle file states its noise. NaN where nothing is seen."""
+        """Unit vectors (n, 3), body axes, of directions that are fixed in space over minutes; NaN without a reading.
+
+        One array for each of Sun sensors, panels, and magnetometer (only if the vehicle file states its noise).
+        """
         directions = []
         if "sun_sensor_B" in self.telemetry:
             directions.append(self.sensors["sun_sensor_B"].values)
@@ -153,13 +159,13 @@ class Assessment:
 
     @cached_property
     def wrong_units(self) -> list[WrongUnit]:
-        """Every unit that the samples contradict."""
+        """Units of the vehicle file that the samples contradict."""
         panels = [self.panel_unit] if self.panel_unit else []
         return panels + wrong_units(self.vehicle, self.telemetry, lambda: self.still_directions)
 
 
 def assess(vehicle: Vehicle, telemetry: xr.Dataset | Assessment) -> Assessment:
-    """What a telemetry file of a vehicle shows by itself; an assessment of the same vehicle is returned as it is.
+    """Return the assessment of telemetry; an assessment of the same vehicle is returned unchanged.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
-"""Gains of the panels from their readings: in full Sun all samples have one brightness, whichever panels are lit.
+"""Gains of the panels from their readings: in full Sun all samples have the same brightness, for any illumination pattern.
 
-The brightness of a sample is the factor by which its readings exceed the model at the direction that fits them best. Gains that
-are wrong make it depend on the direction; those with which it does not are found by reweighted least squares under a prior about
-the vehicle file's values. In the Earth's light the difference of opposite panels counts: the difference of the light on the two
-sides of a plane is linear in its normal for any source, so that the Earth adds a vector to the Sun's and changes no gain. Where
-the panels do not look all around, an oblique Sun looks like a dim one, and gains are not determined.
+The brightness of a sample is the factor between its readings and the model at the best-fitting direction. Wrong gains make it
+depend on the direction. The gains that make it constant are estimated by reweighted least squares, with a prior around the values
+of the vehicle file.
+
+In the Earth's light, differences of opposite panels are used. For any light source, the difference of the light on the two sides
+of a plane is linear in its normal. The Earth therefore adds a vector to that of the Sun and changes no gain. If the panels do not
+cover all directions, an oblique Sun looks like a dim one, and gains are not determined.
 """
 
 from __future__ import annotations
@@ -18,46 +20,54 @@ from scipy.special import stdtrit  # scipy.stats takes longer to import than a s
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, opposite_panels
 
-PRIOR_SIGMA, UNTOLD_SIGMA = 0.1, 0.02
-"""Relative uncertainty of a gain whose sigma the vehicle file does not state, as a prior: wide enough for a string of cells that
-is dead (with half of it twins with all faults missed by half as much again). And by how much one reading errs beside that where the
-scatter of brightness tells nothing: faces of other temperatures, shadows of edges."""
+PRIOR_SIGMA = 0.1
+"""Relative uncertainty of a gain whose sigma the vehicle file does not state, as a prior of the fit. It is wide enough for a dead
+string of cells: with 0.05 the errors of simulated cases with all faults were half as large again."""
 
-UNKNOWN_SIGMA = 0.2
-"""The same of a gain that is left to the motion to tell (:mod:`sunspin.estimate.rates.common_errors`): no brightness refutes a
-vehicle file whose full scale is wrong by a third, and a wide prior costs little where 40 samples of a motion tell it to a few
-percent."""
+READING_SIGMA = 0.02
+"""Relative error of a reading in addition to that of its gain, if the scatter of brightness is not known: panels have different
+temperatures, and edges cast shadows."""
 
-FEWEST, MOST = 15, 1500
-"""Samples needed; and used, evenly chosen."""
+WIDE_SIGMA = 0.2
+"""Relative uncertainty of a gain that is estimated with the motion (:mod:`sunspin.estimate.rates.common_errors`). The full scale of
+a vehicle file may be wrong by a third without a contradiction in brightness. A wide prior costs little, because 40 samples of a
+motion determine the gain to a few percent."""
+
+FEWEST_SAMPLES, MOST_SAMPLES = 15, 1500
+"""Smallest number of samples for a fit, and largest number used, evenly chosen."""
 
 FREEDOM = 4.0
-"""Of the Student law of brightness: one sample in ten may be none of the Sun's."""
+"""Degrees of freedom of Student's distribution of brightness: about one sample in ten may be an outlier."""
 
 STEPS, STEP = 6, 1e-4
-"""Gauss-Newton steps, and the step of the differences."""
+"""Gauss-Newton iterations, and step of the finite differences in the logarithm of a gain."""
 
 COMMON_SHARE = 0.5
-"""Error that all gains share, as a part of the scatter of brightness: where negative readings are cut to zero the noise of dark
-panels has a mean, which the difference takes from the lit ones (0.3 % at a noise of 0.5 %)."""
+"""Error common to all gains, as a share of the scatter of brightness. If negative readings are cut to zero, the noise of dark
+panels has a mean. The differences subtract it from the lit panels (0.3 % at a noise of 0.5 %)."""
 
 FAINT = 0.03
-"""Earth's light, as a share of full Sun, up to which it is not estimated, as the noise of panels hides it, and up to which gains
-are fitted without differences of opposite panels. These add the noise of dark panels, which is biased where readings are cut at
-zero: the gain of a panel that was seldom lit was off by 3 %."""
+"""Earth's light, as a share of full Sun, up to which it is not estimated, because the noise of the panels hides it. Up to this
+share gains are fitted without differences of opposite panels. The differences add the noise of dark panels, which is biased if
+readings are cut at zero: with them the gain of a panel that was seldom lit was wrong by 3 %."""
 
 WEAK_SIGMAS = 3.0
 """A panel is weak if its gain is lower than those of the others by so many sigmas of fit and vehicle file together."""
 
 WEAK_SIGMA, WEAK_CHANCE = 0.03, 1e-3
-"""If the file states no sigma: relative uncertainty of each gain at least; and the chance, by Student's law, that gains which
-scatter as those of the other panels do are so low. Of 220 files with gains that scatter by 5 or 8 % at an albedo of 0.3 none was
-accused, and 49 of 80 panels weaker by 15 % were named; without the fits' errors in the scatter, 18 and 69."""
+"""If the file states no sigma: smallest relative uncertainty of a gain, and the probability by Student's distribution, given the
+scatter of the other panels' gains, below which a gain is too low. Test: 220 files with gains that scatter by 5 or 8 % at an albedo
+of 0.3, and 80 panels weaker by 15 %. No sound panel was named, and 49 weak ones were. Without the errors of the fit in the scatter
+the counts were 18 and 69."""
 
 
 class Gains(NamedTuple):
-    """`factor` (n_panel) on the vehicle's gains and its `covariance`; `spread`, the relative scatter of the brightness of
-    samples in full Sun (None where nothing is told); `told` in words; `weak` (n_panel), which panels are weak."""
+    """Estimated gains of the panels.
+
+    `factor` (n_panel): estimated gain over that of the vehicle file; `covariance` (n_panel, n_panel) of the factors; `spread`:
+    relative scatter of the brightness of samples in full Sun, None if not determined; `source`: origin of the gains in words;
+    `weak` (n_panel): the gain is too low compared with those of the other panels.
+    """
 
     factor: np.ndarray
     covariance: np.ndarray
@@ -67,11 +77,12 @@ class Gains(NamedTuple):
 
     @property
     def sigma(self) -> np.ndarray:
+        """Standard deviation (n_panel) of each factor."""
         return np.sqrt(np.diag(self.covariance))
 
 
-def looks_all_around(vehicle: Vehicle, lost: np.ndarray) -> bool:
-    """Whether three independent panels that are not `lost` (n_panel) are lit wherever the Sun stands."""
+def covers_all_directions(vehicle: Vehicle, lost: np.ndarray) -> bool:
+    """Return whether the Sun in any direction lights three panels with independent normals that are not `lost` (n_panel)."""
     response = vehicle.response_in()
     sun, lit = response.regions()
     return all(
@@ -80,8 +91,8 @@ def looks_all_around(vehicle: Vehicle, lost: np.ndarray) -> bool:
     )
 
 
-def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
-    """The vehicle with the gains of each input's panels times `factor` (n_input)."""
+def scale_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
+    """Return the vehicle with the gains of each input's panels multiplied by `factor` (n_input)."""
     gain = np.array([panel.gain for panel in vehicle.panels])
     for channel, value in zip(vehicle.inputs, factor, strict=True):
         gain[list(channel.panels)] *= value
@@ -90,8 +101,10 @@ def with_gains(vehicle: Vehicle, factor: np.ndarray) -> Vehicle:
 
 
 def stated_sigmas(vehicle: Vehicle) -> np.ndarray:
-    """Relative uncertainty of the gain of each input (of a channel: of its least known panel) as the vehicle file states it; NaN
-    where it does not."""
+    """Return the relative uncertainty (n_input) of each input's gain as the vehicle file states it; NaN if it does not.
+
+    A channel has the uncertainty of its least known panel.
+    """
     sigma = np.full(len(vehicle.panels), np.nan)
     for k, panel in enumerate(vehicle.panels):
         for key in ("gain_W", "gain_A", "relative_gain"):
@@ -103,7 +116,7 @@ def stated_sigmas(vehicle: Vehicle) -> np.ndarray:
 
 
 def prior_sigmas(vehicle: Vehicle, unstated: float = PRIOR_SIGMA) -> np.ndarray:
-    """Relative uncertainty of the gain of each input, `unstated` where the vehicle file states none."""
+    """Return the relative uncertainty (n_input) of each input's gain; `unstated` if the vehicle file states none."""
     sigma = stated_sigmas(vehicle)
     return np.where(np.isnan(sigma), unstated, sigma)
 
@@ -116,47 +129,68 @@ def estimate_gains(
     lost: np.ndarray,
     earth_light: float,
 ) -> Gains:
-    """Gains from readings (n, n_panel) in full Sun, `full` being their brightness with the vehicle's own gains. Panels that are
-    `dark` (n_panel) never read anything; of these the `lost` ones are dead, while the others may never have been in the Sun.
-    `earth_light`: on a panel that looks at the Earth, as a share of full Sun."""
-    prior, around = prior_sigmas(vehicle), looks_all_around(vehicle, lost)
-    why = "the panels do not cover all directions, so a low signal may only mean an oblique Sun"
+    """Estimate the gains from samples in full Sun; if they are not determined, return those of the vehicle file.
+
+    Parameters
+    ----------
+    value : (n, n_panel)
+        Readings of the samples in full Sun.
+    full : float
+        Their brightness with the gains of the vehicle file.
+    dark : (n_panel)
+        The panel never reads anything: it is dead, or was never in the Sun.
+    lost : (n_panel)
+        The panel is dark, and the other panels show that the Sun was on it.
+    earth_light : float
+        Earth's light on a panel that looks at the Earth, as a share of full Sun.
+    """
+    prior, covered = prior_sigmas(vehicle), covers_all_directions(vehicle, lost)
+    reason = "the panels do not cover all directions, so a low signal may only mean an oblique Sun"
     if vehicle.throttled:
-        why = "inputs are throttled, so no sample need be in full Sun"
-    elif around and len(value) < FEWEST:
-        why = f"fewer than {FEWEST} samples in full Sun"
-    covariance, none = np.diag(prior_sigmas(vehicle, UNTOLD_SIGMA) ** 2), np.zeros(len(prior), bool)
-    why = f"not determined by the data: {why}"
-    nothing = Gains(np.ones(len(prior)), covariance, None, why, none)
-    if vehicle.throttled or len(value) < FEWEST or not around:
-        return nothing
-    value = value[:: -(-len(value) // MOST)]
+        reason = "inputs are throttled, so no sample need be in full Sun"
+    elif covered and len(value) < FEWEST_SAMPLES:
+        reason = f"fewer than {FEWEST_SAMPLES} samples in full Sun"
+    undetermined = Gains(
+        np.ones(len(prior)),
+        np.diag(prior_sigmas(vehicle, READING_SIGMA) ** 2),
+        None,
+        f"not determined by the data: {reason}",
+        np.zeros(len(prior), bool),
+    )
+    if vehicle.throttled or len(value) < FEWEST_SAMPLES or not covered:
+        return undetermined
+    value = value[:: -(-len(value) // MOST_SAMPLES)]
     paired = earth_light > FAINT and not vehicle.channels
     pairs = np.argwhere(opposite_panels(vehicle.response_in().facing_B)) if paired else []
 
     def log_brightness(log: np.ndarray) -> np.ndarray:
+        """Return the logarithm of the brightness (n) for logarithms `log` (n_panel) of the factors on the gains."""
         gains, light = vehicle.input_gains * np.exp(log), value.copy()
         for i, j in pairs:
             difference = value[:, i] / gains[i] - value[:, j] / gains[j]
             light[:, i] = gains[i] * np.maximum(difference, 0.0)
-        return np.log(np.maximum(brightness(with_gains(vehicle, np.exp(log)), light), 1e-6))
+        return np.log(np.maximum(brightness(scale_gains(vehicle, np.exp(log)), light), 1e-6))
 
+    # Unknowns: logarithms of the factors, under the prior, and the brightness `level` common to all samples. Each iteration is a
+    # Gauss-Newton step with Student's weights at the scatter of the current residuals.
     log, precision = np.zeros(len(prior)), np.diag(np.append(prior**-2, 0.0))
-    level = float(np.median(log_brightness(log)))  # the brightness that all samples share
+    level = float(np.median(log_brightness(log)))
     for _ in range(STEPS):
         bright = log_brightness(log)
         columns = [log_brightness(log + STEP * unit) - bright for unit in np.eye(len(log))]
         jacobian = np.column_stack([np.stack(columns, axis=1) / STEP, -np.ones(len(value))])
-        away = bright - level
-        spread = max(1.4826 * float(np.median(np.abs(away))), 1e-3)
-        weight = (FREEDOM + 1) / (FREEDOM + (away / spread) ** 2) / spread**2
+        residual = bright - level
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
+        weight = (FREEDOM + 1) / (FREEDOM + (residual / spread) ** 2) / spread**2
         covariance = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian) + precision)
-        slope = jacobian.T @ (weight * away) + precision @ np.append(log, 0.0)
+        slope = jacobian.T @ (weight * residual) + precision @ np.append(log, 0.0)
         step = covariance @ slope
         log, level = np.clip(log - step[:-1], -1.0, 1.0), level - step[-1]
-    weak = _weak(vehicle, log, covariance[:-1, :-1]) & ~dark
-    if not looks_all_around(vehicle, dark):  # a dark panel may be dead, which the fit does not know
-        return nothing._replace(weak=weak)
+    weak = _find_weak_panels(vehicle, log, covariance[:-1, :-1]) & ~dark
+    # a dark panel may be dead, which the fit does not know
+    if not covers_all_directions(vehicle, dark):
+        return undetermined._replace(weak=weak)
+    # a factor is that of the fit times the common brightness: log + level
     with_level = np.column_stack([np.eye(len(log)), np.ones(len(log))])
     covariance = with_level @ covariance @ with_level.T + (COMMON_SHARE * spread) ** 2
     factor = np.exp(log + level) / full
@@ -164,16 +198,21 @@ def estimate_gains(
     return Gains(factor, covariance * np.outer(factor, factor), spread, source, weak)
 
 
-def _weak(vehicle: Vehicle, log: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Which panels have gains that are too low for those of the others, by the logarithms of their factors (n_panel)."""
-    n, fitted = len(log), np.diag(covariance)
+def _find_weak_panels(vehicle: Vehicle, log: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the panels (n_panel) whose gain is too low compared with those of the others.
+
+    `log` (n_panel) are the logarithms of the estimated factors, with their `covariance`. With three panels or fewer none is weak:
+    the scatter of the others cannot be estimated.
+    """
+    n, variance = len(log), np.diag(covariance)
     stated = stated_sigmas(vehicle)
     weak = np.zeros(n, dtype=bool)
     for k in range(n if n > 3 else 0):
-        weight = np.where(np.arange(n) == k, 0.0, 1 / (WEAK_SIGMA**2 + fitted))
+        weight = np.where(np.arange(n) == k, 0.0, 1 / (WEAK_SIGMA**2 + variance))
         weight /= weight.sum()
-        against = weight - (np.arange(n) == k)
-        low, fit = against @ log, float(np.sqrt(against @ covariance @ against))
+        # weighted mean of the other panels minus this one: positive if the gain is low
+        contrast = weight - (np.arange(n) == k)
+        low, fit = contrast @ log, float(np.sqrt(contrast @ covariance @ contrast))
         if np.isnan(stated[k]):
             scatter = np.sqrt(weight @ (log - weight @ log) ** 2 * (n - 1) / (n - 2))
             by_chance = -stdtrit(n - 2, WEAK_CHANCE) * scatter

@@ -1,5 +1,6 @@
-"""Panel health: lit patterns that geometry forbids, which panels' loss would explain them (paper, section 4), and whether
-noise, or panels that do not stand quite as drawn, might have made them.
+"""Panel health: illumination patterns that geometry forbids, and what explains them (paper, section 4).
+
+Explanations are lost panels, noise, and panels that are slightly misaligned.
 """
 
 from __future__ import annotations
@@ -14,43 +15,49 @@ from scipy.special import gammaln
 
 from sunspin.base.provenance import provenance
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
+from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.telemetry.noise import ASSUMED_FROM, BRIGHT_QUANTILE
-from sunspin.telemetry.sun import SunStatus, of_panels, powers, sun_directions
+from sunspin.telemetry.sun import SunStatus, panel_readings, per_panel, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import (
     brightness,
     lit_patterns,
+    misalignment_signal_sigma,
     observable_patterns,
-    turned_sigma,
 )
 
 STEPS, ROUNDING = 60, 1e-12
-"""Steps of the search for the Sun that contradicts the readings least, of which a dozen are usually enough; and the gain, in sigma
-squared, at which it ends."""
+"""Largest number of iterations of the search for the best-fitting Sun (a dozen are usually enough), and the decrease of chi-square
+at which it ends."""
 
 NOISE_ALONE = 0.01
-"""Noise alone does not make forbidden patterns where it would show such readings in so many of a file's samples with a smaller
-probability than this; nor do panels turned by their stated sigmas where any of a file's samples is less probable."""
+"""Smallest probability of an accepted explanation. For noise alone it is the probability that any so many of a file's samples show
+forbidden patterns; for misaligned panels that of the least probable sample, times the number of samples."""
 
 CHUNK = 2000
-"""Samples searched at once: each from every cell of the sphere."""
+"""Samples searched at once; the search of each starts from every cell of the sphere."""
 
 NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
-"""What may make forbidden patterns although no panel is lost."""
+"""Explanations of forbidden patterns without a lost panel."""
 
 
 class NoiseVerdict(NamedTuple):
-    """All samples of one forbidden pattern: the largest `probability` of `NoiseMade` among them, and log10 of the product of
-    these probabilities, as the samples' noise is independent."""
+    """Probability that noise made the samples of one forbidden pattern.
+
+    `largest`: largest `probability` of `NoiseFit` among the samples; `log10_together`: log10 of the product of these probabilities,
+    because the noise of the samples is independent.
+    """
 
     largest: float
     log10_together: float
 
 
 class PanelHealth(xr.Dataset):
-    """A Dataset that also answers to what :func:`panel_health` is asked for by name: ``allowed``, ``impossible``, ``explanations``
-    and ``noise``, as plain Python objects. Read back from a file it is a Dataset without these; `named_panels` makes them."""
+    """Dataset of :func:`panel_health` with four additional keys, whose values are plain Python objects.
+
+    The keys are ``allowed``, ``impossible``, ``explanations`` and ``noise``. A Dataset read back from a file lacks these;
+    `named_panels` makes the tuples of names from its variables.
+    """
 
     __slots__ = ()
 
@@ -69,66 +76,71 @@ class PanelHealth(xr.Dataset):
 
 
 def named_panels(health: xr.Dataset, name: str) -> list[tuple[str, ...]]:
-    """Sets of panels, a tuple of names each, of a variable (n, panel) of true and false."""
+    """Return the sets of panels that the rows of the boolean variable `name` (n, panel) mark, each as a tuple of names."""
     panels = health["panel"].values
     return [tuple(panels[row].tolist()) for row in health[name].values.astype(bool)]
 
 
 def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealth:
-    """Which observed lit patterns the Sun alone cannot make, and the smallest sets of panels whose loss explains all.
+    """Find the observed illumination patterns that the Sun alone cannot make, and the panels whose loss explains them.
 
-    A pattern is explained by a set of panels if adding some of them to the lit ones gives a possible pattern: those were in
-    the Sun and gave nothing, being shadowed or dead (paper, section 4). A pattern that panels turned by the sigmas which the
-    vehicle's file states of their normals may show needs no explanation.
+    A set of panels explains a pattern if the lit panels and some panels of the set form a possible pattern. These panels were in
+    the Sun and gave nothing, because they were shadowed or dead (paper, section 4). A pattern that noise and the misalignments
+    stated in the vehicle file can make needs no explanation.
 
     Parameters
     ----------
-    telemetry : Dataset of `read_telemetry`, (n, n_panel) powers, or Dataset of `sun_directions` (which holds no powers, so
-        that nothing can be said of noise)
+    telemetry : Dataset of `read_telemetry`, (n, n_panel) powers, or Dataset of `sun_directions`
+        The latter has no powers, so that the probability of noise is not computed.
     **options
-        `noise` and `lit_threshold`, as for `sun_directions`.
+        `noise`, `lit_threshold`, `wrong_unit` and `quality`, as for `sun_directions`.
 
     Returns
     -------
     xarray.Dataset
-        `allowed_lit (allowed_pattern, panel)`: the lit patterns that geometry allows, for directions in no panel's plane;
-        `impossible_lit (pattern, panel)` with `samples (pattern)`, their number; `lost (explanation, panel)`: the smallest sets
-        of panels, none where nothing needs explaining or nothing explains it; `largest` and `log10_together (pattern)` as in
-        `NoiseVerdict`, NaN without powers or without a noise figure; `turned (pattern)`, a bound on the probability that noise
-        and the stated turns of panels make its least likely sample, NaN where no turns are stated either. As returned it also has
-        ``["allowed"]`` (tuples of names), ``["impossible"]`` ({pattern: number of samples}), ``["explanations"]`` (tuples) and
-        ``["noise"]`` ({pattern: `NoiseVerdict`}).
+        `allowed_lit (allowed_pattern, panel)`: illumination patterns that geometry allows, for directions in no panel's plane.
+        `impossible_lit (pattern, panel)`: impossible patterns, with `samples (pattern)`, their number of samples.
+        `lost (explanation, panel)`: the smallest sets of panels whose loss explains all impossible patterns; no rows if there is
+        nothing to explain or no explanation.
+        `largest` and `log10_together (pattern)`: as in `NoiseVerdict`; NaN without powers, or if the noise is only assumed.
+        `turned (pattern)`: bound on the probability that noise and the stated misalignments make the least likely sample; NaN also
+        if no misalignments are stated.
+
+        The returned object also has ``["allowed"]`` (tuples of names), ``["impossible"]`` ({pattern: number of samples}),
+        ``["explanations"]`` (tuples of names) and ``["noise"]`` ({pattern: `NoiseVerdict`}).
     """
     is_sun = isinstance(telemetry, xr.Dataset) and "lit" in telemetry
     sun = telemetry if is_sun else sun_directions(vehicle, telemetry, **options)
     forbidden = np.flatnonzero(np.asarray(sun["status"]) == SunStatus.IMPOSSIBLE)
     names = np.array(vehicle.input_names)
-    of_sample = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
-    patterns = list(dict.fromkeys(of_sample))
-    members = [np.array([own == pattern for own in of_sample]) for pattern in patterns]
+    sample_patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
+    patterns = list(dict.fromkeys(sample_patterns))
+    # of each pattern, which of the forbidden samples show it
+    members = [np.array([own == pattern for own in sample_patterns]) for pattern in patterns]
     threshold = sun["lit_threshold"].values
-    # assumed noise explains nothing
+    # a noise that is only assumed explains nothing
     sigma = sun["noise"].values * (np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else 1.0)
     largest, together, turned = np.full((3, len(patterns)), np.nan)
     if not is_sun and patterns and (sigma > 0).all():
-        power, _ = powers(vehicle, telemetry)
+        power = panel_readings(vehicle, telemetry)
         log_chance = noise_alone(vehicle, power[forbidden], sigma, threshold).log_probability
         largest = np.array([np.exp(log_chance[own].max()) for own in members])
         together = np.array([log_chance[own].sum() / np.log(10) for own in members])
-        if (tilt := turned_sigma(vehicle)).any():
-            # the factor between gains and full Sun; that of the brighter samples where the Sun is oblique to all panels
+        if (tilt := misalignment_signal_sigma(vehicle)).any():
+            # A misalignment changes a reading in proportion to the brightness of the sample. If the Sun is oblique to all panels
+            # its own estimate is too low; then that of the brighter samples is taken.
             bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
             bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
-            by_turns = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
-            turned = np.array([by_turns.probability[own].min() for own in members])
+            tilted = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
+            turned = np.array([tilted.probability[own].min() for own in members])
     excused = turned * sun.sizes["time"] > NOISE_ALONE
-    needed = [pattern for pattern, turns in zip(patterns, excused, strict=True) if not turns]
+    unexplained = [pattern for pattern, turns in zip(patterns, excused, strict=True) if not turns]
     sets = {
         "allowed_lit": ("allowed_pattern", lit_patterns(vehicle), "lit panels, as possible"),
         "impossible_lit": ("pattern", patterns, "lit panels, as seen and impossible"),
         "lost": (
             "explanation",
-            explanations(vehicle, needed),
+            find_explanations(vehicle, unexplained),
             "panels whose loss explains all impossible patterns",
         ),
     }
@@ -146,7 +158,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     }
     health = PanelHealth(
         coords={"panel": names.tolist()},
-        attrs=provenance("panel_health", sun, **vehicle.said)
+        attrs=provenance("panel_health", sun, **vehicle.result_attributes)
         | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
     for key, (dimension, panels, long_name) in sets.items():
@@ -157,25 +169,36 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     return health
 
 
-def made_by(health: PanelHealth, n: int) -> str:
-    """`NOISE` or `TURNS` if that may have made all forbidden patterns of `panel_health` among `n` samples, else nothing.
-    Of noise counts the bound of how probable it is that any so many of them read so."""
+def find_cause_without_loss(health: PanelHealth, n: int) -> str:
+    """Return `NOISE` or `TURNS` if it may have made all forbidden patterns of `panel_health` among `n` samples, else an empty text.
+
+    For noise, the product of the samples' probabilities is multiplied by the number of ways to choose so many of `n` samples.
+    """
     count = int(health["samples"].sum())
     if count and not health["largest"].isnull().any():
-        any_of_them = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
-        log10 = float(health["log10_together"].sum()) + any_of_them / np.log(10)
+        log_ways = gammaln(n + 1) - gammaln(count + 1) - gammaln(n - count + 1)
+        log10 = float(health["log10_together"].sum()) + log_ways / np.log(10)
         if log10 > np.log10(NOISE_ALONE):
             return NOISE
-    # turns are the same in all samples: only the least probable counts
+    # misalignments are the same in all samples, so that only the least probable sample counts
     least = health["turned"].values
     return TURNS if least.size and (least * n > NOISE_ALONE).all() else ""
 
 
-def explanations(
+def find_explanations(
     vehicle: Vehicle, patterns: list[tuple[str, ...]], size: int | None = None
 ) -> list[tuple[str, ...]]:
-    """The smallest sets of panels that make every given lit pattern possible, several if equally small; or all of a `size`. A set
-    explains a pattern if some possible pattern lights all of it and nothing else but panels of the set."""
+    """Return the smallest sets of panels whose loss explains all impossible patterns; all sets of that size, if several do.
+
+    A set explains a pattern if the lit panels and some panels of the set form a possible pattern.
+
+    Parameters
+    ----------
+    patterns : list of tuple
+        Names of the lit panels of each impossible pattern.
+    size : int, optional
+        Search only sets of this number of panels.
+    """
     possible = observable_patterns(vehicle)
     if not patterns:
         return []
@@ -193,11 +216,11 @@ def explanations(
     return []
 
 
-class NoiseMade(NamedTuple):
-    """Whether noise alone may have made each sample's readings; arrays over samples.
+class NoiseFit(NamedTuple):
+    """Distance of each sample's readings (n) from those of the best-fitting Sun.
 
-    `chi_square` (n): squared distance, in sigma, from the nearest readings that any Sun makes; `log_probability` (n): natural
-    logarithm of an upper bound on the probability that noise takes readings so far from those of a Sun.
+    `chi_square` (n): sum of squares in units of sigma; `log_probability` (n): natural logarithm of an upper bound on the
+    probability that noise makes a chi-square at least as large.
     """
 
     chi_square: np.ndarray
@@ -205,7 +228,7 @@ class NoiseMade(NamedTuple):
 
     @property
     def probability(self) -> np.ndarray:
-        """That bound (n) itself; 0 where it is too small for a float."""
+        """Upper bound (n) on the probability; 0 if it is too small for a float."""
         return np.exp(self.log_probability)
 
 
@@ -214,16 +237,17 @@ def noise_alone(
     power: npt.ArrayLike,
     sigma: npt.ArrayLike,
     lit_threshold: npt.ArrayLike,
-    besides: npt.ArrayLike = 0.0,
-) -> NoiseMade:
-    """How well each sample's readings agree with some Sun of any direction and brightness, panels being whole.
+    extra_sigma: npt.ArrayLike = 0.0,
+) -> NoiseFit:
+    """Fit a Sun of any direction and brightness to the readings of each sample, if no panel is lost.
 
-    A lit panel must read what the Sun gives it; a dark one tells only that it got no more than the threshold. With z the
-    noise of each panel in sigma, the distance from the true Sun's readings is at most |z|, and that from the nearest Sun's
-    is no more: so chi-square with one degree per panel bounds the probability from above.
+    A lit panel must read what the Sun gives it; a dark panel only constrains the light to at most the threshold. Let z be the noise
+    of each panel in sigma. The distance of the readings from those of the true Sun is at most |z|, and from those of the
+    best-fitting Sun it is not larger. The chi-square distribution with one degree of freedom for each panel therefore gives an
+    upper bound on the probability.
 
-    The search for the nearest Sun, direction times brightness, runs from each region of the sphere (inside one the squared
-    distance of flat panels is a convex piece), and the best end is taken.
+    The unknown is a vector, the direction times the brightness. The search starts in each cell of the sphere in which the same
+    panels are lit, where the squared distance of flat panels is convex. The best result is taken.
 
     Parameters
     ----------
@@ -233,30 +257,34 @@ def noise_alone(
         One-sigma Gaussian noise of a reading.
     lit_threshold : float or (n_panel,)
         Readings above it count as lit.
-    besides : (n, n_panel) or what broadcasts to it
-        One sigma of what else is off in each reading, in that unit: with it, it is not noise alone.
+    extra_sigma : (n, n_panel) or broadcastable to it
+        One sigma of another error of each reading, in that unit, for example from misaligned panels.
     """
     from scipy.stats import chi2
 
-    readings, _ = powers(vehicle, power)
-    sigma = of_panels(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
-    be = "lit_threshold must be zero or positive"
-    threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
+    readings = panel_readings(vehicle, power)
+    sigma = per_panel(vehicle, sigma, np.greater, "sigma must be the positive noise of a reading")
+    message = "lit_threshold must be zero or positive"
+    threshold = per_panel(vehicle, lit_threshold, np.greater_equal, message)
     unit, response = sigma.min(), vehicle.response_in()
     readings, threshold = readings / unit, threshold / unit
-    total = np.hypot(sigma / unit, np.asarray(besides) / unit)
+    total = np.hypot(sigma / unit, np.asarray(extra_sigma) / unit)
     weight = 1 / np.broadcast_to(total, readings.shape)
-    scale = response.largest  # so that the unknown is of the size of the readings
+    scale = response.largest_power  # then the unknown vector is of the size of the readings
     cells, _ = response.regions()
-    light, _ = response.under(cells, scale)
+    light, _ = response.light_power(cells, scale)
 
-    def linearise(state: tuple[np.ndarray, ...]) -> Dense:
+    def linearise(state: tuple[np.ndarray, ...]) -> DenseSystem:
+        """Return residuals and derivatives at Sun vectors (m, 3), with readings and weights (m, n_panel) of each."""
         sun, seen, counts = state
-        mean, slope = response.under(sun, scale)
+        mean, slope = response.light_power(sun, scale)
         lit = seen > threshold
         value = np.where(lit, mean - seen, np.maximum(0.0, mean - threshold))
+        # elsewhere the residual does not change with the Sun
         active = (mean > 0) & (lit | (mean > threshold))
-        return Dense.of(counts * value, (counts * active)[..., None] * slope, np.ones_like(sun))
+        return DenseSystem.from_residuals(
+            counts * value, (counts * active)[..., None] * slope, np.ones_like(sun)
+        )
 
     def retract(state: tuple[np.ndarray, ...], step: np.ndarray) -> tuple[np.ndarray, ...]:
         return state[0] + step, *state[1:]
@@ -264,12 +292,13 @@ def noise_alone(
     square = np.zeros(len(readings))
     for start in range(0, len(readings), CHUNK):
         some = slice(start, start + CHUNK)
+        # starts: a direction in each cell, with the brightness that fits best there
         bright = np.maximum(readings[some] @ light.T, 0.0)
         bright /= np.maximum((light**2).sum(axis=1), 1e-300)
         starts = (bright[:, :, None] * cells).reshape(-1, 3)
         seen, counts = (np.repeat(each[some], len(cells), axis=0) for each in (readings, weight))
         ends = least_squares(
-            linearise, retract, dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
+            linearise, retract, solve_dense, (starts, seen, counts), steps=STEPS, tolerance=ROUNDING
         )
         square[some] = 2 * ends.system.cost.reshape(-1, len(cells)).min(axis=1)
-    return NoiseMade(square, chi2.logsf(square, readings.shape[1]))
+    return NoiseFit(square, chi2.logsf(square, readings.shape[1]))

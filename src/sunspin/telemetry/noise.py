@@ -1,4 +1,4 @@
-"""The noise of a reading: as the file itself shows it, and what is assumed where nothing does."""
+"""Noise of panel readings: estimated from the file's readings below zero, or assumed if there are too few of these."""
 
 from __future__ import annotations
 
@@ -8,48 +8,52 @@ import numpy.typing as npt
 from sunspin.vehicle import Vehicle
 
 HALF_NORMAL_MEDIAN = 0.6745
-"""Half of the values of a normal law lie within this many sigma of its middle."""
+"""Half of the values of a normal distribution lie within this many sigma of its mean."""
 
 LEAST_NEGATIVE = 8
-"""Readings below zero from which noise is told: its sigma is then good to a third."""
-
+"""Smallest number of readings below zero from which noise is estimated; its sigma is then known to a third."""
 
 ASSUMED_SHARE = 0.03
-"""Noise of a panel reading, as a share of full Sun, where the vehicle file states none and the readings show none. Cautious: the
-vehicle files of this package state 0.007 (the example of `sunspin init`), 0.01 (skCUBE) and 0.02 (Philae)."""
+"""Noise of a panel reading, as a share of full Sun, if the vehicle file states none and the readings show none. The value is
+cautious: the vehicle files of this package state 0.007 (the example of `sunspin init`), 0.01 (skCUBE) and 0.02 (Philae)."""
 
 DARK_FROM = "estimated from readings below zero"
 ASSUMED_FROM = "assumed: the vehicle file states none and the readings show none"
-"""Where a noise that is not stated comes from, in results."""
+"""Origin of a noise that the vehicle file does not state, as results name it."""
 
 WILD = 20.0
-"""A reading this many times the usual brightest one of a sample is no light: a wrapped count, a filler, a broken converter."""
+"""A largest reading of a sample above this many times the median one is not light but a wrapped count, a fill value or a defect."""
 
 BRIGHT_QUANTILE = 0.9
-"""Of the samples' largest readings: what the panels give in full Sun, spikes apart."""
+"""Quantile of the samples' largest readings that counts as the reading of a bright sample; the few above it may be spikes."""
 
 NEGATIVE_SIGMAS = 5.0
-"""Values down to minus this many sigma are noise around zero and not an error: of the stated noise, or of the file's own."""
+"""Readings down to minus this many sigma are noise of a dark panel; lower ones are errors."""
 
 NEGATIVE_SHARE = 0.05
-"""Without a stated noise, values below zero up to this part of full light show the noise; if few do, no lower value is noise."""
+"""Without a stated noise, the noise is estimated first from readings below zero of at most this share of full light. If these are
+few, no lower reading counts as noise."""
 
 ROUNDS = 4
-"""Times that the noise widens the limit within which it is looked for: from a third of its size it comes within 5 %."""
+"""Iterations in which the estimated noise sets the limit of the readings from which it is estimated. They bring a noise that starts
+at a third of its size to within 5 %."""
 
 
 def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | None:
-    """One sigma of a reading, told by those below zero: panels in the dark, whose noise lies on both sides of it.
+    """Return one sigma of a reading, estimated from the median of the readings below zero.
+
+    Readings below zero come from panels in the dark, whose noise is symmetric about zero.
 
     Parameters
     ----------
-    values : (n, n_panel), in any unit; what is not finite is left out
+    values : (n, n_panel), in any unit; values that are not finite are left out
     least : int
-        None is told with fewer readings below zero than this, as in files whose negative readings were cut to zero.
+        Smallest number of readings below zero. Files whose negative readings were cut to zero have fewer.
 
     Returns
     -------
-    float or None, in the unit of the values
+    float or None
+        In the unit of the values; None if there are fewer than `least` readings below zero.
     """
     known = np.asarray(values, dtype=np.float64)
     below = -known[np.isfinite(known) & (known < 0)]
@@ -57,11 +61,11 @@ def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | No
 
 
 def assumed_noise(values: npt.ArrayLike) -> float:
-    """Noise of a reading where nothing else gives it: `ASSUMED_SHARE` of what the panels read in full Sun; NaN where all are dark.
+    """Return the assumed noise of a reading: `ASSUMED_SHARE` of a bright reading; NaN if no panel is lit.
 
     Parameters
     ----------
-    values : (n, n_panel), in any unit; what is not finite is left out
+    values : (n, n_panel), in any unit; values that are not finite are left out
 
     Returns
     -------
@@ -72,11 +76,11 @@ def assumed_noise(values: npt.ArrayLike) -> float:
 
 
 def bright_reading(values: npt.ArrayLike) -> float:
-    """Return the largest reading of a bright sample; infinite where nothing is lit.
+    """Return the largest panel reading of a bright sample (quantile `BRIGHT_QUANTILE` over samples); infinite if no panel is lit.
 
     Parameters
     ----------
-    values : (n, n_panel), in any unit; what is not finite is left out
+    values : (n, n_panel), in any unit; values that are not finite are left out
     """
     known = np.asarray(values, dtype=np.float64)
     largest = np.where(np.isfinite(known), known, 0.0).max(axis=1, initial=0.0)
@@ -85,7 +89,13 @@ def bright_reading(values: npt.ArrayLike) -> float:
 
 
 def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
-    """Return the lowest value that is still noise of a dark panel (or of each, if noise is stated)."""
+    """Return the lowest reading that can be noise of a dark panel: (n_panel) from the stated noise, else one number for all.
+
+    Parameters
+    ----------
+    values : (n, n_panel)
+        Readings in the unit of the stated noise; values that are not finite are left out.
+    """
     if (noise := vehicle.input_noise) is not None:
         return -NEGATIVE_SIGMAS * noise[: values.shape[1]]
     below = -values[np.isfinite(values) & (values < 0)]
@@ -99,7 +109,7 @@ def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
     limit = NEGATIVE_SHARE * full
     if np.count_nonzero(below <= limit) < LEAST_NEGATIVE:
         return -min(NEGATIVE_SIGMAS * float(np.median(below)) / HALF_NORMAL_MEDIAN, limit)
-    # fill values lie apart: the noise of those within the limit sets the next limit
+    # fill values lie far below the noise: readings within the limit give the noise, which sets the next limit
     for _ in range(ROUNDS):
         near = below[below <= limit]
         limit = NEGATIVE_SIGMAS * float(np.median(near)) / HALF_NORMAL_MEDIAN

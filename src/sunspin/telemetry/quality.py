@@ -1,7 +1,7 @@
-"""What each panel reading is worth: dead panels, power-limited samples, albedo, spikes, stale frames; and why, in words.
+"""Quality of panel readings: dead panels, power-limited samples, albedo, spikes and stale frames, each with its reason in words.
 
-Nothing is thrown away in silence. A reading that cannot be the Sun's gets an infinite sigma, one that may be something else
-as well gets a larger sigma, and every sample carries a sentence.
+Nothing is discarded without a message. A reading that cannot come from the Sun has an infinite sigma, one that may have another
+cause has a larger sigma, and every sample has a sentence.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import xarray as xr
 
 from sunspin.base.provenance import provenance
 from sunspin.telemetry.gains import (
-    UNKNOWN_SIGMA,
-    UNTOLD_SIGMA,
+    READING_SIGMA,
+    WIDE_SIGMA,
     estimate_gains,
     prior_sigmas,
 )
 from sunspin.telemetry.noise import ASSUMED_SHARE, dark_noise, lowest_reading
 from sunspin.telemetry.repeats import PANELS, Repeats, find_repeats
 from sunspin.telemetry.signals import signals
-from sunspin.telemetry.silent import lost
+from sunspin.telemetry.silent import find_lost_panels
 from sunspin.telemetry.units import UNITS, WrongUnit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import brightness, opposite_panels, panel_power
@@ -32,59 +32,59 @@ DEAD_FRACTION = 0.05
 """A panel that never exceeds this fraction of its gain, in a file that is long enough, is taken as dead."""
 
 DARK_SIGMAS = 4.0
-"""Without a reading of so many sigma of noise a sample tells of no Sun: in the shadow noise makes one of six panels read as much in
-2 of 10,000 samples, and at three sigma in one of 120, which panels on some sides only would take for a Sun that stands aside."""
+"""A sample is dark if no reading exceeds so many sigma of noise. In the shadow, noise makes one of six panels exceed it in 2 of
+10,000 samples. With three sigma it would be one sample in 120, which panels on some sides only would take for an oblique Sun."""
 
 DEAD_SAMPLES = 20
 """Samples with some panel lit before a panel may be called dead."""
 
 LIMITED_FRACTION = 0.85
-"""Panels together below this fraction of full Sun: the battery, not the Sun, sets the current, or a dead panel is lit."""
+"""If the panels together are below this fraction of full Sun, the battery sets the current, or a dead panel is lit."""
 
 SPIKE_FACTOR = 1.6
 """A reading above this many times full Sun is a wrapped counter or a spike; Earth's albedo adds at most 0.4."""
 
 EARTH_LEFT = 0.25
-"""Part of the light on dark panels that no smooth beam explains: clouds and coasts."""
+"""Share of the light on unlit panels that a smooth model of the Earth cannot explain: clouds and coasts."""
 
 ALBEDO_DEFAULT = 0.06
-"""Fraction of full Sun that Earth's light may put on a dark panel, where the file has too few samples to tell."""
+"""Light on unlit panels, as a share of full Sun, if the file has too few readings to estimate it."""
 
-TOLD_READINGS = 10
-"""Readings of faces away from the Sun that tell the Earth's light."""
+ALBEDO_READINGS = 10
+"""Smallest number of readings of panels that face away from the Sun from which Earth's light is estimated."""
 
 LIT_SHARE = 0.5
-"""Of the Earth's light on a panel to the Sun's, averaged over the samples in which it is lit, at most."""
+"""Largest ratio of the Earth's light on a panel to the Sun's, averaged over the samples in which the panel is lit."""
 
 FACED = 0.3
-"""A panel that gets this share of full Sun looks at the Sun, and one opposite to it does not."""
+"""A panel that gets this share of full Sun looks at the Sun, and the one opposite to it does not."""
 
 COSINE_QUANTILE = 0.68
-"""The 84 % quantile of a face's cosine to the Earth, none being negative, over all directions."""
+"""84 % quantile, over all directions, of the cosine between a panel's normal and the Earth; negative cosines count as zero."""
 
 SURELY_LIT = 2.0
-"""A reading of more than this many times the albedo is the Sun's; below, it may be the Earth's."""
+"""A reading of more than this many times the albedo comes from the Sun; a lower one may come from the Earth."""
 
 QUANTUM_SAMPLES = 20_000
-"""Readings looked at for their quantisation."""
+"""Largest number of distinct readings searched for a quantisation step."""
 
 IDLE_FRACTION = 0.35
-"""Below this fraction of full Sun nothing is learnt: on skCUBE the panels that stood less in the Sun then gave the current."""
+"""Samples below this fraction of full Sun are dropped: on skCUBE the current then came from panels that were less in the Sun."""
 
 LIMITED_SIGMA = 0.5
-"""Error of a power-limited reading, as a fraction of the sample's largest: the lit side is right, the ratio is not."""
+"""Error of a power-limited reading, as a fraction of the sample's largest: the lit panels are right, the ratios are not."""
 
 LIMITED_DARK_SIGMA = 1.0
-"""The same of a panel that gives little in such a sample: it may stand in the Sun while another feeds the battery."""
+"""Error, as above, of a panel with a low reading in such a sample: it may be in the Sun while another feeds the battery."""
 
 LIMITED_SCALE = 2.0
-"""Relative uncertainty of the scale of a power-limited sample: as good as unknown."""
+"""Relative uncertainty of the scale of a power-limited sample: practically unknown."""
 
 CLEAN_SCALE = 0.06
 """Relative uncertainty of the scale of a sample in full Sun: cell temperature and spread of gains."""
 
 NOT_INCREASING = 4
-"""The bit of `flag` of a time that does not increase (`sunspin.telemetry.reader.FLAGS`)."""
+"""Bit of `flag` for a time that does not increase (`sunspin.telemetry.reader.FLAGS`)."""
 
 LATE = "dropped: duplicate or out-of-order frame"
 EMPTY = "dropped: no panel has a number"
@@ -103,21 +103,21 @@ PARTLY_HELD = (
 )
 
 MISREAD_SHARE = 0.5
-"""If more than this part of the samples is beyond full Sun, the unit is wrong and no reading is a spike."""
+"""If more than this share of the samples is beyond full Sun, the unit is wrong and no reading is a spike."""
 
 FULL_SHARE = 0.05
-"""If fewer lit samples than this part reach full Sun, the gains are too high and not the battery limits the current."""
+"""If fewer than this share of the lit samples reach full Sun, the gains are too high and the battery does not limit the current."""
 
-ASIDE = "used: signal below full Sun (oblique Sun, or battery-limited; the data cannot distinguish them)"
+OBLIQUE = "used: signal below full Sun (oblique Sun, or battery-limited; the data cannot distinguish them)"
 
 DIRECTIONS = 3000
-"""Directions (about 4 degrees apart) among which the Sun is looked for beside the panels."""
+"""Trial directions of the Sun, evenly spread over the sphere, about 4 degrees apart."""
 
-ASIDE_FRACTION = 0.08
-"""Misfit of each reading, as a fraction of full Sun, up to which a Sun of full strength explains a sample."""
+OBLIQUE_MISFIT = 0.08
+"""Rms misfit of the readings, as a fraction of full Sun, up to which a Sun of full strength explains a sample."""
 
 CHUNK = 20_000
-"""Samples looked at once."""
+"""Samples computed at once."""
 
 USED, DOWNWEIGHTED, DROPPED = 0, 1, 2
 
@@ -134,115 +134,134 @@ def judge_readings(
     ----------
     telemetry : Dataset of `read_telemetry`
     wrong_unit : callable
-        Gives the wrong unit of the readings, which is named where no panel is lit.
+        Returns the wrong unit of the readings. It is called, and the unit named, only if there are samples without a lit panel.
     repeats : Repeats, optional
-        Samples that repeat earlier ones; default: they are looked for.
+        Samples that repeat earlier ones; by default they are searched for.
 
     Returns
     -------
     xarray.Dataset
-        `sigma` (time, panel), in the unit of the gains, infinite where a reading tells nothing, and `sigma_beside_earth`, the same
-        where the Earth's light is modelled; `scale` (time), the factor between gain and reading at full Sun, and its relative
-        uncertainty `scale_sigma` (time); `use` (time): 0 used, 1 down-weighted, 2 dropped; `why` (time): a sentence;
-        `reading` (time, panel): the panel was read, in the light or not; `measured` (time, panel): the reading depends on the Sun
-        direction alone. Of each panel: `dead`, it reads nothing and is left out; `missed`, the others show that the Sun was on it
-        nevertheless; `weak`, its gain is too low for those of the others; `gain`, `gain_sigma`, `gain_cov`; `noise`, of a reading
-        with its quantisation. attrs:
-        `full_sun` (scale of a clean sample), `albedo` (fraction of full Sun on dark panels), `spread` (relative scatter of full
-        Sun; NaN: not told), `noise` (the median of that over panels), `full_sun_from`, `gains_from`.
+        On (time, panel): `sigma`, one sigma of a reading in the unit of the gains, infinite if the reading is not used;
+        `sigma_beside_earth`, the same if the Earth's light is modelled; `reading`, true if the panel was read, lit or not;
+        `measured`, true if the reading depends on the Sun direction alone.
+
+        On time: `scale`, the factor between gain and reading at full Sun, with its relative uncertainty `scale_sigma`; `use`
+        (0 used, 1 down-weighted, 2 dropped); `why`, the reason as a sentence.
+
+        On panel: `dead`, the panel reads nothing and is left out; `missed`, the others show that the Sun was on it nevertheless;
+        `weak`, its gain is too low compared with the others; `gain`, `gain_sigma`, `gain_cov`; `noise` of a reading, with its
+        quantisation.
+
+        attrs: `full_sun`, scale of a clean sample; `albedo`, light on unlit panels as a share of full Sun; `albedo_samples`, number
+        of readings that determine it; `earth_light` on a panel that looks at the Earth; `spread`, relative scatter of full Sun, NaN
+        if not determined; `noise`, median over panels; `full_sun_from` and `gains_from`, origin in words.
     """
-    value, negative = known_readings(vehicle, signals(telemetry))
-    gains = vehicle.input_gains
-    usable = ~came_late(telemetry) & np.isfinite(value).any(axis=1)
-    sound_value = without_spikes(vehicle, value)
+    # samples that cannot be used at all
+    value, negative = remove_negative_readings(vehicle, signals(telemetry))
+    usable = ~find_late_frames(telemetry) & np.isfinite(value).any(axis=1)
+    sound_value = remove_spikes(vehicle, value)
     repeats = find_repeats(telemetry, sound_value, usable) if repeats is None else repeats
     dropped, why = _unusable(telemetry, sound_value, value, negative, repeats)
     held = np.zeros(value.shape, dtype=bool) if repeats.columns is None else repeats.columns
     value = np.where(held, np.nan, value)
-    relative = value / gains
     good = ~dropped
+
+    # full Sun, spikes, noise and dead panels; `relative`: readings as multiples of the vehicle file's gains
+    gains = vehicle.input_gains
+    relative = value / gains
     full, source = _full_sun(vehicle, relative[good])
     spike = np.isfinite(relative) & (relative > SPIKE_FACTOR * full)
     stated = vehicle.input_noise
-    noise = np.hypot(
-        np.zeros(len(gains)) if stated is None else stated, _quantum(value[good]) / np.sqrt(12)
-    )
+    quantisation = _quantisation_step(value[good]) / np.sqrt(12)
+    noise = np.hypot(np.zeros(len(gains)) if stated is None else stated, quantisation)
     sound = good & ~spike.any(axis=1)
-    missed = lost(vehicle, telemetry["time"].values[sound], relative[sound] / full, noise / full)
-    dead = _dead(relative[good], full) | missed
+    missed = find_lost_panels(
+        vehicle, telemetry["time"].values[sound], relative[sound] / full, noise / full
+    )
+    dead = _find_dead_panels(relative[good], full) | missed
     use_value = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
+
+    # samples without the Sun (dark), far below full Sun (idle), and somewhat below it (limited)
     bright = brightness(vehicle, use_value)
     dark = bright < DEAD_FRACTION * full
-    dark |= ~_beyond_noise(
-        vehicle,
-        value,
-        use_value,
-        noise,
-        full,
-        _albedo(vehicle, relative[sound & ~dark] / full)[0],
-    )
+    dark_light, _ = _estimate_albedo(vehicle, relative[sound & ~dark] / full)
+    dark |= ~_beyond_noise(vehicle, value, use_value, noise, full, dark_light)
     idle = good & ~dark & (bright < IDLE_FRACTION * full)
     limited = good & ~dark & ~idle & (bright < LIMITED_FRACTION * full)
-    level = np.full((len(value), 1), full)  # of a sample in the light that its brightness says
-    if vehicle.throttled:  # the battery may limit any sample, and all readings of it alike
+    level = np.full((len(value), 1), full)  # scale of a sample
+    if vehicle.throttled:  # the battery may limit any sample, by one factor for all its readings
         idle, limited = np.zeros((2, len(dark)), dtype=bool)
         level = np.maximum(bright, 1e-12)[:, None]
-    aside = (idle | limited) & _aside(vehicle, use_value, full, dead)
-    idle, limited = idle & ~aside, limited & ~aside
+    oblique = (idle | limited) & _is_oblique(vehicle, use_value, full, dead)
+    idle, limited = idle & ~oblique, limited & ~oblique
     clean = good & ~limited & ~idle & ~dark
-    albedo, seen = _albedo(vehicle, (relative / level)[clean])
-    earth = _earth_light(albedo, seen, float(np.median(noise) / (full * np.median(gains))))
+
+    # Earth's light and gains
+    albedo, albedo_samples = _estimate_albedo(vehicle, (relative / level)[clean])
+    relative_noise = float(np.median(noise) / (full * np.median(gains)))
+    earth = _earth_light(albedo, albedo_samples, relative_noise)
     fitted = estimate_gains(vehicle, use_value[clean], full, dead, missed, earth)
     gains = gains * fitted.factor
-    of_lit, own = fitted.spread, fitted.covariance
-    if of_lit is None:
+    lit_share, gain_cov = fitted.spread, fitted.covariance
+    if lit_share is None:
         # gains may be off by their prior: a string of cells may be dead or a full scale wrong, and all samples have that in common
-        of_lit = np.hypot(albedo, fitted.sigma * use_value / (level * gains))
-        own = np.diag(prior_sigmas(vehicle, UNKNOWN_SIGMA) ** 2)
-    # what the Earth adds to a lit panel on average is taken for its gain
-    gain_cov = own + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
-    share = np.where(use_value > SURELY_LIT * albedo * level * gains, of_lit, albedo)
-    # what no beam explains; noise that the file does not state is in that light too: as much as full Sun scatters, else all of it
+        lit_share = np.hypot(albedo, fitted.sigma * use_value / (level * gains))
+        gain_cov = np.diag(prior_sigmas(vehicle, WIDE_SIGMA) ** 2)
+    # what the Earth adds to a lit panel on average appears as a larger gain
+    gain_cov = gain_cov + np.eye(len(gains)) * (LIT_SHARE * earth) ** 2
+
+    # sigma of each reading: a share of full Sun, which is the albedo for unlit panels, and the noise
+    share = np.where(use_value > SURELY_LIT * albedo * level * gains, lit_share, albedo)
+    # With modelled Earth's light: what no smooth model explains. Light on unlit panels also contains a noise that the file does not
+    # state, which is as large as the scatter of full Sun, or up to all of that light.
     unknown = albedo if fitted.spread is None else min(fitted.spread, albedo)
     left = max(EARTH_LEFT * albedo, unknown if stated is None else 0.0)
-    beside = np.minimum(share, np.hypot(left, np.where(share == albedo, 0.0, UNTOLD_SIGMA)))
+    modelled_share = np.minimum(
+        share, np.hypot(left, np.where(share == albedo, 0.0, READING_SIGMA))
+    )
     floor = np.hypot(share * level * gains, noise)
     largest = use_value.max(axis=1, initial=0.0)[:, None]
     by_battery = np.where(use_value > LIMITED_SIGMA * largest, LIMITED_SIGMA, LIMITED_DARK_SIGMA)
     sigma = by_battery * largest * limited[:, None]
-    nothing = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
-    beside = np.where(nothing, np.inf, np.hypot(sigma, np.hypot(beside * level * gains, noise)))
-    sigma = np.where(nothing, np.inf, np.hypot(sigma, floor))
+    unused = ~np.isfinite(value) | spike | dead[None] | (dropped | dark | idle)[:, None]
+    modelled_floor = np.hypot(modelled_share * level * gains, noise)
+    sigma_modelled = np.where(unused, np.inf, np.hypot(sigma, modelled_floor))
+    sigma = np.where(unused, np.inf, np.hypot(sigma, floor))
+
+    # use and reason of each sample; np.select takes the first that applies
     wrong = wrong_unit() if dark[good].any() else None
-    nothing_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
+    no_panel_lit = "dropped: no panel lit" if wrong is None else f"dropped: {wrong}"
     partly = spike.any(axis=1), negative.any(axis=1), held.any(axis=1)
     down = np.logical_or.reduce([limited, *partly])
     use = np.select([dropped | dark | idle, down], [DROPPED, DOWNWEIGHTED], USED)
     why = np.select(
-        [dropped, dark, idle, limited, *partly, aside],
-        [why, nothing_lit, IDLE, BELOW_FULL, BEYOND_FULL, BELOW_NOISE, PARTLY_HELD, ASIDE],
+        [dropped, dark, idle, limited, *partly, oblique],
+        [why, no_panel_lit, IDLE, BELOW_FULL, BEYOND_FULL, BELOW_NOISE, PARTLY_HELD, OBLIQUE],
         "used",
     )
     missed |= dead & vehicle.throttled
-    # a file all beyond full Sun, or all below, has other units or gains, which is reported as such: its readings are readings
+
+    # readings that exist, and those that depend on the Sun direction alone. If most samples are beyond full Sun, or nearly all
+    # below, units or gains are wrong; that is reported elsewhere, and the readings stay readings.
     lit = good & ~dark
     beyond = partly[0][good].sum() > MISREAD_SHARE * good.sum()
     below = (bright[lit] >= LIMITED_FRACTION * full).sum() < FULL_SHARE * lit.sum()
     read = np.isfinite(value) & (beyond | ~spike) & ~missed & good[:, None]
-    # the Sun may be where no panel looks; if panels look everywhere, a dark sample is in the shadow
+    # if panels cover all directions, a dark sample is in the shadow; else the Sun may be where no panel looks
     shadow = dark & (wrong is None and sees_everywhere(vehicle))
-    # what full Sun gives must be stated: by the file's brighter samples alone a shadowed panel looks like a full battery
+    # Full Sun must be stated: if it comes from the file's brighter samples, a shadowed panel looks like a full battery.
     stated_full = vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]
     dim = (idle | limited) & (not below)
     measured = read & ~((dim | shadow) & (stated_full and not beyond))[:, None]
+
     scale = np.where(limited, np.maximum(bright, 1e-12), level[:, 0])
     scale_sigma = np.where(limited | vehicle.throttled, LIMITED_SCALE, fitted.spread or CLEAN_SCALE)
     stated_gains = vehicle.input_gains
     uses = {"flag_values": [0, 1, 2], "flag_meanings": "used downweighted dropped"}
-    of_earth = "the same where the Earth's light is modelled"
+    modelled_name = "the same where the Earth's light is modelled"
     variables: dict[str, Any] = {
         "sigma": (sigma, {"long_name": "one sigma of a reading, unit of the gains"}),
-        "sigma_beside_earth": (beside, {"long_name": of_earth}),
+        "sigma_beside_earth": (sigma_modelled, {"long_name": modelled_name}),
         "reading": (read, {"long_name": "the panel was read"}),
         "measured": (measured, {"long_name": "the reading depends on the Sun direction alone"}),
         "scale": (scale, {"units": "1"}),
@@ -250,7 +269,7 @@ def judge_readings(
         "use": (use.astype(np.int8), uses),
         "why": (why.astype(np.str_), {}),
     }
-    of_panels = {
+    panel_variables = {
         "gain": (gains, {"long_name": "gain of each panel, unit of the vehicle's gains"}),
         "gain_sigma": (np.sqrt(np.diag(gain_cov)) * stated_gains, {}),
         "gain_cov": (gain_cov * np.outer(stated_gains, stated_gains), {}),
@@ -263,14 +282,14 @@ def judge_readings(
         {name: (("time", "panel")[: v.ndim], v, about) for name, (v, about) in variables.items()}
         | {
             name: (("panel", "panel2")[: v.ndim], v, about)
-            for name, (v, about) in of_panels.items()
+            for name, (v, about) in panel_variables.items()
         },
         coords={name: telemetry[name] for name in ("time", "panel") if name in telemetry.coords},
-        attrs=provenance("panel_quality", telemetry, **vehicle.said)
+        attrs=provenance("panel_quality", telemetry, **vehicle.result_attributes)
         | {
             "full_sun": float(full),
             "albedo": float(albedo),
-            "albedo_samples": seen,
+            "albedo_samples": albedo_samples,
             "full_sun_from": source,
             "gains_from": fitted.source,
             "earth_light": earth,
@@ -280,8 +299,8 @@ def judge_readings(
     )
 
 
-def came_late(telemetry: xr.Dataset) -> np.ndarray:
-    """Return which samples (n) are late or repeated frames: their time does not increase."""
+def find_late_frames(telemetry: xr.Dataset) -> np.ndarray:
+    """Return the samples (n) whose time does not increase: late or repeated frames."""
     time = np.asarray(telemetry["time"], dtype=np.float64)
     late = np.concatenate([[False], time[1:] <= np.fmax.accumulate(time)[:-1]])[: len(time)]
     if "flag" in telemetry:
@@ -289,14 +308,17 @@ def came_late(telemetry: xr.Dataset) -> np.ndarray:
     return late
 
 
-def known_readings(vehicle: Vehicle, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings (n, n_panel) without those far below zero, which no panel gives, and which those are (n, n_panel)."""
+def remove_negative_readings(vehicle: Vehicle, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings (n, n_panel) with NaN for those below zero beyond noise, and a mask (n, n_panel) of these."""
     negative = value < lowest_reading(vehicle, value)
     return np.where(negative | ~np.isfinite(value), np.nan, value), negative
 
 
-def without_spikes(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
-    """Return readings (n, n_panel) without those beyond full Sun, as fill values are; all of them if most samples have one."""
+def remove_spikes(vehicle: Vehicle, value: np.ndarray) -> np.ndarray:
+    """Return readings (n, n_panel) with NaN for those beyond full Sun, such as fill values.
+
+    If most samples have such a reading, the unit is wrong, and the readings are returned unchanged.
+    """
     relative = value / vehicle.input_gains
     spike = relative > SPIKE_FACTOR * _full_sun(vehicle, relative)[0]
     misread = spike.any(axis=1).sum() > MISREAD_SHARE * len(value)
@@ -315,21 +337,39 @@ def _unusable(
     negative: np.ndarray,
     repeats: Repeats,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples that cannot be used at all (n), and why (n); `sound` are the readings (n, n_panel) without spikes."""
+    """Return the samples (n) that cannot be used at all, and the reason (n) of each, empty for the others.
+
+    Parameters
+    ----------
+    sound : (n, n_panel)
+        Readings without spikes; `value` are those with them.
+    negative : (n, n_panel)
+        Readings that were removed because they are below zero beyond noise.
+    """
     empty = ~np.isfinite(value).any(axis=1)
-    late = came_late(telemetry)
+    late = find_late_frames(telemetry)
     repeated = repeats.frozen
-    again = np.zeros(len(value), dtype=bool)
+    equals_previous = np.zeros(len(value), dtype=bool)
     empty_cell = np.isnan(sound[1:]) | np.isnan(sound[:-1])
-    again[1:] = np.all((sound[1:] == sound[:-1]) | empty_cell, axis=1)
-    held = repeats.of(PANELS) & ~repeated
-    reasons = [late, negative.any(axis=1) & empty, empty, repeated & again, repeated, held]
+    equals_previous[1:] = np.all((sound[1:] == sound[:-1]) | empty_cell, axis=1)
+    held = repeats.repeated(PANELS) & ~repeated
+    reasons = [
+        late,
+        negative.any(axis=1) & empty,
+        empty,
+        repeated & equals_previous,
+        repeated,
+        held,
+    ]
     why = np.select(reasons, [LATE, NEGATIVE, EMPTY, STALE, COPY, HELD], "").astype(object)
     return np.logical_or.reduce(reasons), why
 
 
 def _full_sun(vehicle: Vehicle, relative: np.ndarray) -> tuple[float, str]:
-    """The scale of readings in full Sun: one where gains are given in the reading's unit, else from the brightest samples."""
+    """Return the brightness of full Sun in readings over gains (n, n_panel), and its origin in words.
+
+    It is 1 if the gains are in the unit of the readings; else it is estimated from the brighter samples.
+    """
     if vehicle.gain_unit == UNITS[vehicle.telemetry.quantity]:
         return 1.0, "the gains of the vehicle file"
     bright = brightness(vehicle, np.nan_to_num(relative) * vehicle.input_gains)
@@ -345,82 +385,112 @@ def _beyond_noise(
     light: np.ndarray,
     noise: np.ndarray,
     full: float,
-    away: float,
+    dark_light: float,
 ) -> np.ndarray:
-    """Which samples (n) have a reading of `light` (n, n_panel) that noise does not make: noise as stated, else what readings below
-    zero of all `value` tell, else what panels that face away from the Sun read, `away` (of full Sun, which is `full` of the gain),
-    but no more than the noise that is assumed: the rest is the Earth's light."""
+    """Return the samples (n) with at least one reading that noise does not explain.
+
+    The noise is that of the vehicle file, else it is estimated from readings below zero, else from panels that face away from the
+    Sun. The latter is at most the assumed noise: a larger reading is Earth's light.
+
+    Parameters
+    ----------
+    value : (n, n_panel)
+        All readings, from which noise is estimated.
+    light : (n, n_panel)
+        Readings that are tested; zero for spikes and dead panels.
+    noise : (n_panel)
+        Stated noise with the quantisation of the readings.
+    full : float
+        Brightness of full Sun, as a factor on the gains.
+    dark_light : float
+        Reading of panels that face away from the Sun, as a share of full Sun.
+    """
     sigma = noise if vehicle.input_noise is not None else dark_noise(value)
-    by_noise = (
+    limit = (
         np.maximum(noise, sigma)
         if sigma is not None
-        else full * min(away, ASSUMED_SHARE) * vehicle.input_gains
+        else full * min(dark_light, ASSUMED_SHARE) * vehicle.input_gains
     )
-    return np.asarray((light > DARK_SIGMAS * by_noise).any(axis=1))
+    return np.asarray((light > DARK_SIGMAS * limit).any(axis=1))
 
 
-def _dead(relative: np.ndarray, full: float) -> np.ndarray:
+def _find_dead_panels(relative: np.ndarray, full: float) -> np.ndarray:
+    """Return the panels (n_panel) that never read anything in a file in which enough samples are lit.
+
+    `relative` (n, n_panel) are readings over gains, `full` their brightness in full Sun. The brightest panel is never dead.
+    """
     high = np.nanmax(np.where(np.isfinite(relative), relative, -np.inf), axis=0, initial=-np.inf)
     lit = (np.nan_to_num(relative) > DEAD_FRACTION * full).any(axis=1).sum()
     return (high < DEAD_FRACTION * full) & (lit >= DEAD_SAMPLES) & (high < np.max(high))
 
 
-def _aside(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> np.ndarray:
-    """Samples (n) that a Sun of full strength in some direction explains although their panels together give less.
+def _is_oblique(vehicle: Vehicle, value: np.ndarray, full: float, dead: np.ndarray) -> np.ndarray:
+    """Return the samples (n) that a Sun of full strength in some direction explains although the panels together give less.
 
-    Panels that do not look all around see the Sun shortened where it stands aside. A dead panel is none of them: that it is
-    lit is a fault and no geometry.
+    Panels that do not cover all directions give less if the Sun is oblique to all of them. Directions that light a `dead` panel
+    (n_panel) are left out: then the fault of the panel and not the geometry lowers the signal.
     """
     light, gains = full * panel_power(vehicle, sphere(DIRECTIONS)), vehicle.input_gains[~dead]
-    shown = light[:, ~dead].any(axis=1) & ~light[:, dead].any(axis=1)
-    model = light[shown][:, ~dead] / gains
-    aside = np.zeros(len(value), dtype=bool)
+    allowed = light[:, ~dead].any(axis=1) & ~light[:, dead].any(axis=1)
+    model = light[allowed][:, ~dead] / gains
+    oblique = np.zeros(len(value), dtype=bool)
     for start in range(0, len(value) if len(model) else 0, CHUNK):
         rows = slice(start, start + CHUNK)
         seen = value[rows][:, ~dead] / gains
         square = (seen**2).sum(axis=1)[:, None] - 2 * seen @ model.T + (model**2).sum(axis=1)
-        aside[rows] = square.min(axis=1) < len(gains) * (ASIDE_FRACTION * full) ** 2
-    return aside
+        oblique[rows] = square.min(axis=1) < len(gains) * (OBLIQUE_MISFIT * full) ** 2
+    return oblique
 
 
-def _quantum(value: np.ndarray) -> float:
-    """Step of quantised readings: the smallest difference, where most differences are whole multiples of it; else zero."""
-    steps = np.unique(value[np.isfinite(value)][:QUANTUM_SAMPLES])
-    gaps = np.diff(steps)
-    gaps = gaps[gaps > 1e-9 * max(np.abs(steps).max(initial=0.0), 1e-300)]
+def _quantisation_step(value: np.ndarray) -> float:
+    """Return the step of quantised readings: the smallest difference, if most differences are whole multiples of it; else zero."""
+    levels = np.unique(value[np.isfinite(value)][:QUANTUM_SAMPLES])
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(np.abs(levels).max(initial=0.0), 1e-300)]
     if len(gaps) < 5:
         return 0.0
-    turns = gaps / gaps.min()
-    return float(gaps.min()) if np.mean(np.abs(turns - np.round(turns)) < 0.01) > 0.9 else 0.0
+    multiples = gaps / gaps.min()
+    whole = np.abs(multiples - np.round(multiples)) < 0.01
+    return float(gaps.min()) if np.mean(whole) > 0.9 else 0.0
 
 
-def _albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
-    """Earth's light on panels that face away from the Sun: high quantile of what panels opposite to brighter ones read, and
-    how many readings tell it."""
+def _estimate_albedo(vehicle: Vehicle, share: np.ndarray) -> tuple[float, int]:
+    """Return the light on panels that face away from the Sun, as a share of full Sun, and the number of readings behind it.
+
+    It is a high quantile of the readings `share` (n, n_panel; shares of full Sun) of panels opposite to sunlit ones. With fewer
+    than `ALBEDO_READINGS` readings it is `ALBEDO_DEFAULT`.
+    """
     response = vehicle.response_in()
     seen = response.power(sphere(DIRECTIONS)) / vehicle.input_gains
-    both = (seen > 0).T.astype(int) @ (
-        seen > FACED
-    ) > 0  # a panel gets light where another faces the Sun
-    away = np.argwhere(opposite_panels(response.facing_B) & ~both)
-    readings = [share[share[:, j] > FACED, i] for i, j in away]
+    # pairs (i, j): in some direction panel i gets light while panel j faces the Sun, so i is not dark then
+    both_lit = (seen > 0).T.astype(int) @ (seen > FACED) > 0
+    pairs = np.argwhere(opposite_panels(response.facing_B) & ~both_lit)
+    readings = [share[share[:, j] > FACED, i] for i, j in pairs]
     dark = np.concatenate(readings) if readings else np.zeros(0)
     dark = dark[np.isfinite(dark)]
-    enough = len(dark) >= TOLD_READINGS
+    enough = len(dark) >= ALBEDO_READINGS
     albedo = float(np.clip(np.percentile(dark, 84), 0.01, 0.3)) if enough else ALBEDO_DEFAULT
     return albedo, len(dark)
 
 
-def _earth_light(albedo: float, seen: int, noise: float) -> float:
-    """What a panel gets that looks straight at the Earth, a share of full Sun, if `albedo` is the quantile of what faces away
-    from the Sun get, noise included; 0 where the file does not tell."""
-    if seen < TOLD_READINGS:
+def _earth_light(albedo: float, readings: int, noise: float) -> float:
+    """Return the Earth's light on a panel that looks straight at the Earth, as a share of full Sun.
+
+    Parameters
+    ----------
+    albedo : float
+        Light on panels that face away from the Sun, as a share of full Sun: 84 % quantile, `noise` (same unit) included.
+    readings : int
+        Readings that determine it. With fewer than `ALBEDO_READINGS` the result is 0.
+    """
+    if readings < ALBEDO_READINGS:
         return 0.0
+    # sqrt(albedo^2 - noise^2) as a product: squares of wrongly scaled readings would overflow
     return float(np.sqrt(max((albedo - noise) * (albedo + noise), 0.0)) / COSINE_QUANTILE)
 
 
-def reasons(quality: Any) -> dict[str, int]:
-    """Number of samples for each sentence, most frequent first."""
+def count_reasons(quality: Any) -> dict[str, int]:
+    """Return the number of samples for each reason (sentence), most frequent first."""
     texts, counts = np.unique(quality["why"].values, return_counts=True)
     return dict(
         sorted(zip(texts.tolist(), counts.tolist(), strict=True), key=lambda item: -item[1])

@@ -1,7 +1,7 @@
-"""The only reader of mission files: CSV -> Dataset with flags and provenance, or one sentence on what is wrong.
+"""The only reader of mission files: table -> Dataset with flags and provenance, or one sentence on what is wrong.
 
-Column names, units, clock and what to do with bad rows come from the vehicle file (`[telemetry]`), so that nobody has to
-rewrite a file to have it read.
+Column names, units, clock and the treatment of bad rows come from the vehicle file (`[telemetry]`), so that files need not be
+rewritten.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import Table, read_table
 from sunspin.telemetry.noise import lowest_reading
-from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
-from sunspin.telemetry.stored import KIND, stored_telemetry
-from sunspin.telemetry.times import Times, read_times, received_times
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
+from sunspin.telemetry.stored import KIND, restore_telemetry
+from sunspin.telemetry.times import Times, read_received_times, read_times
 from sunspin.telemetry.timescales import UNIX_ZERO
 from sunspin.telemetry.units import UNITS
 from sunspin.vehicle import TelemetryForm, Vehicle
-from sunspin.vehicle.craft import OR_CHANNEL
-from sunspin.vehicle.sensors import unwrapped
+from sunspin.vehicle.craft import CHANNEL_HINT
+from sunspin.vehicle.sensors import unwrap_counts
 
 FLAGS = {0: "good", 1: "not_a_number", 2: "negative", 4: "time_not_increasing"}
-"""Bits of `flag`."""
+"""Bits of `flag`, and their meanings."""
 
 COLDEST_C, HOTTEST_C = -200.0, 250.0
-"""No solar panel in flight is colder or hotter: such a reading is none."""
+"""Range of temperatures of solar panels in flight; readings outside are left out."""
 
 NEAR = 0.75
-"""Likeness of two names, letters and digits only, from which one is taken for the other misspelt."""
+"""Similarity of two names (letters and digits only, difflib's ratio) from which one is taken as a misspelling of the other."""
 
 LEAST_FACTOR = 0.2
-"""A temperature correction below this is beyond any linear law and left out."""
+"""A temperature correction below this is not applied, because the linear law does not hold."""
 
 
 def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
@@ -48,26 +48,29 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     Parameters
     ----------
     path : str or path
-        Also `telemetry.nc` of a results folder, which gives what was read when that was written.
+        Also `telemetry.nc` of a results folder: the telemetry from which the results were computed.
     vehicle : Vehicle
-        Its `telemetry` says which columns, unit, clock; its panels which columns must be there. A file that has columns of
-        the vehicle's sensors may have none of the panels.
+        Its `telemetry` gives columns, units and clock; its panels give the columns that must exist. A file with columns of the
+        vehicle's sensors need not have columns of panels.
 
     Returns
     -------
     xarray.Dataset
-        `power_W` (or `current_A`) over (time, panel), `flag (time)` (bits, 0 is good), coordinate `time` in s from
-        ``attrs["epoch_utc"]``, `phase (time)` and `received_s (time)` where the file has such columns; attrs name the file, its
-        hash, whether it calls itself synthetic, its `unused_columns`, and `missing_sensors`: those of which it has no column. With
-        ``bad_rows = "flag"`` or "sort" rows are sorted by time, and rows of one instant that say the same become one, as where
-        several ground stations heard a frame: attrs `rows_sorted` and `rows_merged` count them, `rows_misdated` those left out
-        because their dates are years from all others. attrs `clock_notes`, if any, has a sentence in each line: what was taken for
-        granted of the clock, and where it started again.
+        `power_W` (or `current_A`) over (time, panel); `flag (time)`: bits, 0 is good; coordinate `time` in s from
+        ``attrs["epoch_utc"]``. `phase (time)` and `received_s (time)` if the file has such columns. The variables of
+        :func:`sunspin.telemetry.sensors.read_sensors`.
+
+        attrs name the file, its hash, whether it calls itself synthetic, its `unused_columns`, and `missing_sensors`, which have no
+        column. `clock_notes`, if present, has one sentence in each line on assumptions about the clock and on its restarts.
+
+        With ``bad_rows = "flag"`` or "sort" rows are sorted by time. Rows of one instant without contradictions are merged, for
+        example if several ground stations received a frame. Rows with dates years from all others are left out. attrs
+        `rows_sorted`, `rows_merged` and `rows_misdated` count these rows.
 
     Raises
     ------
     TelemetryError
-        Naming file, line, column, what was found and what to do.
+        The file cannot be read. The message names file, line and column, the offending value and what to do.
     """
     path = Path(path)
     if not (vehicle.sensors.sun_sensors or vehicle.sensors.sun_vector or vehicle.sensors.gyro):
@@ -79,7 +82,7 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
         raise TelemetryError(what, do=do, where=str(path))
     table = read_table(path)
     if table.data is not None and str(table.data.attrs.get("kind")) == KIND:
-        return stored_telemetry(table.data, vehicle, path)
+        return restore_telemetry(table.data, vehicle, path)
     header = set(table.header)
     if "frame" in header and form.time_column not in header and header & {"timestamp", "observer"}:
         what = "the file holds raw frames and no readings"
@@ -92,12 +95,12 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     read = header - {*_clock_columns(form), *unused}
     times, counts = read_times(form, table, read), {}
     if form.bad_rows != "refuse":
-        table, times, counts = _in_order(form, table, times, read)
-        if counts:
+        table, times, counts = _sort_and_merge(form, table, times, read)
+        if counts:  # the rows of the table have changed
             sensors = read_sensors(vehicle, table)
     time, epoch, received = times.time, times.epoch, times.received
-    values, flag = _values(vehicle, table, columns)
-    values, warmth = _at_reference(vehicle, table, values)
+    values, flag = _read_panels(vehicle, table, columns)
+    values, temperatures = _correct_for_temperature(vehicle, table, values)
     late = np.concatenate([[False], time[1:] <= np.maximum.accumulate(time)[:-1]])
     if form.bad_rows == "refuse" and late.any():
         i = int(late.argmax())
@@ -123,12 +126,12 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     if "phase" in table.header:
         phase = [cell.strip() for cell in table.cells["phase"]]
         coords["phase"] = ("time", np.array(phase, dtype=np.str_))
-    if sensors or warmth:
+    if sensors or temperatures:
         coords["axis"] = ["x", "y", "z"]
     masks = [bit for bit in FLAGS if bit]
     about = {"flag_masks": masks, "flag_meanings": " ".join(FLAGS[bit] for bit in masks)}
     readings["flag"] = ("time", flag, about)
-    attrs = provenance("telemetry", **vehicle.said) | {
+    attrs = provenance("telemetry", **vehicle.result_attributes) | {
         "quantity": form.quantity,
         "sha256": table.sha256,
         "comments": "\n".join(table.comments),
@@ -140,11 +143,17 @@ def read_telemetry(path: Any, vehicle: Vehicle) -> xr.Dataset:
     }
     if times.notes:
         attrs["clock_notes"] = "\n".join(times.notes)
-    return xr.Dataset(readings | sensors | warmth, coords, attrs | counts)
+    return xr.Dataset(readings | sensors | temperatures, coords, attrs | counts)
 
 
 def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
-    """The column of each input; none if all may be missing and are."""
+    """Return the name of the column of each input; an empty list if all are missing and `optional`.
+
+    Raises
+    ------
+    TelemetryError
+        A column is missing, or two panels have the same one.
+    """
     form = vehicle.telemetry
     powers = form.quantity == "power_W" and not form.has_voltages
     letter, unit = ("P", "W") if powers else ("I", "A")
@@ -156,18 +165,18 @@ def _panel_columns(vehicle: Vehicle, table: Table, optional: bool) -> list[str]:
     usual = {*vehicle.input_names, *(f"{letter}{panel}_{unit}" for panel in vehicle.input_names)}
     if optional and not {*names.values(), *usual} & set(table.header):
         return []
-    columns = [column_of(table, name, f"panel {panel}") for panel, name in names.items()]
-    if twice := [name for name in columns if columns.count(name) > 1]:
+    columns = [require_column(table, name, f"panel {panel}") for panel, name in names.items()]
+    if duplicates := [name for name in columns if columns.count(name) > 1]:
         what = "two panels read one column"
-        do = f"name the column of each under [telemetry.columns] in the vehicle file{OR_CHANNEL}"
-        raise TelemetryError(what, got=twice[0], do=do, where=table.where)
+        do = f"name the column of each under [telemetry.columns] in the vehicle file{CHANNEL_HINT}"
+        raise TelemetryError(what, got=duplicates[0], do=do, where=table.where)
     return columns
 
 
-def _refuse(
+def _refuse_bad_cells(
     form: TelemetryForm, what: str, bad: np.ndarray, table: Table, names: list[str]
 ) -> None:
-    """Raise the error for the first of the bad cells (rows, columns), if the vehicle file asks for it."""
+    """Raise a `TelemetryError` for the first bad cell (n, n_column) of the columns `names`, if ``bad_rows = "refuse"``."""
     if form.bad_rows == "refuse" and bad.any():
         row, k = np.argwhere(bad)[0]
         got = table.cells[names[k]].iat[row] or "an empty cell"
@@ -175,71 +184,82 @@ def _refuse(
         raise TelemetryError(what, got=got, do=do, where=table.place(row, names[k]))
 
 
-def _values(vehicle: Vehicle, table: Table, columns: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Readings (n, n_input) in W or A, NaN where none, and the flag (n) of each row."""
+def _read_panels(
+    vehicle: Vehicle, table: Table, columns: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the panel readings (n, n_input) in W or A, NaN if missing, and the flag (n) of each row."""
     form = vehicle.telemetry
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
-    values = (unwrapped(values, form.wraps_at) - form.zero) * form.scale
+    values = (unwrap_counts(values, form.wraps_at) - form.zero) * form.scale
     if columns and form.has_voltages:
         common = form.voltage_column or ""
         names = [
-            column_of(table, form.voltage_columns.get(panel, common), f"voltage of panel {panel}")
+            require_column(
+                table, form.voltage_columns.get(panel, common), f"voltage of panel {panel}"
+            )
             for panel in vehicle.input_names
         ]
         volts = form.voltage_scale * table.numbers(names)
         volts = np.where((volts >= 0) & (volts < ABSURD), volts, np.nan)
         what = "a voltage is a number, zero or above"
-        _refuse(form, what, ~np.isfinite(volts), table, names)
+        _refuse_bad_cells(form, what, ~np.isfinite(volts), table, names)
         values = values * volts
-    none, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
-    _refuse(form, "a finite number is expected", none, table, columns)
-    _refuse(form, "a panel cannot give a negative value", negative, table, columns)
-    return values, (none.any(axis=1) + 2 * negative.any(axis=1)).astype(np.uint8)
+    missing, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
+    _refuse_bad_cells(form, "a finite number is expected", missing, table, columns)
+    _refuse_bad_cells(form, "a panel cannot give a negative value", negative, table, columns)
+    return values, (missing.any(axis=1) + 2 * negative.any(axis=1)).astype(np.uint8)
 
 
-def _at_reference(
+def _correct_for_temperature(
     vehicle: Vehicle, table: Table, values: np.ndarray
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Values at the panels' reference temperature, and the temperatures; a panel without a reading takes the others' mean."""
+    """Return readings (n, n_panel) reduced to the panels' reference temperature, and a dict with the variable of the temperatures.
+
+    A panel without a temperature reading takes the mean of the others in the row, else the reference temperature.
+    """
     form, panels = vehicle.telemetry, vehicle.input_names
     if not form.temperature_columns or not values.shape[1]:
         return values, {}
-    warm = np.full(values.shape, np.nan)
+    temperature = np.full(values.shape, np.nan)
     for panel, name in form.temperature_columns.items():
-        column = column_of(table, name, f"temperature of panel {panel}")
-        warm[:, panels.index(panel)] = form.temperature_scale * table.numbers([column])[:, 0]
-    warm = np.where((warm > COLDEST_C) & (warm < HOTTEST_C), warm, np.nan)
-    known = np.isfinite(warm)
-    mean = np.where(known, warm, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+        column = require_column(table, name, f"temperature of panel {panel}")
+        temperature[:, panels.index(panel)] = form.temperature_scale * table.numbers([column])[:, 0]
+    plausible = (temperature > COLDEST_C) & (temperature < HOTTEST_C)
+    temperature = np.where(plausible, temperature, np.nan)
+    known = np.isfinite(temperature)
+    mean = np.where(known, temperature, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     mean = np.where(known.any(axis=1), mean, form.reference_temperature_C)
-    filled = np.where(known, warm, mean[:, None])
+    filled = np.where(known, temperature, mean[:, None])
     factor = 1 + form.temperature_coefficient_per_K * (filled - form.reference_temperature_C)
     factor = np.where(factor > LEAST_FACTOR, factor, 1.0)
     about = {"units": "degC", "long_name": "temperature of the panel"}
-    return values / factor, {"panel_temperature_C": (("time", "panel"), warm, about)}
+    return values / factor, {"panel_temperature_C": (("time", "panel"), temperature, about)}
 
 
 def _clock_columns(form: TelemetryForm) -> list[str]:
-    """Return the columns that hold times."""
+    """Return the names of the columns that contain times."""
     names = (form.time_column, form.week_column, form.receive_time_column)
     return [name for name in names if name is not None]
 
 
 def _require_clock(form: TelemetryForm, table: Table) -> None:
-    """Raise an error if a column with times is missing."""
-    column_of(table, form.time_column, "the time")
+    """Raise a `TelemetryError` if a column with times is missing."""
+    require_column(table, form.time_column, "the time")
     if form.week_column is not None:
-        column_of(table, form.week_column, "the GPS week")
+        require_column(table, form.week_column, "the GPS week")
     if form.receive_time_column is not None:
-        column_of(table, form.receive_time_column, "the time of reception")
+        require_column(table, form.receive_time_column, "the time of reception")
 
 
-def _in_order(
+def _sort_and_merge(
     form: TelemetryForm, table: Table, times: Times, read: set[str]
 ) -> tuple[Table, Times, dict[str, int]]:
-    """Rows sorted by time, those of one instant that do not contradict each other in what is `read` merged (the station's name may
-    differ, and when it heard them), those with the date of a reset clock left out; and how many were moved, merged, left out."""
+    """Return table and times sorted by time, and the numbers of rows sorted, merged and left out (only numbers that are not zero).
+
+    Rows of one instant are merged if the columns `read` do not contradict each other. Other columns, such as the station or the
+    time of reception, may differ. Rows dated by a reset clock are left out.
+    """
     time = times.time
     order = np.argsort(time, kind="stable")
     rows = table.cells.to_numpy(copy=True)
@@ -251,7 +271,7 @@ def _in_order(
             empty = np.array([not cell.strip() for cell in first])
             differ = (first != second) & ~empty & np.array([bool(cell.strip()) for cell in second])
             if not (differ & compared).any():
-                rows[kept[-1]] = np.where(empty, second, first)
+                rows[kept[-1]] = np.where(empty, second, first)  # fill empty cells
                 continue
         kept.append(int(i))
     dated = time[~times.misdated]
@@ -263,25 +283,41 @@ def _in_order(
     if not any(counts.values()):
         return table, times, {}
     epoch, received, time = times.epoch, times.received, time[kept]
+    # without a stated epoch, dates count from the first row, which may now be another
     if form.epoch_utc is None and form.time_format != "elapsed":
         epoch, time = epoch + timedelta(seconds=float(time[0])), time - time[0]
     cells = pd.DataFrame(rows[kept], table.cells.index[kept], table.header)
     table = table._replace(cells=cells)
-    received = None if received is None else received_times(form, table)
+    received = None if received is None else read_received_times(form, table)
     times = times._replace(time=time, epoch=epoch, received=received)
     return table, times, {name: n for name, n in counts.items() if n}
 
 
-def column_of(
+def require_column(
     table: Table,
     name: str,
     what: str,
     section: str = "telemetry",
-    free: list[str] | None = None,
+    candidates: list[str] | None = None,
 ) -> str:
-    """The name of a column that is there; `free`: columns that a misspelt name may mean, by default all."""
+    """Return the name of a column that must exist.
+
+    Parameters
+    ----------
+    what : str
+        Meaning of the column, for the message.
+    section : str
+        Table of the vehicle file that names the column, for the message.
+    candidates : list of str, optional
+        Columns of which `name` may be a misspelling; default: all.
+
+    Raises
+    ------
+    TelemetryError
+        There is no such column. The message suggests a similar name.
+    """
     if name not in table.header:
-        near = _nearest(name, table.header if free is None else free)
+        near = _find_similar_name(name, table.header if candidates is None else candidates)
         do = f"add it, or name the right column under [{section}] in the vehicle file"
         raise TelemetryError(
             f"column {name!r} ({what}) is missing",
@@ -292,29 +328,36 @@ def column_of(
     return name
 
 
-def _nearest(name: str, names: list[str]) -> str | None:
+def _find_similar_name(name: str, names: list[str]) -> str | None:
+    """Return the most similar of `names`, compared without case and punctuation; None if none is similar enough (`NEAR`)."""
     bare = {re.sub(r"[^a-z0-9+-]", "", each.lower()): each for each in names}
     near = get_close_matches(re.sub(r"[^a-z0-9+-]", "", name.lower()), bare, n=1, cutoff=NEAR)
     return bare[near[0]] if near else None
 
 
 def _unused_columns(vehicle: Vehicle, table: Table, columns: list[str]) -> list[str]:
-    """Columns of the file that nothing reads."""
+    """Return the columns of the file that are not read; `columns` are those of the panels."""
     form = vehicle.telemetry
     used = {*_clock_columns(form), form.voltage_column, "phase", *columns}
-    used |= {name for _, _, names in sensor_parts(vehicle) for name in names}
+    used |= {name for sensor in sensor_columns(vehicle) for name in sensor.columns}
     used |= {*form.temperature_columns.values(), *form.voltage_columns.values()}
     return [name for name in table.header if name not in used]
 
 
 def _missing_sensors(vehicle: Vehicle, table: Table, unused: list[str]) -> list[str]:
-    """Sensors of which the file has no column at all; where it has some, or some that are nearly called so, an error names one."""
+    """Return the sensors that have no column in the file, with their columns in parentheses.
+
+    Raises
+    ------
+    TelemetryError
+        A sensor has only some of its columns, or a column with a similar name.
+    """
     missing = []
-    for section, what, names in sensor_parts(vehicle):
-        absent = [name for name in names if name not in table.header]
-        near = [name for name in absent if _nearest(name, unused)]
-        if absent and (len(absent) < len(names) or near):
-            column_of(table, (near or absent)[0], what, section, unused)
+    for sensor in sensor_columns(vehicle):
+        absent = [name for name in sensor.columns if name not in table.header]
+        near = [name for name in absent if _find_similar_name(name, unused)]
+        if absent and (len(absent) < len(sensor.columns) or near):
+            require_column(table, (near or absent)[0], sensor.name, sensor.section, unused)
         if absent:
-            missing.append(f"{what} ({', '.join(names)})")
+            missing.append(f"{sensor.name} ({', '.join(sensor.columns)})")
     return missing

@@ -9,7 +9,13 @@ from sunspin.base.errors import InputError
 
 
 def signals(telemetry: xr.Dataset) -> np.ndarray:
-    """The powers or currents (time, panel) of a telemetry Dataset."""
+    """Return the panel readings (n, n_panel) of a telemetry Dataset: powers in W, or currents in A.
+
+    Raises
+    ------
+    InputError
+        The Dataset has neither.
+    """
     name = next((key for key in ("power_W", "current_A") if key in telemetry), None)
     if name is None:
         raise InputError(

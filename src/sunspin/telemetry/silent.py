@@ -1,8 +1,9 @@
-"""Panels that never read anything although the Sun must have been on them: their neighbours say where it was.
+"""Lost panels: they never read anything although readings of the other panels show that the Sun was on them.
 
-At full light the readings of the others leave only directions, some samples only directions on one side, in which a silent panel
-would be lit. No turn of a few degrees hides that, whichever lit patterns geometry forbids. A battery that dims such a sample leaves
-less light, too; but then the Sun would have sprung aside to the panel and back, and without it goes on as before.
+In full Sun the readings of the other panels leave only directions in which a silent panel would be lit. A misalignment of a few
+degrees cannot explain that, for any set of impossible illumination patterns. A battery that limits the current could: it lowers the
+readings of the sample, too. With a battery, however, the estimated Sun jumps at these samples towards the silent panel and back;
+with a lost panel its path stays smooth.
 """
 
 from __future__ import annotations
@@ -10,80 +11,89 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc  # scipy.stats takes longer to import than a short pass to estimate
+from scipy.special import chdtrc  # importing scipy.stats takes longer than estimating a short pass
 
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import panel_power, turned_sigma
+from sunspin.vehicle.response.panels import misalignment_signal_sigma, panel_power
 from sunspin.vehicle.response.planes import sphere
 
 DIRECTIONS = 4000
-"""Directions of the Sun that are tried, 3 degrees apart."""
+"""Trial directions of the Sun, evenly spread, 3 degrees apart."""
 
 ERROR = 0.06
-"""Of each reading, as a share of full Sun: the Earth's light, the gain, and half of the distance between directions."""
+"""Error of a reading, as a share of full Sun: from the Earth's light, the gain, and half the distance between trial directions."""
 
 QUIET_SIGMAS = 4.0
-"""Readings within so many sigmas of nothing are noise."""
+"""A panel is silent if its readings are below so many sigmas of noise."""
 
 DARK = 0.05
-"""Share of full Sun below which a panel is as good as dark."""
+"""Share of full Sun below which a panel counts as dark."""
 
 CLEARLY = 10.0
-"""Squared residuals by which some sample must fit better without a panel before that is lost: of 70 files of turned panels,
-all whole, none came to 3."""
+"""Decrease of chi-square, in at least one sample, from which a panel is taken as lost. In 70 files with misaligned panels, none of
+them lost, the largest decrease was below 3."""
 
 UNEXPLAINED, ODD_SHARE = 1e-3, 0.1
-"""A sample less probable than this at full light is not explained by the loss either; where such are more than this share of those
-that miss the panel, it is the battery that makes them dim, or something else."""
+"""A sample whose chi-square is less probable than the first number is not explained by the loss either. If there are more of these
+than the second number times the samples that miss the panel, the cause is the battery or something else."""
 
 SMOOTHER, ROUGHER = 0.8, 2.0
-"""Of the bends of the Sun's path in the body, if a panel is lost, to those if a battery dims the samples that miss it: beyond the
-latter it is not lost, nor within both if the path bends too much to be followed and dimmed samples would look so by chance."""
+"""Limits on the bending of the Sun's path if the panel is lost, relative to its bending if the battery dims the samples. Above the
+second limit the panel is not lost, below the first it is. In between, the panel is lost if the path can be followed from sample to
+sample, or if dimmed samples would hardly look so by chance."""
 
 FOLLOWED, BY_CHANCE = 0.5, 0.1
-"""Mean bend from sample to sample, as a chord, of a path that can be followed; and such a chance."""
+"""Mean bend from sample to sample (a chord of the unit sphere) below which a path can be followed, and the limit on that chance."""
 
 MOST, CHUNK = 3000, 500
-"""Samples that are looked at, evenly chosen: a day at 1 Hz must not take minutes; and how many at once."""
+"""Largest number of samples used, evenly chosen (a day at 1 Hz must not take minutes), and samples computed at once."""
 
 
-def lost(vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Which panels (inputs) are lost, one after the other, the clearest first.
+def find_lost_panels(
+    vehicle: Vehicle, t_s: np.ndarray, relative: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Return the panels (n_panel) that are lost; where panels share inputs, the inputs.
+
+    Panels are declared lost one after the other, the one with the clearest evidence first.
 
     Parameters
     ----------
     t_s : (n,) s
     relative : (n, n_panel)
-        Readings over gains, 1 at full Sun; NaN where there is none.
+        Readings over gains, 1 at full Sun; NaN without a reading.
     noise : (n_panel,)
-        One sigma of a reading in the unit of the gains over full Sun.
+        One sigma of a reading in the unit of the gains, divided by the same brightness of full Sun as `relative`.
     """
     gains = vehicle.input_gains
-    gone = np.zeros(len(gains), dtype=bool)
-    of_sun = np.isfinite(relative).all(axis=1) & (np.nan_to_num(relative) > DARK).any(axis=1)
-    t_s, read = t_s[of_sun], relative[of_sun]
-    silent = (read < np.maximum(DARK, QUIET_SIGMAS * noise / gains)).all(axis=0)
-    every = max(1, -(-len(read) // MOST))
-    t_s, read = t_s[::every], read[::every]
-    if (
-        vehicle.throttled or silent.all() or not len(read)
-    ):  # the battery may limit any sample: there is no full light
-        return gone
+    lost = np.zeros(len(gains), dtype=bool)
+    lit = np.isfinite(relative).all(axis=1) & (np.nan_to_num(relative) > DARK).any(axis=1)
+    t_s, readings = t_s[lit], relative[lit]
+    silent = (readings < np.maximum(DARK, QUIET_SIGMAS * noise / gains)).all(axis=0)
+    stride = max(1, -(-len(readings) // MOST))
+    t_s, readings = t_s[::stride], readings[::stride]
+    # with throttled inputs the battery may limit any sample, so no sample is known to be in full Sun
+    if vehicle.throttled or silent.all() or not len(readings):
+        return lost
     light = panel_power(vehicle, sphere(DIRECTIONS)) / gains
-    # of a reading, as a share of full Sun; panels may be turned by the sigmas that the file states
-    sigma = np.sqrt(ERROR**2 + (turned_sigma(vehicle) ** 2 + noise**2) / gains**2)
-    while (left := np.flatnonzero(silent & ~gone)).size:
-        fits = {k: _without(k, read, light, sigma, gone) for k in left}
-        k = max(left, key=lambda panel: fits[panel].clear)
-        if fits[k].clear < CLEARLY or _by_battery(k, fits[k], t_s, read, light, sigma, gone):
+    # error of a reading, as a share of full Sun, with the misalignments that the vehicle file states
+    sigma = np.sqrt(ERROR**2 + (misalignment_signal_sigma(vehicle) ** 2 + noise**2) / gains**2)
+    while (candidates := np.flatnonzero(silent & ~lost)).size:
+        fits = {k: _fit_without(k, readings, light, sigma, lost) for k in candidates}
+        k = max(candidates, key=lambda panel: fits[panel].evidence)
+        if fits[k].evidence < CLEARLY:
             break
-        gone[k] = True
-    return gone
+        if _explained_by_battery(k, fits[k], t_s, readings, light, sigma, lost):
+            break
+        lost[k] = True
+    return lost
 
 
 class Fit(NamedTuple):
-    """Of readings (n) without a panel: where the Sun was, squared residuals, which are not explained so, which miss the panel, and
-    by how much they fit better than with it."""
+    """Fit of the Sun in each sample (n) without a silent panel.
+
+    `sun`: index of the best trial direction; `square`: chi-square; `odd`: not explained without the panel either; `missing`: not
+    odd, and clearly better without the panel, which should have been lit; `gain`: decrease of chi-square without the panel.
+    """
 
     sun: np.ndarray
     square: np.ndarray
@@ -92,70 +102,98 @@ class Fit(NamedTuple):
     gain: np.ndarray
 
     @property
-    def clear(self) -> float:
-        """By how much some sample fits better; nothing where others fit badly even so."""
+    def evidence(self) -> float:
+        """Largest decrease of chi-square of a sample without the panel; 0 if too many samples are odd."""
         few = self.odd.sum() <= ODD_SHARE * self.missing.sum()
         return float(self.gain[self.missing].max(initial=0.0)) if few else 0.0
 
 
-def _without(
-    k: int, read: np.ndarray, light: np.ndarray, sigma: np.ndarray, gone: np.ndarray
+def _fit_without(
+    k: int, readings: np.ndarray, light: np.ndarray, sigma: np.ndarray, lost: np.ndarray
 ) -> Fit:
-    """Readings (n, P) without panel `k`, those `gone` being left out."""
-    others = ~gone & (np.arange(len(gone)) != k)
-    model, extra = (light / sigma)[:, others], (np.maximum(light[:, k] - DARK, 0.0) / sigma[k]) ** 2
-    sun, best, gain = np.empty(len(read), dtype=np.intp), np.empty(len(read)), np.empty(len(read))
-    for start in range(0, len(read), CHUNK):
+    """Fit a trial direction to each sample of readings (n, n_panel) without panel `k` and without the panels `lost` (n_panel).
+
+    `light` (n_direction, n_panel) is the model of the readings, `sigma` (n_panel) their error, both as shares of full Sun.
+    """
+    used = ~lost & (np.arange(len(lost)) != k)
+    model = (light / sigma)[:, used]
+    # chi-square that panel k adds by reading nothing, for each direction
+    penalty = (np.maximum(light[:, k] - DARK, 0.0) / sigma[k]) ** 2
+    n = len(readings)
+    sun, best, gain = np.empty(n, dtype=np.intp), np.empty(n), np.empty(n)
+    for start in range(0, n, CHUNK):
         part = slice(start, start + CHUNK)
-        seen = (read[part] / sigma)[:, others]
+        seen = (readings[part] / sigma)[:, used]
         square = (seen**2).sum(axis=1)[:, None] - 2 * seen @ model.T + (model**2).sum(axis=1)
         sun[part], best[part] = square.argmin(axis=1), square.min(axis=1)
-        gain[part] = (square + extra).min(axis=1) - best[part]
-    odd = chdtrc(others.sum(), best) < UNEXPLAINED
+        gain[part] = (square + penalty).min(axis=1) - best[part]
+    odd = chdtrc(used.sum(), best) < UNEXPLAINED
     return Fit(sun, best, odd, ~odd & (gain > CLEARLY), gain)
 
 
-def _by_battery(
+def _explained_by_battery(
     k: int,
-    lost: Fit,
+    fit: Fit,
     t_s: np.ndarray,
-    read: np.ndarray,
+    readings: np.ndarray,
     light: np.ndarray,
     sigma: np.ndarray,
-    gone: np.ndarray,
+    lost: np.ndarray,
 ) -> bool:
-    """Whether a battery that dims the samples which miss panel `k` says it as well."""
-    sun, square, level = _dimmed((read / sigma)[:, ~gone], (light / sigma)[:, ~gone])
-    if (square - lost.square)[lost.missing].sum() > CLEARLY:
+    """Return whether a battery that limits the current explains the samples that miss panel `k` (`fit`) as well as its loss."""
+    dimmed = _fit_dimmed((readings / sigma)[:, ~lost], (light / sigma)[:, ~lost])
+    if (dimmed.square - fit.square)[fit.missing].sum() > CLEARLY:
         return False
-    bends = _bend(t_s, lost.sun, lost.missing) / max(_bend(t_s, sun, lost.missing), 1e-9)
+    bends_lost = _bend(t_s, fit.sun, fit.missing)
+    bends = bends_lost / max(_bend(t_s, dimmed.sun, fit.missing), 1e-9)
+    every = np.ones(len(readings))
     if (
         bends > ROUGHER
         or bends < SMOOTHER
-        or _bend(t_s, sun, np.ones(len(read))) < FOLLOWED * len(read)
+        or _bend(t_s, dimmed.sun, every) < FOLLOWED * len(readings)
     ):
         return bends > ROUGHER
-    dimmed = np.median(level[lost.missing]) * read[~lost.missing & ~lost.odd]
-    alike = _without(k, dimmed, light, sigma, gone).missing.mean() if len(dimmed) else 1.0
-    return alike ** lost.missing.sum() > BY_CHANCE
+    # the path cannot be followed: how often would the remaining samples miss the panel, too, if they were dimmed as much?
+    level = np.median(dimmed.brightness[fit.missing])
+    control = level * readings[~fit.missing & ~fit.odd]
+    share = _fit_without(k, control, light, sigma, lost).missing.mean() if len(control) else 1.0
+    return share ** fit.missing.sum() > BY_CHANCE
 
 
-def _dimmed(seen: np.ndarray, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the Sun was (n), squared residuals (n) and brightness (n), if readings (n, P) may be dimmed alike, all in sigmas."""
+class DimmedFit(NamedTuple):
+    """Fit of the Sun in each sample (n) if all its readings may be lowered by one factor.
+
+    `sun`: index of the best trial direction; `square`: chi-square; `brightness`: that factor, 0 to 1.
+    """
+
+    sun: np.ndarray
+    square: np.ndarray
+    brightness: np.ndarray
+
+
+def _fit_dimmed(seen: np.ndarray, model: np.ndarray) -> DimmedFit:
+    """Fit a trial direction and a brightness to each sample of readings (n, n_panel), with the model (n_direction, n_panel).
+
+    Both are in units of the error of a reading.
+    """
     sun, best, level = np.empty(len(seen), dtype=np.intp), np.empty(len(seen)), np.empty(len(seen))
     size = np.maximum((model**2).sum(axis=1), 1e-12)
     for start in range(0, len(seen), CHUNK):
         part = slice(start, start + CHUNK)
         along = seen[part] @ model.T
-        bright = np.clip(along / size, 0.0, 1.0)
+        bright = np.clip(along / size, 0.0, 1.0)  # the best factor for each direction
         square = (seen[part] ** 2).sum(axis=1)[:, None] + bright * (bright * size - 2 * along)
         sun[part], best[part] = square.argmin(axis=1), square.min(axis=1)
         level[part] = bright[np.arange(len(along)), sun[part]]
-    return sun, best, level
+    return DimmedFit(sun, best, level)
 
 
 def _bend(t_s: np.ndarray, sun: np.ndarray, which: np.ndarray) -> float:
-    """By how much the Sun's path over directions (n) bends at the samples of `which` (n) and next to them; a gap bends nothing."""
+    """Return by how much the Sun's path in the body bends at the samples `which` (n) and their neighbours, as a sum of chords.
+
+    `sun` (n) are indices of trial directions. The change of velocity is multiplied by the shorter of the two adjacent intervals, so
+    that a gap does not count as a bend.
+    """
     near = np.convolve(which, [1, 1, 1], "same") > 0
     step_s = np.maximum(np.diff(t_s), 1e-9)
     change = np.diff(np.diff(sphere(DIRECTIONS)[sun], axis=0) / step_s[:, None], axis=0)

@@ -1,4 +1,4 @@
-"""Telemetry read back from a results folder (`telemetry.nc`): values are in our units already, and columns have no names."""
+"""Telemetry read back from a results folder (`telemetry.nc`): a Dataset of `read_telemetry`, with no columns left to interpret."""
 
 from __future__ import annotations
 
@@ -10,55 +10,67 @@ import xarray as xr
 
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import Table
-from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_parts
+from sunspin.telemetry.sensors import ABSURD, read_sensors, sensor_columns
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.timeline import instant
+from sunspin.vehicle.timeline import parse_instant
 
 KIND = "telemetry"
-"""`attrs["kind"]` of such a file."""
+"""`attrs["kind"]` of stored telemetry."""
 
 TEXTS = ("epoch_utc", "unused_columns", "missing_sensors")
-"""Attributes that are read as texts."""
+"""Attributes that must be present and be texts."""
 
 
-def stored_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Dataset:
-    """What `read_telemetry` gave when the folder was written, if it is that vehicle's; what it never gives is left out.
+def restore_telemetry(data: xr.Dataset, vehicle: Vehicle, path: Path) -> xr.Dataset:
+    """Return the telemetry stored in a results folder, without variables that `read_telemetry` never returns.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Content of the file `path`, which only names it in messages.
+    vehicle : Vehicle
+        Its panels, sensors and wheels must be those of the file.
 
     Raises
     ------
     TelemetryError
         The file belongs to a vehicle with other panels, sensors or wheels, or somebody has changed it.
     """
-    known = _known(vehicle)
-    kept = {*known, "time", "panel", "axis", "phase"}
+    expected = _expected_variables(vehicle)
+    kept = {*expected, "time", "panel", "axis", "phase"}
     data = data.drop_vars([name for name in data.variables if name not in kept])
-    if wrong := _wrong(data, vehicle, known):
+    if mismatch := _describe_mismatch(data, vehicle, expected):
         do = "give the vehicle.toml of its folder, or the file from which it was read"
         raise TelemetryError(
-            "the stored telemetry is not that of this vehicle", got=wrong, do=do, where=str(path)
+            "the stored telemetry is not that of this vehicle", got=mismatch, do=do, where=str(path)
         )
     return data
 
 
-def _known(vehicle: Vehicle) -> dict[str, xr.Variable]:
-    """The variables that telemetry of a vehicle may have, of one sample."""
-    columns = [name for _, _, names in sensor_parts(vehicle) for name in names]
+def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
+    """Return each variable that telemetry of a vehicle may have, with its dimensions and type, for a file of one sample."""
+    # the sensors' variables are those that a table with a single row of zeros gives
+    columns = [name for sensor in sensor_columns(vehicle) for name in sensor.columns]
     sample = pd.DataFrame(dict.fromkeys(columns, "0"), index=[1])
-    of_sensors = read_sensors(vehicle, Table(sample, [], ""))
-    for name in ("B", "cov_B"):  # this sample does not leave open how to read it, others may
-        if f"sun_sensor_{name}" in of_sensors:
-            of_sensors[f"sun_sensor_other_{name}"] = of_sensors[f"sun_sensor_{name}"]
+    sensor_variables = read_sensors(vehicle, Table(sample, [], ""))
+    # the second Sun direction exists only in files with an ambiguous sign of y, which zeros do not have
+    for name in ("B", "cov_B"):
+        if f"sun_sensor_{name}" in sensor_variables:
+            sensor_variables[f"sun_sensor_other_{name}"] = sensor_variables[f"sun_sensor_{name}"]
     number, panels = np.zeros(1), (("time", "panel"), np.zeros((1, len(vehicle.input_names))))
-    of_panels = {vehicle.telemetry.quantity: panels, "panel_temperature_C": panels}
-    others = {"flag": ("time", number.astype(np.uint8)), "received_s": ("time", number)}
-    forms = (others | of_panels | of_sensors).items()
+    panel_variables = {vehicle.telemetry.quantity: panels, "panel_temperature_C": panels}
+    row_variables = {"flag": ("time", number.astype(np.uint8)), "received_s": ("time", number)}
+    forms = (row_variables | panel_variables | sensor_variables).items()
     return {name: xr.Variable(*form[:2]) for name, form in forms}
 
 
-def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) -> str:
-    """What speaks against it, in words; nothing if it may be used."""
+def _describe_mismatch(data: xr.Dataset, vehicle: Vehicle, expected: dict[str, xr.Variable]) -> str:
+    """Return in words why stored telemetry cannot be that of the vehicle; an empty text if it can."""
     texts = [data.attrs.get(name) for name in TEXTS]
-    if not all(isinstance(text, str) for text in texts) or instant(data.attrs["epoch_utc"]) is None:
+    if (
+        not all(isinstance(text, str) for text in texts)
+        or parse_instant(data.attrs["epoch_utc"]) is None
+    ):
         return "no epoch, or no word on its columns"
     time, phase = data.variables.get("time"), data.variables.get("phase")
     plain = time is not None and time.dims == ("time",) and time.dtype.kind == "f"
@@ -72,10 +84,11 @@ def _wrong(data: xr.Dataset, vehicle: Vehicle, known: dict[str, xr.Variable]) ->
     if "flag" not in data or len(data.data_vars) == 1:
         return "no flags, or no reading"
     for name, stored in data.variables.items():
-        if (form := known.get(str(name))) is None:
+        if (form := expected.get(str(name))) is None:
             continue
-        alike = [(each.dims, each.shape[1:], each.dtype.kind) for each in (stored, form)]
-        if alike[0] != alike[1]:
+        # shapes are compared without the first dimension, the number of samples
+        forms = [(each.dims, each.shape[1:], each.dtype.kind) for each in (stored, form)]
+        if forms[0] != forms[1]:
             return f"another form of {name}"
         if np.any(np.abs(stored.values[~np.isnan(stored.values)]) > ABSURD):
             return f"{name} beyond all measure"

@@ -1,7 +1,7 @@
 """The inverse model of the panels: measured powers -> direction to the Sun, exactly, with its uncertainty and status.
 
-The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Its global minimum, ranks and arcs are the business of the law by
-which the panels see light (:mod:`sunspin.vehicle.response`); what they mean for a sample is said here.
+The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Its global minimum, ranks and arcs are computed by the panels'
+response (:mod:`sunspin.vehicle.response`); this module derives from them the status and the uncertainty of each sample.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from sunspin.telemetry.signals import signals
 from sunspin.telemetry.units import WrongUnit, panel_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
-from sunspin.vehicle.response.panels import Pattern, named
+from sunspin.vehicle.response.panels import Pattern, patterns_by_name
 
 LIT_FRACTION = 0.02
-"""Without a noise figure, a panel counts as lit above this fraction of the largest value in the data."""
+"""Without a known noise, a panel counts as lit above this fraction of the largest value in the data."""
 
 LIT_SIGMAS = 3.0
-"""With one, above this many sigma."""
+"""With a known noise, a panel counts as lit above this many sigma."""
 
 ALIKE, APART_RAD = 0.05, 0.02
-"""Where panels share inputs, directions whose Delta exceeds the smallest by less than the first (or than the noise makes) fit
-alike, unless they are nearer to each other than the second."""
+"""Two directions fit equally well if their Delta differs by less than the first number, or by less than the noise explains. They
+are different directions if they are farther apart than the second. Used only if panels share inputs."""
 
 
 class SunStatus(IntEnum):
-    """Why a sample gives, or does not give, a direction; the sentence is in `STATUS_TEXT`."""
+    """Reason why a sample gives, or does not give, a direction; the sentence is in `STATUS_TEXT`."""
 
     OK = 0
     UNCHECKED = 1
@@ -65,34 +65,41 @@ STATUS_TEXT = {
 HIDDEN = "a panel without signal may be sunlit"
 
 ON_EDGE = 1e-9
-"""Share of full Sun below which a panel is not lit: its edge is on the Sun."""
+"""Share of full Sun below which a panel is not lit: its plane contains the Sun."""
 
 ROUNDING = 1e-9
-"""Share of the largest reading below which residuals are rounding."""
+"""Share of the largest reading below which residuals are rounding errors."""
 
 RECONSTRUCTED = (SunStatus.OK, SunStatus.UNCHECKED)
 
 
 def is_reconstructed(status: Any) -> np.ndarray:
-    """Whether each status code comes with a direction that may be used."""
+    """Return whether each status code means that the sample has a direction."""
     return np.isin(np.asarray(status), RECONSTRUCTED)
 
 
 def reconstructible_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
-    """The lit patterns that geometry allows and from which a direction follows: three panels that look in
-    independent directions, no rule against, and no panels that share an input so that several directions fit."""
+    """Return the illumination patterns that geometry allows and that determine a direction.
+
+    Three of the lit panels have independent normals, and no rule of the vehicle excludes the pattern. Panels that share an input do
+    not make several directions fit.
+    """
     vehicle.require_panels()
     response = vehicle.response_in()
     sun_B, lit = response.regions()
-    doubtful = named(vehicle, lit[_several(vehicle, response.power(sun_B), 0.0)])
+    ambiguous = patterns_by_name(vehicle, lit[_is_ambiguous(vehicle, response.power(sun_B), 0.0)])
     status = [status for status, _ in _statuses(vehicle, lit)]
-    return named(vehicle, lit[is_reconstructed(status)]) - doubtful
+    return patterns_by_name(vehicle, lit[is_reconstructed(status)]) - ambiguous
 
 
 @lru_cache(maxsize=4096)
 def _status_cached(
     response: PanelResponse, possible: frozenset, rules: tuple, lit: tuple[bool, ...]
 ) -> tuple[SunStatus, str]:
+    """Return status and sentence of one pattern `lit` (n_panel).
+
+    `possible` are the patterns that geometry allows; `rules` are pairs of the panels, one of which must be lit, and the reason.
+    """
     mask = np.array(lit)
     if not mask.any():
         return SunStatus.DARK, STATUS_TEXT[SunStatus.DARK]
@@ -110,10 +117,10 @@ def _status_cached(
 
 
 def _statuses(vehicle: Vehicle, lit: np.ndarray) -> list[tuple[SunStatus, str]]:
-    """Status and sentence of each set of lit panels (n, n_panel)."""
+    """Return status and sentence of each pattern of lit panels (n, n_panel)."""
     names, response = vehicle.input_names, vehicle.response_in()
-    shown = np.concatenate([response.regions().lit, response.edges()])
-    possible = frozenset(map(tuple, shown.tolist()))
+    patterns = np.concatenate([response.regions().lit, response.edges()])
+    possible = frozenset(map(tuple, patterns.tolist()))
     rules = tuple(
         (tuple(names.index(name) for name in rule.all_dark), rule.reason)
         for rule in vehicle.sun_rules
@@ -130,48 +137,48 @@ def sun_directions(
     wrong_unit: Callable[[], WrongUnit | None] | None = None,
     quality: xr.Dataset | None = None,
 ) -> xr.Dataset:
-    """Direction to the Sun for each sample of panel powers.
+    """Estimate the direction to the Sun for each sample of panel powers.
 
     Parameters
     ----------
     telemetry : Dataset of `read_telemetry`, or (n, n_panel) powers (or currents) in the order of the vehicle's panels
     noise : float or (n_panel,), optional
-        One-sigma noise of a panel's value, in its unit; default: the vehicle's, else, one for all panels, estimated from the
-        redundancy, else from readings below zero, which are dark panels', else assumed
-        (:func:`sunspin.telemetry.noise.assumed_noise`).
-        attrs `noise` (the median over panels) and `noise_from` say which. Assumed noise sets errors alone: lit panels
-        and statuses are as without it.
+        One-sigma noise of a panel reading, in its unit. Default: that of the vehicle file. If it states none, one value for all
+        panels is estimated from the redundancy, else from readings below zero (dark panels). The last resort is an assumption
+        (:func:`sunspin.telemetry.noise.assumed_noise`). attrs `noise` (median over panels) and `noise_from` name it. An assumed
+        noise only sets the errors; it does not change which panels are lit, nor a status.
     lit_threshold : float or (n_panel,), optional
-        A panel counts as lit above this; default: the vehicle's, else three sigma, else 2 % of the largest value or, if
-        readings below zero tell more, three sigma of those.
+        Reading above which a panel counts as lit. Default: that of the vehicle file; else three sigma of the noise. If no noise is
+        known: 2 % of the largest value, or three sigma estimated from readings below zero if that is larger.
     wrong_unit : callable, optional
-        Gives the wrong unit of the readings, which is named where no panel is lit; default: it is looked for.
+        Returns the wrong unit of the readings, which is named if no panel is lit. Default: the unit is tested here.
     quality : Dataset of `panel_quality`, optional
-        Says which readings of a telemetry Dataset are measured: others give no direction. Default: they are judged.
+        Marks the readings of a telemetry Dataset that are measured; only these give directions. Default: it is computed.
 
     Returns
     -------
     xarray.Dataset
-        On `time`: `sun_B` (unit, body axes; NaN where `status` says that no direction follows), `best_B` (a minimiser of
-        Delta, whatever the status), `delta` (paper, eq. 2),
-        `sigma_rad` (rms angle of the error), `sun_cov_B` (tangent covariance), both finite where `sun_B` is; `status`
-        (`SunStatus`) with `status_text`, `lit` and `n_lit`, and for status ARC the two ends of the arc, `sun_arc_B`.
+        On `time`: `sun_B`, unit vector in body axes, NaN if the `status` has no direction; `best_B`, a minimiser of Delta for any
+        status; `delta` (paper, eq. 2). Finite if `sun_B` is: `sigma_rad`, rms angle of the error, and `sun_cov_B`, the tangent
+        covariance. `status` (`SunStatus`) with `status_text`; `lit`, `n_lit`; for status ARC the two ends of the arc, `sun_arc_B`.
         On `panel`: the `noise` and `lit_threshold` that were used.
 
     Raises
     ------
     InputError
-        Powers of other panels than the vehicle's; a noise that is not positive, a threshold that is negative or no number.
+        The powers do not fit the vehicle's panels, the noise is not positive, or the threshold is negative or not a number.
     """
-    power, base = powers(vehicle, telemetry)
+    power = panel_readings(vehicle, telemetry)
+    base = telemetry if isinstance(telemetry, xr.Dataset) else None
     every = np.ones(power.shape[1])
     sigma, threshold = vehicle.input_noise, vehicle.telemetry.lit_threshold
     if noise is not None:
-        be = "the noise of a panel reading must be positive"
-        sigma = of_panels(vehicle, noise, np.greater, be)
+        message = "the noise of a panel reading must be positive"
+        sigma = per_panel(vehicle, noise, np.greater, message)
     if lit_threshold is not None:
-        be = "lit_threshold must be zero or positive"
-        threshold = of_panels(vehicle, lit_threshold, np.greater_equal, be)
+        message = "lit_threshold must be zero or positive"
+        threshold = per_panel(vehicle, lit_threshold, np.greater_equal, message)
+    # samples that are finite and not excluded by flags or quality
     finite, excluded, lost = np.all(np.isfinite(power), axis=1), {}, np.zeros(power.shape[1], bool)
     if base is not None and "flag" in base:
         finite &= np.asarray(base["flag"]) == 0
@@ -187,21 +194,22 @@ def sun_directions(
     elif threshold is None:
         threshold = max(LIT_FRACTION * float(clean.max(initial=0.0)), LIT_SIGMAS * (dark or 0.0))
     lit = (clean > threshold) & finite[:, None]
+    # the status follows from the illumination pattern, of which a file has few; `inverse` (n) is that of each sample
     patterns, inverse = np.unique(lit, axis=0, return_inverse=True)
     inverse = inverse.ravel()
-    of_pattern = _statuses(vehicle, patterns)
-    status = np.array([code for code, _ in of_pattern], dtype=np.int8)[inverse]
-    texts = np.array([text for _, text in of_pattern], dtype=object)[inverse]
+    pattern_statuses = _statuses(vehicle, patterns)
+    status = np.array([code for code, _ in pattern_statuses], dtype=np.int8)[inverse]
+    texts = np.array([text for _, text in pattern_statuses], dtype=object)[inverse]
     status[~finite], texts[~finite] = SunStatus.MISSING, STATUS_TEXT[SunStatus.MISSING]
     for sample, reason in excluded.items():
         texts[sample] = f"{STATUS_TEXT[SunStatus.MISSING]}: {reason}"
-    hides = is_reconstructed(status) & _may_hide(vehicle, patterns, lost)[inverse]
-    status[hides], texts[hides] = SunStatus.MISSING, f"{STATUS_TEXT[SunStatus.MISSING]}: {HIDDEN}"
+    hidden = is_reconstructed(status) & _may_lack_lost_panel(vehicle, patterns, lost)[inverse]
+    status[hidden], texts[hidden] = SunStatus.MISSING, f"{STATUS_TEXT[SunStatus.MISSING]}: {HIDDEN}"
     if np.any(status == SunStatus.DARK):
         wrong = panel_unit(vehicle, clean) if wrong_unit is None else wrong_unit()
         if wrong is not None:
             texts[status == SunStatus.DARK] = str(wrong)
-    direction, delta = vehicle.response_in().best(clean)
+    direction, delta = vehicle.response_in().best_direction(clean)
     known = is_reconstructed(status)
     noise_from = "given"
     if sigma is None:
@@ -209,19 +217,21 @@ def sun_directions(
         noise_from = "estimated from the redundancy of samples with more than three lit panels"
     if np.isnan(sigma).any() and dark is not None:
         sigma, noise_from = every * dark, DARK_FROM
-    doubtful = known.copy()
-    doubtful[known] = _several(vehicle, clean[known], sigma) | _free(vehicle, direction[known])
+    ambiguous = known.copy()
+    ambiguous[known] = _is_ambiguous(vehicle, clean[known], sigma)
+    ambiguous[known] |= _is_undetermined(vehicle, direction[known])
+    # assumed last, so that an assumed noise makes no direction ambiguous
     if np.isnan(sigma).any():
         sigma, noise_from = every * assumed_noise(clean), ASSUMED_FROM
     response = vehicle.response_in()
     covariance, arcs = np.full((len(power), 3, 3), np.nan), np.full((len(power), 2, 3), np.nan)
     for k, pattern in enumerate(patterns):
-        samples = np.flatnonzero((inverse == k) & known & ~doubtful)
+        samples = np.flatnonzero((inverse == k) & known & ~ambiguous)
         if samples.size:
             covariance[samples] = response.covariance(clean[samples], pattern, sigma)
-    doubtful |= known & ~np.isfinite(covariance).all(axis=(1, 2))
-    status[doubtful], texts[doubtful] = SunStatus.SEVERAL, STATUS_TEXT[SunStatus.SEVERAL]
-    known &= ~doubtful
+    ambiguous |= known & ~np.isfinite(covariance).all(axis=(1, 2))
+    status[ambiguous], texts[ambiguous] = SunStatus.SEVERAL, STATUS_TEXT[SunStatus.SEVERAL]
+    known &= ~ambiguous
     for i in np.flatnonzero(status == SunStatus.ARC):
         arcs[i] = response.arc(clean[i], lit[i])
     sun_B = np.where(known[:, None], direction, np.nan)
@@ -242,7 +252,7 @@ def sun_directions(
         },
         coords={"axis": ["x", "y", "z"], "panel": list(vehicle.input_names)},
         attrs=({} if base is None else dict(base.attrs))
-        | provenance("sun_directions", **vehicle.said)
+        | provenance("sun_directions", **vehicle.result_attributes)
         | {
             "noise": float(np.median(sigma)),
             "noise_from": noise_from,
@@ -268,16 +278,19 @@ def sun_directions(
 
 
 def _excluded(quality: xr.Dataset, known: np.ndarray) -> dict[int, str]:
-    """Return why samples are excluded, of those `known` (n) to have numbers: a reading is none, or follows the battery."""
+    """Return index -> reason of the samples, among the finite ones `known` (n), that give no direction.
+
+    A panel was not read (lost panels apart), or the battery and not the Sun determines all readings.
+    """
     reasons, measured = quality["why"].values.astype(str), quality["measured"].values
-    whole = quality["reading"].values | quality["missed"].values
+    complete = quality["reading"].values | quality["missed"].values
     follows_battery = np.isin(reasons, [IDLE, BELOW_FULL]) & ~measured.any(axis=1)
-    out = known & (~whole.all(axis=1) | follows_battery)
+    out = known & (~complete.all(axis=1) | follows_battery)
     return {int(k): reasons[k].partition(": ")[2] for k in np.flatnonzero(out)}
 
 
-def _may_hide(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarray) -> np.ndarray:
-    """Return the patterns (n) of lit panels (n, n_panel) that a lit panel without signal, `lost` (n_panel), may be missing from."""
+def _may_lack_lost_panel(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Return for each pattern of lit panels (n, n_panel) whether a `lost` panel (n_panel) may have been in the Sun as well."""
     if not lost.any():
         return np.zeros(len(patterns), dtype=bool)
     possible = vehicle.response_in().regions().lit
@@ -285,47 +298,64 @@ def _may_hide(vehicle: Vehicle, patterns: np.ndarray, lost: np.ndarray) -> np.nd
     return np.array([(lit == pattern).all(axis=1).any() for pattern in patterns & ~lost])
 
 
-def of_panels(
-    vehicle: Vehicle, value: npt.ArrayLike, fits: Callable[..., np.ndarray], be: str
+def per_panel(
+    vehicle: Vehicle, value: npt.ArrayLike, compare: Callable[..., np.ndarray], message: str
 ) -> np.ndarray:
-    """A number for all panels, or one for each, as (n_panel); `InputError` if one is not finite, or not `fits` zero, in words."""
+    """Return one number for each panel (n_panel), from one number for all panels or one for each.
+
+    Raises
+    ------
+    InputError
+        With the text `message`, if a number is not finite or ``compare(number, 0)`` is false.
+    """
     each = np.asarray(value, dtype=np.float64)
-    many = each.shape in ((), (len(vehicle.inputs),))
-    if not (many and np.isfinite(each).all() and fits(each, 0.0).all()):
-        raise InputError(
-            be, got=value, do=None if many else "give one number, or one for each panel"
-        )
+    right_size = each.shape in ((), (len(vehicle.inputs),))
+    if not (right_size and np.isfinite(each).all() and compare(each, 0.0).all()):
+        do = None if right_size else "give one number, or one for each panel"
+        raise InputError(message, got=value, do=do)
     return each * np.ones(len(vehicle.inputs))
 
 
-def powers(vehicle: Vehicle, telemetry: Any) -> tuple[np.ndarray, xr.Dataset | None]:
-    """Readings (n, n_panel) of a telemetry Dataset, and it, or of an array, and None."""
+def panel_readings(vehicle: Vehicle, telemetry: Any) -> np.ndarray:
+    """Return the panel readings (n, n_panel) of a telemetry Dataset or of an array.
+
+    Raises
+    ------
+    InputError
+        The array does not have one column for each panel of the vehicle.
+    """
     vehicle.require_panels()
     n_panel = len(vehicle.inputs)
     if isinstance(telemetry, xr.Dataset):
-        return signals(telemetry), telemetry
+        return signals(telemetry)
     power = np.atleast_2d(np.asarray(telemetry, dtype=np.float64))
     if power.ndim != 2 or power.shape[1] != n_panel:
         raise InputError(
             f"powers must have one column for each of the {n_panel} panels", got=power.shape
         )
-    return power, None
+    return power
 
 
-def _several(vehicle: Vehicle, power: np.ndarray, noise: npt.ArrayLike) -> np.ndarray:
-    """Which samples (n) of powers (n, n_panel) have several directions that fit alike."""
+def _is_ambiguous(vehicle: Vehicle, power: np.ndarray, noise: npt.ArrayLike) -> np.ndarray:
+    """Return whether several directions fit the powers of each sample (n, n_panel) equally well.
+
+    This happens only if panels share inputs.
+    """
     if not vehicle.channels or not len(power):
         return np.zeros(len(power), dtype=bool)
     size = np.linalg.norm(power, axis=1)
     by_noise = LIT_SIGMAS * np.linalg.norm(np.nan_to_num(noise)) / np.where(size > 0, size, np.inf)
-    alike = vehicle.response_in().alike(power, np.maximum(by_noise, ALIKE))
+    alike = vehicle.response_in().near_best(power, np.maximum(by_noise, ALIKE))
     away = np.linalg.norm(alike - alike[:, :1], axis=-1)
     return np.asarray((np.nan_to_num(away) > APART_RAD).any(axis=1))
 
 
-def _free(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
-    """Which directions (n, 3) may move without a reading's changing: some panel reads that the Sun there does not light, and those
-    that it lights tell less than three numbers."""
+def _is_undetermined(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
+    """Return whether the panels that the Sun lights at each direction (n, 3) have fewer than three independent normals.
+
+    The direction can then change without a change of the readings. This happens if some reading is not sunlight at the
+    best-fitting direction.
+    """
     response = vehicle.response_in()
     lit, inverse = np.unique(
         response.power(direction) > ON_EDGE * vehicle.input_gains, axis=0, return_inverse=True
@@ -336,8 +366,11 @@ def _free(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
 def _pooled_noise(
     power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray
 ) -> float:
-    """Sigma of one value from what is redundant: of L lit panels L - 3 are left after scale and direction. NaN where nothing is
-    redundant, or readings are exact to rounding: what was computed has no noise."""
+    """Return the sigma of a reading, estimated from the residuals of samples with redundant panels.
+
+    L lit panels have L - 3 degrees of freedom after brightness and direction. NaN if no sample has redundant panels, or if the
+    residuals are rounding errors, as in computed powers without noise.
+    """
     checked = status == SunStatus.OK
     freedom = (lit[checked].sum(axis=1) - 3).sum()
     if freedom == 0:

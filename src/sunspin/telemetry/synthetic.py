@@ -1,4 +1,4 @@
-"""What twins are made of: noise on powers, the Dataset in the form of `read_telemetry`, and its CSV file."""
+"""Parts of simulated cases: noise on powers, a Dataset in the form of `read_telemetry`, and its CSV file."""
 
 from __future__ import annotations
 
@@ -14,28 +14,33 @@ import xarray as xr
 
 from sunspin.base.errors import OutputError
 from sunspin.base.provenance import provenance
-from sunspin.solve.rotations import tangents
+from sunspin.solve.rotations import tangent_basis
 from sunspin.vehicle import Vehicle
 
 TIME_STEP_S = 1e-3
-"""Times of twins lie on this grid, so that their CSV file holds them without loss."""
+"""Times of simulated cases are whole multiples of this, so that a CSV file holds them without loss."""
 
 LEAST_LIT = 2.0
-"""A lit panel reads at least this many lit thresholds: noise moves a reading, it does not put out the Sun."""
+"""A lit panel reads at least this many lit thresholds, so that noise does not make it count as dark."""
 
 
 def generator(seed: int, key: int) -> np.random.Generator:
-    """The random generator of one independent part of a twin."""
+    """Return the random generator of one independent part (`key`) of a simulated case."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
 
 
 def noisy_power(
     vehicle: Vehicle, power: np.ndarray, sigma: npt.ArrayLike | None, rng: np.random.Generator
 ) -> np.ndarray:
-    """`power` (..., n_panel) with Gaussian noise on the lit panels, dark ones reading zero: of `sigma` (same unit; a number, or
-    n_panel; None: as the vehicle states).
+    """Return powers (..., n_panel) with Gaussian noise on the lit panels; dark panels read zero.
 
-    A lit panel's reading never falls to zero or below: see `LEAST_LIT`.
+    A lit panel reads at least `LEAST_LIT` lit thresholds, or its power if that is less.
+
+    Parameters
+    ----------
+    power : (..., n_panel)
+    sigma : float or (n_panel), optional
+        One sigma of the noise, in the unit of the powers; default: as the vehicle file states it.
     """
     each: Any = vehicle.input_noise if sigma is None else sigma
     noise = np.asarray(each, dtype=np.float64) * rng.standard_normal(power.shape)
@@ -43,11 +48,19 @@ def noisy_power(
     return np.where(power > 0, np.maximum(power + noise, least), 0.0)
 
 
-def drawn_tilts(
+def draw_tilts(
     vehicle: Vehicle, sigma_rad: float | np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Turns (n_panel, 3) of the panels' normals at random: `sigma_rad`, or (n_panel), about each of two axes across a normal."""
-    across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
+    """Draw a random misalignment of each panel: rotation vectors (n_panel, 3), rad, body axes.
+
+    The components along two axes perpendicular to the panel's normal are Gaussian.
+
+    Parameters
+    ----------
+    sigma_rad : float or (n_panel)
+        Their standard deviation.
+    """
+    across = np.stack(tangent_basis(vehicle.panel_normals_B), axis=1)
     return np.einsum(
         "p,ps,psi->pi",
         np.broadcast_to(sigma_rad, len(across)),
@@ -57,7 +70,7 @@ def drawn_tilts(
 
 
 def on_time_grid(t_s: Any) -> np.ndarray:
-    """Times rounded to `TIME_STEP_S`."""
+    """Return times in s rounded to `TIME_STEP_S`."""
     return np.round(np.asarray(t_s, dtype=np.float64) / TIME_STEP_S) * TIME_STEP_S
 
 
@@ -70,7 +83,20 @@ def telemetry_dataset(
     truth: Mapping[str, Any],
     phase: np.ndarray | None = None,
 ) -> xr.Dataset:
-    """Synthetic telemetry in the form of `read_telemetry`, with the track `true_sun_B` and attributes ``truth_...``."""
+    """Return synthetic telemetry in the form of `read_telemetry`, with the known truth.
+
+    Parameters
+    ----------
+    t_s : (n), s from the epoch
+    power : (n, n_panel)
+        Readings, in the quantity of the vehicle's telemetry (W or A).
+    sun_B : (n, 3)
+        True direction to the Sun, which becomes the variable `true_sun_B`.
+    truth : mapping
+        Other true values; each becomes an attribute ``truth_...``.
+    phase : (n), optional
+        Name of the phase of each sample.
+    """
     quantity = vehicle.telemetry.quantity
     coords: dict[str, Any] = {
         "time": ("time", t_s, {"units": "s", "long_name": "time since the epoch"}),
@@ -100,7 +126,7 @@ def telemetry_dataset(
 
 
 def csv_text(vehicle: Vehicle, telemetry: xr.Dataset, comments: list[str]) -> str:
-    """The telemetry as text: comment lines, UTC to the millisecond, values to 1e-6, the phase where there is one."""
+    """Return the telemetry as CSV text: comment lines, UTC to the millisecond, values to 1e-6, and the phase if there is one."""
     form, epoch = vehicle.telemetry, datetime.fromisoformat(telemetry.attrs["epoch_utc"])
     columns = [form.columns.get(name, f"P{name}_W") for name in vehicle.input_names]
     table = pd.DataFrame(telemetry[form.quantity].values, columns=columns)
@@ -115,7 +141,7 @@ def csv_text(vehicle: Vehicle, telemetry: xr.Dataset, comments: list[str]) -> st
 
 
 def truth_text(telemetry: xr.Dataset, comments: list[str]) -> str:
-    """The truth of a twin as TOML text."""
+    """Return the truth of a simulated case (attributes ``truth_...``) as TOML text with comment lines."""
     import tomlkit
 
     truth = {
@@ -127,7 +153,13 @@ def truth_text(telemetry: xr.Dataset, comments: list[str]) -> str:
 
 
 def write_new(path: Path, text: str, force: bool) -> None:
-    """Write a text file whole, or say why not; an existing file is replaced only with `force`."""
+    """Write a text file in UTF-8; an existing file is replaced only with `force`.
+
+    Raises
+    ------
+    OutputError
+        The file exists, or cannot be written.
+    """
     if path.exists() and not force:
         raise OutputError(
             "the file exists", do="choose another name or add --force", where=str(path)

@@ -1,4 +1,4 @@
-"""GPS time and TAI in UTC, by the table of leap seconds that ERFA brings along."""
+"""Conversion of GPS time and TAI to UTC with the table of leap seconds that ERFA contains."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 UNIX_ZERO = datetime(1970, 1, 1, tzinfo=UTC)
 
 GPS_ZERO_S = (datetime(1980, 1, 6, tzinfo=UTC) - UNIX_ZERO).total_seconds()
-"""Calendar of GPS time zero, 6 January 1980, in s from 1970 (IS-GPS-200)."""
+"""Epoch of GPS time, 6 January 1980, in s from 1970 (IS-GPS-200)."""
 
 TAI_AHEAD_OF_GPS_S = 19.0
 """TAI minus GPS time, which is constant."""
 
 TAI_ZERO_S = (datetime(1958, 1, 1, tzinfo=UTC) - UNIX_ZERO).total_seconds()
-"""Calendar of the epoch of counted TAI seconds, 1 January 1958 (CCSDS 301.0-B), in s from 1970."""
+"""Epoch of a count of TAI seconds, 1 January 1958 (CCSDS 301.0-B), in s from 1970."""
 
 WEEK_S = 604_800.0
 
@@ -26,18 +26,18 @@ WEEKS_TO_ROLLOVER = 1024
 
 @cache
 def leap_table() -> tuple[np.ndarray, np.ndarray]:
-    """Return the instants (n) from which TAI - UTC holds, in s of UTC from 1970, and TAI - UTC (n) in s, from 1972 on."""
+    """Return the table of leap seconds from 1972: instants (n), UTC in s from 1970, and TAI - UTC (n) in s from each instant on."""
     import erfa
 
     rows = erfa.leap_seconds.get()
-    rows = rows[rows["year"] >= 1972]  # UTC ran at another rate before
+    rows = rows[rows["year"] >= 1972]  # before 1972 the UTC second was not the SI second
     begins = [datetime(int(row["year"]), int(row["month"]), 1, tzinfo=UTC) for row in rows]
     since = np.array([(begin - UNIX_ZERO).total_seconds() for begin in begins])
     return since, rows["tai_utc"].astype(np.float64)
 
 
 def tai_ahead(utc_s: np.ndarray | float) -> np.ndarray:
-    """Return TAI - UTC (s) at UTC in s from 1970; before 1972 the 10 s of that year, after the table its last entry."""
+    """Return TAI - UTC (s) at a UTC in s from 1970: 10 s, the value of 1972, for earlier times; the last entry after the table."""
     since, ahead = leap_table()
     return ahead[np.maximum(np.searchsorted(since, utc_s, "right") - 1, 0)]
 
@@ -48,16 +48,16 @@ def leap_seconds_between(first_utc_s: float, last_utc_s: float) -> int:
 
 
 def utc_of_tai(tai_s: np.ndarray) -> np.ndarray:
-    """Return UTC (n) in s from 1970, with days of 86,400 s, of TAI in s from its own 1 January 1970.
+    """Return UTC (n), in s from 1970 with days of 86,400 s, for TAI (n) in s from 1970 on the TAI calendar.
 
-    Such days have no place for a leap second. The second before it and the leap second itself share one, so that times increase;
-    a time within them is off by half a second at most.
+    Days of 86,400 s have no place for a leap second. The leap second and the second before it are therefore compressed into one, so
+    that times increase. A time within these two seconds is wrong by half a second at most.
     """
     since, ahead = leap_table()
     midnight = since + ahead  # TAI at the end of each leap second
     tai_s = np.asarray(tai_s, dtype=np.float64)
     utc = tai_s - ahead[np.maximum(np.searchsorted(midnight, tai_s, "right") - 1, 0)]
     following = np.minimum(np.searchsorted(midnight, tai_s, "right"), len(midnight) - 1)
-    left = midnight[following] - tai_s
-    shared = (left > 0) & (left <= 2) & (following > 0)
-    return np.where(shared, since[following] - left / 2, utc)
+    left = midnight[following] - tai_s  # s to the end of the next leap second
+    compressed = (left > 0) & (left <= 2) & (following > 0)
+    return np.where(compressed, since[following] - left / 2, utc)

@@ -1,4 +1,4 @@
-"""Units that a vehicle file gets wrong, as the samples show, each with the key to change.
+"""Wrong units of a vehicle file that the samples reveal, each with the key to change.
 
 Panels are compared with their gains and noise (mA read as A); the gyro with how the Sun and the field rotate in body axes;
 magnetometer, wheel and temperature with the file's values.
@@ -19,42 +19,48 @@ from sunspin.vehicle.response.panels import brightness
 from sunspin.vehicle.sensors import Gyro, Magnetometer
 
 UNITS = {"power_W": "W", "current_A": "A"}
+"""Quantity of panel readings -> its unit."""
 
 LARGEST = {"W": 2000.0, "A": 100.0}
-"""More than any panel of a spacecraft gives: readings above are counts, although the file states a scale."""
+"""No panel of a spacecraft gives more: readings above are counts, although the file states a scale."""
 
 BEYOND = 30.0
-"""Full Sun as read over as stated, or its inverse: nothing but a wrong unit or a wrong gain makes it more. At Jupiter it is 27."""
+"""Largest ratio between full Sun in the readings and in the vehicle file (or its inverse) that correct units and gains can give. At
+Jupiter the ratio is 27."""
 
 THOUSANDS = 4.0
-"""A ratio within this factor of a power of 1000 is that power."""
+"""A ratio within this factor of a power of 1000 is taken as that power."""
 
 BRIGHTEST = 200
-"""Samples that are looked at."""
+"""Largest number of bright samples used."""
 
 FITS = 0.15
 """Median misfit (Delta) of the brightest samples up to which the Sun made them, and not noise in the dark."""
 
 DISTINCT, LIT_SHARE = 10, 0.2
-"""Sunlight has at least so many different readings, and usually two panels above this share of the largest: counts of noise have
-not."""
+"""In sunlight there are at least so many different readings, and usually two panels above this share of the largest reading. Counts
+of noise have neither."""
 
 LEAST_SAMPLES = 5
+"""Smallest number of lit samples from which a unit is judged."""
 
 FINEST = 1e5
-"""Readings over their noise, which words of 16 bits hold: more is another unit."""
+"""Largest ratio of readings to their noise that words of 16 bits can hold; a larger one means different units."""
 
 SHUFFLES = 99
-"""Of noise in the dark no panel knows of the others. Sunlight must fit better than each of so many random orders of its readings
-among the panels, which noise does in one file of a hundred, however small."""
+"""Number of random orders of the readings among the panels that are compared with the true order. Sunlight must fit better in the
+true order than in each of them. Noise, which is independent in each panel, does so in one file of a hundred."""
 
 SHUFFLED, BRIGHT_SHARE = 60, 0.3
-"""Samples of which this is asked, at most: the brightest of those above this part of what is bright."""
+"""Samples used for that comparison: at most so many, the brightest of those above this share of a bright reading."""
 
 
 class WrongUnit(NamedTuple):
-    """What the readings show, and the key of the vehicle file to change: its table, its name, the value it should have (None: not
-    known)."""
+    """A unit of the vehicle file that contradicts the readings.
+
+    `what`: the contradiction in words; `table` and `key`: the entry of the vehicle file to change; `value`: its right value, None
+    if not known.
+    """
 
     what: str
     table: str
@@ -65,16 +71,16 @@ class WrongUnit(NamedTuple):
         return self.at("")
 
     def at(self, line: str) -> str:
-        """The sentence, with a line of the file named in it."""
+        """Return the message, with `line` (text) inserted as the place in the vehicle file."""
         do = f"set {self.key} = {self.value:.6g}" if self.value is not None else f"check {self.key}"
         return f"{self.what}; {do} under [{self.table}]{line} of the vehicle file"
 
 
 def reading_unit(vehicle: Vehicle, value: np.ndarray) -> str:
-    """Return the unit of panel readings (n, n_panel), "W" or "A"; nothing if the vehicle file does not give it.
+    """Return the unit of panel readings (n, n_panel), "W" or "A"; an empty text if the vehicle file does not determine it.
 
-    Gains in W or A give the unit. With relative gains a stated scale gives it, unless the readings are too large for the unit:
-    the scale of an example file may have been left as it was.
+    Gains in W or A determine the unit. With relative gains a stated scale does, unless the readings are too large for the unit: the
+    scale may be left over from an example file.
     """
     form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
     if vehicle.gain_unit == unit or form.has_voltages:
@@ -86,14 +92,14 @@ def reading_unit(vehicle: Vehicle, value: np.ndarray) -> str:
 
 
 def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
-    """The wrong unit of panel readings (n, n_panel): of their scale against the gains, or of the stated noise; None if neither is
-    wrong."""
+    """Return the wrong unit of panel readings (n, n_panel), compared with gains, stated noise and lit threshold; None if all
+    agree."""
     form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
     value = np.where(np.isfinite(value), value, 0.0)
     largest = value.max(axis=1, initial=0.0)
     if np.count_nonzero(largest > 0) < LEAST_SAMPLES:
         return None
-    if vehicle.gain_unit == unit and (wrong := _against_gains(vehicle, value, largest)):
+    if vehicle.gain_unit == unit and (wrong := _compare_with_gains(vehicle, value, largest)):
         return wrong
     other_unit = "one of them is in another unit"
     full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
@@ -116,8 +122,13 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
     return None
 
 
-def _against_gains(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> WrongUnit | None:
-    """The wrong scale of readings (n, n_panel), if full Sun is far from the gains."""
+def _compare_with_gains(
+    vehicle: Vehicle, value: np.ndarray, largest: np.ndarray
+) -> WrongUnit | None:
+    """Return the wrong scale of readings (n, n_panel) if full Sun differs from the gains by more than `BEYOND`; else None.
+
+    `largest` (n) is the largest reading of each sample.
+    """
     form, gains = vehicle.telemetry, vehicle.input_gains
     share = float(np.quantile((value / gains).max(axis=1)[largest > 0], BRIGHT_QUANTILE))
     if 1 / BEYOND < share < BEYOND:
@@ -126,7 +137,7 @@ def _against_gains(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> 
     ratio = float(np.median(brightness(vehicle, bright)))
     if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, value, largest)):
         return None
-    step = round(np.log10(ratio) / 3)
+    step = round(np.log10(ratio) / 3)  # the nearest power of 1000
     exact = step != 0 and 1 / THOUSANDS < ratio / 1000.0**step < THOUSANDS
     times = f"{1000.0 ** abs(step):g}" if exact else f"{max(ratio, 1 / ratio):.2g}"
     stated = f"{float(gains.max()):.3g} {UNITS[form.quantity]}"
@@ -141,19 +152,22 @@ def _against_gains(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> 
 
 
 def _brightest(value: np.ndarray, largest: np.ndarray) -> np.ndarray:
-    """The brightest samples, without the very brightest, which may be spikes."""
+    """Return the readings (m, n_panel) of the samples with the largest readings: at most half of all, so that spikes are few."""
     order = np.argsort(-largest, kind="stable")
     return value[order[: min(BRIGHTEST, max(LEAST_SAMPLES, len(order) // 2))]]
 
 
 def _sunlit(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> bool:
-    """Whether the Sun made the brightest of these readings: they fit directions, and better as they stand than in each of many
-    random orders among the panels, with noise that is alike in the readings' unit, and in parts of each panel's gain."""
+    """Return whether the Sun made the brightest readings (n, n_panel), and not noise in the dark.
+
+    Their misfit must be small, and smaller than in each of `SHUFFLES` random orders of the readings among the panels. The orders
+    are tested for noise that is equal for all panels in the readings' unit, and for noise that is equal as a share of each gain.
+    """
     bright = _brightest(value, largest)
     two = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1)) >= 2
     if len(vehicle.inputs) <= 3 or not two or len(np.unique(bright)) < DISTINCT:
         return False
-    best = vehicle.response_in().best
+    best = vehicle.response_in().best_direction
     if not float(np.median(best(bright)[1])) < FITS:
         return False
     order = np.argsort(-largest, kind="stable")[:SHUFFLED]
@@ -176,49 +190,58 @@ GYRO_FACTORS = {
     "a factor of 1000 too little": 1e3,
     "thousandths of a degree read as radians": np.pi / 180e3,
 }
-"""What the readings may be, and what makes rad/s of them then."""
+"""Unit error of a gyro in words -> factor that converts its readings to rad/s."""
 
-TURNS_WRONG, TURNS_RIGHT = np.radians(20.0), np.radians(15.0)
-"""Median angle between a direction as the gyro carries it on and as it is seen: at least, for a wrong gyro; at most, for a right
-one."""
+WRONG_RAD, RIGHT_RAD = np.radians(20.0), np.radians(15.0)
+"""Median angle between a direction propagated with the gyro and the measured one: a gyro is wrong above the first, right below the
+second."""
 
 BETTER = 0.35
-"""A factor carries directions on better than none, and than a body at rest, if its median angle is this part of theirs."""
+"""A factor is accepted if its median angle is at most this share of that without a factor and of that of a body at rest."""
 
 PAIRS, MOST_PAIRS, LAGS = 10, 2000, (1, 2, 4, 8)
-"""Pairs of samples needed and used at most, and how many samples apart: a slow body must turn far enough to tell."""
+"""Pairs of samples that are needed, and used at most, and their distances in samples. A slow body needs long intervals to rotate
+far enough."""
 
 TOO_FAST = 3.0
-"""Median rate of the gyro over the largest rate of the vehicle file."""
+"""Ratio of the gyro's median rate to the largest rate of the vehicle file from which the unit is wrong."""
 
 OFFSET = 30.0
-"""A zero over the readings: more is another unit."""
+"""Ratio of a magnetometer's stated zero to its readings from which the unit is wrong."""
 
 ABSURD_ACCELERATION = 0.1
-"""rad/s2: no dipole in a planet's field turns a spacecraft so."""
+"""rad/s2: more than any dipole in a planet's field causes."""
 
 STEEP_SHARE, STEEP_SAMPLES = 0.85, 30
-"""Part of its readings, of so many at least, that a Sun sensor has at the steepest angle: it is 0.55 for one that reads on while
-the Sun turns behind it, and 0.96 for angles spread over 40 degrees to each side that are read as radians."""
+"""Share of a Sun sensor's readings at the steepest angle from which its unit is wrong, and smallest number of readings. The share
+is 0.55 for a sensor that continues to read while the Sun is behind it. It is 0.96 for angles spread over 40 degrees to each side,
+in degrees read as radians."""
 
 RPM = 60 / (2 * np.pi)
+"""One rad/s in revolutions per minute."""
 
 RPM_WITHIN = 0.15
-"""Wheel speed over the nominal one, relative to `RPM`."""
+"""Relative tolerance within which the ratio of a wheel's speed to its nominal speed is taken as `RPM`, or as its inverse."""
 
 
 def wrong_units(
     vehicle: Vehicle, telemetry: xr.Dataset, still_directions: Callable[[], list[np.ndarray]]
 ) -> list[WrongUnit]:
-    """Every unit of sensors, wheels and temperatures that the samples of `read_telemetry` contradict; `still_directions` gives unit
-    directions (n, 3), body axes, that keep still in space, for the gyro."""
+    """Return all units of sensors, wheels and temperatures that the samples of `read_telemetry` contradict.
+
+    Parameters
+    ----------
+    still_directions : callable
+        Returns measured directions that are fixed in space, as unit vectors (n, 3) in body axes. Called only if there is a gyro,
+        which is compared with them.
+    """
     sensors, wrong = vehicle.sensors, []
     if sensors.gyro is not None and "gyro_B" in telemetry:
         limit = sensors.disturbance.max_rate_rad_s
-        wrong += _gyro(sensors.gyro, limit, telemetry, still_directions())
+        wrong += _check_gyro(sensors.gyro, limit, telemetry, still_directions())
     if sensors.magnetometer is not None and "field_B" in telemetry:
         field, dipole = telemetry["field_B"].values, sensors.disturbance.dipole
-        wrong += _magnetometer(sensors.magnetometer, dipole, field)
+        wrong += _check_magnetometer(sensors.magnetometer, dipole, field)
     if "sun_sensor_angle" in telemetry:
         angles = telemetry["sun_sensor_angle"].values[:, :, 0].T
         for sensor, angle in zip(sensors.sun_sensors, angles, strict=True):
@@ -233,7 +256,8 @@ def wrong_units(
     if "wheel_speed_rad_s" in telemetry:
         speeds = telemetry["wheel_speed_rad_s"].values.T
         for wheel, speed in zip(vehicle.wheels, speeds, strict=True):
-            speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]  # it may coast down afterwards
+            # only the first ones: the wheel may coast down afterwards
+            speed = np.abs(speed[np.isfinite(speed)])[:PAIRS]
             known = len(speed) and wheel.speed_rad_s
             ratio = float(np.median(speed)) / abs(wheel.speed_rad_s) if known else 0.0
             for factor in (RPM, 1 / RPM):
@@ -251,17 +275,23 @@ def wrong_units(
     return wrong
 
 
-def _gyro(
+def _check_gyro(
     gyro: Gyro, limit: float | None, telemetry: xr.Dataset, seen: list[np.ndarray]
 ) -> list[WrongUnit]:
+    """Return the wrong unit of a gyro, if there is one.
+
+    Its rates are compared with the rotation of measured directions `seen` (n, 3) that are fixed in space, else with the largest
+    rate `limit` (rad/s) of the vehicle file.
+    """
     time, rate = telemetry["time"].values, telemetry["gyro_B"].values
-    turns = even_turns(time, rate)
-    read_as = [factor * turns for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
+    rotations = rotations_between_samples(time, rate)
+    # nominal, a body at rest, and with each factor
+    hypotheses = [factor * rotations for factor in (1.0, 0.0, *GYRO_FACTORS.values())]
     for lag in LAGS:
-        stated, still, *angles = carried_by(time, seen, read_as, lag)
+        stated, still, *angles = median_direction_errors(time, seen, hypotheses, lag)
         best = int(np.argmin(angles))
-        least = min(TURNS_RIGHT, BETTER * stated, BETTER * still)
-        if stated > TURNS_WRONG and angles[best] < least:
+        least = min(RIGHT_RAD, BETTER * stated, BETTER * still)
+        if stated > WRONG_RAD and angles[best] < least:
             name, factor = list(GYRO_FACTORS.items())[best]
             what = f"with its rates times {factor:.4g} the gyro agrees with the Sun directions, and without it does not: {name}"
             return [WrongUnit(what, "gyro", "scale_rad_s", gyro.scale_rad_s * factor)]
@@ -272,49 +302,64 @@ def _gyro(
     return [WrongUnit(what, "gyro", "scale_rad_s")]
 
 
-def even_turns(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """The turns (n - 1, 3), rad, of a body whose rate (n, 3) changes evenly from sample to sample."""
+def rotations_between_samples(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (n - 1, 3), rad, between samples of a rate (n, 3) that changes linearly with time."""
     return (rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None]
 
 
-def carried_by(
-    time: np.ndarray, seen: list[np.ndarray], turns: list[np.ndarray], lag: int
+def median_direction_errors(
+    time: np.ndarray, seen: list[np.ndarray], rotations: list[np.ndarray], lag: int
 ) -> list[float]:
-    """Median angle (rad), for each set of turns (n - 1, 3) between neighbours, between directions that stand still in space as they
-    are carried on over `lag` samples and as they are seen there. Zero where too few are seen."""
+    """Return for each hypothesis the median angle (rad) between propagated and measured directions that are fixed in space.
+
+    With fewer than `PAIRS` pairs of measured directions, all angles are zero.
+
+    Parameters
+    ----------
+    seen : list of (n, 3)
+        Measured unit vectors in body axes, one array for each direction; NaN without a measurement.
+    rotations : list of (n - 1, 3)
+        The hypotheses: rotation vectors between successive samples, rad.
+    lag : int
+        Number of samples over which a direction is propagated.
+    """
     from scipy.spatial.transform import Rotation
 
     n = len(time) - lag
     begin = np.arange(max(n, 0))
-    good = np.isfinite(turns[0]).all(axis=1) & (np.diff(time) > 0)
+    good = np.isfinite(rotations[0]).all(axis=1) & (np.diff(time) > 0)
     good = np.all([good[begin + k] for k in range(lag)], axis=0)
+    # of each direction k, the samples from which it is propagated
     pairs = [
         (k, begin[good & np.isfinite(each[begin] + each[begin + lag]).all(axis=1)])
         for k, each in enumerate(seen)
     ]
     pairs = [(k, at[:: -(-len(at) // MOST_PAIRS) or 1]) for k, at in pairs]
     if sum(len(at) for _, at in pairs) < PAIRS:
-        return [0.0] * len(turns)
+        return [0.0] * len(rotations)
     at = np.concatenate([at for _, at in pairs])
-    first, then = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
+    first, last = (np.concatenate([seen[k][at + ahead] for k, at in pairs]) for ahead in (0, lag))
     angles = []
-    for each in turns:
+    for each in rotations:
         direction = first
         for k in range(lag):
+            # in body axes a fixed direction rotates opposite to the body
             direction = Rotation.from_rotvec(-each[at + k]).apply(direction)
-        across = np.linalg.norm(np.cross(direction, then), axis=1)
-        angles.append(float(np.median(np.arctan2(across, (direction * then).sum(axis=1)))))
+        across = np.linalg.norm(np.cross(direction, last), axis=1)
+        angles.append(float(np.median(np.arctan2(across, (direction * last).sum(axis=1)))))
     return angles
 
 
-def _magnetometer(
+def _check_magnetometer(
     magnetometer: Magnetometer, dipole: np.ndarray | None, field: np.ndarray
 ) -> list[WrongUnit]:
+    """Return the wrong units of a magnetometer's zero or noise and of the residual dipole, from the field (n, 3) in body axes."""
     field = field[np.isfinite(field).all(axis=1)]
     size = float(np.median(np.linalg.norm(field, axis=1))) if len(field) >= PAIRS else 0.0
     if size == 0:
         return []
     zero, noise = np.linalg.norm(magnetometer.zero), magnetometer.noise
+    # back to the readings of the columns, before zero and matrix were applied
     raw = field @ np.linalg.inv(magnetometer.matrix).T * magnetometer.sign + magnetometer.zero
     reading = float(np.median(np.linalg.norm(raw, axis=1)))
     if zero > OFFSET * reading:  # then neither noise nor dipole can be judged

@@ -1,8 +1,7 @@
-"""The vehicle: what the spacecraft is, as frozen data that every other module reads.
+"""The vehicle: a description of the spacecraft as frozen data, used by all other packages.
 
-Frame B: the vehicle's own body axes, in which every vector below is given. SI units. A vehicle is read from a TOML file by
-:func:`load_vehicle` (:mod:`sunspin.vehicle.file` knows the file's form) or built in Python from the classes here; both
-ways pass the same physical checks.
+Vectors are in the vehicle's body axes B, values in SI units. A vehicle is read from a TOML file by :func:`load_vehicle`
+(:mod:`sunspin.vehicle.file` defines the file's keys) or built in Python from the classes here, with the same physical checks.
 """
 
 from __future__ import annotations
@@ -52,17 +51,17 @@ def load_vehicle(source: object, changes: Changes = None) -> Vehicle:
     source : str or path
         The name of a built-in case (``"philae"``, ``"skcube"``) or the path of a ``vehicle.toml``.
     changes : dict or list of str, optional
-        Values that take the place of those in the file, by their keys in it: ``{"wheel.speed_rad_s": 833,
-        "body.inertia_kg_m2[2][2]": "*=0.9", "wheel.friction": "printed"}``, or ``["wheel.speed_rad_s=833"]``. Parts of a list go
-        by their names (``panel[+X].gain``) or places; an element beside the diagonal of an inertia sets its mirror. The file's
-        ranges hold, and results say what was changed.
+        Values that replace those in the file, by their keys: ``{"wheel.speed_rad_s": 833, "body.inertia_kg_m2[2][2]": "*=0.9",
+        "wheel.friction": "printed"}``, or ``["wheel.speed_rad_s=833"]``. Parts of a list are given by name (``panel[+X].gain``)
+        or index. An off-diagonal element of an inertia tensor also sets its mirrored element. The file's ranges hold, and
+        results list the changes.
 
     Raises
     ------
     VehicleError
-        With the file, the key, what was found there and what to do.
+        With the file, the key, the offending value and the advice.
     InputError
-        A change of what the file does not have.
+        For a change of something that the file does not have.
     """
     from sunspin.vehicle.file import read_vehicle
 

@@ -1,6 +1,7 @@
-"""What the study of a landing assumes beside its vehicle: its rules for the data, and what a collision does.
+"""Assumptions of the study of a landing that are not properties of the vehicle: rules for the data, and the effect of a collision.
 
-The values of the paper, each with its source, stand in ``cases/philae/assumptions.toml``; they hold for any lander unless changed.
+The values of the paper, each with its source, are in ``cases/philae/assumptions.toml``; they hold for any lander unless
+changed.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from sunspin.base.errors import InputError, VehicleError
 from sunspin.base.untrusted import read_toml
-from sunspin.vehicle import changes as ch
-from sunspin.vehicle.part import Number, Part, keys_of, must, part, problem
+from sunspin.vehicle.changes import Change, Changes, apply_changes, bare_value, parse_changes
+from sunspin.vehicle.part import Number, Part, describe_error, keys_of, must, part
 
 WHERE = "the study's assumptions"
+"""Name of the assumptions in messages."""
 
 Share = Annotated[
     Number, must(lambda share: 0 <= share <= 1, "{path} must be a share between 0 and 1")
@@ -27,18 +29,19 @@ Share = Annotated[
 class Study(Part):
     """Rules of the reconstruction.
 
-    `lead_s`: from the first touchdown to the first sample; None: as the times of the telemetry say. `target_weights`: every
-    measured direction counts the same, or for the time that it stands for (half the gaps to its neighbours). `mask`: simulated
-    directions count where the panels would allow to reconstruct them, or everywhere. `near_minimum_factor`: the paper's set lies
-    below so many times the smallest EMD. `confidence`: of the calibrated set.
+    `lead_s`: time (s) from the first touchdown to the first sample; None: as given by the times of the telemetry.
+    `target_weights`: measured directions count equally, or in proportion to the time they represent (half the gaps to their
+    neighbours). `mask`: simulated directions count only if the panels would determine them, or everywhere.
+    `near_minimum_factor`: the paper's near-minimum set has an EMD below this factor times the smallest. `confidence`: of the
+    calibrated set.
     """
 
     lead_s: (
         Annotated[Number, must(lambda lead: lead >= 0, "{path} must be zero or a positive time")]
         | None
     ) = None
-    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(ch.bare)] = "equal"
-    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(ch.bare)] = (
+    target_weights: Annotated[Literal["equal", "interval"], BeforeValidator(bare_value)] = "equal"
+    mask: Annotated[Literal["reconstructible", "everywhere"], BeforeValidator(bare_value)] = (
         "reconstructible"
     )
     near_minimum_factor: Annotated[
@@ -51,7 +54,7 @@ class Study(Part):
 
 @part
 class Collision(Part):
-    """What a blow on a leg does: see :func:`sunspin.impact`."""
+    """Effect of an impact on a leg, see :func:`sunspin.impact`: coefficient of restitution, and share of the damper."""
 
     restitution: Share = 0.0
     damper: Share = 0.0
@@ -59,7 +62,7 @@ class Collision(Part):
 
 @part
 class AssumptionsFile(Part):
-    """The tables of the file."""
+    """Tables of the assumptions file."""
 
     study: Study = Study()
     collision: Collision = Collision()
@@ -67,37 +70,38 @@ class AssumptionsFile(Part):
 
 @part
 class Assumptions(AssumptionsFile):
-    """All of these; `changes`: what was set for this run."""
+    """All assumptions, and the `changes` made to them for this run."""
 
     changes: tuple[Any, ...] = ()
 
 
 TABLES = tuple(keys_of(AssumptionsFile))
+"""Names of the tables, by which changes of assumptions are recognised."""
 
 
 def assumptions_table() -> dict[str, Any]:
-    """The parsed TOML of the assumptions."""
+    """Read the parsed TOML of the assumptions file."""
     path = resources.files("sunspin").joinpath("cases", "philae", "assumptions.toml")
     return read_toml(path.read_text(encoding="utf-8"), WHERE, InputError)
 
 
-def read_assumptions(changes: ch.Changes = None) -> Assumptions:
-    """The paper's assumptions with changes; `InputError` for one that is none or out of its range."""
+def read_assumptions(changes: Changes = None) -> Assumptions:
+    """Read the paper's assumptions and apply changes; raise `InputError` for a change that is not valid or out of range."""
     table = assumptions_table()
-    done = ch.apply(table, ch.changes_of(changes))
+    settings = apply_changes(table, parse_changes(changes))
     try:
         file = TypeAdapter(AssumptionsFile).validate_python(
             table, context="file", by_alias=True, by_name=False
         )
     except ValidationError as error:
-        raise InputError(problem(error, AssumptionsFile, WHERE, table)) from None
+        raise InputError(describe_error(error, AssumptionsFile, WHERE, table)) from None
     except VehicleError as error:
         raise InputError(f"{WHERE}: {error}") from None
-    return Assumptions(file.study, file.collision, done)
+    return Assumptions(file.study, file.collision, settings)
 
 
-def split(changes: ch.Changes) -> tuple[tuple[ch.Change, ...], tuple[ch.Change, ...]]:
-    """Changes of the vehicle, and those of the assumptions."""
-    asked = ch.changes_of(changes)
-    mine = tuple(each for each in asked if re.split(r"[.\[]", each.key)[0] in TABLES)
-    return tuple(each for each in asked if each not in mine), mine
+def split_changes(changes: Changes) -> tuple[tuple[Change, ...], tuple[Change, ...]]:
+    """Return the changes of the vehicle, and those of the assumptions."""
+    all_changes = parse_changes(changes)
+    of_study = tuple(each for each in all_changes if re.split(r"[.\[]", each.key)[0] in TABLES)
+    return tuple(each for each in all_changes if each not in of_study), of_study

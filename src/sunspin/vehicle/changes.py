@@ -1,7 +1,8 @@
-"""Changing values by their keys: ``wheel.speed_rad_s=833``, ``body.inertia_kg_m2[2][2]*=0.9``, ``wheel.friction=printed``.
+"""Changes of values by their keys: ``wheel.speed_rad_s=833``, ``body.inertia_kg_m2[2][2]*=0.9``, ``wheel.friction=printed``.
 
-A change alters the parsed TOML of a vehicle file, or of a study's assumptions (:mod:`sunspin.vehicle.assumptions`), before it is
-validated: the reader of that file says what is wrong with a key or a value.
+A change alters the parsed TOML of a vehicle file, or of a study's assumptions (:mod:`sunspin.vehicle.assumptions`). This
+happens before validation, so that the reader of that file reports errors in keys and values. Below, a *value table* is
+``{value, sigma, source}``, which a file may have in place of a number.
 """
 
 from __future__ import annotations
@@ -18,48 +19,56 @@ from sunspin.base.untrusted import LARGEST, plain_number
 from sunspin.vehicle.part import keys_of, part_in
 from sunspin.vehicle.parts import GAIN_UNITS, Friction
 
-STEP = r"(?>(?:[^.\[\]\s=*+]|\+(?!=))+|\[[^\]]*\])"  # taken whole: a long text without "=" would be split in every way
+STEP = r"(?>(?:[^.\[\]\s=*+]|\+(?!=))+|\[[^\]]*\])"
+"""A name or an index in brackets of a key. The atomic group keeps the time linear for long texts without "="."""
 CHANGE = re.compile(rf"\s*((?!\[)(?:{STEP})(?:\.?(?:{STEP}))*?)\s*([*+]?=)\s*(\S.*?)\s*", re.DOTALL)
+"""Key, operator and value of a change."""
 UNIT = re.compile(r"(?:_(?:per|kg|rad|deg|N|W|A|T|C|K|m2|m|s2|s))+$")
+"""Unit at the end of a key."""
 COEFFICIENTS = ("coulomb_N_m", "viscous_N_m_s")
-LIST = "`--set list` shows all"
-SHOWN = 60
-"""Characters of a value in a list or a sentence."""
+"""Coefficients of a friction law."""
+LIST_HINT = "`--set list` shows all"
+"""Advice in errors about keys."""
+MAX_SHOWN = 60
+"""Characters of a value in a list or a message."""
 
 
 class Change(NamedTuple):
-    """One change: key, "=", "*=" or "+=", and a number, a text, or lists and tables of these."""
+    """A change of a value: its key, the operator "=", "*=" or "+=", and the operand (number, text, list or table)."""
 
     key: str
     operator: str
     value: Any
 
     def __str__(self) -> str:
-        plain = isinstance(self.value, str) and read_value(self.value) == self.value
+        # a text is written without quotes if it is read back as the same text
+        plain = isinstance(self.value, str) and parse_value(self.value) == self.value
         value = self.value if plain else json.dumps(self.value, default=str)
         return f"{self.key}{self.operator}{value}"
 
 
 class Setting(NamedTuple):
-    """What can be set, or was set: its key, value (None: not set), unit, source, and the value that it `was`."""
+    """A value that can be or was changed: key, value (None: not set), unit, source, and the value before the change."""
 
     key: str
     value: Any
     unit: str
     source: str
-    was: Any = None
+    old_value: Any = None
 
     def __str__(self) -> str:
-        now, before = (f"{shown(value)} {self.unit}".strip() for value in (self.value, self.was))
-        return f"{self.key} = {now} (was {before}{f'; {self.source}' if self.source else ''})"
+        new, old = (
+            f"{format_value(value)} {self.unit}".strip() for value in (self.value, self.old_value)
+        )
+        return f"{self.key} = {new} (was {old}{f'; {self.source}' if self.source else ''})"
 
 
 Changes = Mapping[str, Any] | Iterable[str | Change] | None
 """Changes as users give them: {"wheel.speed_rad_s": 833, "body.mass_kg": "*=0.9"}, or texts as on the command line."""
 
 
-def changes_of(given: Changes) -> tuple[Change, ...]:
-    """Changes from what a user gives; `InputError` for a text that is none."""
+def parse_changes(given: Changes) -> tuple[Change, ...]:
+    """Return the changes that a user gives; raise `InputError` for a text that is not a change."""
     texts = [given] if isinstance(given, str) else list(map(str, given or ()))
     if isinstance(given, Mapping):
         for k, value in enumerate(given.values()):
@@ -74,12 +83,12 @@ def changes_of(given: Changes) -> tuple[Change, ...]:
         if match is None:
             do = "write KEY=VALUE, KEY*=FACTOR or KEY+=STEP, for example wheel.speed_rad_s=833"
             raise InputError("this is not a valid change of a value", got=text, do=do)
-        changes.append(Change(match[1], match[2], read_value(match[3])))
+        changes.append(Change(match[1], match[2], parse_value(match[3])))
     return tuple(changes)
 
 
-def read_value(text: str) -> Any:
-    """A value in JSON, which of numbers and lists is also TOML's; anything else is a text without its quotes."""
+def parse_value(text: str) -> Any:
+    """Return a value written in JSON (whose numbers and lists are those of TOML); any other text is returned as it is."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -87,39 +96,45 @@ def read_value(text: str) -> Any:
         return text if math.isnan(number) else number
 
 
-def apply(table: dict[str, Any], changes: Iterable[Change]) -> tuple[Setting, ...]:
-    """Change a parsed file; what each change did, without those that leave a value as it was.
+def apply_changes(table: dict[str, Any], changes: Iterable[Change]) -> tuple[Setting, ...]:
+    """Change a parsed file in place; return a setting for each value that differs from before.
 
-    The source of a changed value says so. An element of an inertia tensor sets the symmetric one too.
+    The source of a changed value says that it was changed. A change of an off-diagonal element of an inertia tensor also sets
+    the mirrored element.
     """
     done: dict[str, Setting] = {}
     for key, operator, value in changes:
-        path = path_to(table, key)
+        path = find_path(table, key)
         if isinstance(value, dict) and path[-1][1] == "value":
-            path.pop()  # a value with its sigma and source
+            path.pop()  # a new table {value, sigma, source} replaces the whole old one
         holder, field = path[-1]
         old = holder.get(field) if isinstance(holder, dict) else holder[field]
-        new = value if operator == "=" else _combined(old, operator, value, key)
+        new = value if operator == "=" else _scale_or_add(old, operator, value, key)
+        # a friction given by name is one of the wheel's alternative laws
         if field == "friction" and isinstance(value, str):
             laws = holder.get("alternative_frictions")
             new = laws.get(value, value) if isinstance(laws, dict) else value
-        certificate = next((node for node, step in path if step == "value"), {})
-        source = str(certificate.get("source", ""))
-        first = done.get(key, Setting(key, value, unit_of(key), source, old))
+        value_table = next((node for node, step in path if step == "value"), {})
+        source = str(value_table.get("source", ""))
+        # several changes of one key: the first one knows the value of the file
+        first = done.get(key, Setting(key, value, unit_from_key(key), source, old))
         done[key] = first._replace(value=value if operator == "=" else new)
-        if certificate and new != old and not source.startswith("set for this run"):
-            was = f"set for this run; was {shown(certificate['value'])}"
-            certificate["source"] = f"{was}, {source}" if source else was
+        if value_table and new != old and not source.startswith("set for this run"):
+            was = f"set for this run; was {format_value(value_table['value'])}"
+            value_table["source"] = f"{was}, {source}" if source else was
         holder[field] = new
         if "inertia_kg_m2" in key and isinstance(field, int) and isinstance(path[-2][1], int):
             rows, row = path[-2]
             if field < len(rows) and isinstance(rows[field], list) and row < len(rows[field]):
                 rows[field][row] = new
-    return tuple(each for each in done.values() if each.value != each.was)
+    return tuple(each for each in done.values() if each.value != each.old_value)
 
 
-def path_to(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
-    """The tables and lists on the way to a value, each with the key or index that leads on; absent tables are added."""
+def find_path(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
+    """Return the tables and lists that lead to a value, each with its key or index of the next; absent tables are added.
+
+    Raises `InputError` for a key that is ambiguous or leads nowhere.
+    """
     path: list[tuple[Any, Any]] = []
     node: Any = table
 
@@ -129,9 +144,11 @@ def path_to(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
         node = node.get(step) if isinstance(node, dict) else node[step]
 
     for step in re.findall(STEP, key):
+        # a step is a key, or an index or name in brackets
         index = step[1:-1].strip() if step[0] == "[" else None
-        if index is not None and is_certificate(node):
+        if index is not None and is_value_table(node):
             enter("value")
+        # in a list: a step in brackets chooses an element; without one a single element is entered for the next key
         if isinstance(node, list):
             names = [str(each.get("name")) if isinstance(each, dict) else "" for each in node]
             known = ", ".join(names) if any(names) else f"0 to {len(node) - 1}"
@@ -139,8 +156,8 @@ def path_to(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
                 what, do = f"there are {len(node)} of these", f"say which in brackets: {known}"
                 raise InputError(what, got=key, do=do)
             index = "0" if index is None else index
-            places = [*filter(None, names), *map(str, range(len(node)))]
-            if index not in places:
+            choices = [*filter(None, names), *map(str, range(len(node)))]
+            if index not in choices:
                 what = f"there is no [{index}] here"
                 raise InputError(what, got=key, do=f"known: {known}")
             enter(names.index(index) if index in names else int(index))
@@ -151,95 +168,101 @@ def path_to(table: dict[str, Any], key: str) -> list[tuple[Any, Any]]:
             holder[field] = {}
             node = holder[field]
         if not isinstance(node, dict) or step[0] == "[":
-            raise InputError("there is nothing to set by this key", got=key, do=LIST)
+            raise InputError("there is nothing to set by this key", got=key, do=LIST_HINT)
+        # `gain` means the key that the panel has, and a coefficient can be set in place of a spin-down
         if step == "gain":
             step = next((name for name in GAIN_UNITS if name in node), step)
         if step in COEFFICIENTS and "spin_down" in node and path:
-            _with_coefficients(node, path[-1][0])
+            _replace_spin_down(node, path[-1][0])
         enter(step)
-    if is_certificate(node):
+    if is_value_table(node):
         enter("value")
     return path
 
 
-def _with_coefficients(friction: dict[str, Any], wheel: dict[str, Any]) -> None:
-    """Put coefficients in the place of a measured spin-down, so that one of them can be changed."""
+def _replace_spin_down(friction: dict[str, Any], wheel: dict[str, Any]) -> None:
+    """Replace a measured spin-down in a friction table by its coefficients, so that one of them can be changed."""
     try:
-        law = {name: float(bare(value)) for name, value in friction["spin_down"].items()}
-        fit = Friction.from_spin_down(**law, inertia_kg_m2=float(bare(wheel["inertia_kg_m2"])))
+        law = {name: float(bare_value(value)) for name, value in friction["spin_down"].items()}
+        fit = Friction.from_spin_down(
+            **law, inertia_kg_m2=float(bare_value(wheel["inertia_kg_m2"]))
+        )
     except (AttributeError, KeyError, TypeError, ValueError):
-        return  # the reader of the file says what is wrong with it
+        return  # the reader of the file reports what is wrong with it
     friction.clear()
     for name in COEFFICIENTS:
         friction[name] = {"value": getattr(fit, name), "source": "from the measured spin-down"}
 
 
-def _combined(old: Any, operator: str, operand: Any, key: str) -> Any:
-    """A number, or each number of a list, times a factor or plus a step."""
+def _scale_or_add(old: Any, operator: str, operand: Any, key: str) -> Any:
+    """Return a number, or each number of a list, multiplied by a factor or increased by a step."""
     if isinstance(old, list):
-        return [_combined(each, operator, operand, key) for each in old]
+        return [_scale_or_add(each, operator, operand, key) for each in old]
     numbers = [x for x in (old, operand) if isinstance(x, int | float) and abs(x) <= LARGEST]
     if len(numbers) < 2 or any(isinstance(x, bool) for x in numbers):
-        got = f"{shown(old)} {operator} {shown(operand)}"
+        got = f"{format_value(old)} {operator} {format_value(operand)}"
         raise InputError(f"{operator} needs numbers", got=got, where=key)
     return old * operand if operator == "*=" else old + operand
 
 
-def is_certificate(node: Any) -> bool:
+def is_value_table(node: Any) -> bool:
+    """Return whether a node of a parsed file is a table {value, sigma, source}."""
     return isinstance(node, dict) and "value" in node
 
 
-def bare(node: Any) -> Any:
-    """A value without its certificate."""
-    return node["value"] if is_certificate(node) else node
+def bare_value(node: Any) -> Any:
+    """Return the value of a value table, any other node unchanged."""
+    return node["value"] if is_value_table(node) else node
 
 
-def settings(table: Mapping[str, Any], kind: Any, path: str = "") -> Iterator[Setting]:
-    """All that can be set: what a file holds, and what it leaves out of the tables that it has (value None).
+def list_settings(table: Mapping[str, Any], kind: Any, path: str = "") -> Iterator[Setting]:
+    """Yield all settings of a file: those that it contains, and with value None those missing from its tables.
 
-    `kind` is the part that the table describes; None: only what it holds.
+    `kind` is the part that the table describes; None: list only the contents.
     """
     known = {} if kind is None or "spin_down" in table else keys_of(kind)
     for key in dict.fromkeys((*table, *known)):
-        at, within = f"{path}{key}", part_in(known.get(key))
+        full_key, kind_below = f"{path}{key}", part_in(known.get(key))
         item: Any = table.get(key)
         if key in ("name", "description", "source"):
             continue
         if key == "alternative_frictions" and item:
             laws = f"other laws in the file: {', '.join(item)}"
             yield Setting(f"{path}friction", "as below", "", laws)
-            within = None
-        if is_certificate(item):
-            yield Setting(at, item["value"], unit_of(at), str(item.get("source", "")))
+            kind_below = None
+        if is_value_table(item):
+            yield Setting(
+                full_key, item["value"], unit_from_key(full_key), str(item.get("source", ""))
+            )
         elif isinstance(item, dict):
-            yield from settings(item, within, f"{at}.")
+            yield from list_settings(item, kind_below, f"{full_key}.")
         elif isinstance(item, list) and item and all(isinstance(each, dict) for each in item):
             for each in item:
-                name = at if len(item) == 1 else f"{at}[{each.get('name')}]"
-                yield from settings(each, within, f"{name}.")
+                name = full_key if len(item) == 1 else f"{full_key}[{each.get('name')}]"
+                yield from list_settings(each, kind_below, f"{name}.")
         elif key in table:
-            yield Setting(at, item, unit_of(at), "")
-        elif within is None and key not in GAIN_UNITS:
-            yield Setting(at, None, unit_of(at), "not in the file")
-        elif at.startswith("panel_response"):  # of panels that stand as drawn there is no table
-            yield from settings({}, within, f"{at}.")
+            yield Setting(full_key, item, unit_from_key(full_key), "")
+        elif kind_below is None and key not in GAIN_UNITS:
+            yield Setting(full_key, None, unit_from_key(full_key), "not in the file")
+        elif full_key.startswith("panel_response"):  # absent if the panels are aligned as drawn
+            yield from list_settings({}, kind_below, f"{full_key}.")
 
 
-def unit_of(key: str) -> str:
-    """The unit that a key ends in; "" where it names none."""
+def unit_from_key(key: str) -> str:
+    """Return the unit at the end of a key in readable form, such as "rad/s"; "" if there is none."""
     match = UNIT.search(re.sub(r"\[[^\]]*\]", "", key))
     text = match[0][1:].replace("_", " ") if match else ""
     return re.sub(r"^(rad|m) (s2?)$", r"\1/\2", re.sub(r"^per ", "1/", text)).replace("C", "deg C")
 
 
-def shown(value: Any) -> str:
-    """A value for people, on one short line."""
+def format_value(value: Any) -> str:
+    """Return a value as one short line for people."""
     if isinstance(value, dict):
-        text = ", ".join(f"{key} {shown(bare(item))}" for key, item in value.items())
+        text = ", ".join(f"{key} {format_value(bare_value(item))}" for key, item in value.items())
     elif isinstance(value, list):
-        text = f"[{', '.join(map(shown, value))}]"
+        text = f"[{', '.join(map(format_value, value))}]"
     elif isinstance(value, float):
         text = f"{value:.7g}"
     else:
         text = "not set" if value is None else str(value)
-    return textwrap.shorten(text, SHOWN, placeholder=" ...")
+    return textwrap.shorten(text, MAX_SHOWN, placeholder=" ...")

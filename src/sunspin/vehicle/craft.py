@@ -1,4 +1,4 @@
-"""The vehicle: its parts together, and what makes them possible as one body."""
+"""The class `Vehicle`: all parts of a spacecraft, and the checks that they form a possible body."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, PlainValidator, StrictBool, ValidationInfo
 
 from sunspin.base.errors import VehicleError
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.notebook import vehicle_html
 from sunspin.vehicle.part import (
     FloatArray,
@@ -24,12 +24,12 @@ from sunspin.vehicle.part import (
     Text,
     above_zero,
     as_array,
-    bare,
+    as_tuples,
+    checked_value,
     frozen_array,
     must,
     no_entries,
     part,
-    tuples,
 )
 from sunspin.vehicle.parts import (
     Antenna,
@@ -44,21 +44,21 @@ from sunspin.vehicle.parts import (
     Wheel,
 )
 from sunspin.vehicle.response.flat import PanelResponse
-from sunspin.vehicle.response.joined import Input, Joined, full_sun
+from sunspin.vehicle.response.joined import Input, JoinedResponse, full_sun
 from sunspin.vehicle.sensors import Sensors
-from sunspin.vehicle.timeline import zone_of
+from sunspin.vehicle.timeline import parse_zone
 
 MAX_PANELS = 32
-"""Each cuts the sphere of directions further, n of them into n (n - 1) + 2 cells; satellites have about ten sides."""
+"""n panels cut the sphere of directions into n (n - 1) + 2 cells; satellites have about ten sides."""
 
 MAX_WHEELS = 8
-"""The kernels keep numbers for every set of wheels that turn freely."""
+"""The compiled kernels hold matrices for every subset of freely turning wheels."""
 
 MAX_PARTS = 1000
-"""Legs, parts of the hull, rules."""
+"""Limit for legs, parts of the hull, and rules."""
 
-OR_CHANNEL = "; panels that share an input of the power system are one [[channel]]"
-"""What is said where two panels are given one column."""
+CHANNEL_HINT = "; panels that share an input of the power system are one [[channel]]"
+"""Advice in errors about two panels with one column."""
 
 LIMITS = {
     "panels": MAX_PANELS,
@@ -67,6 +67,7 @@ LIMITS = {
     "hull": MAX_PARTS,
     "sun_rules": MAX_PARTS,
 }
+"""Largest number of parts of each kind."""
 
 SYMMETRY_TOLERANCE = 1e-9
 """Largest relative difference between mirrored elements of an inertia tensor."""
@@ -79,16 +80,18 @@ Rollovers = Annotated[
 
 @part
 class TelemetryForm(Part):
-    """How the telemetry of this vehicle is written: columns, units, clock, noise. See the file `sunspin init` writes.
+    """Format of this vehicle's telemetry: columns, units, clock, noise. See the file that `sunspin init` writes.
 
-    A value is `scale` (reading - `zero`), the reading less `wraps_at` where at least half of that, over 1 +
-    `temperature_coefficient_per_K` (T - `reference_temperature_C`), T being `temperature_scale` times its temperature column.
-    Columns of currents give powers where there are voltages: then a value is that times `voltage_scale` times the panel's entry in
-    `voltage_columns`, or where it has none `voltage_column`. An input is read its entry of `offset_s` later than its row's time,
-    and over `averaged_s` about that instant. `receive_time_column`: when a row was received, kept in addition to its own time.
-    `time_zone`: zone of times that name none. `week_column`: GPS weeks, the time column then being seconds of the week; they have
-    begun again `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times count them.
-    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows.
+    A value is `scale` (reading - `zero`) / (1 + `temperature_coefficient_per_K` (T - `reference_temperature_C`)). The
+    temperature T is `temperature_scale` times its temperature column. Readings of at least half of `wraps_at` are first reduced
+    by `wraps_at`. With voltages, columns of currents give powers: a value is multiplied by `voltage_scale` and the column in
+    `voltage_columns`, or else in `voltage_column`.
+
+    An input is sampled its entry of `offset_s` later than the time of its row, averaged over `averaged_s` about that instant.
+    `receive_time_column`: the time at which a row was received, read in addition to its own time. `time_zone`: zone of times
+    without one. `week_column`: GPS weeks; the time column then has seconds of the week, and the week number has overflowed
+    `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times include leap seconds. `throttled`: if the battery is
+    full, all readings of a sample are reduced by one unknown factor.
     """
 
     quantity: Literal["power_W", "current_A"] = "power_W"
@@ -128,9 +131,9 @@ class TelemetryForm(Part):
             *(name for name in clocks if name is not None),
             *self.columns.values(),
         ]
-        if twice := [name for name in used if used.count(name) > 1]:
+        if repeated := [name for name in used if used.count(name) > 1]:
             what = "telemetry names one column for the time and a panel, or for two panels"
-            raise VehicleError(what, got=twice[0], do=f"give each panel its own{OR_CHANNEL}")
+            raise VehicleError(what, got=repeated[0], do=f"give each panel its own{CHANNEL_HINT}")
         if self.has_voltages and self.quantity != "power_W":
             what = "telemetry has voltages, with which currents become powers, but telemetry.quantity is current_A"
             raise VehicleError(what, do='set quantity = "power_W", or leave the voltages out')
@@ -141,13 +144,13 @@ class TelemetryForm(Part):
         ):
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
             raise VehicleError(what, do="add the UTC of time zero, or receive_time_column")
-        of_format = {
+        required_format = {
             "time_zone": "utc",
             "week_column": "gps",
             "gps_rollovers": "gps",
             "counts_leap_seconds": "elapsed",
         }
-        for key, needed in of_format.items():
+        for key, needed in required_format.items():
             if getattr(self, key) is not None and self.time_format != needed:
                 what = f'telemetry.{key} needs time_format = "{needed}"'
                 raise VehicleError(what, got=self.time_format, do="set it, or leave the key out")
@@ -155,26 +158,27 @@ class TelemetryForm(Part):
             what = "telemetry.counts_leap_seconds needs epoch_utc"
             raise VehicleError(what, do="add the UTC of time zero, or leave the key out")
         if self.time_zone is not None:
-            zone_of(self.time_zone)
+            parse_zone(self.time_zone)
 
     @property
     def has_voltages(self) -> bool:
-        """Whether the columns are currents and powers are made of them."""
+        """True if the columns are currents that voltages convert to powers."""
         return self.voltage_column is not None or bool(self.voltage_columns)
 
 
 def _require_symmetric(what: str, tensor: np.ndarray) -> None:
-    off = np.abs(tensor - tensor.T)
-    if off.max() > SYMMETRY_TOLERANCE * np.abs(tensor).max():
-        i, j = np.unravel_index(np.argmax(off), (3, 3))
+    """Raise `VehicleError` if a tensor (3, 3) is not symmetric."""
+    asymmetry = np.abs(tensor - tensor.T)
+    if asymmetry.max() > SYMMETRY_TOLERANCE * np.abs(tensor).max():
+        i, j = np.unravel_index(np.argmax(asymmetry), (3, 3))
         elements = f"element [{i}][{j}] is {tensor[i, j]:g} and [{j}][{i}] is {tensor[j, i]:g}"
         raise VehicleError(f"{what} must be symmetric, but {elements}", do="make them equal")
 
 
 def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
-    """Check that a value is the inertia tensor of some distribution of mass."""
+    """Return a checked inertia tensor (3, 3); raise `VehicleError` if no distribution of mass can have it."""
     key = "inertia_kg_m2"
-    given = bare(raw, info)
+    given = checked_value(raw, info)
     tensor = as_array(given)
     if tensor.shape != (3, 3) or not np.all(np.isfinite(tensor)):
         shown = given.tolist() if isinstance(given, np.ndarray) else given
@@ -191,6 +195,7 @@ def _physical_inertia(raw: Any, info: ValidationInfo) -> FloatArray:
             f"{key} must be positive definite, its principal moments are {shown}",
             do="check signs and units",
         )
+    # triangle inequality of the principal moments: I3 <= I1 + I2
     if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRY_TOLERANCE):
         raise VehicleError(
             f"{key} is not that of any body: principal moments {shown} break the rule that the largest is at most the "
@@ -209,11 +214,11 @@ Facts = Annotated[Mapping[str, Fact], AfterValidator(lambda facts: MappingProxyT
 class Vehicle(Part):
     """A rigid spacecraft with any number of panels, wheels and legs.
 
-    What the telemetry reads of the panels are inputs: each of the `channels`, and each panel that is in none of them.
+    The telemetry reads *inputs*: each of the `channels`, and each panel that is in none of them.
 
-    `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the joint centre of mass, off-diagonal
-    entries being tensor elements (minus the products of inertia). Mass and inertia may be unknown (None): then what needs
-    them says so. `changes`: what was set for this run beside the file (:mod:`sunspin.vehicle.changes`), for results to say.
+    `inertia_kg_m2` (3, 3) is the tensor of the whole vehicle, wheels included, about the common centre of mass. Its
+    off-diagonal entries are tensor elements (minus the products of inertia). Mass and inertia may be None; functions that need
+    them then raise an error. `changes` lists what was changed in the file for this run (:mod:`sunspin.vehicle.changes`).
     """
 
     name: Name
@@ -250,27 +255,31 @@ class Vehicle(Part):
     _repr_html_ = vehicle_html
 
     @property
-    def said(self) -> dict[str, str]:
-        """What results say of the vehicle in their attributes: its name, and what was changed where anything was."""
+    def result_attributes(self) -> dict[str, str]:
+        """Attributes of results about the vehicle: its name, and the changes made to its file, if any."""
         return {"vehicle": self.name} | (
             {"changes": "\n".join(map(str, self.changes))} if self.changes else {}
         )
 
     @property
     def panel_names(self) -> tuple[str, ...]:
+        """Names of the panels, in the order of the file."""
         return tuple(panel.name for panel in self.panels)
 
     @property
     def panel_normals_B(self) -> FloatArray:
-        """Unit normals (n_panel, 3), as they stand."""
-        drawn = np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(-1, 3)
-        turn, tilted = self.panel_response.turned_B_rad, self.panel_response.tilted
-        if turn is not None and turn.any():
-            drawn = seen_turned(drawn, -turn)
+        """Unit normals (n_panel, 3) in B, including the common misalignment and the tilt of a single panel."""
+        normals = np.array([panel.normal_B for panel in self.panels], dtype=np.float64).reshape(
+            -1, 3
+        )
+        common, tilted = self.panel_response.turned_B_rad, self.panel_response.tilted
+        # rotating a normal by +angle gives the components seen after the body has rotated by -angle
+        if common is not None and common.any():
+            normals = components_after_rotation(normals, -common)
         if tilted is not None:
             k = self.panel_names.index(tilted.panel)
-            drawn[k] = seen_turned(drawn[k], -tilted.turn_B_rad)
-        return drawn
+            normals[k] = components_after_rotation(normals[k], -tilted.turn_B_rad)
+        return normals
 
     @property
     def panel_gains(self) -> FloatArray:
@@ -279,33 +288,28 @@ class Vehicle(Part):
 
     @property
     def inputs(self) -> tuple[Input, ...]:
-        """What the telemetry reads, in the order of the panels, a channel standing where its first panel does."""
-        names, channel_of = (
-            self.panel_names,
-            {name: channel for channel in self.channels for name in channel.panels},
-        )
+        """Inputs of the telemetry, in the order of the panels; a channel has the place of its first panel."""
+        names = self.panel_names
+        channel_of = {name: channel for channel in self.channels for name in channel.panels}
         inputs: dict[str, Input] = {}
         for k, name in enumerate(names):
             channel = channel_of.get(name)
-            each = (
-                Input(name, (k,))
-                if channel is None
-                else Input(
-                    channel.name,
-                    tuple(names.index(each) for each in channel.panels),
-                    channel.reads == "largest",
-                )
-            )
-            inputs.setdefault(each.name, each)
+            if channel is None:
+                inputs.setdefault(name, Input(name, (k,)))
+            else:
+                panels = tuple(names.index(panel) for panel in channel.panels)
+                shared = Input(channel.name, panels, channel.reads == "largest")
+                inputs.setdefault(shared.name, shared)
         return tuple(inputs.values())
 
     @property
     def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
         return tuple(each.name for each in self.inputs)
 
     @property
     def input_gains(self) -> FloatArray:
-        """What each input (n_input) reads at most: the gain of a panel, of the largest on a channel, or of a channel's sum."""
+        """Largest reading of each input (n_input): the gain of a panel, or the maximum of a channel over Sun directions."""
         if not self.channels:
             return self.panel_gains
         return np.array(
@@ -314,29 +318,33 @@ class Vehicle(Part):
 
     @property
     def input_noise(self) -> FloatArray | None:
-        """One sigma of each input's reading (n_input), in the telemetry's unit; None where the file states none."""
+        """Standard deviation of each input's readings (n_input) in the telemetry's unit; None if the file does not state it."""
         own = {x.name: x.noise for x in (*self.panels, *self.channels)}
         noise = [own[name] or self.telemetry.noise for name in self.input_names]
         return None if None in noise else np.array(noise, dtype=np.float64)
 
     @property
     def throttled(self) -> bool:
-        """Whether the readings of a sample have a factor in common that nobody knows."""
+        """True if all readings of a sample may be reduced by one unknown factor (full battery)."""
         return self.telemetry.throttled or any(channel.throttled for channel in self.channels)
 
     def response_in(self) -> PanelResponse:
-        """How the inputs see light: the rest of the package asks nothing but this about it. The answer is kept and shared."""
+        """Return the response of the inputs to light. The object is cached and shared.
+
+        All other packages use the panels through it.
+        """
         return self._response(self.inputs if self.channels else ())
 
-    def panels_in(self) -> PanelResponse:
-        """The same of the panels themselves, whatever input they are on: for drawings."""
+    def response_of_panels(self) -> PanelResponse:
+        """Return the response of the single panels, also of those that share an input; used for drawings."""
         return self._response(())
 
     def _response(self, inputs: tuple[Input, ...]) -> PanelResponse:
-        return _response_of(tuples(self.panel_normals_B), tuples(self.panel_gains), inputs)
+        """Return the cached response for these inputs; without any, every panel is an input of its own."""
+        return _build_response(as_tuples(self.panel_normals_B), as_tuples(self.panel_gains), inputs)
 
     def require_inertia(self) -> FloatArray:
-        """The inertia tensor (3, 3) in kg m2, or a `VehicleError` that says where to add it."""
+        """Return the inertia tensor (3, 3) in kg m2; raise `VehicleError` if it is unknown."""
         if self.inertia_kg_m2 is None:
             raise VehicleError(
                 f"vehicle {self.name!r} has no inertia and its motion cannot be computed",
@@ -345,7 +353,7 @@ class Vehicle(Part):
         return self.inertia_kg_m2
 
     def require_mass(self) -> float:
-        """The mass in kg, or a `VehicleError` that says where to add it."""
+        """Return the mass in kg; raise `VehicleError` if it is unknown."""
         if self.mass_kg is None:
             raise VehicleError(
                 f"vehicle {self.name!r} has no mass and an impact cannot be computed",
@@ -354,7 +362,7 @@ class Vehicle(Part):
         return self.mass_kg
 
     def require_noise(self) -> float:
-        """One sigma of a reading, the median of `input_noise`, or a `VehicleError` that says where to add it."""
+        """Return the median standard deviation of the readings; raise `VehicleError` if it is unknown."""
         noise = self.input_noise
         if noise is None:
             what = f"vehicle {self.name!r} does not say how noisy its panel readings are"
@@ -362,14 +370,14 @@ class Vehicle(Part):
         return float(np.median(noise))
 
     def require_panels(self) -> tuple[Panel, ...]:
-        """The panels, or a `VehicleError` that says where to add them."""
+        """Return the panels; raise `VehicleError` if there are none."""
         if not self.panels:
             what = f"vehicle {self.name!r} has no solar panel"
             raise VehicleError(what, do="add a [[panel]] table for each to its file")
         return self.panels
 
     def with_friction(self, name: str) -> Vehicle:
-        """A copy in which each wheel uses its alternative friction called `name`."""
+        """Return a copy in which each wheel has its alternative friction `name`; raise `VehicleError` if one lacks it."""
         wheels = []
         for wheel in self.wheels:
             if name not in wheel.alternative_frictions:
@@ -383,19 +391,24 @@ class Vehicle(Part):
 
 
 @lru_cache(maxsize=64)
-def _response_of(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
+def _build_response(normals_B: tuple, gains: tuple, inputs: tuple[Input, ...]) -> PanelResponse:
+    """Return a panel response from hashable data; vehicles with equal panels share one, with its cached geometry."""
     normals, strength = frozen_array(normals_B).reshape(-1, 3), frozen_array(gains)
-    return Joined(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
+    return JoinedResponse(normals, strength, inputs) if inputs else PanelResponse(normals, strength)
 
 
 def _require_distinct(names: list[str], key: str) -> None:
+    """Raise `VehicleError` if a name is repeated."""
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise VehicleError(f"two {key} share the name {repeated[0]!r}", do="give each its own name")
 
 
 def _require_wheels_fit(vehicle: Vehicle) -> None:
-    """The body that is left when every wheel turns freely must still have inertia about every axis."""
+    """Raise `VehicleError` if the body without the wheels' axial inertia has no inertia about some axis.
+
+    The equations of motion invert this tensor when all wheels turn freely.
+    """
     tensor = np.array(vehicle.inertia_kg_m2)
     for wheel in vehicle.wheels:
         tensor = tensor - wheel.inertia_kg_m2 * np.outer(wheel.axis_B, wheel.axis_B)
@@ -410,16 +423,19 @@ def _require_wheels_fit(vehicle: Vehicle) -> None:
 
 
 def _require_channels_fit(vehicle: Vehicle) -> None:
-    """Each panel is read once, each input has its own name, and throttled is said of all inputs or of none."""
+    """Raise `VehicleError` for channels that contradict the panels or each other.
+
+    Each panel is in at most one channel, each input has its own name, and `throttled` holds for all inputs or for none.
+    """
     _require_distinct([channel.name for channel in vehicle.channels], "channels")
     panels = [name for channel in vehicle.channels for name in channel.panels]
     for channel in vehicle.channels:
         if unknown := [name for name in channel.panels if name not in vehicle.panel_names]:
             what = f"channel {channel.name!r} names a panel that the vehicle does not have"
             raise VehicleError(what, got=unknown[0], do=f"panels: {[*vehicle.panel_names]}")
-        if twice := [name for name in channel.panels if panels.count(name) > 1]:
+        if repeated := [name for name in channel.panels if panels.count(name) > 1]:
             what = "a panel is in two channels"
-            raise VehicleError(what, got=twice[0], do="list it on the input that it is wired to")
+            raise VehicleError(what, got=repeated[0], do="list it on the input that it is wired to")
         if channel.name in set(vehicle.panel_names) - set(panels):
             what = f"channel {channel.name!r} is called like a panel that is not in it"
             raise VehicleError(what, do="give the channel another name")
@@ -427,10 +443,10 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
         if noisy := [panel.name for panel in inside if panel.noise is not None]:
             what = f"channel {channel.name!r} reads a panel that states a noise of its own"
             raise VehicleError(what, got=noisy[0], do="state the noise of the channel instead")
-    bound = [channel.throttled for channel in vehicle.channels]
+    throttled = [channel.throttled for channel in vehicle.channels]
     if (
-        any(bound)
-        and not (all(bound) and set(panels) == set(vehicle.panel_names))
+        any(throttled)
+        and not (all(throttled) and set(panels) == set(vehicle.panel_names))
         and not vehicle.telemetry.throttled
     ):
         what = "some inputs are throttled and others are not"
@@ -439,20 +455,24 @@ def _require_channels_fit(vehicle: Vehicle) -> None:
 
 
 def _require_known_panels(vehicle: Vehicle) -> None:
+    """Raise `VehicleError` if a table names a panel that does not exist, or states noise or voltage for some inputs only."""
     form = vehicle.telemetry
     tilted = vehicle.panel_response.tilted
-    named = [] if tilted is None else [("panel_response.tilted", tilted.panel)]
-    named += [
+    # names that must be panels, and names that must be inputs, each with the key that has it
+    panel_keys = [] if tilted is None else [("panel_response.tilted", tilted.panel)]
+    panel_keys += [
         (f"hull part {part.name!r}", part.panel) for part in vehicle.hull if part.panel is not None
     ]
-    read = [("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark]
-    read += [
+    input_keys = [
+        ("sun_rule.all_dark", name) for rule in vehicle.sun_rules for name in rule.all_dark
+    ]
+    input_keys += [
         (f"telemetry.{key}", name)
         for key in ("columns", "offset_s", "voltage_columns", "temperature_columns")
         for name in getattr(form, key)
     ]
-    for known, every in ((vehicle.panel_names, named), (vehicle.input_names, read)):
-        for key, name in every:
+    for known, keys in ((vehicle.panel_names, panel_keys), (vehicle.input_names, input_keys)):
+        for key, name in keys:
             if name in known:
                 continue
             if name in vehicle.panel_names:

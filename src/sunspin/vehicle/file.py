@@ -1,7 +1,7 @@
-"""The form of ``vehicle.toml`` and the way from it to a :class:`~sunspin.vehicle.Vehicle`.
+"""Keys of ``vehicle.toml``, and its conversion to a :class:`~sunspin.vehicle.Vehicle`.
 
-Every physical value may be a bare number (or list) or a table ``{value, sigma, source}``. Unknown keys are refused: a
-misspelt key must not silently mean its default.
+Every physical value may be a number (or list) or a value table ``{value, sigma, source}``. Unknown keys are refused, so that a
+misspelt key cannot mean its default without a message.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter, ValidationError
 
 from sunspin.base.errors import VehicleError, printable
-from sunspin.base.untrusted import decoded, read_bytes, read_toml
-from sunspin.vehicle import changes as ch
+from sunspin.base.untrusted import decode_text, read_bytes, read_toml
 from sunspin.vehicle import craft, parts, sensors
-from sunspin.vehicle.part import Name, Part, keys_of, numbers, part, problem
+from sunspin.vehicle.changes import Change, Changes, Setting, apply_changes, parse_changes
+from sunspin.vehicle.part import Name, Part, describe_error, keys_of, numbers, part
 
 MAX_FILE_BYTES = 1_000_000
-"""A vehicle file is a page or two of text; what is larger is some other file."""
+"""A vehicle file is a page or two of text; a larger file is a different one."""
 
 
 @part
 class Body(Part):
-    """The table of the vehicle as a whole."""
+    """The table [body]."""
 
     mass_kg: craft.Mass | None = None
     inertia_kg_m2: craft.Inertia | None = None
@@ -33,7 +33,7 @@ class Body(Part):
 
 @part
 class VehicleFile(Part):
-    """The tables of a vehicle file, each of them a part or several."""
+    """The tables of a vehicle file; each is a part or a list of parts."""
 
     name: Name
     description: str = ""
@@ -58,33 +58,33 @@ class VehicleFile(Part):
 
 
 class ChangedFile(NamedTuple):
-    """A vehicle file with changes, which stands where a name or a path does."""
+    """A vehicle file with changes, accepted instead of a name or a path."""
 
     source: object
-    changes: tuple[ch.Change, ...]
+    changes: tuple[Change, ...]
 
 
-def read_vehicle(source: object, changes: ch.Changes = None) -> craft.Vehicle:
+def read_vehicle(source: object, changes: Changes = None) -> craft.Vehicle:
     """Read a built-in vehicle by name or a vehicle file by path; see :func:`sunspin.vehicle.load_vehicle`."""
     if isinstance(source, ChangedFile):
         source, changes = source.source, source.changes
-    asked = ch.changes_of(changes)
+    parsed = parse_changes(changes)
     if isinstance(source, craft.Vehicle):
-        if asked:
+        if parsed:
             raise VehicleError(
                 "changes are made to a vehicle's file", do="give its name or its path with them"
             )
         return source
-    return parse_vehicle(vehicle_text(source), where_of(source), asked)
+    return parse_vehicle(read_vehicle_text(source), describe_source(source), parsed)
 
 
-def changed_file(source: object, changes: tuple[ch.Change, ...]) -> object:
-    """A vehicle's name or path, with changes where there are any."""
+def attach_changes(source: object, changes: tuple[Change, ...]) -> object:
+    """Return a vehicle's name or path, combined with its changes if there are any."""
     return ChangedFile(source, changes) if changes else source
 
 
-def where_of(source: object) -> str:
-    """A vehicle file in words, for messages."""
+def describe_source(source: object) -> str:
+    """Return a vehicle file in words, for messages."""
     return (
         f"built-in vehicle {source!r}"
         if isinstance(source, str) and source in builtin_names()
@@ -92,16 +92,19 @@ def where_of(source: object) -> str:
     )
 
 
-def vehicle_text(source: object) -> str:
-    """The text of a built-in vehicle's file, by name, or of a vehicle file, by path; with changes the changed one."""
+def read_vehicle_text(source: object) -> str:
+    """Read the text of a vehicle file, given by name or path; changes are applied, and listed in comments at the top."""
     if isinstance(source, ChangedFile):
         import tomlkit
 
-        vehicle_table(source.source)  # refuses what would keep tomlkit busy
-        document = tomlkit.parse(vehicle_text(source.source))
-        done = ch.apply(document, source.changes)
-        said = [f"# {source.source} with changes for one run:", *(f"#   {each}" for each in done)]
-        return "\n".join(printable(line) for line in said) + "\n" + tomlkit.dumps(document)
+        read_vehicle_table(
+            source.source
+        )  # first a fast reader, which refuses files that would take tomlkit very long
+        document = tomlkit.parse(read_vehicle_text(source.source))
+        settings = apply_changes(document, source.changes)
+        header = [f"# {source.source} with changes for one run:"]
+        header += [f"#   {setting}" for setting in settings]
+        return "\n".join(printable(line) for line in header) + "\n" + tomlkit.dumps(document)
     if isinstance(source, str) and source in builtin_names():
         return (
             resources.files("sunspin")
@@ -113,13 +116,13 @@ def vehicle_text(source: object) -> str:
     return _read_text(Path(source))
 
 
-def vehicle_table(source: object) -> dict[str, Any]:
-    """The parsed TOML of a vehicle file."""
-    return read_toml(vehicle_text(source), where_of(source), VehicleError)
+def read_vehicle_table(source: object) -> dict[str, Any]:
+    """Read the parsed TOML of a vehicle file."""
+    return read_toml(read_vehicle_text(source), describe_source(source), VehicleError)
 
 
 def builtin_names() -> list[str]:
-    """Names of the vehicles that come with the package."""
+    """Return the names of the vehicles that come with the package."""
     folder = resources.files("sunspin").joinpath("cases")
     return sorted(
         entry.name for entry in folder.iterdir() if entry.joinpath("vehicle.toml").is_file()
@@ -127,9 +130,10 @@ def builtin_names() -> list[str]:
 
 
 def _read_text(path: Path) -> str:
+    """Read the text of a vehicle file by path."""
     known = ", ".join(builtin_names())
     do = f"give the path of a vehicle.toml or a built-in name: {known}"
-    return decoded(
+    return decode_text(
         read_bytes(path, MAX_FILE_BYTES, "vehicle file", VehicleError, do),
         str(path),
         VehicleError,
@@ -137,8 +141,8 @@ def _read_text(path: Path) -> str:
     )
 
 
-def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) -> craft.Vehicle:
-    """Turn the text of a vehicle file, with changes, into a `Vehicle`; `where` names the file in messages."""
+def parse_vehicle(text: str, where: str, changes: tuple[Change, ...] = ()) -> craft.Vehicle:
+    """Build a `Vehicle` from the text of a vehicle file and changes; `where` names the file in messages."""
     if not text.strip():
         raise VehicleError(
             "the file is empty", do="`sunspin init DIR` writes one to start from", where=where
@@ -147,28 +151,30 @@ def parse_vehicle(text: str, where: str, changes: tuple[ch.Change, ...] = ()) ->
     if where.lower().endswith(".csv"):
         do = "the vehicle's file, such as vehicle.toml, comes first and the telemetry after it"
     table = read_toml(text, where, VehicleError, do)
-    settings = ch.apply(table, changes)
+    settings = apply_changes(table, changes)
     if settings:
         where = f"{where} with {', '.join(each.key for each in settings)} set"
     try:
-        return _vehicle(table, settings)
+        return _build_vehicle(table, settings)
     except RecursionError:
         raise VehicleError(
             "the file is nested too deeply to be a vehicle file", where=where
         ) from None
     except ValidationError as error:
-        raise VehicleError(problem(error, VehicleFile, where, table)) from None
+        raise VehicleError(describe_error(error, VehicleFile, where, table)) from None
     except VehicleError as error:
         raise VehicleError(f"{where}: {error}") from None
 
 
-def _vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.Vehicle:
+def _build_vehicle(table: dict[str, Any], settings: tuple[Setting, ...]) -> craft.Vehicle:
+    """Build a vehicle from a parsed file."""
     for law in {"grazing", "wall"}.intersection(table.get("panel_response", ())):
         what = f"panel_response.{law} is gone: a panel gives its gain times the cosine"
         raise VehicleError(what, do=f"leave out [panel_response.{law}]")
     file = TypeAdapter(VehicleFile).validate_python(
         table, context="file", by_alias=True, by_name=False
     )
+    # None for the two keys of relative gains
     units = {
         unit
         for panel in table.get("panel", ())
@@ -177,7 +183,7 @@ def _vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.V
     }
     if len(units) > 1:
         raise VehicleError("the gains of the panels must all be relative, all gain_W or all gain_A")
-    alone = {key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"}
+    single = {key: getattr(file, key) for key in keys_of(sensors.Sensors) if key != "sun_sensors"}
     return craft.Vehicle(
         name=file.name,
         inertia_kg_m2=file.body.inertia_kg_m2,
@@ -191,38 +197,38 @@ def _vehicle(table: dict[str, Any], settings: tuple[ch.Setting, ...]) -> craft.V
         sun_rules=file.sun_rule,
         gain_unit=next(iter(units), None),
         telemetry=file.telemetry,
-        sensors=sensors.Sensors(file.sun_sensor, **alone),
+        sensors=sensors.Sensors(file.sun_sensor, **single),
         panel_response=file.panel_response,
         channels=file.channel,
-        facts=dict(_facts(table)),
+        facts=dict(_list_facts(table)),
         changes=settings,
     )
 
 
-def _facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.Fact]]:
-    """Every number of a valid file with its birth certificate, under its path, in which tables of a list go by their names."""
+def _list_facts(table: dict[str, Any], where: str = "") -> Iterator[tuple[str, parts.Fact]]:
+    """Yield every number of a valid file with its sigma and source, by its path; parts of a list are named in the path."""
     for key, item in table.items():
         if isinstance(item, dict) and not isinstance(item.get("value"), int | float | list):
-            yield from _facts(item, f"{where}{key}.")
+            yield from _list_facts(item, f"{where}{key}.")
         elif isinstance(item, dict):
             sigma = None if item.get("sigma") is None else numbers(item["sigma"])
             yield f"{where}{key}", parts.Fact(numbers(item["value"]), sigma, item.get("source"))
         elif isinstance(item, list) and all(isinstance(each, dict) for each in item):
             for each in item:
-                yield from _facts(each, f"{where}{key}.{each.get('name')}.")
+                yield from _list_facts(each, f"{where}{key}.{each.get('name')}.")
         elif not isinstance(item, str | bool) and not (
             isinstance(item, list) and isinstance(item[0], str)
         ):
             yield f"{where}{key}", parts.Fact(numbers(item))
 
 
-def line_of(text: str, table: str, key: str) -> tuple[int, str] | None:
-    """Number and text of the line of a vehicle file where a key of a table stands, else where the table begins, else None."""
-    begins, within = None, False
+def find_line(text: str, table: str, key: str) -> tuple[int, str] | None:
+    """Return number and text of the line of a vehicle file with a key of a table, else of the table's header, else None."""
+    header, within = None, False
     for number, line in enumerate(text.splitlines(), 1):
         if line.lstrip().startswith("["):
             within = line.split("#")[0].strip().strip("[] ") == table.strip("[]")
-            begins = begins or ((number, line.strip()) if within else None)
+            header = header or ((number, line.strip()) if within else None)
         elif within and line.split("=")[0].strip() == key:
             return number, line.strip()
-    return begins
+    return header

@@ -1,4 +1,4 @@
-"""How a vehicle and a case look in a notebook: short tables in HTML. Names come from files of strangers: all text is escaped."""
+"""Display of a vehicle and a case in a notebook, as short HTML tables. All text is escaped, as names come from files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def vehicle_html(vehicle: Vehicle) -> str:
-    """A vehicle as HTML: mass and inertia, a row for each panel, wheel and leg."""
+    """Return a vehicle as HTML: mass and inertia, and a row for each panel, wheel and leg."""
     unit = vehicle.gain_unit or "relative"
     inertia = "not given" if vehicle.inertia_kg_m2 is None else _vectors(vehicle.inertia_kg_m2)
     facts = [
@@ -43,7 +43,7 @@ def vehicle_html(vehicle: Vehicle) -> str:
 
 
 def case_html(case: Case) -> str:
-    """A case as HTML: its events, how much was published of it, and its vehicle. The telemetry is not read for that."""
+    """Return a case as HTML: events, number of published values, and vehicle. The telemetry is not read."""
     parts = [f"<b>Case {escape(case.name)}</b>"]
     if case.timeline is not None:
         rows = [
@@ -56,6 +56,7 @@ def case_html(case: Case) -> str:
 
 
 def _table(rows: Iterable[Iterable[str]], head: Iterable[str] = ()) -> str:
+    """Return an HTML table of text cells."""
     top = "".join(f'<th style="text-align:left">{escape(name)}</th>' for name in head)
     body = "".join(
         "<tr>"
@@ -67,8 +68,10 @@ def _table(rows: Iterable[Iterable[str]], head: Iterable[str] = ()) -> str:
 
 
 def _vector(values: np.ndarray) -> str:
+    """Return a vector as text with four digits."""
     return ", ".join(f"{value:.4g}" for value in values)
 
 
 def _vectors(rows: np.ndarray) -> str:
+    """Return the rows of a matrix as text."""
     return "; ".join(_vector(row) for row in rows)

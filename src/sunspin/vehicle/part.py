@@ -1,7 +1,8 @@
-"""What every part of a vehicle is: one frozen model, checked however it comes about, in Python, from a file or as a changed copy.
+"""Base class of all parts of a vehicle: a frozen model, checked in the same way in Python, from a file or as a changed copy.
 
 A part is a pydantic dataclass, declared by :func:`part`. Its fields are the arguments in Python and the keys in a vehicle file;
-where a key has another name, the field's `validation_alias` says so. A file is read with a context, Python's arguments without.
+a key with a different name is the field's `validation_alias`. A file is validated with a pydantic context, arguments in Python
+without one.
 """
 
 from __future__ import annotations
@@ -36,32 +37,40 @@ from sunspin.base.untrusted import SIZES, is_sensible
 FloatArray = npt.NDArray[np.float64]
 
 UNIT_TOLERANCE = 1e-3
-"""Vectors within this of length one count as directions written with few digits and are normalised."""
+"""Deviation of a direction's length from one that rounding to few digits may cause; it is normalised."""
 
 CONFIG = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=False)
+"""Pydantic settings of every part."""
 
 RULES = re.compile(r"Annotated\[(\w+), .*\](?= \| None|$)")
+"""A type with validators in a signature; group 1 is the type."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False, config=CONFIG)
 class Part:
-    """Compares and hashes by content, arrays included; pickles as plain data, bit by bit: nothing is normalised again."""
+    """Base class of all parts: compared and hashed by content, arrays included.
+
+    Pickles contain plain data and restore it bit by bit, without validation.
+    """
 
     left_out: ClassVar[Mapping[str, Any]] = {}
-    """What a file means that leaves out one of these keys, where the argument in Python has no default."""
+    """Values that a file may omit although the argument in Python has no default."""
 
     @model_validator(mode="before")
     @classmethod
-    def _completed(cls, given: Any, info: ValidationInfo) -> Any:
+    def _with_omitted(cls, given: Any, info: ValidationInfo) -> Any:
+        """Return the fields of a file with the values of keys that it omits."""
         return {**cls.left_out, **given} if info.context and isinstance(given, dict) else given
 
     def __eq__(self, other: object) -> bool:
-        return _content(self) == _content(other) if type(other) is type(self) else NotImplemented
+        return (
+            _comparable(self) == _comparable(other) if type(other) is type(self) else NotImplemented
+        )
 
     def __hash__(self) -> int:
-        return hash(_content(self))
+        return hash(_comparable(self))
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -76,48 +85,47 @@ class Part:
             vars(self)[key] = MappingProxyType(value) if isinstance(value, dict) else value
 
 
-def _content(value: Any) -> Any:
-    """What is compared and hashed."""
+def _comparable(value: Any) -> Any:
+    """Return a value in a form that can be compared and hashed."""
     if isinstance(value, Part):
-        return type(value), _content(vars(value))
+        return type(value), _comparable(vars(value))
     if isinstance(value, Mapping):
-        return frozenset((key, _content(item)) for key, item in value.items())
-    return tuples(value)
+        return frozenset((key, _comparable(item)) for key, item in value.items())
+    return as_tuples(value)
 
 
-def tuples(value: Any) -> Any:
-    """Arrays and lists as tuples, whatever is in them."""
+def as_tuples(value: Any) -> Any:
+    """Return arrays and lists as nested tuples of comparable values."""
     value = value.tolist() if isinstance(value, np.ndarray) else value
-    return tuple(_content(item) for item in value) if isinstance(value, list | tuple) else value
+    return tuple(_comparable(item) for item in value) if isinstance(value, list | tuple) else value
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field, Field))
 def part(cls: type[T]) -> type[T]:
-    """Make a class a frozen model whose errors are sentences (`VehicleError`), for a copy by `dataclasses.replace` too."""
+    """Make a class a frozen part whose validation errors are sentences (`VehicleError`), also in `dataclasses.replace`."""
     part_class: Any = dataclass(frozen=True, eq=False, config=CONFIG)(cls)
     check = part_class.__init__
 
     @wraps(check)
-    def checked(self: Any, *given: Any, **named: Any) -> None:
-        first = dict(
-            zip(part_class.__pydantic_fields__, given, strict=False)
-        )  # by name, so that messages name them
+    def checked(self: Any, *arguments: Any, **named: Any) -> None:
+        # positional arguments are passed by name, so that messages contain the name
+        positional = dict(zip(part_class.__pydantic_fields__, arguments, strict=False))
         try:
-            check(self, *given[len(first) :], **first, **named)
+            check(self, *arguments[len(positional) :], **positional, **named)
         except ValidationError as error:
-            raise VehicleError(problem(error, part_class, part_class.__name__)) from None
+            raise VehicleError(describe_error(error, part_class, part_class.__name__)) from None
 
     part_class.__init__ = checked
-    part_class.__signature__ = _short(signature(part_class))
+    part_class.__signature__ = _plain_signature(signature(part_class))
     return part_class
 
 
-def _short(long: Signature) -> Signature:
-    """A signature for people: types without their rules."""
+def _plain_signature(full: Signature) -> Signature:
+    """Return a signature for the documentation, whose types have no validators."""
     parameters = [
-        p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in long.parameters.values()
+        p.replace(annotation=RULES.sub(r"\1", str(p.annotation))) for p in full.parameters.values()
     ]
-    return long.replace(parameters=parameters)
+    return full.replace(parameters=parameters)
 
 
 # ---------------------------------------------------------------------------------------------------------------------- values
@@ -146,19 +154,22 @@ def direction(value: npt.ArrayLike, key: str) -> FloatArray:
 
 
 LARGEST_ANGLE_SIGMA = 1.0
-"""rad: a direction that is less certain is none, and a number beyond it is in degrees."""
+"""rad: a larger uncertainty of a direction is a number in degrees."""
 
 
 def as_array(value: Any) -> FloatArray:
-    """Numbers as an array; what is none, or has rows of unlike length, as an empty one."""
+    """Return numbers as an array; an empty one for anything else, such as rows of different length."""
     try:
         return np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         return np.empty(0)
 
 
-def bare(raw: Any, info: ValidationInfo) -> Any:
-    """A value without its birth certificate, which only a file gives, and there numbers of sensible size."""
+def checked_value(raw: Any, info: ValidationInfo) -> Any:
+    """Return the value of a field, without the sigma and source that a file may add to it.
+
+    Raises an error if the table {value, sigma, source} is not valid or a number has no sensible size.
+    """
     if not info.context:
         return raw
     if isinstance(raw, dict):
@@ -183,12 +194,15 @@ def bare(raw: Any, info: ValidationInfo) -> Any:
 
 
 def numbers(raw: Any) -> Any:
-    """Numbers, or nested lists of them, as floats; anything else is refused (so "0.5" or true is not a number)."""
+    """Return a number or nested lists of numbers as floats.
+
+    Raises ValueError for any other value, such as "0.5" or true, and for numbers outside the range of :func:`is_sensible`.
+    """
     if isinstance(raw, list):
         return [numbers(item) for item in raw]
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         raise ValueError(f"a number is expected, not {str(raw)[:40]!r}")
-    if not is_sensible(raw):  # also of whole numbers too large for a float
+    if not is_sensible(raw):  # before float(), which fails for huge integers
         raise ValueError(
             f"{SIZES} is expected" + (f", not {raw!r}" if isinstance(raw, float) else "")
         )
@@ -196,7 +210,8 @@ def numbers(raw: Any) -> Any:
 
 
 def _number(raw: Any, info: ValidationInfo) -> float:
-    value = bare(raw, info)
+    """Validate one number."""
+    value = checked_value(raw, info)
     if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim):
         raise VehicleError("{path} must be one number", got=value)
     try:
@@ -207,12 +222,15 @@ def _number(raw: Any, info: ValidationInfo) -> float:
     raise ValueError(f"a number is expected, not {str(value)[:40]!r}")
 
 
-def must(rule: Callable[[float], bool], be: str) -> AfterValidator:
-    """A rule for a number; in its sentence `{path}` is where it stands, `{name}` the part's name, `{key}` the field's."""
+def must(rule: Callable[[float], bool], message: str) -> AfterValidator:
+    """Return a validator by which a number must be finite and satisfy `rule`, with the message for other numbers.
+
+    In the message `{path}` is the place of the value, `{name}` the name of the part and `{key}` the field.
+    """
 
     def check(value: float, info: ValidationInfo) -> float:
         if not (np.isfinite(value) and rule(value)):
-            what = be.format(path="{path}", name=info.data.get("name"), key=info.field_name)
+            what = message.format(path="{path}", name=info.data.get("name"), key=info.field_name)
             raise VehicleError(what, got=value)
         return value
 
@@ -220,35 +238,43 @@ def must(rule: Callable[[float], bool], be: str) -> AfterValidator:
 
 
 def above_zero(value: float) -> bool:
+    """Return whether a number is positive."""
     return value > 0
 
 
 def unit(label: str) -> PlainValidator:
-    """A unit vector (3), called so in messages; `{name}` is the part's name."""
+    """Return a validator for a unit vector (3), named `label` in messages, in which `{name}` is the name of the part."""
     return PlainValidator(
-        lambda raw, info: direction(bare(raw, info), label.format(name=info.data.get("name")))
+        lambda raw, info: direction(
+            checked_value(raw, info), label.format(name=info.data.get("name"))
+        )
     )
 
 
-def array(fits: Callable[[FloatArray], bool], be: str) -> PlainValidator:
-    """A read-only array that fits, with the sentence for others; `{path}` and `{name}` as in `must`."""
+def array(rule: Callable[[FloatArray], bool], message: str) -> PlainValidator:
+    """Return a validator that makes a read-only array and requires `rule`, with the message for other values.
+
+    `{path}` and `{name}` in the message are as in :func:`must`.
+    """
 
     def check(raw: Any, info: ValidationInfo) -> FloatArray:
-        value = as_array(given := bare(raw, info))
-        if not fits(value):
-            raise VehicleError(be.format(path="{path}", name=info.data.get("name")), got=given)
+        value = as_array(given := checked_value(raw, info))
+        if not rule(value):
+            what = message.format(path="{path}", name=info.data.get("name"))
+            raise VehicleError(what, got=given)
         return frozen_array(value)
 
     return PlainValidator(check)
 
 
-def _shown(name: str) -> str:
+def _printable_name(name: str) -> str:
+    """Return a name, or raise ValueError if it has characters that are not printable."""
     if not name.isprintable():
         raise ValueError("a name is a text of printable characters")
     return name
 
 
-Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_printable_name)]
 Number = Annotated[float, PlainValidator(_number)]
 Positive = Annotated[Number, must(above_zero, "{path} must be positive")]
 Vector = Annotated[
@@ -262,6 +288,7 @@ Numbers = Annotated[
 
 
 def no_entries() -> Mapping[str, Any]:
+    """Return an empty read-only mapping, the default of mapping fields."""
     return MappingProxyType({})
 
 
@@ -269,26 +296,32 @@ def no_entries() -> Mapping[str, Any]:
 
 
 IN_WORDS = {"string_type": "should be a text in quotes", "string_too_short": "should not be empty"}
-"""Kinds of pydantic's problems that it names for programmers."""
+"""Plain words for types of pydantic errors."""
 
 
-def problem(
+def describe_error(
     error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None
 ) -> str:
-    """The first thing that is wrong with a part of this kind, in one sentence; `table` is the file's, if it is from one.
+    """Return the most important validation error of a part of type `kind` as one sentence.
 
-    What is misspelt comes before what is then missing, and that or another type before what is physically impossible.
+    `table` is the parsed file, None for arguments in Python. Misspelt keys come first, then missing keys and wrong types, and
+    physically impossible values (`VehicleError`) last: a misspelt key is often the cause of a missing one.
     """
     problems = sorted(
         error.errors(include_url=False),
         key=lambda each: each["type"] != "unexpected_keyword_argument",
     )
     first = next(
-        (each for each in problems if not isinstance(_reason(each), VehicleError)), problems[0]
+        (each for each in problems if not isinstance(_own_error(each), VehicleError)), problems[0]
     )
-    reason, places = _reason(first), first["loc"]
+    reason, places = _own_error(first), first["loc"]
     if isinstance(reason, VehicleError):
-        path = _path(places, table) if table is not None else ".".join(map(str, (where, *places)))
+        # its text has {path} where the position of the value belongs
+        path = (
+            _named_path(places, table)
+            if table is not None
+            else ".".join(map(str, (where, *places)))
+        )
         return ("" if table is None else f"{where}: ") + str(reason).replace("{path}", path)
     key = ".".join(f"[{place}]" if isinstance(place, int) else str(place) for place in places)
     where = f"{where}, {key.replace('.[', '[')}"
@@ -311,13 +344,13 @@ def problem(
     return sentence(message, got=got, where=where)
 
 
-def _reason(first: Any) -> object:
-    """The error of ours behind one of pydantic's, if there is one."""
+def _own_error(first: Any) -> object:
+    """Return our own exception inside a pydantic error, None if there is none."""
     return first.get("ctx", {}).get("error")
 
 
-def _path(places: tuple[int | str, ...], table: Any) -> str:
-    """Where a value stands, tables of a list being called by their names."""
+def _named_path(places: tuple[int | str, ...], table: Any) -> str:
+    """Return the path of a value in a file, with parts of a list by name."""
     words = []
     for place in places:
         table = table[place]
@@ -326,20 +359,23 @@ def _path(places: tuple[int | str, ...], table: Any) -> str:
 
 
 def keys_of(kind: Any, in_file: bool = True) -> dict[str, Any]:
-    """The keys of a part and their types; in a file they may have other names, and what a certificate says has none."""
+    """Return the keys of a part and their types.
+
+    In a file keys may have other names, and a field that is read from the sigma of another key has none.
+    """
     keys = {}
-    for name, about in kind.__pydantic_fields__.items():
-        alias = about.validation_alias if in_file else None
+    for name, info in kind.__pydantic_fields__.items():
+        alias = info.validation_alias if in_file else None
         if not isinstance(alias, AliasPath):
             keys |= dict.fromkeys(
                 alias.choices if isinstance(alias, AliasChoices) else [alias or name],
-                about.annotation,
+                info.annotation,
             )
     return keys
 
 
 def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str, Any]:
-    """The keys of the part that `places` lead to from a part of this kind, those of tables last."""
+    """Return the keys of the part at the end of a path that begins in a part of type `kind`; keys of tables come last."""
     for place in places:
         kind = part_in(keys_of(kind, in_file).get(str(place))) or kind
     return dict(
@@ -348,7 +384,7 @@ def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str
 
 
 def part_in(annotation: Any) -> type[Part] | None:
-    """The part that a type is, or that stands in it."""
+    """Return the type of part that an annotation is or contains, such as `Panel` in ``tuple[Panel, ...]``; else None."""
     if isinstance(annotation, type) and issubclass(annotation, Part):
         return annotation
     inside = annotation.type if isinstance(annotation, InitVar) else get_args(annotation)

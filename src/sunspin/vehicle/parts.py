@@ -1,6 +1,6 @@
-"""The parts of a vehicle: panels, wheels with their friction, legs, hull, antenna, rules.
+"""Parts of a vehicle: panels, wheels with their friction, legs, hull, antenna, rules, orbit.
 
-Vectors are in the vehicle's body axes B, in SI units. What the parts make together is :class:`sunspin.vehicle.Vehicle`.
+Vectors are in the vehicle's body axes B, values in SI units. :class:`sunspin.vehicle.Vehicle` combines the parts.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from sunspin.vehicle.part import (
     Vector,
     above_zero,
     array,
+    as_tuples,
     must,
     no_entries,
     numbers,
     part,
-    tuples,
     unit,
 )
 
 Noise = Annotated[Number, must(above_zero, "the noise of {name!r} must be positive")] | None
 
 GAIN_UNITS = {"cells": None, "relative_gain": None, "gain_W": "W", "gain_A": "A"}
-"""Key of a panel's gain in a file -> the unit of the signal it predicts (None: relative)."""
+"""Key of a panel's gain in a file -> unit of the predicted signal (None: relative)."""
 
 
-def _size(sigma: Any) -> Any:
+def _checked_sigma(sigma: Any) -> Any:
     """Return the sigma of a value, or raise `VehicleError` if it is negative or not finite."""
     values = np.asarray(() if sigma is None else sigma, dtype=np.float64)
     if not (np.isfinite(values) & (values >= 0)).all():
@@ -56,21 +56,21 @@ def _size(sigma: Any) -> Any:
 
 @part
 class Fact(Part):
-    """A number's birth certificate: its value, one-sigma uncertainty (same unit as the value) and source."""
+    """A number of the vehicle file with its standard deviation (same unit) and its source, if the file states them."""
 
-    value: Annotated[float | tuple[Any, ...], PlainValidator(tuples)]
+    value: Annotated[float | tuple[Any, ...], PlainValidator(as_tuples)]
     sigma: Annotated[
-        float | tuple[Any, ...] | None, PlainValidator(tuples), AfterValidator(_size)
+        float | tuple[Any, ...] | None, PlainValidator(as_tuples), AfterValidator(_checked_sigma)
     ] = None
     source: str | None = None
 
 
 @part
 class Panel(Part):
-    """A flat solar panel: outward unit normal in B and its gain, the signal at normal incidence of the Sun.
+    """A flat solar panel: outward unit normal in B, and gain, the signal at normal incidence of sunlight.
 
-    The gain is relative (a cell count will do) unless the vehicle's `gain_unit` is "W" or "A". `noise`: one sigma of its reading,
-    in the telemetry's unit, in place of that under [telemetry].
+    The gain is relative (the number of cells, for example) unless the vehicle's `gain_unit` is "W" or "A". `noise`: standard
+    deviation of its reading in the telemetry's unit, instead of that under [telemetry].
     """
 
     name: Name
@@ -83,8 +83,10 @@ class Panel(Part):
     @model_validator(mode="wrap")
     @classmethod
     def _one_gain(cls, given: Any, check: Callable[[Any], Panel], info: ValidationInfo) -> Panel:
+        """Validate a panel of a file, which must have exactly one of the gain keys."""
         if not (info.context and isinstance(given, dict)):
             return check(given)
+        # other errors of the panel are reported first: the gain is completed, or reduced to one, for the check
         units = [key for key in GAIN_UNITS if key in given]
         panel = check(
             {key: given[key] for key in given if key not in units[1:]}
@@ -96,28 +98,29 @@ class Panel(Part):
         return panel
 
 
-def _panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+def _checked_panels(names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+    """Return the panels of a channel, or raise `VehicleError` if there is none or one is repeated."""
     channel = info.data.get("name")
     if not names:
         raise VehicleError(
             f"channel {channel!r} names no panel", do="list the panels on this input"
         )
-    if twice := [name for name in names if names.count(name) > 1]:
+    if repeated := [name for name in names if names.count(name) > 1]:
         raise VehicleError(
-            f"channel {channel!r} names a panel twice", got=twice[0], do="keep one of them"
+            f"channel {channel!r} names a panel twice", got=repeated[0], do="keep one of them"
         )
     return names
 
 
 @part
 class Channel(Part):
-    """An input of the power system that panels share: it reads their sum, or the largest of them (diodes or a common tracker).
+    """An input of the power system shared by panels: it reads their sum or the largest (diodes or a common tracker).
 
-    `throttled`: when the battery is full, all readings of a sample fall by one factor that nobody knows. `noise`: as of a panel.
+    `throttled`: if the battery is full, all readings of a sample are reduced by one unknown factor. `noise`: as for a panel.
     """
 
     name: Name
-    panels: Annotated[tuple[Name, ...], AfterValidator(_panels)]
+    panels: Annotated[tuple[Name, ...], AfterValidator(_checked_panels)]
     reads: Literal["sum", "largest"]
     throttled: StrictBool = False
     noise: Noise = None
@@ -125,7 +128,7 @@ class Channel(Part):
 
 @part
 class Tilted(Part):
-    """The normal of `panel` is turned by the rotation vector `turn_B_rad`; its sigma is in the facts."""
+    """A panel whose normal is rotated by the rotation vector `turn_B_rad`; the sigma is in the vehicle's facts."""
 
     panel: Name
     turn_B_rad: Vector
@@ -133,8 +136,10 @@ class Tilted(Part):
 
 @part
 class ResponseForm(Part):
-    """How panels stand beside their drawing: one that is turned, and the rotation vector `turned_B_rad` by which all of them are
-    turned against the axes of the body; sigmas are in the facts."""
+    """Panel misalignment: one tilted panel, and the common misalignment of all panels relative to the body axes.
+
+    `turned_B_rad` is the rotation vector of the common misalignment; sigmas are in the vehicle's facts.
+    """
 
     tilted: Tilted | None = None
     turned_B_rad: Vector | None = None
@@ -156,9 +161,9 @@ FrictionTorque = Annotated[
 
 @part
 class Friction(Part):
-    """Bearing friction, torque on the wheel ``-sign(W) (coulomb + viscous |W|)`` (paper, eq. 5).
+    """Bearing friction: the torque on the wheel is ``-sign(W) (coulomb + viscous |W|)`` (paper, eq. 5).
 
-    `spin_down` takes the place of both coefficients; the wheel that it is given to, whose inertia it needs, makes them of it.
+    A `spin_down` may be given in place of both coefficients. The wheel converts it, as the conversion needs its inertia.
     """
 
     coulomb_N_m: FrictionTorque = 0.0
@@ -168,6 +173,7 @@ class Friction(Part):
     @model_validator(mode="before")
     @classmethod
     def _one_law(cls, given: Any) -> Any:
+        """Raise `VehicleError` if a friction has both a spin-down and coefficients."""
         if (
             isinstance(given, dict)
             and "spin_down" in given
@@ -180,10 +186,12 @@ class Friction(Part):
 
     def __post_init__(self, spin_down: SpinDown | None) -> None:
         if spin_down is not None:
-            vars(self)["measured"] = spin_down
+            vars(self)["measured"] = (
+                spin_down  # kept outside the fields until the wheel converts it
+            )
 
     def of_wheel(self, inertia_kg_m2: float) -> Friction:
-        """This friction, with coefficients where it was given as a spin-down."""
+        """Return the friction with coefficients, computed from the spin-down if it was given as one."""
         measured = vars(self).get("measured")
         return (
             self
@@ -210,7 +218,10 @@ class Friction(Part):
 
 @part
 class Wheel(Part):
-    """A wheel: axis (unit, B), axial inertia J, nominal speed relative to the body, friction, brake; its speed's column if any."""
+    """A wheel: axis (unit, B), axial inertia, nominal speed relative to the body, friction, brake torque.
+
+    `speed_column` is the telemetry column of its speed, in units of `speed_scale_rad_s`.
+    """
 
     name: Name
     axis_B: Annotated[FloatArray, unit("axis_B of wheel {name!r}")]
@@ -225,31 +236,33 @@ class Wheel(Part):
     speed_scale_rad_s: Annotated[Number, AfterValidator(lambda scale: scale or 1.0)] = 1.0
 
     def __post_init__(self) -> None:
-        others = {
-            name: other.of_wheel(self.inertia_kg_m2)
-            for name, other in self.alternative_frictions.items()
+        alternatives = {
+            name: friction.of_wheel(self.inertia_kg_m2)
+            for name, friction in self.alternative_frictions.items()
         }
         vars(self).update(
             friction=self.friction.of_wheel(self.inertia_kg_m2),
-            alternative_frictions=MappingProxyType(others),
+            alternative_frictions=MappingProxyType(alternatives),
         )
 
 
-def _point(value: FloatArray) -> bool:
+def _is_point(value: FloatArray) -> bool:
+    """Return whether an array is one finite point (3)."""
     return value.shape == (3,) and bool(np.isfinite(value).all())
 
 
 @part
 class Leg(Part):
-    """A leg: its end, where it can touch the ground, from the vehicle's centre of mass in B (m)."""
+    """A leg: its tip, which can touch the ground, relative to the vehicle's centre of mass in B (m)."""
 
     name: Name
     tip_B_m: Annotated[
-        FloatArray, array(_point, "tip_B_m of leg {name!r} must be three finite numbers")
+        FloatArray, array(_is_point, "tip_B_m of leg {name!r} must be three finite numbers")
     ]
 
 
-def _points(value: FloatArray) -> bool:
+def _are_points(value: FloatArray) -> bool:
+    """Return whether an array holds at least one finite point, (n, 3)."""
     return (
         value.ndim == 2
         and value.shape[1] == 3
@@ -260,22 +273,24 @@ def _points(value: FloatArray) -> bool:
 
 @part
 class HullPart(Part):
-    """A part of the outer shape that can touch the ground: points (n, 3) in m from the centre of mass, B.
+    """A part of the outer shape that can touch the ground: points (n, 3) in B, in m from the centre of mass.
 
-    The convex hull of all parts and of the legs' ends is the shape. `panel` names the panel whose corners the points are.
+    The shape is the convex hull of all parts and the legs' tips. `panel` names the panel of which the points are the corners.
     """
 
     name: Name
     points_B_m: Annotated[
         FloatArray,
-        array(_points, "points_B_m of hull part {name!r} must be points of three finite numbers"),
+        array(
+            _are_points, "points_B_m of hull part {name!r} must be points of three finite numbers"
+        ),
     ]
     panel: Name | None = None
 
 
 @part
 class Antenna(Part):
-    """An antenna that serves directions within half of `opening_rad` of its axis (unit, B)."""
+    """An antenna that covers directions within half of `opening_rad` of its axis (unit, B)."""
 
     axis_B: Annotated[FloatArray, unit("antenna.axis_B")]
     opening_rad: Annotated[
@@ -289,13 +304,14 @@ class Antenna(Part):
 
 @part
 class SunRule(Part):
-    """A rule that forbids a reconstruction: it applies when all named panels are dark (`reason` says why)."""
+    """A rule that excludes samples from the reconstruction: it applies if all its panels are dark; `reason` says why."""
 
     all_dark: Annotated[tuple[Name, ...], Field(min_length=1)]
     reason: Name
 
 
-def _sigma(raw: Any, info: ValidationInfo) -> float | None:
+def _time_sigma(raw: Any, info: ValidationInfo) -> float | None:
+    """Validate the sigma of a time of [orbit], which may be None."""
     if raw is None:
         return None
     sigma = numbers(raw) if info.context else raw
@@ -306,10 +322,11 @@ def _sigma(raw: Any, info: ValidationInfo) -> float | None:
     return float(sigma)
 
 
-Sigma = Annotated[float | None, PlainValidator(_sigma)]
+Sigma = Annotated[float | None, PlainValidator(_time_sigma)]
 
 
-def _two(lines: tuple[str, ...]) -> tuple[str, ...]:
+def _two_lines(lines: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the lines of an element set, or raise `VehicleError` if these are not two (or none)."""
     if len(lines) not in (0, 2):
         raise VehicleError(
             "{path} must be the two lines of a set of elements", got=f"{len(lines)} texts"
@@ -319,11 +336,13 @@ def _two(lines: tuple[str, ...]) -> tuple[str, ...]:
 
 @part
 class Orbit(Part):
-    """What is known of the orbit: the two lines of elements (or none, where the command line names a file), how far the vehicle is
-    ahead of them along the track (`shift_s`), and how far the telemetry's clock is behind UTC (`clock_s`), with one sigma of each
-    (None: not known)."""
+    """The orbit as far as it is known: the two lines of elements, or none if the command line gives a file.
 
-    tle: Annotated[tuple[Name, ...], AfterValidator(_two)] = ()
+    `shift_s`: time by which the vehicle is ahead of the elements along the track. `clock_s`: time by which the telemetry's
+    clock is behind UTC. Each has a standard deviation (None: not known).
+    """
+
+    tle: Annotated[tuple[Name, ...], AfterValidator(_two_lines)] = ()
     shift_s: Number = 0.0
     shift_sigma_s: Sigma = Field(default=None, validation_alias=AliasPath("shift_s", "sigma"))
     clock_s: Number = 0.0

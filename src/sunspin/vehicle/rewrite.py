@@ -1,4 +1,4 @@
-"""Values of a vehicle file replaced in its text, comments and order kept."""
+"""Replacement of values in the text of a vehicle file; comments and order are kept."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 from sunspin.base.errors import VehicleError
 
 REPLACES = {"relative_gain": ("cells",)}
-"""A key that takes the place of others: a number of cells is not a gain."""
+"""Keys that a new key replaces: a calibrated gain replaces a number of cells."""
 
 
 class NewValue(NamedTuple):
-    """A value with its birth certificate, and `where` it goes: the table, and the name of its part where there are several."""
+    """A value with its sigma and source; `where`: the table, and the name of the part if there are several."""
 
     where: Sequence[str]
     key: str
@@ -21,13 +21,13 @@ class NewValue(NamedTuple):
     source: str
 
 
-def rewritten(text: str, values: Sequence[NewValue]) -> str:
-    """The text of a valid vehicle file with these values in place of its own, or added to their tables.
+def rewrite_values(text: str, values: Sequence[NewValue]) -> str:
+    """Return the text of a valid vehicle file in which the given values replace its own, or are added to their tables.
 
     Raises
     ------
     VehicleError
-        Where the file has no such table.
+        If the file has no such table.
     """
     import tomlkit
 
@@ -39,17 +39,18 @@ def rewritten(text: str, values: Sequence[NewValue]) -> str:
         if table is None:
             what = f"the vehicle file has no table [{'.'.join(new.where)}]"
             raise VehicleError(what, do="give the file of this vehicle")
-        certificate = tomlkit.inline_table()
-        certificate.update({"value": new.value, "sigma": new.sigma, "source": new.source})
+        value_table = tomlkit.inline_table()
+        value_table.update({"value": new.value, "sigma": new.sigma, "source": new.source})
         old = next((key for key in (new.key, *REPLACES.get(new.key, ())) if key in table), None)
         if old is not None:
-            was = table.value.item(old).trivia
-            certificate.trivia.comment_ws, certificate.trivia.comment = was.comment_ws, was.comment
+            old_trivia = table.value.item(old).trivia  # whitespace and comment after the old value
+            value_table.trivia.comment_ws = old_trivia.comment_ws
+            value_table.trivia.comment = old_trivia.comment
         if old == new.key:
-            table[new.key] = certificate
+            table[new.key] = value_table
             continue
-        # a new key follows the last one, before the comments that end the table; tomlkit has no public way to do that
-        table.value._insert_after(old or list(table)[-1], new.key, certificate)
+        # a new key is inserted after the last one, before comments at the end of the table; tomlkit offers no public method
+        table.value._insert_after(old or list(table)[-1], new.key, value_table)
         if old is not None:
             table.remove(old)
     return tomlkit.dumps(document)

@@ -1,13 +1,13 @@
-"""What a vehicle carries beside its panels: Sun sensors, a gyro, a magnetometer; and what is known of its disturbances.
+"""Sensors of a vehicle other than its panels (Sun sensors, gyro, magnetometer, attitude), and its disturbances.
 
-All in body axes. A sensor that reads by itself says what its columns mean (`seen`), and `VARIABLES` where telemetry has that.
-A minus before a column of three (`"-wx"`) says that the sensor's axis points against the body's.
+Vectors are in body axes B. The method `interpret` of a sensor converts its columns; `VARIABLES` names the resulting telemetry
+variables. A minus before one of three columns (`"-wx"`) means that the sensor's axis is opposite to the body's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator, AliasPath, Field, PlainValidator, ValidationInfo
@@ -29,30 +29,36 @@ from sunspin.vehicle.part import (
 )
 
 VARIABLES = {"gyro": "gyro_B", "magnetometer": "field_B", "attitude": "attitude_B_from_N"}
-"""Sensor, by its table in a vehicle file -> the variable of telemetry with what it saw."""
+"""Table of a sensor in a vehicle file -> variable of the telemetry."""
 
 REVERSED = "-"
-"""Before the name of a column whose readings count with the other sign."""
+"""Prefix of a column whose readings have the opposite sign."""
 
-UNIT = 0.02
-"""A quaternion whose length is farther from one than this is none."""
-
-Seen = tuple[str, np.ndarray, dict[str, str]]
-"""Second dimension (the first is time), values (n, 3 or 4) and attributes of a variable of telemetry."""
+QUATERNION_TOLERANCE = 0.02
+"""Largest deviation of a quaternion's length from one."""
 
 
-def unwrapped(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
-    """Counts whose upper half stands for negative numbers (65535 for -1 where they wrap at 65536)."""
+class SensorVariable(NamedTuple):
+    """A telemetry variable: name of its second dimension (the first is time), values (n, 3 or 4), attributes."""
+
+    dimension: str
+    values: np.ndarray
+    attributes: dict[str, str]
+
+
+def unwrap_counts(counts: np.ndarray, wraps_at: float | None) -> np.ndarray:
+    """Return counts whose upper half represents negative numbers (65535 is -1 for counts that wrap at 65536)."""
     return (
         counts if wraps_at is None else np.where(counts >= wraps_at / 2, counts - wraps_at, counts)
     )
 
 
-def _sigma_of(key: str, *shape: int) -> PlainValidator:
-    """The sigma in a value's birth certificate: one number, or one for each component."""
+def _sigma_validator(key: str, *shape: int) -> PlainValidator:
+    """Return a validator for the sigma of a value: one number, or one for each component; broadcast to `shape`."""
 
     def check(raw: Any, info: ValidationInfo) -> Any:
-        sigma = np.array(given := numbers(raw) if info.context else raw, dtype=np.float64)
+        given = numbers(raw) if info.context else raw
+        sigma = np.array(given, dtype=np.float64)
         if sigma.shape not in ((), shape) or np.any(sigma < 0):
             what = (
                 f"the sigma of {key} must be one number or one for each component, and not negative"
@@ -63,8 +69,8 @@ def _sigma_of(key: str, *shape: int) -> PlainValidator:
     return PlainValidator(check)
 
 
-def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
-    """The rules for n columns: that many, and each another, though one had the `sign` before it."""
+def _column_rules(n: int, sign: str = "") -> tuple[Any, ...]:
+    """Return the validators for a list of n different columns, each of which may have the prefix `sign`."""
 
     def check(columns: tuple[str, ...]) -> tuple[str, ...]:
         names = [column.removeprefix(sign) for column in columns]
@@ -82,46 +88,47 @@ def _columns(n: int, sign: str = "") -> tuple[Any, ...]:
 
 @part
 class ThreeAxes(Part):
-    """A sensor with a column for each body axis, x first; with a minus before its name the column counts reversed."""
+    """A sensor with a column for each body axis, x first; a minus before a name reverses the column."""
 
-    columns: Annotated[tuple[Name, ...], *_columns(3, REVERSED)]
+    columns: Annotated[tuple[Name, ...], *_column_rules(3, REVERSED)]
 
     @property
     def names(self) -> list[str]:
-        """The columns as a telemetry file calls them."""
+        """Names of the columns in a telemetry file."""
         return [column.removeprefix(REVERSED) for column in self.columns]
 
     @property
     def sign(self) -> FloatArray:
-        """-1 (3) where the column counts reversed, else 1."""
+        """Sign (3) of each column: -1 if it is reversed, else 1."""
         return np.array([-1.0 if column.startswith(REVERSED) else 1.0 for column in self.columns])
 
-    def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
-        """Keys of the vehicle file that make of these axes others: each is that of `order`, times `sign`."""
-        now = list(order)
-        named = [
+    def keys_for_axes(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
+        """Return the keys of the vehicle file that permute the axes: new axis k is axis `order[k]` times `sign[k]`.
+
+        Used to propose a corrected column assignment. The zero is moved with its column if that changes it.
+        """
+        axes = list(order)
+        columns = [
             REVERSED * bool(s < 0) + self.names[k]
-            for k, s in zip(now, self.sign[now] * sign, strict=True)
+            for k, s in zip(axes, self.sign[axes] * sign, strict=True)
         ]
-        zero, sigma = np.stack([getattr(self, key, np.zeros(3)) for key in ("zero", "zero_sigma")])[
-            :, now
-        ]
-        if np.array_equal(zero, zero[np.argsort(now)]):
-            return {"columns": named}
+        zero, sigma = (getattr(self, key, np.zeros(3))[axes] for key in ("zero", "zero_sigma"))
+        if np.array_equal(zero, zero[np.argsort(axes)]):
+            return {"columns": columns}
         value = {"value": zero.tolist(), "sigma": sigma.tolist()} if sigma.any() else zero.tolist()
-        return {"columns": named, "zero": value}  # it goes with its column
+        return {"columns": columns, "zero": value}
 
 
 @part
 class SunSensor(Part):
-    """A two-axis Sun sensor: outward normal, its x axis (its y axis is normal cross x), columns, how it reads.
+    """A two-axis Sun sensor: outward normal, x axis (the y axis is normal cross x), columns and scales.
 
-    It sees the Sun where its light exceeds `lit_above` (unit of the column). The Sun's angle from the normal towards x is
-    the reading times `x_scale` (rad); likewise y, or nothing where `y_scale` is None: then it is known only that the Sun is
-    in view. `x_sigma_rad` and `y_sigma_rad` are one-sigma errors of these angles. A sensor whose y wraps has
-    `y_turned_above`: where its light exceeds that, the Sun being near its normal, y is the reading times `y_turned_scale`;
-    `y_turned_sigma`: within two of it from there, y may be the one or the other.
-    `x_bias_rad` and `y_bias_rad` are then taken off: the angles read where the Sun stands on the normal.
+    The Sun is in view if the light exceeds `lit_above` (unit of the column). The angle from the normal towards x is the reading
+    times `x_scale` (rad), less `x_bias_rad`; `x_sigma_rad` is its standard deviation. The same holds for y. If `y_scale` is
+    None, only the presence of the Sun is known in addition to x.
+
+    A sensor whose y reading wraps has `y_turned_above`: if the light exceeds it, the Sun being near the normal, y is the
+    reading times `y_turned_scale`. Within two `y_turned_sigma` of that limit y may have either scale.
     """
 
     left_out = {"y_column": None, "light_column": None, "lit_above": 0.0, "y_scale": None}
@@ -166,9 +173,9 @@ class SunSensor(Part):
 
 @part
 class SunVector(ThreeAxes):
-    """Three columns along the body axes with the direction to the Sun, as somebody has computed it: of any length.
+    """The direction to the Sun, computed elsewhere, in three columns along the body axes; of any length.
 
-    `sigma_rad`: one sigma of the direction. Where a vector is shorter than half of the longest, no Sun was seen.
+    `sigma_rad`: standard deviation of the direction. A vector shorter than half of the longest one means that no Sun was seen.
     """
 
     sigma_rad: Positive
@@ -176,9 +183,9 @@ class SunVector(ThreeAxes):
 
 @part
 class Gyro(ThreeAxes):
-    """Three gyro columns along the body axes: rate (rad/s) is `scale_rad_s` times (reading less `zero`), reversed or not.
+    """Three gyro columns along the body axes: the rate (rad/s) is `scale_rad_s` (reading - `zero`), with the column's sign.
 
-    `noise_rad_s` is that of one sample, `zero_sigma` (3) and `scale_sigma` are shared by all samples of a pass.
+    `noise_rad_s` is that of one sample; the errors `zero_sigma` (3) and `scale_sigma` are common to all samples of a pass.
     """
 
     left_out = {"zero": [0.0, 0.0, 0.0]}
@@ -187,11 +194,11 @@ class Gyro(ThreeAxes):
     zero: Vector
     noise_rad_s: Positive
     wraps_at: Positive | None = None
-    zero_sigma: Annotated[FloatArray, _sigma_of("gyro.zero", 3)] = Field(
+    zero_sigma: Annotated[FloatArray, _sigma_validator("gyro.zero", 3)] = Field(
         default_factory=lambda: frozen_array(np.zeros(3)),
         validation_alias=AliasPath("zero", "sigma"),
     )
-    scale_sigma: Annotated[float, _sigma_of("gyro.scale_rad_s")] = Field(
+    scale_sigma: Annotated[float, _sigma_validator("gyro.scale_rad_s")] = Field(
         default=0.0, validation_alias=AliasPath("scale_rad_s", "sigma")
     )
 
@@ -199,13 +206,15 @@ class Gyro(ThreeAxes):
         if self.scale_rad_s == 0:
             raise VehicleError("{path}.scale_rad_s must not be zero")
 
-    def seen(self, read: np.ndarray) -> Seen:
-        """Rates of the readings (n, 3) of its columns."""
-        value = self.scale_rad_s * self.sign * (unwrapped(read, self.wraps_at) - self.zero)
-        return "axis", value, {"units": "rad s-1", "long_name": "gyro, body axes"}
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
+        """Return rates in body axes (rad/s) from readings (n, 3) of the columns."""
+        value = self.scale_rad_s * self.sign * (unwrap_counts(reading, self.wraps_at) - self.zero)
+        about = {"units": "rad s-1", "long_name": "gyro, body axes"}
+        return SensorVariable("axis", value, about)
 
 
-def _turns_back(matrix: FloatArray) -> bool:
+def _is_invertible(matrix: FloatArray) -> bool:
+    """Return whether an array is a finite matrix (3, 3) that can be inverted."""
     return (
         matrix.shape == (3, 3) and bool(np.isfinite(matrix).all()) and np.linalg.cond(matrix) < 1e6
     )
@@ -213,11 +222,11 @@ def _turns_back(matrix: FloatArray) -> bool:
 
 @part
 class Magnetometer(ThreeAxes):
-    """Three columns along the body axes, in any unit: field is `matrix` times (reading less `zero`), reversed or not.
+    """Three magnetometer columns along the body axes: the field is `matrix` (reading - `zero`), with the sign of each column.
 
-    `matrix` (3, 3) is soft iron, axes and unequal scales, near one. `noise` (same unit) is None where the reading may not be used
-    as a direction (zero or axes not known well enough). `scale_T`: a unit in tesla; None where not known. `zero_sigma` (3) is
-    shared by all samples of a pass.
+    Readings have any unit. `matrix` (3, 3), near the identity, corrects soft iron, misalignment and unequal scales. `noise`
+    (same unit) is None if zero or axes are not known well enough to use the direction. `scale_T`: the unit in tesla, None if
+    unknown. `zero_sigma` (3) is common to all samples of a pass.
     """
 
     left_out = {"zero": [0.0, 0.0, 0.0], "noise": None}
@@ -227,76 +236,77 @@ class Magnetometer(ThreeAxes):
     wraps_at: Positive | None = None
     matrix: Annotated[
         FloatArray,
-        array(_turns_back, "{path} must be three rows of three numbers that can be inverted"),
+        array(_is_invertible, "{path} must be three rows of three numbers that can be inverted"),
     ] = Field(default_factory=lambda: frozen_array(np.eye(3)))
     scale_T: Positive | None = None
-    zero_sigma: Annotated[FloatArray, _sigma_of("magnetometer.zero", 3)] = Field(
+    zero_sigma: Annotated[FloatArray, _sigma_validator("magnetometer.zero", 3)] = Field(
         default_factory=lambda: frozen_array(np.zeros(3)),
         validation_alias=AliasPath("zero", "sigma"),
     )
 
-    def seen(self, read: np.ndarray) -> Seen:
-        """Fields of the readings (n, 3) of its columns, in their unit."""
-        value = (self.sign * (unwrapped(read, self.wraps_at) - self.zero)) @ self.matrix.T
-        return (
-            "axis",
-            value,
-            {"long_name": "magnetometer less its zero, times its matrix, body axes"},
-        )
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
+        """Return fields in body axes from readings (n, 3) of the columns, in their unit."""
+        value = (self.sign * (unwrap_counts(reading, self.wraps_at) - self.zero)) @ self.matrix.T
+        about = {"long_name": "magnetometer less its zero, times its matrix, body axes"}
+        return SensorVariable("axis", value, about)
 
-    def read_as(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
-        turned = np.eye(3)[list(order)] * np.array(sign)[:, None]
-        matrix = turned @ self.matrix @ turned.T + 0.0  # of the axes as they then are
-        return super().read_as(order, sign) | (
+    def keys_for_axes(self, order: Sequence[int], sign: Sequence[float]) -> dict[str, Any]:
+        """Return the keys that permute the axes, the matrix included; see `ThreeAxes.keys_for_axes`."""
+        permutation = np.eye(3)[list(order)] * np.array(sign)[:, None]
+        matrix = permutation @ self.matrix @ permutation.T + 0.0  # + 0.0 removes the sign of -0.0
+        return super().keys_for_axes(order, sign) | (
             {} if np.array_equal(matrix, self.matrix) else {"matrix": matrix.tolist()}
         )
 
 
 @part
 class Attitude(Part):
-    """Four columns with somebody's attitude as a quaternion: where its scalar stands, which way it turns, its error.
+    """Four columns with an attitude quaternion computed elsewhere: place of the scalar, direction of the rotation, error.
 
-    `rotates`: "N_to_B" if it takes components in the reference frame to components in the body, "B_to_N" for the opposite.
+    `rotates`: "N_to_B" if it transforms components in the reference frame to body components, "B_to_N" for the opposite.
     """
 
-    columns: Annotated[tuple[Name, ...], *_columns(4)]
+    columns: Annotated[tuple[Name, ...], *_column_rules(4)]
     scalar: Literal["first", "last"]
     rotates: Literal["N_to_B", "B_to_N"]
     sigma_rad: Positive
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The columns as a telemetry file calls them."""
+        """Names of the columns in a telemetry file."""
         return self.columns
 
-    def seen(self, read: np.ndarray) -> Seen:
-        """Unit quaternions B_from_N, scalar last, of the readings (n, 4) of its columns; NaN where they hold no unit quaternion."""
-        value = read[:, [1, 2, 3, 0]] if self.scalar == "first" else read
+    def interpret(self, reading: np.ndarray) -> SensorVariable:
+        """Return unit quaternions B_from_N, scalar last, from readings (n, 4); NaN where the length is not near one."""
+        value = reading[:, [1, 2, 3, 0]] if self.scalar == "first" else reading
+        # the conjugate is the inverse rotation
         value = value * [-1.0, -1.0, -1.0, 1.0] if self.rotates == "B_to_N" else value
         size = np.linalg.norm(value, axis=1, keepdims=True)
-        good = np.abs(size - 1) < UNIT
+        good = np.abs(size - 1) < QUATERNION_TOLERANCE
         about = {
             "units": "1",
             "long_name": "attitude as given, scalar last, from reference frame to body",
         }
-        return "quaternion", np.where(good, value / np.where(good, size, 1.0), np.nan), about
+        unit = np.where(good, value / np.where(good, size, 1.0), np.nan)
+        return SensorVariable("quaternion", unit, about)
 
-    def read_as(self, scalar: bool, way: bool) -> dict[str, str]:
-        """Keys of the vehicle file with the scalar at the other end, or the other way round."""
-        keys = {"scalar": "first" if self.scalar == "last" else "last"} if scalar else {}
+    def keys_for_convention(self, other_scalar: bool, other_direction: bool) -> dict[str, str]:
+        """Return the keys of the vehicle file for the other place of the scalar, the opposite direction, or both."""
+        keys = {"scalar": "first" if self.scalar == "last" else "last"} if other_scalar else {}
         return keys | (
-            {"rotates": "N_to_B" if self.rotates == "B_to_N" else "B_to_N"} if way else {}
+            {"rotates": "N_to_B" if self.rotates == "B_to_N" else "B_to_N"}
+            if other_direction
+            else {}
         )
 
 
 @part
 class Disturbance(Part):
-    """What turns the vehicle beside its own motion.
+    """Unmodelled torques on the vehicle.
 
-    `acceleration_noise` (rad/s^1.5): white angular acceleration; after t seconds a rate has wandered by this times sqrt(t).
-    `noise_without_field`: the same where the dipole's torque is not modelled, the field not being measured.
-    `dipole` (3): angular acceleration dipole x field, rad/s2 per unit of the magnetometer. `max_rate_rad_s`: no rate is
-    faster.
+    `acceleration_noise` (rad/s^1.5): white angular acceleration; the rate random-walks by this times sqrt(t) in t seconds.
+    `noise_without_field`: the same if the field is not measured and so the torque of the dipole is not modelled. `dipole` (3):
+    angular acceleration is dipole x field, in rad/s2 per unit of the magnetometer. `max_rate_rad_s`: upper limit of the rate.
     """
 
     acceleration_noise: Positive | None = None
@@ -307,18 +317,20 @@ class Disturbance(Part):
 
 @part
 class Clock(Part):
-    """How late gyro, magnetometer and attitude of a row are behind its panels and Sun sensors (s), and one sigma of that; with
-    zero it is known."""
+    """Time offset of gyro, magnetometer and attitude: how much later they are sampled than panels and Sun sensors of a row (s).
+
+    `sigma_s`: standard deviation of the offset; zero: known exactly.
+    """
 
     late_s: Number = Field(validation_alias="sensors_late_s")
-    sigma_s: Annotated[float, _sigma_of("clock.sensors_late_s")] = Field(
+    sigma_s: Annotated[float, _sigma_validator("clock.sensors_late_s")] = Field(
         default=0.0, validation_alias=AliasPath("sensors_late_s", "sigma")
     )
 
 
 @part
 class Sensors(Part):
-    """All of these; what is absent is empty or None."""
+    """All sensors; absent ones are empty or None."""
 
     sun_sensors: tuple[SunSensor, ...] = ()
     sun_vector: SunVector | None = None
@@ -330,5 +342,5 @@ class Sensors(Part):
 
     @property
     def with_columns(self) -> dict[str, Any]:
-        """The sensors whose columns go along the axes of the body, by their table in the vehicle file."""
+        """Sensors that have the field `columns`, by their table in the vehicle file."""
         return {name: sensor for name, sensor in vars(self).items() if hasattr(sensor, "columns")}

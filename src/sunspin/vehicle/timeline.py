@@ -1,4 +1,4 @@
-"""Events and phases of a case, in UTC and in seconds from the case's epoch."""
+"""Events and phases of a case, in UTC and in seconds from the epoch of the case."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sunspin.vehicle.part import Name, Number, Part, keys_of, part
 
 @part
 class Event(Part):
-    """A named instant: its UTC as published, a refined one where known, and `t_s` (s from the epoch) of the better."""
+    """A named instant: published UTC, a refined UTC if known, and `t_s`, the time of the better one in s from the epoch."""
 
     name: Name
     utc: str
@@ -26,7 +26,7 @@ class Event(Part):
 
 @part
 class Phase(Part):
-    """The stretch ``begin_s <= t < end_s`` (s from the epoch) between two events; `end_s` is inf where open."""
+    """The interval ``begin_s <= t < end_s`` (s from the epoch) between two events; `end_s` is inf if it has no end."""
 
     name: Name
     begin_s: Number
@@ -36,42 +36,45 @@ class Phase(Part):
 
 @part
 class Timeline(Part):
-    """Events in order of time and the phases between them."""
+    """Events in order of time, and the phases between them."""
 
     epoch_utc: str
     events: tuple[Event, ...] = ()
     phases: tuple[Phase, ...] = ()
 
     def event(self, name: str) -> Event:
-        """The event called `name`, or an `InputError` that lists the names there are."""
-        return _named(self.events, name, "event")
+        """Return the event called `name`; raise `InputError` with the known names if there is none."""
+        return _find_named(self.events, name, "event")
 
     def phase(self, name: str) -> Phase:
-        """The phase called `name`, or an `InputError` that lists the names there are."""
-        return _named(self.phases, name, "phase")
+        """Return the phase called `name`; raise `InputError` with the known names if there is none."""
+        return _find_named(self.phases, name, "phase")
 
     def seconds(self, begin: str, end: str) -> float:
-        """Seconds from one named event to another."""
+        """Return the time in seconds from one named event to another."""
         return self.event(end).t_s - self.event(begin).t_s
 
     def phase_at(self, t_s: float) -> str | None:
-        """Name of the phase that holds at `t_s`, None outside all of them."""
+        """Return the name of the phase at `t_s`, None outside all phases."""
         return next(
             (phase.name for phase in self.phases if phase.begin_s <= t_s < phase.end_s), None
         )
 
 
 def utc_seconds(utc: str, epoch_utc: str) -> float:
-    """Seconds from `epoch_utc` to `utc`, both ISO-8601 UTC (days of 86400 s: no leap second is counted)."""
-    return (_instant(utc) - _instant(epoch_utc)).total_seconds()
+    """Return the seconds from `epoch_utc` to `utc`, both ISO-8601 UTC (days of 86400 s: leap seconds are not counted)."""
+    return (_require_instant(utc) - _require_instant(epoch_utc)).total_seconds()
 
 
 def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
-    """The time (ISO-8601 UTC) so many seconds after `epoch_utc`, rounded to so many decimals, at most three; beyond the calendar
-    epoch and seconds. All times of a column have one form: to the second without `digits`, else always three decimals."""
+    """Return the ISO-8601 UTC time `seconds` after `epoch_utc`, rounded to `digits` decimals (at most three).
+
+    All times of a column have the same length: whole seconds for zero digits, else three decimals. A time outside the calendar
+    is given as the epoch and the seconds.
+    """
     unit = 10 ** (6 - digits)
     try:
-        exact = _instant(epoch_utc) + timedelta(seconds=seconds)
+        exact = _require_instant(epoch_utc) + timedelta(seconds=seconds)
         instant = exact + timedelta(
             microseconds=round(exact.microsecond / unit) * unit - exact.microsecond
         )
@@ -82,20 +85,17 @@ def utc_after(seconds: float, epoch_utc: str, digits: int = 0) -> str:
     )
 
 
-def instant(text: str) -> datetime | None:
-    """The instant that an ISO-8601 time means, UTC where it names no zone; None if it is none."""
+def parse_instant(text: str) -> datetime | None:
+    """Return the instant of an ISO-8601 time, taken as UTC if it names no zone; None if the text is not a time."""
     try:
         moment = datetime.fromisoformat(text)
         return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    except (
-        TypeError,
-        ValueError,
-        OverflowError,
-    ):  # a time near the year 1 or 9999 leaves the calendar when its zone is taken off
+    # OverflowError: conversion to UTC takes a time near the year 1 or 9999 outside the calendar
+    except (TypeError, ValueError, OverflowError):
         return None
 
 
-def zone_of(text: str) -> tzinfo:
+def parse_zone(text: str) -> tzinfo:
     """Return the time zone of an IANA name, or of an offset from UTC such as +02:00.
 
     Raises
@@ -109,18 +109,15 @@ def zone_of(text: str) -> tzinfo:
         return timezone(size if offset[1] == "+" else -size)
     try:
         return ZoneInfo(text)
-    except (
-        KeyError,
-        ValueError,
-        OSError,
-    ):  # ZoneInfo's errors for a name that is not one of its files
+    except (KeyError, ValueError, OSError):  # errors of ZoneInfo for unknown names
         what = "telemetry.time_zone is not known"
         do = "give a name such as Europe/Berlin, or an offset such as +02:00"
         raise VehicleError(what, got=text, do=do) from None
 
 
-def _instant(utc: str) -> datetime:
-    moment = instant(utc)
+def _require_instant(utc: str) -> datetime:
+    """Return the instant of an ISO-8601 time; raise `InputError` if the text is not a time."""
+    moment = parse_instant(utc)
     if moment is None:
         raise InputError(
             "a time must be ISO-8601 UTC such as 2014-11-12T15:34:04", got=utc, do="correct it"
@@ -129,16 +126,19 @@ def _instant(utc: str) -> datetime:
 
 
 def parse_timeline(text: str, where: str) -> Timeline:
-    """Read the text of a ``timeline.toml``; `where` names the file in messages."""
+    """Parse the text of a ``timeline.toml``; `where` names the file in messages. Raises `InputError`."""
     table = read_toml(text, where, InputError)
     try:
         epoch = table["epoch_utc"]
         events = sorted(
-            (_event(entry, epoch) for entry in table.get("event", [])), key=lambda event: event.t_s
+            (_read_event(entry, epoch) for entry in table.get("event", [])),
+            key=lambda event: event.t_s,
         )
         timeline = Timeline(epoch, tuple(events))
         return Timeline(
-            epoch, tuple(events), tuple(_phase(entry, timeline) for entry in table.get("phase", []))
+            epoch,
+            tuple(events),
+            tuple(_read_phase(entry, timeline) for entry in table.get("phase", [])),
         )
     except KeyError as error:
         raise InputError(f"key {error.args[0]!r} is missing", do="add it", where=where) from None
@@ -149,7 +149,8 @@ def parse_timeline(text: str, where: str) -> Timeline:
         raise InputError(what, do="correct it", where=where) from None
 
 
-def _event(entry: dict, epoch_utc: str) -> Event:
+def _read_event(entry: dict, epoch_utc: str) -> Event:
+    """Return an event from its table; raise `InputError` if it is not valid."""
     _refuse_unknown(entry, {*keys_of(Event)} - {"t_s"}, "event")
     event = Event(t_s=utc_seconds(entry.get("refined_utc") or entry["utc"], epoch_utc), **entry)
     if not event.source.strip():
@@ -159,7 +160,8 @@ def _event(entry: dict, epoch_utc: str) -> Event:
     return event
 
 
-def _phase(entry: dict, timeline: Timeline) -> Phase:
+def _read_phase(entry: dict, timeline: Timeline) -> Phase:
+    """Return a phase from its table and the events; raise `InputError` if it is not valid."""
     _refuse_unknown(entry, {"name", "begin", "end", "note"}, "phase")
     begin = timeline.event(entry["begin"]).t_s
     end = timeline.event(entry["end"]).t_s if "end" in entry else float("inf")
@@ -171,6 +173,7 @@ def _phase(entry: dict, timeline: Timeline) -> Phase:
 
 
 def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
+    """Raise `InputError` if a table has unknown keys."""
     for key in entry:
         if key not in known:
             raise InputError(
@@ -178,7 +181,8 @@ def _refuse_unknown(entry: dict, known: set[str], kind: str) -> None:
             )
 
 
-def _named(items: tuple, name: str, kind: str):
+def _find_named(items: tuple, name: str, kind: str):
+    """Return the item called `name`; raise `InputError` with the known names if there is none."""
     for item in items:
         if item.name == name:
             return item

@@ -19,7 +19,7 @@ from typing import IO
 
 import numpy as np
 
-from sunspin.base.atomic_write import hold, is_writable
+from sunspin.base.atomic_write import ensure_writable, lock_file
 from sunspin.base.errors import OutputError
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble.compiled import kernel, lasting_folder, loaded
@@ -45,7 +45,7 @@ def compile_ahead(structures: Iterable[c.Structure]) -> None:
 def compile_all(structures: Iterable[c.Structure]) -> Path:
     """Compile the kernels of these structures, two at a time, and return the folder that keeps them; `OutputError` if none does."""
     todo, folder = list(dict.fromkeys(structures)), lasting_folder()
-    if not is_writable(folder):
+    if not ensure_writable(folder):
         do = "set SUNSPIN_CACHE to a folder that can be written"
         raise OutputError("compiled kernels cannot be kept here", do=do, where=str(folder))
     for some in (todo[::2], todo[1::2]):
@@ -120,7 +120,7 @@ def _wait_for_others(file: IO) -> None:
     end = time.monotonic() + WAIT_S
     while time.monotonic() < end:
         try:
-            hold(file)
+            lock_file(file)
             return
         except BlockingIOError:
             time.sleep(POLL_S)

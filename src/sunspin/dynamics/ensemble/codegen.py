@@ -25,7 +25,7 @@ from sunspin.dynamics.torques.acting import (
     outside,
     spun,
 )
-from sunspin.vehicle.response.planes import Literals
+from sunspin.vehicle.response.planes import Clause
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -42,7 +42,7 @@ class Structure:
 
     axes: tuple[Components, ...]
     normals: tuple[Components, ...] = ()
-    mask: tuple[Literals, ...] = ()  # disjunction; empty means every direction counts
+    mask: tuple[Clause, ...] = ()  # disjunction; empty means every direction counts
     bins: int = 0  # 0: no histogram
     method: str = "series"  # or "split"
     oblique: bool = True  # split: whether a wheel has a component along the principal axis q

@@ -21,8 +21,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from sunspin.base.atomic_write import is_writable, write_whole
-from sunspin.compute.identity import code
+from sunspin.base.atomic_write import ensure_writable, write_atomically
+from sunspin.compute.identity import code_identity
 from sunspin.dynamics.ensemble import codegen as c
 from sunspin.dynamics.ensemble import series_lanes
 from sunspin.dynamics.ensemble.compiler import compiler
@@ -152,7 +152,7 @@ def _constants(structure: c.Structure, o: Lanes) -> dict[str, object]:
 def cache_folder() -> Path:
     """Where generated modules and their machine code are kept: the user's cache, or a private temporary folder."""
     folder = lasting_folder()
-    return folder if is_writable(folder) else _private_folder()
+    return folder if ensure_writable(folder) else _private_folder()
 
 
 def lasting_folder() -> Path:
@@ -183,14 +183,16 @@ def kept_source(structure: c.Structure) -> str:
 
 def kept_text(made_from: tuple[Any, ...], make: Callable[[], str]) -> str:
     """Generated source, from the cache folder where the same code has made it before: with SymPy it takes up to a second."""
-    made_from = (*made_from, code()["code_sha256"], metadata.version("sympy"))
+    made_from = (*made_from, code_identity()["code_sha256"], metadata.version("sympy"))
     path = cache_folder() / f"source_{_digest(repr(made_from))}.txt"
     if path.exists():
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest == _digest(text):
             return text
     text = make()
-    write_whole(path, lambda part: part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8"))
+    write_atomically(
+        path, lambda part: part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
+    )
     return text
 
 
@@ -206,7 +208,7 @@ def module_of(text: str, made_by: str) -> ModuleType:
             return sys.modules[name]
         path = cache_folder() / f"{name}.py"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
-            write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+            write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"))
         return loaded(name, path)
 
 

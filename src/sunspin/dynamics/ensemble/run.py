@@ -32,12 +32,12 @@ from sunspin.dynamics.ensemble.tolerance import Accuracy, accuracy
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.dynamics.torques.acting import Torque, spun
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.planes import Counted
+from sunspin.vehicle.response.planes import DirectionSet
 
 Group = tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Numbers of rows with the same plan, and its segments: steps, their lengths (s), outputs due."""
 
-Mask = Counted
+Mask = DirectionSet
 """Directions that count."""
 
 
@@ -225,7 +225,7 @@ def run_rows(
     if acting.torques and not spun(acting.torques):
         modes[..., 0] = 0.0  # no share of H is taken out of omega where H turns in space
     work = work_array(vehicle, rows, commands, modes, acting)
-    normals = np.zeros(0, np.float32) if mask is None else mask.numbers
+    normals = np.zeros(0, np.float32) if mask is None else mask.kernel_data
     result = BlockResult(
         np.zeros((n, bins), dtype=np.float32),
         np.zeros((n, 0 if bins else ends.size, layout.n_output)),

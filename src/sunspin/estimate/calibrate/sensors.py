@@ -28,7 +28,7 @@ from sunspin.estimate.orbit.sensor_calibration import (
 from sunspin.estimate.rates.estimate import rates
 from sunspin.estimate.verdict import NARROWER
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.gains import prior_sigmas, with_gains
+from sunspin.telemetry.gains import prior_sigmas, scale_gains
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.rewrite import NewValue
 from sunspin.vehicle.timeline import utc_after
@@ -115,7 +115,7 @@ def calibrate_sensors(
 
 
 def new_values(found: xr.Dataset) -> list[NewValue]:
-    """What a calibration has determined, for :func:`sunspin.vehicle.rewrite.rewritten`."""
+    """What a calibration has determined, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
     values = []
     for name in dict.fromkeys(found["key"].values.tolist()):
         part = found.isel(quantity=np.flatnonzero(found["key"].values == name))
@@ -167,7 +167,7 @@ def _panels(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicl
         Key(("panel", panel.name), key, stated[k], gain[k], sigma[k], prior[k], unit, count)
         for panel, k in zip(vehicle.panels, at, strict=True)
     ]
-    return keys, with_gains(vehicle, gain / stated)
+    return keys, scale_gains(vehicle, gain / stated)
 
 
 def _jackknife(vehicle: Vehicle, telemetry: xr.Dataset) -> np.ndarray:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sunspin.environment.earth import earth_from_J2000, sun_J2000_m
-from sunspin.environment.light import lit
-from sunspin.environment.orbit import Orbit, turned
+from sunspin.environment.light import sunlit_fraction
+from sunspin.environment.orbit import Orbit, rotate_vectors
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,12 @@ class AlongTrack:
             when, orbit.ahead_s(when) + phase_s + shifts[:, None]
         )
         sun, turn = sun_J2000_m(when), earth_from_J2000(when)
-        fixed = turned(turn, place)
-        to_sun = turned(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
-        light = lit(place, np.broadcast_to(sun, place.shape))
-        return cls(shifts, to_sun, orbit.map(when, place).at(fixed), light, orbit.days(when))
+        fixed = rotate_vectors(turn, place)
+        to_sun = rotate_vectors(turn, sun / np.linalg.norm(sun, axis=1, keepdims=True))
+        light = sunlit_fraction(place, np.broadcast_to(sun, place.shape))
+        return cls(
+            shifts, to_sun, orbit.field_map_around(when, place).at(fixed), light, orbit.days(when)
+        )
 
     def take(self, samples: np.ndarray) -> AlongTrack:
         return AlongTrack(

@@ -17,9 +17,9 @@ from sunspin.estimate.equivalence import Change, Observed, alike, column_changes
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.wiring import axes_matrix, signed_axes, to_write
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
+from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.telemetry.assess import Assessment
-from sunspin.telemetry.quality import came_late
+from sunspin.telemetry.quality import find_late_frames
 from sunspin.telemetry.sun import SunStatus, signals
 from sunspin.vehicle.response.panels import opposite_panels
 
@@ -165,7 +165,7 @@ def spread_evenly(
 ) -> np.ndarray:
     """The samples that show something (n, of true and false) and came in time, at most so many of them, spread over the file. Of
     those that come `first` (n), as many are kept as an even spread has, or `MOST_WITH_SUN` of all if that is more."""
-    use = np.flatnonzero(shows & ~came_late(telemetry))
+    use = np.flatnonzero(shows & ~find_late_frames(telemetry))
     even = _even(use, most)
     wanted = use[first[use]] if first is not None else use[:0]
     if (
@@ -302,7 +302,7 @@ def _in_turn(model: Model, state: State, free: bool, steps: int) -> State:
     """Unknowns, their scale and, if `free`, the scatters fitted in turn."""
     for _ in range(ROUNDS if free else 1):
         state = least_squares(
-            model.linearise, stepped, dense, state, steps=steps, tolerance=TOLERANCE
+            model.linearise, stepped, solve_dense, state, steps=steps, tolerance=TOLERANCE
         ).state
         state = state._replace(
             scatter=model.scatter(state) if free else state.scatter, scale=model.scale(state)
@@ -412,7 +412,7 @@ class Model:
         )
         return np.concatenate([rows, -direction], axis=2)
 
-    def linearise(self, state: State) -> Dense:
+    def linearise(self, state: State) -> DenseSystem:
         strength, to_sun, by_strength, by_sun = self.residuals(state)
         matrix = self.prior(state)
         slope = (matrix @ state.unknown[..., None])[..., 0]
@@ -424,7 +424,7 @@ class Model:
             turned = np.swapaxes(by * weight[..., None], 1, 2)
             slope = slope + (turned @ residual[..., None])[..., 0]
             matrix = matrix + turned @ by
-        return Dense(cost, matrix, slope)
+        return DenseSystem(cost, matrix, slope)
 
     def scatter(self, state: State) -> np.ndarray:
         """The scatters (K, 2) that make the residuals likeliest, given their weights and how much of them has been fitted."""
@@ -509,7 +509,7 @@ def axes_words(way: tuple[str, list[int], tuple[float, ...]], assessment: Assess
     do = (
         ""
         if magnetometer is None
-        else f"; {to_write('magnetometer', magnetometer.read_as(order, sign))}"
+        else f"; {to_write('magnetometer', magnetometer.keys_for_axes(order, sign))}"
     )
     change = Change("the magnetometer", axes={"field_B": axes_matrix(order, sign)})
     same = alike(Observed.of(vehicle, telemetry), change, column_changes(vehicle, telemetry))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.environment.orbit import Orbit, turned
+from sunspin.environment.orbit import Orbit, rotate_vectors
 from sunspin.estimate.orbit.along_track import AlongTrack
 from sunspin.estimate.orbit.invariants import (
     MATRIX_SIGMA,
@@ -27,8 +27,8 @@ from sunspin.estimate.orbit.invariants import (
     sun_by_panels,
 )
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import cross_matrix, tangents, turn
+from sunspin.solve.linear import DenseSystem, solve_dense
+from sunspin.solve.rotations import cross_matrix, rotate_attitude, tangent_basis
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.repeats import GAP_FACTOR
 from sunspin.vehicle import Vehicle
@@ -229,9 +229,9 @@ def _settled(model: _Model, state: _State, rounds: int = ROUNDS) -> tuple[_Model
     """Unknowns and scatters fitted in turn."""
     for _ in range(rounds):
         solution = least_squares(
-            model.linearise, _stepped, dense, state, steps=STEPS, tolerance=TOLERANCE
+            model.linearise, _stepped, solve_dense, state, steps=STEPS, tolerance=TOLERANCE
         )
-        state = solution.state._replace(attitude=solution.system.kept[0])
+        state = solution.state._replace(attitude=solution.system.extras[0])
         before, model = model, model.with_scatter(state)
         if np.allclose(model.scatter, before.scatter, rtol=STEADY):
             break
@@ -444,13 +444,13 @@ class _Model:
         whole: bool = True,
     ) -> _At:
         sun_N, field_N, by_shift = sky[:3]
-        sun, field = turned(attitude, sun_N), turned(attitude, field_N)
+        sun, field = rotate_vectors(attitude, sun_N), rotate_vectors(attitude, field_N)
         n, d = len(sun), len(unknown) if whole else 0
         parts = [
             self._of_sensor(k, unknown, sun, d)
             for k in range(len(self.vehicle.sensors.sun_sensors))
         ]
-        e1, e2 = tangents(
+        e1, e2 = tangent_basis(
             np.nan_to_num(self.seen.sun) + (~np.isfinite(self.seen.sun)) * [0.0, 0.0, 1.0]
         )
         weight = 1 / (self.seen.sun_sigma * self.scatter[1])
@@ -463,7 +463,7 @@ class _Model:
             by_unknown[:, i, 3 * i : 3 * i + 3] = field
             by_unknown[:, i, 9 + i] = 1.0
         if whole:
-            along = turned(attitude, by_shift) @ matrix.T
+            along = rotate_vectors(attitude, by_shift) @ matrix.T
             by_unknown[:, :, 12], by_unknown[:, :, 13] = along, along * self.sky.days[:, None]
         value = field @ matrix.T + unknown[9:12] - self.seen.field
         parts.append(
@@ -520,18 +520,21 @@ class _Model:
         for _ in range(INNER):
             at = self._residuals(unknown, attitude, sky, whole=False)
             back = np.linalg.inv(_information(at.by_turn))
-            step = -turned(back, np.einsum("nri,nr->ni", at.by_turn, at.value))
-            attitude = turn(attitude, np.clip(step, -0.5, 0.5))
+            step = -rotate_vectors(back, np.einsum("nri,nr->ni", at.by_turn, at.value))
+            attitude = rotate_attitude(attitude, np.clip(step, -0.5, 0.5))
         at = self._residuals(unknown, attitude, sky)
         return attitude, at, np.linalg.inv(_information(at.by_turn))
 
-    def linearise(self, state: _State) -> Dense:
+    def linearise(self, state: _State) -> DenseSystem:
         unknown = state.unknown[0]
         attitude, scores, matrix, cost = self._scores(unknown, state.attitude[0])
         slope = self.precision @ unknown + scores.sum(axis=0)
         total = unknown @ self.precision @ unknown / 2 + cost
-        return Dense(
-            np.array([total]), (self.precision + matrix)[None], slope[None], kept=(attitude[None],)
+        return DenseSystem(
+            np.array([total]),
+            (self.precision + matrix)[None],
+            slope[None],
+            extras=(attitude[None],),
         )
 
     def _scores(
@@ -697,12 +700,12 @@ def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     second = np.where(
         near > 0,
         second / np.maximum(near, 1e-300),
-        tangents(first / np.maximum(size, 1e-300) + (size == 0))[0],
+        tangent_basis(first / np.maximum(size, 1e-300) + (size == 0))[0],
     )
-    one = np.where(size > 0, first / np.maximum(size, 1e-300), tangents(second)[0])
+    one = np.where(size > 0, first / np.maximum(size, 1e-300), tangent_basis(second)[0])
     across = np.cross(one, second)
     across = np.where(
-        np.linalg.norm(across, axis=1, keepdims=True) > 1e-6, across, tangents(one)[0]
+        np.linalg.norm(across, axis=1, keepdims=True) > 1e-6, across, tangent_basis(one)[0]
     )
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     return np.stack([one, across, np.cross(one, across)], axis=2)

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sunspin.environment.earth import EQUATOR_M, sun_J2000_m
-from sunspin.environment.light import lit
+from sunspin.environment.light import sunlit_fraction
 from sunspin.environment.orbit import Orbit
 from sunspin.estimate.orbit.invariants import SEEN_IN_SHADOW
 from sunspin.telemetry.assess import Assessment
-from sunspin.telemetry.quality import DROPPED, SPIKE_FACTOR, came_late
+from sunspin.telemetry.quality import DROPPED, SPIKE_FACTOR, find_late_frames
 from sunspin.telemetry.repeats import PANELS
 from sunspin.telemetry.sun import signals
 from sunspin.telemetry.units import UNITS
@@ -134,13 +134,13 @@ def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
         bright, clear = _sunlit_by_panels(assessment)
         value = signals(telemetry)
         repeated = np.append(False, (value[1:] == value[:-1]).all(axis=1))
-        repeated |= assessment.repeats.of(PANELS)
+        repeated |= assessment.repeats.repeated(PANELS)
         known = np.isfinite(value).any(axis=1) & ~(repeated & bright)
     elif "sun_sensor_B" in telemetry and sensors.sun_vector is None:
         if all(sensor.light_column for sensor in sensors.sun_sensors):
             clear = np.asarray(np.isfinite(assessment.sensors["sun_sensor_B"].values).all(axis=1))
-            known = ~assessment.repeats.of("sun_sensor_B")
-    use = np.flatnonzero(known & ~came_late(telemetry))
+            known = ~assessment.repeats.repeated("sun_sensor_B")
+    use = np.flatnonzero(known & ~find_late_frames(telemetry))
     if len(use) > MOST_SAMPLES:
         use = use[np.linspace(0, len(use) - 1, MOST_SAMPLES).astype(int)]
     return telemetry["time"].values[use], clear[use]
@@ -181,5 +181,5 @@ def _in_full_shadow(
         place, _ = orbit.states(when, ahead + side * drift)
         # a place farther out sees the Earth as a smaller one is seen
         outward = place * EQUATOR_M / (EQUATOR_M - DEPTH_M)
-        dark &= lit(outward, np.broadcast_to(sun, place.shape)) == 0
+        dark &= sunlit_fraction(outward, np.broadcast_to(sun, place.shape)) == 0
     return dark

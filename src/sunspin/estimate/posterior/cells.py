@@ -26,7 +26,7 @@ from sunspin.estimate.posterior import light
 from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.light import between, light_of, nearest_node, nodes, seen
 from sunspin.estimate.posterior.model import Model, State
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.panels import panel_power
 from sunspin.vehicle.response.planes import sphere
 
@@ -194,7 +194,7 @@ class Attitudes:
         rows = model.rows(nominal)
         momentum = g.total_momentum(model.vehicle, omega, rows.wheel_speed_rad_s)
         along = momentum / np.linalg.norm(momentum, axis=1, keepdims=True)
-        across = tangents(along)[
+        across = tangent_basis(along)[
             0
         ]  # any inertial direction will do for the run; one across H makes a frame with it
         rows = model.rows(State(omega, across, nominal.u))
@@ -273,7 +273,7 @@ class Starts:
             (self.data.value, self.data.used, self.data.sigma),
         )
         throttled = self.data.throttled
-        frame = np.stack([self.suns, *tangents(self.suns)], axis=1)
+        frame = np.stack([self.suns, *tangent_basis(self.suns)], axis=1)
         fixed = (
             self.row_of,
             corners,
@@ -296,7 +296,7 @@ class Starts:
         omega = omega * np.minimum(1.0, self.attitudes.model.max_rate / np.maximum(size, 1e-12))
         state = State(
             omega,
-            moved(self.suns[sun], rows[:, 5:7]),
+            move_on_sphere(self.suns[sun], rows[:, 5:7]),
             np.zeros((len(rows), len(self.attitudes.model.unknowns))),
         )
         best, count = _distinct(state, rows[:, 7], float(np.abs(self.data.t_s).max()))

@@ -13,7 +13,7 @@ import xarray as xr
 from scipy.special import logsumexp
 
 from sunspin.base.errors import InputError
-from sunspin.base.provenance import described, provenance
+from sunspin.base.provenance import provenance, with_units
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.estimate.effort import Effort, may_go_on, share_of_left
@@ -255,7 +255,7 @@ def posterior(
     )
     if periods:
         with_periods(vehicle, tree, periods)
-    return described(tree)
+    return with_units(tree)
 
 
 def _sampled(
@@ -525,7 +525,7 @@ def _about(
     vehicle, telemetry, priors, told, seed, start_s, chosen, unknown: Model, data: Readings
 ) -> dict[str, Any]:
     comments = {key: telemetry.attrs[key] for key in ("comments",) if key in telemetry.attrs}
-    return provenance("posterior", telemetry, **comments, **vehicle.said) | {
+    return provenance("posterior", telemetry, **comments, **vehicle.result_attributes) | {
         "seed": int(seed),
         "t_first_s": start_s,
         "t_last_s": start_s + float(data.t_s[-1]),

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 
 from sunspin.estimate.posterior.model import State
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
 APART = 0.6
 """rad at the end of the next window: hypotheses nearer to each other are one."""
@@ -38,7 +38,7 @@ def offset(state: State, i: int, others: np.ndarray) -> np.ndarray:
 
 def coordinates(state: State, centre: State) -> np.ndarray:
     """Coordinates (n, D) of states about one centre: the direction by the great circle to it."""
-    e1, e2 = tangents(centre.sun)
+    e1, e2 = tangent_basis(centre.sun)
     return _chart(
         state,
         centre,
@@ -49,7 +49,7 @@ def coordinates(state: State, centre: State) -> np.ndarray:
 
 def apart(state: State, centre: State) -> np.ndarray:
     """The same (n, D) of states about a centre each."""
-    across = np.stack(tangents(centre.sun), axis=1)
+    across = np.stack(tangent_basis(centre.sun), axis=1)
     return _chart(
         state,
         centre,
@@ -157,7 +157,7 @@ def denser(
             parts.append(
                 State(
                     state.omega[rows] + step[:, :3],
-                    moved(state.sun[rows], step[:, 3:]),
+                    move_on_sphere(state.sun[rows], step[:, 3:]),
                     state.u[rows],
                 )
             )

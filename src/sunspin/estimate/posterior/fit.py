@@ -11,9 +11,9 @@ import numpy as np
 from sunspin.estimate.posterior.family import apart
 from sunspin.estimate.posterior.likelihood import Likelihood, Secant
 from sunspin.estimate.posterior.model import State
-from sunspin.solve.least_squares import least_squares, shortened, take
-from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.least_squares import least_squares, limit_length, take_problems
+from sunspin.solve.linear import DenseSystem, solve_dense
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 
 FLOOR = 1e-9
 """Part of the largest curvature that is added to all: directions that nothing tells are left alone."""
@@ -244,19 +244,19 @@ class _Search:
         found = least_squares(
             self._linearised,
             self._moved,
-            dense,
+            solve_dense,
             self._carried((self.state.omega, self.state.sun, self.state.u), self._system),
             steps=count,
             system=self._system,
-            longest=self._longest,
+            length_ratio=self._longest,
             limit=self._limited,
             carry=self._carried,
         )
         self.state, self._system = State(*found.state[:3]), found.system
 
-    def _carried(self, state: tuple[Any, ...], system: Dense) -> _Point:
+    def _carried(self, state: tuple[Any, ...], system: DenseSystem) -> _Point:
         """States with their derivatives and what is seen there, no step having been taken from them yet."""
-        moves, seen = system.kept[4:]
+        moves, seen = system.extras[4:]
         return (
             state[0],
             state[1],
@@ -267,14 +267,14 @@ class _Search:
 
     def only(self, rows: np.ndarray) -> None:
         """Go on with some of the rows."""
-        self.state, self._system = self.state.take(rows), take(self._system, rows)
+        self.state, self._system = self.state.take(rows), take_problems(self._system, rows)
 
-    def _linearised(self, state: _Point) -> Dense:
+    def _linearised(self, state: _Point) -> DenseSystem:
         return self._seen_from(State(*state[:3]), state[3], state[4])
 
     def _seen_from(
         self, state: State, moves: np.ndarray | None = None, secant: Secant | None = None
-    ) -> Dense:
+    ) -> DenseSystem:
         base, raw, extra, jacobian, moves = self.likelihood.linearised(
             state, self.still, moves, secant
         )
@@ -290,7 +290,7 @@ class _Search:
 
     def _judge(self) -> None:
         """Weigh the same differences anew, under another noise."""
-        self._system = self._weighed(self.state.u, *self._system.kept)
+        self._system = self._weighed(self.state.u, *self._system.extras)
 
     def _scaled(
         self, u: np.ndarray, raw: np.ndarray, extra: np.ndarray, jacobian: np.ndarray
@@ -307,7 +307,7 @@ class _Search:
         jacobian: np.ndarray,
         fine: np.ndarray,
         *motion: np.ndarray,
-    ) -> Dense:
+    ) -> DenseSystem:
         cost, residual, scaled = self._scaled(u, raw, extra, jacobian)
         normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
         gradient = np.einsum("nri,nr->ni", scaled, residual)
@@ -319,7 +319,7 @@ class _Search:
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal = normal + floor[:, None, None] * np.eye(normal.shape[1])
         cost = np.where(fine, cost + self._of_prior(u), np.inf)
-        return Dense(cost, normal, gradient, scale, (raw, extra, jacobian, fine, *motion))
+        return DenseSystem(cost, normal, gradient, scale, (raw, extra, jacobian, fine, *motion))
 
     def _whole(self, step: np.ndarray) -> np.ndarray:
         return step if self.free is None else step @ self.free.T
@@ -340,14 +340,14 @@ class _Search:
 
     def _moved(self, state: _Point, step: np.ndarray) -> _Point:
         move = self._whole(step)
-        sun = moved(state[1], move[:, 3:5])
+        sun = move_on_sphere(state[1], move[:, 3:5])
         came = _turned(state[1], sun, state[3], state[4].seen, move[:, self._moving])
         return state[0] + move[:, :3], sun, state[2] + move[:, 5:], *came
 
     def _limited(self, state: _Point) -> _Point:
         model = self.likelihood.model
         omega, u = (
-            shortened(state[0], model.max_rate),
+            limit_length(state[0], model.max_rate),
             model.possible(np.clip(state[2], -FAR, FAR), INSIDE),
         )
         whole = (omega == state[0]).all(axis=1) & (u == state[2]).all(
@@ -375,7 +375,7 @@ class _Search:
         width, u, (raw, extra, *_) = (
             model.unknowns[at].sigma,
             np.array(self.state.u),
-            self._system.kept,
+            self._system.extras,
         )
         taken, least = (self._taken_up(), 0.0 if self.still else -5.0) if few else (0.0, -5.0)
         for _ in range(8):
@@ -400,7 +400,7 @@ class _Search:
 
     def _taken_up(self) -> np.ndarray:
         """How many readings (n) the unknowns of each row answer for, dark ones and priors apart."""
-        scaled = self._scaled(self.state.u, *self._system.kept[:3])[2]
+        scaled = self._scaled(self.state.u, *self._system.extras[:3])[2]
         told = np.swapaxes(scaled, 1, 2) @ scaled
         size = np.sqrt(
             np.einsum("nii->ni", told) + self._prior + 1e-12
@@ -411,7 +411,7 @@ class _Search:
 
     def curvature(self) -> np.ndarray:
         """Second derivatives (n, D, D) of minus the log posterior, by Gauss and Newton."""
-        _, residual, scaled = self._scaled(self.state.u, *self._system.kept[:3])
+        _, residual, scaled = self._scaled(self.state.u, *self._system.extras[:3])
         normal = np.swapaxes(scaled, 1, 2) @ scaled + np.diag(self._prior)
         model = self.likelihood.model
         for i in model.where("noise"):
@@ -425,7 +425,9 @@ def _turned(
     sun: np.ndarray, there: np.ndarray, moves: np.ndarray, seen: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, Secant]:
     """Derivatives and a step, given in the tangents at directions `sun`, in those at the directions `there` that it led to."""
-    across = np.stack(tangents(there), axis=1) @ np.swapaxes(np.stack(tangents(sun), axis=1), 1, 2)
+    across = np.stack(tangent_basis(there), axis=1) @ np.swapaxes(
+        np.stack(tangent_basis(sun), axis=1), 1, 2
+    )
     moves, step = np.array(moves), np.array(step)
     moves[:, 3:5] = (across @ moves[:, 3:5].reshape(len(moves), 2, -1)).reshape(
         len(moves), 2, *moves.shape[2:]

@@ -24,7 +24,7 @@ from sunspin.estimate.posterior.data import Readings
 from sunspin.estimate.posterior.model import Model, State
 from sunspin.estimate.posterior.tags import power_slope, tagged
 from sunspin.estimate.terms.reading import LOG_2PI
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.flat import PanelResponse
 
 OUTLIERS = 0.02
@@ -339,13 +339,15 @@ class Likelihood:
         step = RATE_STEP / window
         own = self._steps(window)
         moving = [] if still else model.moving
-        e1, _ = tangents(state.sun)
+        e1, _ = tangent_basis(state.sun)
         runs = [state] + [
             State(state.omega + step * np.eye(3)[i], state.sun, state.u) for i in range(3)
         ]
         if model.turned:
             runs += [
-                State(state.omega, moved(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u)
+                State(
+                    state.omega, move_on_sphere(state.sun, np.tile(RATE_STEP * x, (n, 1))), state.u
+                )
                 for x in np.eye(2)
             ]
         else:
@@ -422,7 +424,7 @@ class Likelihood:
             len(self.data),
             self.data.others,
         )
-        slopes = self.response.along(
+        slopes = self.response.power_changes(
             base.sun, [move[:, :count] for move in moves], gain=gain, tilt=tilt
         )
         for move, slope in zip(moves, slopes, strict=True):

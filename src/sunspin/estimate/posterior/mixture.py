@@ -10,7 +10,7 @@ from scipy.special import gammaln
 
 from sunspin.estimate.posterior.family import coordinates
 from sunspin.estimate.posterior.model import State
-from sunspin.solve.rotations import moved
+from sunspin.solve.rotations import move_on_sphere
 
 FREEDOM = 5.0
 """Degrees of freedom of the mixture's Student components."""
@@ -143,7 +143,7 @@ class Mixture:
         step = np.linalg.solve(self.basis[which], x[:, :5, None])[:, :, 0]
         return State(
             centre.omega + step[:, :3],
-            moved(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)),
+            move_on_sphere(centre.sun, np.clip(step[:, 3:], -np.pi, np.pi)),
             centre.u + x[:, 5:],
         )
 

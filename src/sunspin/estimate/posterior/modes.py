@@ -23,7 +23,7 @@ from sunspin.estimate.posterior.fit import FITTED, Begun, Fit, Levels, OfStates,
 from sunspin.estimate.posterior.likelihood import SEARCH_ERROR, Likelihood
 from sunspin.estimate.posterior.model import STANDING, Model, State
 from sunspin.estimate.posterior.turns import rest_of
-from sunspin.solve.least_squares import shortened
+from sunspin.solve.least_squares import limit_length
 
 GROWTH = 1.5
 """Factor by which the window grows: what is known of the phase then still carries."""
@@ -159,7 +159,7 @@ def within(modes: Modes, max_rate: float) -> Modes:
     """The modes drawn back into the ball of rates where they all lie outside: no draw about them would count."""
     if np.any(np.linalg.norm(modes.state.omega, axis=1) <= max_rate):
         return modes
-    state = replace(modes.state, omega=shortened(modes.state.omega, INSIDE * max_rate))
+    state = replace(modes.state, omega=limit_length(modes.state.omega, INSIDE * max_rate))
     return replace(
         modes,
         state=state,
@@ -572,7 +572,7 @@ class Search:
 
     def _with_images(self, likelihood: Likelihood, found: Modes) -> Modes:
         """The modes and their images under what changes no reading of panels on shared inputs: the search may miss some."""
-        images, state = likelihood.response.images, found.state
+        images, state = likelihood.response.symmetries, found.state
         if len(images) == 1:
             return found
         turned = [  # rates are axial vectors

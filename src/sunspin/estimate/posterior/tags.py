@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from sunspin.estimate.terms.reading import LOG_2PI
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 
 if TYPE_CHECKING:
     from sunspin.estimate.posterior.likelihood import Likelihood, Prediction
@@ -30,14 +30,14 @@ TRIED = np.geomspace(1e-3, 0.1, 13)
 
 def turned(sun: np.ndarray, rate: np.ndarray, shift_s: np.ndarray) -> np.ndarray:
     """Directions (..., 3) in body axes `shift_s` (...) later, at the body rate (..., 3) that there is now."""
-    return seen_turned(sun, rate * shift_s[..., None])
+    return components_after_rotation(sun, rate * shift_s[..., None])
 
 
 def power_slope(
     likelihood: Likelihood, sun: np.ndarray, rate: np.ndarray, u: np.ndarray
 ) -> np.ndarray:
     """Rates of change (n, K, P) of the powers at directions and rates (n, K, 3): none on dark panels."""
-    slope = likelihood.response.along(
+    slope = likelihood.response.power_changes(
         sun, [-np.cross(rate, sun)], gain=likelihood.gain(u), tilt=likelihood.tilt(u)
     )[0]
     return likelihood.throttle(likelihood.light(sun, u)).slope(slope)

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from sunspin.estimate.terms.term import Unknown
-from sunspin.solve.rotations import tangents
+from sunspin.solve.rotations import tangent_basis
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.response.panels import stated_sigma
+from sunspin.vehicle.response.panels import misalignment_sigma
 
 KIND, COMMON = "tilt", "tilt_common"
 """Kinds of the unknowns: of one panel, and of all together."""
@@ -44,7 +44,7 @@ def unknowns(vehicle: Vehicle, own_rad: np.ndarray, common_rad: float) -> list[U
 def turns(vehicle: Vehicle, unknown: Sequence[Unknown]) -> np.ndarray:
     """Turns (k, n_panel, 3) in rad of all panels by one sigma of each unknown (k): zero for those that are no tilts."""
     out = np.zeros((len(unknown), len(vehicle.panels), 3))
-    across = np.stack(tangents(vehicle.panel_normals_B), axis=1)
+    across = np.stack(tangent_basis(vehicle.panel_normals_B), axis=1)
     for i, x in enumerate(unknown):
         if x.kind == KIND:
             panel, side = divmod(x.index, 2)
@@ -69,7 +69,7 @@ def spread(
 
 def told(priors: Mapping[str, Any], vehicle: Vehicle) -> tuple[np.ndarray, float, dict[str, str]]:
     """Sigmas of `unknowns`, given or stated, and the words for that; what is given is checked by the caller."""
-    own, common = stated_sigma(vehicle)
+    own, common = misalignment_sigma(vehicle)
     own = np.full(len(own), float(priors["tilt"])) if "tilt" in priors else own
     common = float(priors.get("tilt_common", common))
     sizes = {"tilt": float(own.max(initial=0.0)), "tilt_common": common}

@@ -29,7 +29,7 @@ from sunspin.estimate.rates.wandering import about_most, log_evidence
 from sunspin.estimate.terms.steady_torque import WORDS, SteadyTorque, sizes
 from sunspin.estimate.terms.term import MotionTerm, PairTerm, StateTerm, SunTerm, normal
 from sunspin.estimate.terms.unsteady import RateStep, Swinging
-from sunspin.solve.rotations import smallest_turn, turn_between
+from sunspin.solve.rotations import rotate_by_smallest, rotation_between
 
 SLOWER = np.geomspace(1.0, 1 / 30, 6)
 """How much less than up to the largest rate a body may turn: each as likely as any other where the rate may be of any size."""
@@ -523,9 +523,11 @@ def _slowest(track: Track, t_s: np.ndarray) -> Track:
     attitude, omega = track.attitude.copy(), np.zeros_like(track.omega)
     sun = track.sun_B
     for i, dt in enumerate(np.diff(t_s)):
-        x, y = (smallest_turn(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1))
+        x, y = (
+            rotate_by_smallest(sun[:, i], sun[:, i + 1], attitude[:, i, :, axis]) for axis in (0, 1)
+        )
         attitude[:, i + 1] = np.stack([x, y, np.cross(x, y)], axis=-1)
-        omega[:, i] = turn_between(attitude[:, i], attitude[:, i + 1]) / dt
+        omega[:, i] = rotation_between(attitude[:, i], attitude[:, i + 1]) / dt
     omega[:, 1:-1] = (omega[:, :-2] + omega[:, 1:-1]) / 2
     omega[:, -1] = omega[:, -2]
     return Track(attitude, omega)

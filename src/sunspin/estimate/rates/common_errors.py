@@ -28,9 +28,9 @@ from sunspin.estimate.rates.smooth import (
 )
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import StateTerm, SunTerm, Term, Unknown, normal
-from sunspin.solve.least_squares import TOLERANCE, least_squares, take
-from sunspin.solve.linear import Bordered, bordered, spread
-from sunspin.solve.rotations import turn
+from sunspin.solve.least_squares import TOLERANCE, least_squares, take_problems
+from sunspin.solve.linear import BorderedSystem, invert_bordered, solve_bordered
+from sunspin.solve.rotations import rotate_attitude
 
 LOOSE = (1e-4, 2e-5, 4e-6, 1e-6)
 """rad/s^1.5; acceleration noises under which a lateness finds its place."""
@@ -70,12 +70,12 @@ class Common(NamedTuple):
     error: np.ndarray
     covariance: np.ndarray
     answer: np.ndarray
-    system: Bordered
+    system: BorderedSystem
     seen: Track
 
     def take(self, index: np.ndarray) -> Common:
         """The hypotheses `index`."""
-        error, covariance, answer, system = take(self[1:-1], index)
+        error, covariance, answer, system = take_problems(self[1:-1], index)
         return Common(
             self.track.take(index), error, covariance, answer, system, self.seen.take(index)
         )
@@ -114,7 +114,8 @@ def seen_later(o: Observations, track: Track, motion: Motion, late_s: np.ndarray
     late = late_s[:, None, None]
     change = acceleration(motion.body, track.omega, o.momentum)
     return Track(
-        turn(track.attitude, late * (track.omega + late / 2 * change)), track.omega + late * change
+        rotate_attitude(track.attitude, late * (track.omega + late / 2 * change)),
+        track.omega + late * change,
     )
 
 
@@ -228,16 +229,22 @@ def _fitted(
             o, unseen, places, Track(state[0], state[1]), state[2], motion, clock
         ),
         lambda state, step: (*moved(state[:2], step), state[2] + step[1]),
-        bordered,
+        solve_bordered,
         (track.attitude, track.omega, error),
         steps=steps,
         tolerance=tolerance,
         limit=limit,
     )
-    (attitude, omega, error), system, told = found.state, found.system, spread(found.system)
-    fitted = Track(attitude, omega, system.cost, -system.cost - told.log_size / 2, told.nodes)
+    (attitude, omega, error), system, told = (
+        found.state,
+        found.system,
+        invert_bordered(found.system),
+    )
+    fitted = Track(
+        attitude, omega, system.cost, -system.cost - told.log_determinant / 2, told.nodes
+    )
     seen = fitted if clock is None else seen_later(o, fitted, motion, _late(clock, error))
-    return Common(fitted, error, told.border, told.answer, system, seen)
+    return Common(fitted, error, told.border, told.sensitivity, system, seen)
 
 
 Placed = tuple[tuple[Any, slice], ...]
@@ -308,7 +315,7 @@ def _equations(
     error: np.ndarray,
     motion: Motion,
     clock: Clock | None,
-) -> Bordered:
+) -> BorderedSystem:
     """`unseen`: the observations without what was seen of the states themselves."""
     own = error[:, places.inertia].size > 0  # else one body serves all at once
     each = [np.array([k]) for k in range(len(error))] if own else [slice(None)]
@@ -339,7 +346,7 @@ def _equations(
         corner[:, place, place] += matrix[..., 6:, 6:].sum(axis=1)
         error_slope[:, place] += gradient[..., 6:].sum(axis=1)
         cost += part.sum(axis=1)
-    return Bordered(
+    return BorderedSystem(
         cost, diagonal + told, upper, slope, damping_scale(told, o.t_s), border, corner, error_slope
     )
 

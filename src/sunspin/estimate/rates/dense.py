@@ -15,7 +15,7 @@ import numpy.typing as npt
 from sunspin.estimate.rates.motion import Ends, angle_turned, step_with_answer
 from sunspin.estimate.rates.smooth import EVEN, noises
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.solve.rotations import turn, turn_between
+from sunspin.solve.rotations import rotate_attitude, rotation_between
 
 CURVE_RAD, LEAST_INSTANTS, MOST_INSTANTS = 0.1, 50, 6000
 """Between instants of a pass's curve body or rate turn by so much at most, unless that takes more instants than the last number."""
@@ -134,8 +134,8 @@ class Dense:
             track.covariance,
         )
         weight = self.back.weight[:, None]
-        attitude[:, self.new] = turn(
-            self.on.attitude, weight * turn_between(self.on.attitude, self.back.attitude)
+        attitude[:, self.new] = rotate_attitude(
+            self.on.attitude, weight * rotation_between(self.on.attitude, self.back.attitude)
         )
         omega[:, self.new] = self.on.omega + weight * (self.back.omega - self.on.omega)
         spread = bridge(self.share, self.span_s, self.noise, self.rate_noise, self.shares)

@@ -13,8 +13,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.base.provenance import described
-from sunspin.compute.pool import may_fork, processes, worker_count
+from sunspin.base.provenance import with_units
+from sunspin.compute.pool import may_fork, process_pool, worker_count
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
@@ -257,7 +257,7 @@ def rates(
             np.diff(o.t_s[part]).max(),
         )
     _begin(body, (wholes, parts), effort, progress)
-    with processes(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
+    with process_pool(_useful(workers, parts, momenta, vehicle, forces.torques)) as pool:
         spent = Effort(allowed(effort), "rates" if progress is True else None)
         with spent.part(NOISE_SHARE * spent.most) as judged:
             noise, o, wheels = choose(
@@ -497,7 +497,7 @@ def _judged(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
             result = result.assign_attrs(columns_doubt=axes)
         if "columns_doubt" in result.attrs:
             result = result.assign_attrs(NOT_LATE)
-    return described(result.assign_attrs(verdict=verdict(result)))
+    return with_units(result.assign_attrs(verdict=verdict(result)))
 
 
 def _doubted(

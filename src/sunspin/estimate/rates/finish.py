@@ -39,7 +39,7 @@ from sunspin.estimate.rates.spread import with_spread
 from sunspin.estimate.rates.start import aliases
 from sunspin.estimate.rates.state import Motion, Observations, Track, joined
 from sunspin.estimate.terms.term import SUN_N
-from sunspin.solve.rotations import turn_between
+from sunspin.solve.rotations import rotation_between
 
 MAX_MODES = 6
 """Modes reported for each pass."""
@@ -237,7 +237,7 @@ def mixed(members: list[Pass], weights: np.ndarray) -> Pass:
     head = members[0]
     covariance, variance = np.zeros_like(head.track.covariance), np.zeros_like(head.mean_sigma)
     for one, share in zip(members, weights / weights.sum(), strict=True):
-        turned = turn_between(head.track.attitude, one.track.attitude)
+        turned = rotation_between(head.track.attitude, one.track.attitude)
         off = np.concatenate([turned, one.track.omega - head.track.omega], axis=-1)
         covariance += share * (one.track.covariance + off[..., :, None] * off[..., None, :])
         variance += share * (one.mean_sigma**2 + (one.mean - head.mean) ** 2)

@@ -18,10 +18,10 @@ from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.units import (
     BETTER,
     LAGS,
-    TURNS_RIGHT,
-    TURNS_WRONG,
-    carried_by,
-    even_turns,
+    RIGHT_RAD,
+    WRONG_RAD,
+    median_direction_errors,
+    rotations_between_samples,
 )
 from sunspin.vehicle import Vehicle
 
@@ -41,17 +41,22 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     seen = assessment.still_directions
     ways = list(signed_axes())
     read = [rate[:, order] * sign for _, order, sign in ways]
-    even, nutating = [even_turns(time, one) for one in read], None
+    even, nutating = [rotations_between_samples(time, one) for one in read], None
     for lag in LAGS:
-        stated, still = carried_by(time, seen, [even[0], np.zeros_like(even[0])], lag)
-        if stated <= TURNS_WRONG:
+        stated, still = median_direction_errors(time, seen, [even[0], np.zeros_like(even[0])], lag)
+        if stated <= WRONG_RAD:
             continue
         nutating = _nutating(vehicle, telemetry, read) if nutating is None else nutating
         angles = np.min(
-            [carried_by(time, seen, turns, lag) for turns in (even, nutating) if turns], axis=0
+            [
+                median_direction_errors(time, seen, turns, lag)
+                for turns in (even, nutating)
+                if turns
+            ],
+            axis=0,
         )
         least = float(angles.min())
-        if angles[0] > TURNS_WRONG and least < min(TURNS_RIGHT, BETTER * angles[0], BETTER * still):
+        if angles[0] > WRONG_RAD and least < min(RIGHT_RAD, BETTER * angles[0], BETTER * still):
             ties = np.flatnonzero(angles < AS_GOOD * least)
             chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
             what, order, sign = ways[chosen]
@@ -60,7 +65,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
                 others = f"{len(ties) - 1} other{'s' if len(ties) > 2 else ''}"
                 found += f" (as {others} do: a component that stays small may have any sign)"
             instead = _columns_instead(vehicle, telemetry, axes_matrix(order, sign))
-            return f"{found}; {to_write('gyro', gyro.read_as(order, sign))}{instead}"
+            return f"{found}; {to_write('gyro', gyro.keys_for_axes(order, sign))}{instead}"
     return None
 
 

@@ -1,6 +1,6 @@
 """Motions that panels on shared inputs cannot tell apart: mirror images and turned copies of one motion.
 
-Which panel of an input is lit is not told, so a mirror that exchanges its panels changes no reading (`PanelResponse.images`); a
+Which panel of an input is lit is not told, so a mirror that exchanges its panels changes no reading (`PanelResponse.symmetries`); a
 body and its Sun seen in that mirror move by the same laws. The search finds one of such motions and makes the others of it; each
 is then fitted by itself, since inertia, wheels or other sensors may tell them apart after all.
 """

@@ -22,7 +22,7 @@ from sunspin.estimate.effort import spend
 from sunspin.estimate.inertia import inertia_errors, unknown_errors
 from sunspin.estimate.terms.term import SUN_N
 from sunspin.solve.linear import symmetric_inverse
-from sunspin.solve.rotations import cross, matrix_of, turn, turn_between
+from sunspin.solve.rotations import cross, matrix_from_quaternion, rotate_attitude, rotation_between
 from sunspin.vehicle import Vehicle
 
 STEP_ANGLE = 0.4
@@ -127,7 +127,7 @@ class Ends(NamedTuple):
         spread = self.spread()
         if self.directions is None:
             return spread
-        matrices = turn(np.eye(3), angles_B)
+        matrices = rotate_attitude(np.eye(3), angles_B)
         parts = self.directions.reshape(*self.directions.shape[:-1], -1, 3)
         made = np.einsum("mij,...aj->m...ai", matrices, parts)
         return spread._replace(directions=made.reshape(len(matrices), *self.directions.shape))
@@ -171,7 +171,7 @@ def _sphere(
     still = np.broadcast_to(np.eye(3), (*omega.shape, 3))
     size = dt[..., None]
     if field is None or field_end is None or not np.any(body.dipole):
-        return turn(still, omega * size), omega.copy()
+        return rotate_attitude(still, omega * size), omega.copy()
     first, change = cross(body.dipole, field), cross(body.dipole, field_end - field)
 
     def rate(s: float) -> np.ndarray:
@@ -181,7 +181,9 @@ def _sphere(
     for start in (0.0, 0.5):
         a, b = (rate(start + 0.25 * (1 + sign / np.sqrt(3))) for sign in (-1, 1))
         half = size / 2
-        matrix = turn(matrix, half / 2 * (a + b) - np.sqrt(3) / 12 * half**2 * cross(b, a))
+        matrix = rotate_attitude(
+            matrix, half / 2 * (a + b) - np.sqrt(3) / 12 * half**2 * cross(b, a)
+        )
     return matrix, rate(1.0)
 
 
@@ -247,7 +249,7 @@ def _runge_kutta(
     y[lost], q[lost] = LOST_MOMENTUM, (0.0, 0.0, 0.0, 1.0)
     p = g.Parameters(tuple(symmetric_inverse(body.inertia)), tuple(held_end.T), ())
     rate = np.stack(g.body_rate(y[:, :3].T, (), p), axis=-1)
-    return matrix_of(q).reshape(*omega.shape, 3), rate.reshape(omega.shape)
+    return matrix_from_quaternion(q).reshape(*omega.shape, 3), rate.reshape(omega.shape)
 
 
 def load(body: Body) -> None:
@@ -290,7 +292,7 @@ def step_with_answer(
     answer = np.zeros((*omega.shape[:-1], 6, 6))
     answer[..., :3, :3] = matrix[0]  # a turn at the start is the same turn in the axes of the end
     answer[..., :3, 3:] = np.moveaxis(
-        turn_between(matrix[0], matrix[1:]) * size / DIFFERENCE, 0, -1
+        rotation_between(matrix[0], matrix[1:]) * size / DIFFERENCE, 0, -1
     )
     answer[..., 3:, 3:] = np.moveaxis((rate[1:] - rate[0]) * size / DIFFERENCE, 0, -1)
     if ends.directions is not None:
@@ -315,5 +317,7 @@ def _add_turns(
         body, many, np.broadcast_to(dt, many.shape[:-1]), ends.turned(small), counts
     )
     for k in range(3):
-        answer[..., :3, k] = turn_between(matrix, ended[k] @ turn(np.eye(3), small[k])) / DIFFERENCE
+        answer[..., :3, k] = (
+            rotation_between(matrix, ended[k] @ rotate_attitude(np.eye(3), small[k])) / DIFFERENCE
+        )
         answer[..., 3:, k] = (rates[k] - rate) / DIFFERENCE

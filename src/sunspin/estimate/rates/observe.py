@@ -17,7 +17,7 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import read_terms, sun_source
 from sunspin.estimate.terms.sun_direction import UNREAD
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, came_late
+from sunspin.telemetry.quality import EMPTY, IDLE, LATE, STALE, find_late_frames
 from sunspin.telemetry.repeats import GAP_FACTOR
 from sunspin.vehicle import Vehicle
 
@@ -87,7 +87,7 @@ def observations(
             why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
     if source != "panels":
         why[assessment.repeats.frozen] = STALE
-    why[came_late(telemetry)] = LATE
+    why[find_late_frames(telemetry)] = LATE
     return Observations(t, np.zeros((len(t), 3)), terms), why, source
 
 

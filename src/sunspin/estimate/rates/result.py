@@ -33,7 +33,7 @@ from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.sensors import SENSORS
 from sunspin.estimate.verdict import answers, misfit
 from sunspin.estimate.wheel_speeds import untold
-from sunspin.solve.rotations import continuous
+from sunspin.solve.rotations import without_sign_jumps
 from sunspin.telemetry.gains import FAINT
 
 DECIDED = 0.9
@@ -64,7 +64,7 @@ def dataset_of(
     pass_of = np.repeat(np.arange(len(found)), [len(p.index) for p in found])
     spread = np.array([_spread(*mean, p.weight) for mean, p in zip(means, found, strict=True)])
     sun_sigma = _sun_sigma(sun, covariance[:, :3, :3])
-    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.said) | {
+    attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": source,
         "acceleration_noise": motion.noise,
         "max_rate_rad_s": rate_max,
@@ -92,7 +92,7 @@ def dataset_of(
     attrs |= {f"{sensor.name}_used": int(sensor.name in read) for sensor in SENSORS}
     attrs["wheels_untold"] = "" if attrs["gyro_used"] else ", ".join(untold(vehicle, telemetry))
     mean, sigma = (padded(values) for values in zip(*means, strict=True))
-    quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), pass_of)
+    quaternion = without_sign_jumps(Rotation.from_matrix(attitude).as_quat(), pass_of)
     each = ("pass_id", "solution")
     result = xr.Dataset(
         {
@@ -142,7 +142,7 @@ def with_curves(
     )
     sigma = np.sqrt(np.einsum("nii->ni", covariance[:, 3:, 3:]))
     pass_of = np.repeat(np.arange(len(found)), [len(t) for t, _ in each])
-    quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), pass_of)
+    quaternion = without_sign_jumps(Rotation.from_matrix(attitude).as_quat(), pass_of)
     return result.assign(
         curve_omega_B=(("curve_time", "axis"), omega),
         curve_omega_sigma_B=(("curve_time", "axis"), sigma),
@@ -179,7 +179,9 @@ def in_space(
         attitude = Rotation.from_quat(result[name].values).as_matrix() @ local.N_from_J2000(
             result[time].values
         )
-        quaternion = continuous(Rotation.from_matrix(attitude).as_quat(), result[part].values)
+        quaternion = without_sign_jumps(
+            Rotation.from_matrix(attitude).as_quat(), result[part].values
+        )
         turned[name] = (time, "quaternion"), quaternion, {"units": "1"}
     return result.assign(turned).assign_attrs(frame_N=J2000)
 

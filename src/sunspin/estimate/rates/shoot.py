@@ -12,8 +12,8 @@ from sunspin.estimate.rates.motion import step, step_with_answer
 from sunspin.estimate.rates.smooth import followed, free_turn, measured
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.solve.least_squares import least_squares
-from sunspin.solve.linear import Dense, dense
-from sunspin.solve.rotations import turn
+from sunspin.solve.linear import DenseSystem, solve_dense
+from sunspin.solve.rotations import rotate_attitude
 
 CROWD = 4000
 """Starts moved at once, so that their numbers stay in the processor's cache."""
@@ -39,12 +39,15 @@ def shot(o: Observations, index: int, track: Track, motion: Motion, steps: int) 
     """Attitude and rate at sample `index` of K hypotheses, fitted; returns them with their cost."""
     found = least_squares(
         lambda state: _equations(o, index, state[0], state[1], motion),
-        lambda state, step: (turn(state[0], step[:, :3]), followed(state[1] + step[:, 3:], motion)),
-        dense,
+        lambda state, step: (
+            rotate_attitude(state[0], step[:, :3]),
+            followed(state[1] + step[:, 3:], motion),
+        ),
+        solve_dense,
         (track.attitude[:, index], track.omega[:, index]),
         steps=steps,
     )
-    attitude, omega = found.system.kept
+    attitude, omega = found.system.extras
     return Track(attitude, omega, found.system.cost)
 
 
@@ -55,7 +58,7 @@ def _ways(index: int, n: int) -> list[tuple[int, int]]:
 
 def _equations(
     o: Observations, index: int, attitude: np.ndarray, omega: np.ndarray, motion: Motion
-) -> Dense:
+) -> DenseSystem:
     """Those of turn and rate (6) at sample `index`; kept are attitudes and rates at all samples."""
     k, n = len(omega), len(o)
     track = Track(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
@@ -77,4 +80,4 @@ def _equations(
     matrix[:, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 3:] += omega / motion.rate_prior**2
     total = cost.sum(axis=1) + (omega**2).sum(axis=1) / (2 * motion.rate_prior**2)
-    return Dense(total, matrix, slope, kept=(track.attitude, track.omega))
+    return DenseSystem(total, matrix, slope, extras=(track.attitude, track.omega))

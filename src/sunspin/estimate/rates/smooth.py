@@ -18,9 +18,9 @@ import numpy.typing as npt
 from sunspin.estimate.rates.motion import Body, Ends, step_with_answer
 from sunspin.estimate.rates.state import Motion, Observations, Track
 from sunspin.estimate.terms.term import Seen, normal, student
-from sunspin.solve.least_squares import least_squares, shortened
-from sunspin.solve.linear import Bordered, bordered, spread
-from sunspin.solve.rotations import turn, turn_between
+from sunspin.solve.least_squares import least_squares, limit_length
+from sunspin.solve.linear import BorderedSystem, invert_bordered, solve_bordered
+from sunspin.solve.rotations import rotate_attitude, rotation_between
 
 RATE_LIMIT = 4.0
 """No trial rate exceeds this many times the prior's sigma (twice the largest rate of the search)."""
@@ -91,7 +91,9 @@ class Intervals(NamedTuple):
 
     def defect(self, omega: np.ndarray, made: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Turns and rates as they are less as the motion makes them (K, n-1, 6), in sigmas."""
-        defect = np.concatenate([turn_between(made, self.relative), omega[:, 1:] - rate], axis=-1)
+        defect = np.concatenate(
+            [rotation_between(made, self.relative), omega[:, 1:] - rate], axis=-1
+        )
         return np.einsum("nij,knj->kni", self.white, defect)
 
 
@@ -166,7 +168,7 @@ def cost_limit(o: Observations) -> float:
 
 def normal_equations(
     o: Observations, track: Track, motion: Motion, tied: Tied | None = None
-) -> Bordered:
+) -> BorderedSystem:
     """Those of the whole pass, a node of turn and rate (6) at each sample, without errors in common; `tied`: as `between` says."""
     diagonal, slope, cost = measured(o, track)
     damping = damping_scale(diagonal, o.t_s)
@@ -181,7 +183,7 @@ def normal_equations(
     diagonal[:, 0, 3:, 3:] += np.eye(3) / motion.rate_prior**2
     slope[:, 0, 3:] += track.omega[:, 0] / motion.rate_prior**2
     total += (track.omega[:, 0] ** 2).sum(axis=1) / (2 * motion.rate_prior**2)
-    return Bordered(total, diagonal, upper, slope, damping)
+    return BorderedSystem(total, diagonal, upper, slope, damping)
 
 
 def free_turn(o: Observations, sun_B: np.ndarray) -> np.ndarray:
@@ -206,14 +208,18 @@ def smooth(o: Observations, track: Track, motion: Motion, steps: int = 8) -> Tra
     found = least_squares(
         lambda state: normal_equations(o, Track(state[0], state[1]), motion),
         moved,
-        bordered,
+        solve_bordered,
         (track.attitude, track.omega),
         steps=steps,
         limit=lambda state: (state[0], followed(state[1], motion)),
     )
-    (attitude, omega), told = found.state, spread(found.system)
+    (attitude, omega), told = found.state, invert_bordered(found.system)
     return Track(
-        attitude, omega, found.system.cost, -found.system.cost - told.log_size / 2, told.nodes
+        attitude,
+        omega,
+        found.system.cost,
+        -found.system.cost - told.log_determinant / 2,
+        told.nodes,
     )
 
 
@@ -221,9 +227,9 @@ def moved(
     state: tuple[np.ndarray, np.ndarray], step: tuple[np.ndarray, None]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Attitudes and rates after a step of turns and rates."""
-    return turn(state[0], step[0][..., :3]), state[1] + step[0][..., 3:]
+    return rotate_attitude(state[0], step[0][..., :3]), state[1] + step[0][..., 3:]
 
 
 def followed(omega: np.ndarray, motion: Motion) -> np.ndarray:
     """Trial rates (..., 3) no larger than the integration can follow: a step far out of the basin must not overflow."""
-    return shortened(omega, RATE_LIMIT * motion.rate_prior)
+    return limit_length(omega, RATE_LIMIT * motion.rate_prior)

@@ -14,7 +14,7 @@ import numpy as np
 
 from sunspin.estimate.rates.common_errors import Clock, Common, places_of, sun_part
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.solve.linear import bordered
+from sunspin.solve.linear import solve_bordered
 
 
 def with_spread(
@@ -27,9 +27,9 @@ def with_spread(
 
     def answer(slope: np.ndarray, error_slope: np.ndarray | float = 0.0) -> np.ndarray:
         downhill = error_slope + np.zeros_like(system.border_slope)
-        return bordered(system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope)))[
-            0
-        ][0]
+        return solve_bordered(
+            system._replace(slope=slope, border_slope=downhill), np.zeros(len(slope))
+        )[0][0]
 
     def slopes(other: Observations) -> tuple[np.ndarray, np.ndarray]:
         part = sun_part(other, places_of(other, motion, clock), track, common.error, motion, clock)

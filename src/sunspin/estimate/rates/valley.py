@@ -12,7 +12,7 @@ import numpy as np
 
 from sunspin.estimate.rates.shoot import carried
 from sunspin.estimate.rates.state import Motion, Observations, Track
-from sunspin.solve.rotations import turn
+from sunspin.solve.rotations import rotate_attitude
 
 BASIN_RAD = 0.35
 """A start ends in the motion that turns the body by less than this otherwise, at all samples of its window."""
@@ -56,6 +56,6 @@ def neighbours(o: Observations, track: Track, motion: Motion) -> Track:
     steps = [np.concatenate([np.arange(1, n + 1), -np.arange(1, n + 1)]) for n in on_each_side]
     change = spacing * np.concatenate([np.zeros(0), *steps])[:MOST, None]
     omega = track.omega[which, middle] + change * axis[which]
-    attitude = turn(track.attitude[which, middle], change * turn_per_rate[which])
+    attitude = rotate_attitude(track.attitude[which, middle], change * turn_per_rate[which])
     slow = np.linalg.norm(omega, axis=1) < 2 * motion.rate_prior
     return carried(o, middle, attitude[slow], omega[slow], motion)

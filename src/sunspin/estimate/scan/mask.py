@@ -34,9 +34,9 @@ def reconstructible_mask(vehicle: Vehicle) -> Mask:
         )
         for some in (wanted, unwanted)
     )
-    return vehicle.response_in().counted(good, bad)
+    return vehicle.response_in().direction_set(good, bad)
 
 
 def allows(mask: Mask, sun_B: np.ndarray) -> np.ndarray:
     """Whether the mask allows each direction sun_B (..., 3)."""
-    return mask.holds(np.asarray(sun_B))
+    return mask.contains(np.asarray(sun_B))

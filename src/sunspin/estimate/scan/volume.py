@@ -184,7 +184,7 @@ def volume(
         dims=dims,
         coords={**axes, "outcome": (dims, values["outcome"].reshape(start.shape), flags)},
         name=name,
-        attrs=provenance("scan", **vehicle.said)
+        attrs=provenance("scan", **vehicle.result_attributes)
         | {
             "units": "1",
             "mask": str(rows.mask),

@@ -10,7 +10,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.terms.term import PairTerm
-from sunspin.solve.rotations import turn_between
+from sunspin.solve.rotations import rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES
 
@@ -72,7 +72,7 @@ class Attitude(PairTerm):
             np.eye(3),
         )
         inverse = np.where(pair, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
-        value = turn_between(np.broadcast_to(given, relative.shape), relative) * inverse
+        value = rotation_between(np.broadcast_to(given, relative.shape), relative) * inverse
         first, second = np.zeros((*value.shape, 6)), np.zeros((*value.shape, 6))
         second[..., :3] = np.eye(3) * inverse[..., None]
         first[..., :3] = -relative * inverse[..., None]

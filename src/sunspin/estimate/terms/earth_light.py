@@ -120,7 +120,7 @@ class EarthLight:
         beam_N = beam_N if self.known_N is None else beam_N + self.known_N
         beam = (attitude @ beam_N[..., None])[..., 0]
         size = np.maximum(np.linalg.norm(beam, axis=-1), LEAST_BEAM)
-        more, to_beam = response.disc(beam / size[..., None], size)
+        more, to_beam = response.earthlight(beam / size[..., None], size)
         more, to_beam = more * gain, to_beam * gain[..., None]
         own = np.einsum("knpj,knji,nmi->knpm", to_beam, attitude, self.beam_N)
         zeros = np.broadcast_to(np.diag(self.zeros), (*more.shape, len(self.zeros)))

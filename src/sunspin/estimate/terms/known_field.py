@@ -14,7 +14,7 @@ import numpy as np
 
 from sunspin.estimate.terms.sun_direction import SunDirection
 from sunspin.estimate.terms.term import Residual, Seen, StateTerm, Unknown, facing
-from sunspin.solve.rotations import cross_matrix, smallest_turn
+from sunspin.solve.rotations import cross_matrix, rotate_by_smallest
 
 MOST_OFF = 0.2
 """Error of a sensor's zero and matrix, as a part of the field, beyond which a search takes its directions for no worse."""
@@ -66,7 +66,7 @@ class KnownField(StateTerm):
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
         made = [facing(unit[0]).T]
         for before, after in zip(unit, unit[1:], strict=False):
-            back = smallest_turn(
+            back = rotate_by_smallest(
                 np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3)
             ).T  # takes the new direction to the old
             made.append(made[-1] @ back)

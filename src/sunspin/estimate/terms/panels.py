@@ -17,7 +17,7 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.terms import gains
 from sunspin.estimate.terms.earth_light import EarthLight, pairs_differing
 from sunspin.estimate.terms.term import Residual, Seen, SunTerm, Unknown, normal
-from sunspin.solve.rotations import cross_matrix, seen_turned
+from sunspin.solve.rotations import components_after_rotation, cross_matrix
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.gains import FAINT
 from sunspin.telemetry.quality import LIMITED_SCALE
@@ -234,10 +234,14 @@ class Panels(SunTerm):
         around = sphere(LOOKS)
         mirrored = around - 2 * (around @ axes[2])[:, None] * axes[2]
         change = self.response.power(mirrored) - self.response.power(around)
-        return axes[2] if np.abs(change[:, seeing]).max() < FLAT * self.response.largest else None
+        return (
+            axes[2]
+            if np.abs(change[:, seeing]).max() < FLAT * self.response.largest_power
+            else None
+        )
 
     def images(self) -> np.ndarray:
-        return self.response.images
+        return self.response.symmetries
 
     def wider(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         return replace(
@@ -362,8 +366,10 @@ class Panels(SunTerm):
             if not shift:
                 sun, moves = seen.sun_B, across
             else:
-                sun = seen_turned(seen.sun_B, shift * seen.omega)
-                moves = seen_turned(np.swapaxes(across, -1, -2), shift * seen.omega[..., None, :])
+                sun = components_after_rotation(seen.sun_B, shift * seen.omega)
+                moves = components_after_rotation(
+                    np.swapaxes(across, -1, -2), shift * seen.omega[..., None, :]
+                )
                 moves = np.swapaxes(moves, -1, -2)
             part, to_sun, _ = self.response.slopes(sun, gain=gain)
             light, to_turn = light + weight * part, to_turn + weight[:, None] * (to_sun @ moves)

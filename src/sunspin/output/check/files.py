@@ -14,7 +14,7 @@ from sunspin.output.kinds.panels import health_lines, health_summary
 from sunspin.output.kinds.telemetry import status_counts, status_lines
 from sunspin.output.text import counted
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.health import NOISE, made_by
+from sunspin.telemetry.health import NOISE, find_cause_without_loss
 from sunspin.telemetry.reader import FLAGS, read_telemetry
 from sunspin.telemetry.sun import reconstructible_patterns
 from sunspin.vehicle import Vehicle
@@ -54,7 +54,7 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
             for channel in craft.channels
         )
         summary["channels"] = {channel.name: list(channel.panels) for channel in craft.channels}
-        copies = len(craft.response_in().images)
+        copies = len(craft.response_in().symmetries)
         alike = f", so each sample allows {copies} Sun directions" if copies > 1 else ""
         lines += [f"  shared inputs: {about}. The readings do not show which panel is lit{alike}"]
     bare = summary["without_source"]
@@ -125,7 +125,7 @@ def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     sun, quality = assessment.sun, assessment.quality
     health = health_summary(assessment.health)
     looked_at = -(-assessment.telemetry.sizes["time"] // assessment.health_stride)
-    without_loss = made_by(assessment.health, looked_at)
+    without_loss = find_cause_without_loss(assessment.health, looked_at)
     missed = quality["panel"].values[quality["missed"].values].tolist()
     if missed and health["impossible"] and without_loss != NOISE:
         # patterns may blame another where panels are turned

@@ -57,7 +57,7 @@ def _named(summary: dict[str, Any]) -> str:
 
 def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
     time = samples["time"].values
-    middle = orbit.instants(time).middle
+    middle = orbit.instants(time).middle_jd
     elements = nearest(orbit.elements, middle)
     day, fraction = elements.epoch_jd
     summary = {

@@ -11,11 +11,11 @@ from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
 from sunspin.output.text import counted, size_text, with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
-from sunspin.telemetry.quality import SURELY_LIT, reasons
+from sunspin.telemetry.quality import SURELY_LIT, count_reasons
 from sunspin.telemetry.sun import LIT_SIGMAS, SunStatus, signals
 from sunspin.telemetry.units import reading_unit
 from sunspin.vehicle import Vehicle
-from sunspin.vehicle.file import line_of, vehicle_text
+from sunspin.vehicle.file import find_line, read_vehicle_text
 from sunspin.vehicle.sensors import VARIABLES
 
 SHOWN = 30
@@ -32,7 +32,7 @@ def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str
     for wrong in assessment.wrong_units:
         line, key = None, wrong.key.split(" or ")[0].split(",")[0]
         if vehicle is not None:
-            line = line_of(vehicle_text(vehicle), wrong.table, key)
+            line = find_line(read_vehicle_text(vehicle), wrong.table, key)
         units.append(wrong.at(f", line {line[0]} ({line[1][:60]}),") if line else str(wrong))
     unused = [name for name in samples.attrs["unused_columns"].split(", ") if name]
     missing = [name for name in samples.attrs["missing_sensors"].split("; ") if name]
@@ -100,7 +100,7 @@ def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any]
 
 def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     craft, quality = assessment.vehicle, assessment.quality
-    why = reasons(quality)
+    why = count_reasons(quality)
     names = quality["panel"].values.astype(str)
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()

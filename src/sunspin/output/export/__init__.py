@@ -26,7 +26,7 @@ from sunspin.dynamics.curve import CURVE_RAD, MOST_INSTANTS, rotations
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.environment.frames import BODY_AT_START, FIELD_Z_LOCAL, J2000, SUN_Z_LOCAL
 from sunspin.output.folder import as_written, read_manifest, write_netcdf, write_whole
-from sunspin.solve.rotations import continuous
+from sunspin.solve.rotations import without_sign_jumps
 
 LOCAL_FRAME = "SUNSPIN_LOCAL"
 """Name of a frame whose orientation in space is not known."""
@@ -217,7 +217,7 @@ class Motion(NamedTuple):
         # the rate from dq/dt: the same equation, solved for it
         omega = q[:, 3:] * change[:, :3] - change[:, 3:] * q[:, :3]
         omega = -2 * (omega - np.cross(change[:, :3], q[:, :3]))
-        return Motion(t_s, continuous(q, pass_of), omega, pass_of)
+        return Motion(t_s, without_sign_jumps(q, pass_of), omega, pass_of)
 
 
 def _motion_of(data: xr.Dataset, prefix: str = "") -> Motion:
@@ -241,7 +241,7 @@ def _motion_of(data: xr.Dataset, prefix: str = "") -> Motion:
     ):
         if not np.all(right):
             raise InputError(f"{what} in these results", do="run the command again")
-    return Motion(t, continuous(quaternion / size[:, None], pass_of), omega, pass_of)
+    return Motion(t, without_sign_jumps(quaternion / size[:, None], pass_of), omega, pass_of)
 
 
 def _with_curve(data: xr.Dataset, samples: Motion) -> Motion:
@@ -262,7 +262,7 @@ def _with_curve(data: xr.Dataset, samples: Motion) -> Motion:
         apart = distance > TOGETHER * usual
         both = [np.concatenate([a, b[apart]]) for a, b in zip(samples, curve, strict=True)]
         motion = Motion(*(each[np.argsort(both[0], kind="stable")] for each in both))
-        motion = motion._replace(quaternion=continuous(motion.quaternion, motion.pass_of))
+        motion = motion._replace(quaternion=without_sign_jumps(motion.quaternion, motion.pass_of))
     rotation = motion.rotations()
     largest = rotation.max(initial=0.0)
     if largest <= LARGEST_STEP_RAD:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sunspin.base.errors import InputError
-from sunspin.base.untrusted import Elsewhere, elsewhere, is_plain
+from sunspin.base.untrusted import IsolatedRunError, is_nonempty_file, run_isolated
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import attitude_of, read_results
 from sunspin.output.export.ck import ephemeris_time, spice
@@ -38,14 +38,14 @@ def against_kernels(
     attitude = attitude_of(read_results(folder)[0], None, epoch)
     paths = [str(path) for path in kernels]
     for path in paths:
-        if not (path.isprintable() and is_plain(Path(path))):
+        if not (path.isprintable() and is_nonempty_file(Path(path))):
             what = "the kernels cannot be used, as there is no such file"
             raise InputError(what, got=path, do="give the paths of SPICE kernels")
     script, et = Path(__file__).with_name("spice_rates.py"), ephemeris_time(attitude.utc)
     # in another process: of 2,000 damaged kernels 1 ended this one (`validation corrupt --unguarded --only kernel.bc`)
     try:
-        read = elsewhere(script, frame, base, *paths, seconds=KERNEL_S, content=et.tobytes())
-    except Elsewhere as error:
+        read = run_isolated(script, frame, base, *paths, seconds=KERNEL_S, content=et.tobytes())
+    except IsolatedRunError as error:
         what = f"the kernels cannot be used ({error})"
         raise InputError(what, got=", ".join(paths)) from None
     rates = np.frombuffer(read, dtype=np.float64).reshape(-1, 3)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.landing.tally import explained, facts_of, weightings
+from sunspin.landing.tally import read_explained_share, read_facts, read_weightings
 from sunspin.output.figures import ABOVE, COLOURS, axes_grid, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import with_sigma
@@ -15,7 +15,7 @@ from sunspin.output.text import with_sigma
 
 def collision_summary(runs: Any) -> Summary:
     """How many collisions come near the trajectory's speeds, and rates and periods under each weighting."""
-    table, near = weightings(runs), explained(runs)
+    table, near = read_weightings(runs), read_explained_share(runs)
     lines = [f"collision: {with_sigma(*near)} of the runs come near the kernel's jump and speed"]
     for row in table:
         rates = (row[name] for name in ("rate_before", "rate_after"))
@@ -24,7 +24,7 @@ def collision_summary(runs: Any) -> Summary:
             f"  {row['name']}: effective sample size {row['effective_runs']:.0f}, rate before {before}, after {after}, "
             f"median period after {row['median_period_after']:.1f} s"
         )
-    return Summary({"facts": facts_of(runs), "explained": near, "table": table}, lines)
+    return Summary({"facts": read_facts(runs), "explained": near, "table": table}, lines)
 
 
 def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
@@ -40,7 +40,7 @@ def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
 def collision_figure(runs: Any) -> Any:
     """Simulated collisions against the kernel's speeds, and angular speeds after it as drawn and as weighted."""
     figure, (left, right) = axes_grid(11, 4.4, 1, 2, "The collision")
-    facts, sigma = facts_of(runs), runs.attrs["sigma_m_s"]
+    facts, sigma = read_facts(runs), runs.attrs["sigma_m_s"]
     change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
     known = np.isfinite(speed)
     style = {"gridsize": 45, "cmap": "cividis", "mincnt": 1, "linewidth": 0}

@@ -80,7 +80,7 @@ def _motion(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[str
     to_scene = _scene(attitude[0], sun[0], axis) * attitude.inv()
     vertices, faces, owner, size = _shape(vehicle)
     toward_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
-    light = vehicle.panels_in().power(toward_sun) / vehicle.panel_gains
+    light = vehicle.response_of_panels().power(toward_sun) / vehicle.panel_gains
     wheels = np.zeros((len(at), 0))
     if "wheel_speed_rad_s" in run:
         wheels = run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)

@@ -1,1 +1,1 @@
-"""Raw frames of satellites into rows, a decoder a file."""
+"""Decoders that turn raw frames of satellites into rows; one module for each format."""

@@ -1,8 +1,8 @@
 """Decoder of skCUBE's raw beacons: as published by the collector of ground station OM3KAA, or as exported from SatNOGS DB.
 
-The collector has one file per frame, named ``<unix receive time>_<station>_...``, in a folder or a zip: a KISS frame with an AX.25
-header of 16 bytes, a type byte and little-endian fields. Field lists: repository yangwao/skCube-data-collector (MIT licence).
-SatNOGS's frames are AX.25 without KISS.
+The collector has one file per frame, named ``<unix receive time>_<station>_...``, in a folder or a zip archive. A file is a KISS
+frame with an AX.25 header of 16 bytes, a type byte and little-endian fields. Field lists: repository yangwao/skCube-data-collector
+(MIT licence). Frames of SatNOGS are AX.25 without KISS.
 """
 
 from __future__ import annotations
@@ -20,15 +20,20 @@ from typing import Any, NamedTuple
 from sunspin.base.cells import plain_cell
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import read_table
-from sunspin.base.untrusted import is_plain
+from sunspin.base.untrusted import is_nonempty_file
 from sunspin.telemetry.times import parse_utc
 
 FACES = ("Xp", "Xm", "Yp", "Ym", "Zp", "Zm")
+"""Sides of the body in the order of the Sun sensors' fields."""
+
 SOLAR = ("Yp", "Xp", "Ym", "Xm", "Zp", "Zm")
+"""Sides of the body in the order of the solar panels' fields."""
+
 KISS_BYTES, AX25_BYTES = 2, 16
-"""FEND and the KISS command; the AX.25 header before the type byte."""
+"""Lengths of the KISS header (FEND and command) and of the AX.25 header before the type byte."""
 
 MAX_FRAMES, MAX_FRAME_BYTES = 1_000_000, 4096
+"""Largest number of frames, and of bytes in a frame, that are read."""
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -94,38 +99,48 @@ KINDS: dict[str, tuple[struct.Struct, tuple[str, ...]]] = {
         ),
     ),
 }
-"""Types of beacons whose fields are published: their binary form, and the names of the fields."""
+"""Kinds of beacons whose fields are published: their binary layout, and the names of the fields."""
 
 TYPES = {0x01: "CDHS", 0x02: "ADCS", 0x03: "COM", 0x05: "PWR"}
+"""Type byte -> kind of beacon."""
 
 OTHER = "other"
-"""What is none of these: written as it came."""
+"""Kind of all beacons with another type byte, whose content is written in hexadecimal digits."""
 
 
 class Beacons(NamedTuple):
-    """Decoded beacons: of each kind rows of (unix time, station, fields as `KINDS` has them, of `OTHER` in hexadecimal digits),
-    and how many frames could not be read, by reason."""
+    """Decoded beacons, and the frames that could not be read.
+
+    `rows`: kind -> rows of receive time (unix s), station, and fields in the order of `KINDS` (of `OTHER`: one field of hexadecimal
+    digits). `unread`: reason -> number of frames.
+    """
 
     rows: dict[str, list[tuple[float, str, tuple[Any, ...]]]]
     unread: dict[str, int]
 
     @property
     def kinds(self) -> dict[str, int]:
-        """How many frames of each kind there are."""
+        """Number of frames of each kind."""
         return {kind: len(rows) for kind, rows in self.rows.items()}
 
 
-Frame = tuple[float | None, str, bytes]
-"""When (unix s) and where a frame was received, None and empty where its name does not say; its content from the type byte on."""
+class Frame(NamedTuple):
+    """A raw frame: receive time (unix s, None if unknown), station (empty if unknown) and content from the type byte on."""
+
+    time: float | None
+    station: str
+    content: bytes
 
 
 def unescape(frame: bytes) -> bytes:
-    """A KISS frame without its escapes (DB DC is C0, DB DD is DB)."""
+    """Return a KISS frame without its escapes (DB DC stands for C0, DB DD for DB)."""
     return re.sub(b"\xdb([\xdc\xdd])", lambda m: b"\xc0" if m[1] == b"\xdc" else b"\xdb", frame)
 
 
 def decode_beacons(path: Any) -> Beacons:
-    """Return all raw frames of a folder, a zip or a SatNOGS export, oldest first; a frame that cannot be read is counted.
+    """Decode all raw frames of a folder, a zip archive or a SatNOGS export; rows are sorted by receive time.
+
+    A frame that cannot be decoded is counted in `Beacons.unread`.
 
     Raises
     ------
@@ -134,7 +149,7 @@ def decode_beacons(path: Any) -> Beacons:
     """
     rows: dict[str, list[tuple[float, str, tuple[Any, ...]]]] = {}
     unread: Counter[str] = Counter()
-    for time, station, content in _frames(Path(path)):
+    for time, station, content in _read_frames(Path(path)):
         kind = TYPES.get(content[0], OTHER) if content else ""
         if time is None:
             unread["the name has no receive time"] += 1
@@ -163,7 +178,7 @@ def decode_beacons(path: Any) -> Beacons:
 
 
 def beacons_csv(beacons: Beacons, kind: str) -> str:
-    """The beacons of a kind as CSV; that of the attitude and power beacons is what the built-in vehicle reads."""
+    """Return the beacons of a kind as CSV text; the built-in vehicle skCUBE reads that of the kinds ADCS and PWR."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["unix_s_rx", "station", *(KINDS[kind][1] if kind in KINDS else ("frame",))])
@@ -174,48 +189,54 @@ def beacons_csv(beacons: Beacons, kind: str) -> str:
     return text.getvalue()
 
 
-def _frames(path: Path) -> Iterator[Frame]:
+def _read_frames(path: Path) -> Iterator[Frame]:
+    """Yield the frames of a folder, a SatNOGS export or a zip archive."""
     if path.is_dir():
-        for file in sorted(entry for entry in path.iterdir() if is_plain(entry))[:MAX_FRAMES]:
+        for file in sorted(entry for entry in path.iterdir() if is_nonempty_file(entry))[
+            :MAX_FRAMES
+        ]:
             with open(file, "rb") as stream:
-                yield _of_collector(file.name, stream.read(MAX_FRAME_BYTES))
-    elif is_plain(path) and _begins(path)[:1] in b"0123456789{[":
-        yield from _of_satnogs(path)
+                yield _parse_collector_frame(file.name, stream.read(MAX_FRAME_BYTES))
+    # exports of SatNOGS are CSV, which begins with a date, or JSON; a zip archive begins with "PK"
+    elif is_nonempty_file(path) and _read_first_byte(path) in b"0123456789{[":
+        yield from _read_satnogs_frames(path)
     else:
-        yield from _zipped(path)
+        yield from _read_zip_frames(path)
 
 
-def _begins(path: Path) -> bytes:
+def _read_first_byte(path: Path) -> bytes:
     with open(path, "rb") as stream:
-        return stream.read(4)
+        return stream.read(1)
 
 
-def _zipped(path: Path) -> Iterator[Frame]:
+def _read_zip_frames(path: Path) -> Iterator[Frame]:
+    """Yield the frames of a zip archive of the collector; raise a `TelemetryError` if it cannot be read."""
     try:
-        if not is_plain(path):
+        if not is_nonempty_file(path):
             raise OSError("no such file, or it is empty, a device or a pipe")
         with zipfile.ZipFile(path) as archive:
             for info in archive.infolist()[:MAX_FRAMES]:
                 if not info.is_dir():
                     with archive.open(info) as stream:
-                        yield _of_collector(Path(info.filename).name, stream.read(MAX_FRAME_BYTES))
-    except (
-        Exception
-    ) as error:  # what zipfile raises on a damaged archive is not documented, and is much
+                        content = stream.read(MAX_FRAME_BYTES)
+                    yield _parse_collector_frame(Path(info.filename).name, content)
+    # on damaged archives zipfile raises many exceptions, which are not documented
+    except Exception as error:
         do = "give a folder or a zip of raw frames, or SatNOGS's export of them"
         raise TelemetryError(
             f"the raw beacons cannot be read ({error})", do=do, where=str(path)
         ) from None
 
 
-def _of_collector(name: str, frame: bytes) -> Frame:
-    named = re.match(r"([0-9]{9,11})_([A-Za-z0-9]+)", name)
+def _parse_collector_frame(name: str, frame: bytes) -> Frame:
+    """Return a frame of the collector, with time and station from the name of its file."""
+    match = re.match(r"([0-9]{9,11})_([A-Za-z0-9]+)", name)
     content = unescape(frame)[KISS_BYTES + AX25_BYTES :]
-    return (None, "", content) if named is None else (int(named[1]), named[2], content)
+    return Frame(None, "", content) if match is None else Frame(int(match[1]), match[2], content)
 
 
-def _of_satnogs(path: Path) -> Iterator[Frame]:
-    """Frames of SatNOGS DB, as its website exports them or its interface gives them (`timestamp`, `frame`, `observer`)."""
+def _read_satnogs_frames(path: Path) -> Iterator[Frame]:
+    """Yield the frames of an export of SatNOGS DB, from its website or its interface (`timestamp`, `frame`, `observer`)."""
     table = read_table(path)
     if not {"timestamp", "frame"} <= set(table.header):
         what = "raw frames of SatNOGS have a time and a frame each"
@@ -230,4 +251,5 @@ def _of_satnogs(path: Path) -> Iterator[Frame]:
             got = frame[:60] or "an empty cell"
             raise TelemetryError(what, got=got, where=where) from None
         station = row.get("observer", "")
-        yield None if moment is None else moment.timestamp(), station, content[AX25_BYTES:]
+        time = None if moment is None else moment.timestamp()
+        yield Frame(time, station, content[AX25_BYTES:])

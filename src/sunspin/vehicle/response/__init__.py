@@ -1,1 +1,1 @@
-"""How panels see light: `flat.py` answers for panels each on an input of its own, `joined.py` where panels share inputs."""
+"""Response of panels to light: `flat.py` for panels with an input each, `joined.py` for panels that share inputs."""

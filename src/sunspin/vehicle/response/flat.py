@@ -1,13 +1,14 @@
-"""How panels see light, each on an input of its own: gain times cosine (paper, eq. 1), in closed form.
+"""Response of panels to light, each on an input of its own: gain times cosine of incidence (paper, eq. 1), in closed form.
 
-The rest of the package asks a :class:`PanelResponse` and nothing else about it. Directions `sun_B` (..., 3) are unit vectors in
-body axes, results (..., n_panel); all is batched over leading axes, NaN gives NaN and no power is negative. If body and Sun turn
-together nothing changes.
+Other packages use panels only through :class:`PanelResponse`. Directions `sun_B` (..., 3) are unit vectors in body axes B,
+results are (..., n_panel). All functions are batched over leading axes; NaN gives NaN, and no signal is negative. A common
+rotation of body and Sun changes nothing.
 
-The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| (paper, eq. 2). Minimising it is maximising the cosine between P(n) and M.
-Inside a cell of the sphere, where the same panels are lit, P is linear in n and the best n is parallel to pinv(B) M, B being
-the lit rows; on an arc between two cells likewise in the arc's plane; vertices are points. The global minimum is among these
-few candidates, each linear in M, so it is found without a search and for many samples at once.
+The misfit is Delta(n) = |P(n)/|P(n)| - M/|M|| for measurements M (paper, eq. 2). Minimising it means maximising the cosine
+between P(n) and M. In a cell of the sphere, in which the same panels are lit, P(n) = B n is linear, and the best n is parallel
+to pinv(B) M. On an arc between two cells the same holds in the plane of the arc; vertices are single directions. One of these
+few candidates is the global minimum. All but the vertices are linear in M, so that many samples are computed at once and
+without a search.
 """
 
 from __future__ import annotations
@@ -19,34 +20,41 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.solve.rotations import seen_turned
+from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle.response.planes import (
     ON_PLANE,
     Arrangement,
-    Counted,
+    DirectionSet,
     arrangement,
-    formula,
+    minimal_clauses,
     plane_basis,
 )
 
-NUMBERS = 10_000_000
-"""Candidates times panels times samples solved at once: some 200 MB."""
+MAX_NUMBERS = 10_000_000
+"""Candidates times panels times samples in one batch: some 200 MB."""
 
 RANK_TOLERANCE = 1e-6
-"""Normals whose smallest singular value is below this lie in one plane (or on one line)."""
+"""A matrix of normals with a singular value below this is singular: the normals are in one plane or on one line."""
 
 
-def plain_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Covariance (..., k, k) of unweighted least squares with a `design` (..., m, k), of data with errors `sigma` (m)."""
-    turned, least = np.swapaxes(design, -1, -2), np.min(sigma)
-    inverse = np.linalg.inv(turned @ design)
-    more = inverse @ turned * np.sqrt(sigma**2 - least**2)  # none if all err alike
-    return least**2 * inverse + more @ np.swapaxes(more, -1, -2)
+def unweighted_covariance(design: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the covariance (..., k, k) of unweighted least squares with `design` (..., m, k) and data errors `sigma` (m).
+
+    It is split into the covariance for the smallest sigma and the excess of the other errors, which is exactly zero for equal
+    errors.
+    """
+    transposed, least = np.swapaxes(design, -1, -2), np.min(sigma)
+    inverse = np.linalg.inv(transposed @ design)
+    excess = inverse @ transposed * np.sqrt(sigma**2 - least**2)
+    return least**2 * inverse + excess @ np.swapaxes(excess, -1, -2)
 
 
 class Slopes(NamedTuple):
-    """`power` (..., n_panel), and its derivatives (..., n_panel, 3): `to_sun`, along the sphere; `to_tilt`, by a turn (rad, B) of
-    each panel, None unless turns were given. At an edge those of the lit side."""
+    """Signals `power` (..., n_panel) and their derivatives (..., n_panel, 3).
+
+    `to_sun`: by the Sun direction, tangential to the sphere. `to_tilt`: by a rotation of each panel (rad, B), None unless tilts
+    were given. At the edge of the lit side they are those of the lit side.
+    """
 
     power: np.ndarray
     to_sun: np.ndarray
@@ -54,79 +62,94 @@ class Slopes(NamedTuple):
 
 
 class Regions(NamedTuple):
-    """Open regions of the sphere in which the same panels are lit: one direction inside each (n, 3), and `lit` (n, n_panel)."""
+    """Cells of the sphere in which the same panels are lit: a direction inside each (n, 3), and its `lit` panels (n, n_panel)."""
 
     sun_B: np.ndarray
     lit: np.ndarray
 
 
 def misfit(shape: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Delta (...) between signals (..., n_panel) of any brightness and unit vectors `target` (..., n_panel); 2 in the dark."""
+    """Return Delta (...) between signals (..., n_panel) of any brightness and unit vectors `target` (..., n_panel).
+
+    Signals that are all zero have the largest possible misfit, 2.
+    """
     size = np.linalg.norm(shape, axis=-1, keepdims=True)
     unit = shape / np.where(size > 0, size, 1.0)
     return np.where(size[..., 0] > 0, np.linalg.norm(unit - target, axis=-1), 2.0)
 
 
-def unit_readings(readings: np.ndarray) -> np.ndarray:
-    """Readings (n, n_panel) as unit vectors; zeros stay."""
+def normalise_readings(readings: np.ndarray) -> np.ndarray:
+    """Return readings (n, n_panel) divided by their length; zeros stay zero."""
     size = np.linalg.norm(readings, axis=1)
     return readings / np.where(size > 0, size, 1.0)[:, None]
 
 
-def along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Components (..., n_panel) of vectors (..., 3) along normals (..., n_panel, 3), or those (n_panel, 3) of all."""
+def components_along_normals(vector_B: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the components (..., n_panel) of vectors (..., 3) along panel normals.
+
+    The normals are (n_panel, 3), or (..., n_panel, 3) if they differ between vectors.
+    """
     if normals.ndim == 2:
         return vector_B @ normals.T
-    if normals.shape[-3] == 1:  # alike for many directions
+    if normals.shape[-3] == 1:  # the same normals for many directions
         return vector_B @ np.swapaxes(normals[..., 0, :, :], -1, -2)
     return np.einsum("...i,...pi->...p", vector_B, normals)
 
 
-class Places(NamedTuple):
-    """Where the least Delta of flat panels may lie: `maps` (n_map, 3, n_panel) turn readings into directions, `fixed` (n, 3) are
-    directions."""
+class Candidates(NamedTuple):
+    """Directions among which the smallest Delta is found.
+
+    `maps` (n_map, 3, n_panel) convert readings to directions; `fixed` (n, 3) do not depend on the readings.
+    """
 
     maps: np.ndarray
     fixed: np.ndarray
 
     @classmethod
-    def of(
+    def from_cells(
         cls,
         within: Iterable[np.ndarray],
         between: Iterable[tuple[np.ndarray, np.ndarray]],
         fixed: np.ndarray,
-    ) -> Places:
-        """Those of cells in which power is a matrix (n_panel, 3) times the direction, and of arcs, each a matrix and the normal (3)
-        of its plane."""
+    ) -> Candidates:
+        """Return the candidates of cells, arcs and fixed directions.
+
+        `within`: a matrix (n_panel, 3) for each cell, by which the signal is linear in the direction. `between`: for each arc
+        such a matrix, and the normal (3) of the plane of the arc.
+        """
         maps = [np.linalg.pinv(rows) for rows in within]
         for rows, normal in between:
             basis = plane_basis(normal)
             maps.append(basis @ np.linalg.pinv(rows @ basis))
         return cls(np.array(maps), fixed)
 
-    def mapped(self, target: np.ndarray) -> np.ndarray:
-        """The candidates (n, n_map, 3) that depend on the readings."""
+    def from_readings(self, target: np.ndarray) -> np.ndarray:
+        """Return the candidates (n, n_map, 3) for readings `target` (n, n_panel), zero for dark samples."""
         candidates = np.einsum("mik,nk->nmi", self.maps, target)
         length = np.linalg.norm(candidates, axis=2, keepdims=True)
         return candidates / np.where(length > 0, length, 1.0)
 
-    def best(
+    def best_direction(
         self, power: Callable[[np.ndarray], np.ndarray], readings: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The direction (n, 3) with the least Delta (n) between `power` and readings (n, n_panel)."""
+        """Return the candidates (n, 3) with the smallest Delta, and that Delta (n).
+
+        `power` gives signals (..., n_panel) for directions; `readings` are (n, n_panel).
+        """
         fixed, fixed_shape = self.fixed, power(self.fixed)
         direction, delta = np.zeros((len(readings), 3)), np.full(len(readings), 2.0)
-        chunk = max(1, NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
+        chunk = max(1, MAX_NUMBERS // ((len(self.maps) + len(fixed)) * readings.shape[1]))
         for start in range(0, len(readings), chunk):
             rows = slice(start, start + chunk)
-            target = unit_readings(readings[rows])
-            candidates = self.mapped(target)
+            target = normalise_readings(readings[rows])
+            candidates = self.from_readings(target)
             away = misfit(power(candidates), target[:, None, :])
             away_fixed = misfit(
                 np.broadcast_to(fixed_shape, (len(target), *fixed_shape.shape)), target[:, None, :]
             )
             best, best_fixed = np.argmin(away, axis=1), np.argmin(away_fixed, axis=1)
             each = np.arange(len(target))
+            # a fixed direction must be clearly better, so that rounding does not decide between equal ones
             use_fixed = away_fixed[each, best_fixed] < away[each, best] - 1e-14
             direction[rows] = np.where(
                 use_fixed[:, None], fixed[best_fixed], candidates[each, best]
@@ -137,55 +160,59 @@ class Places(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PanelResponse:
-    """How the panels of a vehicle see light, by their normals (n_panel, 3) and gains (n_panel): ``gain * max(0, normal . sun)``."""
+    """Response of panels with normals (n_panel, 3) and gains (n_panel): signal = ``gain * max(0, normal . sun)``."""
 
     normals_B: np.ndarray
     gains: np.ndarray
 
     @property
     def facing_B(self) -> np.ndarray:
-        """The direction (n_panel, 3) in which each panel gets most."""
+        """Direction (n_panel, 3) of the Sun for which each panel has its largest signal."""
         return self.normals_B
 
     @cached_property
     def _rows(self) -> np.ndarray:
-        """Gain times normal (n_panel, 3): in a region power is linear in the direction."""
+        """Gain times normal (n_panel, 3): in a cell the signals of lit panels are these rows times the direction."""
         return self.gains[:, None] * self.normals_B
 
     @property
-    def largest(self) -> float:
-        """A number of the size of the largest power."""
+    def largest_power(self) -> float:
+        """Largest component of gain times normal, a scale for signals."""
         return np.abs(self._rows).max()
 
     def _turned(self, tilt: np.ndarray | None) -> np.ndarray:
-        """Normals (n_panel, 3), or turned by rotation vectors `tilt` (..., n_panel, 3) normals of that shape."""
+        """Return the normals (n_panel, 3), or rotated by vectors `tilt` (..., n_panel, 3) in rad normals of that shape."""
         if tilt is None:
             return self.normals_B
-        return seen_turned(self.normals_B, -np.asarray(tilt, dtype=np.float64))
+        return components_after_rotation(self.normals_B, -np.asarray(tilt, dtype=np.float64))
 
     def _strengths(self, gain: np.ndarray | None) -> np.ndarray:
+        """Return the gains, multiplied by factors `gain` if given."""
         return self.gains if gain is None else self.gains * gain
 
     def power(
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> np.ndarray:
-        """Signal of each panel; with factors `gain` (..., n_panel) on its gain, or turned by `tilt` (..., n_panel, 3) rad in B."""
-        cosine = along_normals(sun_B, self._turned(tilt))
+        """Return the signal of each panel (..., n_panel).
+
+        `gain` (..., n_panel): factors on the gains. `tilt` (..., n_panel, 3): rotation vectors of the panels, rad in B.
+        """
+        cosine = components_along_normals(sun_B, self._turned(tilt))
         return self._strengths(gain) * np.maximum(0.0, cosine)
 
     def slopes(
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> Slopes:
-        """The same with its derivatives."""
+        """Return the signals of :meth:`power` with their derivatives."""
         normals, strength = self._turned(tilt), self._strengths(gain)
-        cosine = along_normals(sun_B, normals)
+        cosine = components_along_normals(sun_B, normals)
         sun = sun_B[..., None, :]
         lit = (strength * (cosine >= 0))[..., None]
         to_sun = lit * (normals - cosine[..., None] * sun)
         to_tilt = None if tilt is None else lit * np.cross(normals, sun)
         return Slopes(strength * np.maximum(0.0, cosine), to_sun, to_tilt)
 
-    def along(
+    def power_changes(
         self,
         sun_B: np.ndarray,
         steps: Sequence[np.ndarray],
@@ -193,55 +220,68 @@ class PanelResponse:
         gain: np.ndarray | None = None,
         tilt: np.ndarray | None = None,
     ) -> list[np.ndarray]:
-        """How powers change (each (..., n_panel)) with the Sun along each of `steps` (..., 3): not at all where they are zero."""
-        normals, strength = self._turned(tilt), self._strengths(gain)
-        lit = along_normals(sun_B, normals) > 0
-        return [strength * np.where(lit, along_normals(step, normals), 0.0) for step in steps]
+        """Return the derivatives of the signals, each (..., n_panel), along `steps` (..., 3) of the Sun vector.
 
-    def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """Signals (..., n_panel), in `unit`s, under a light `light_B` (..., 3), direction times brightness, and their derivative by
-        it, which (..., n_panel, 3) or (n_panel, 3) holds where the signal is not zero."""
+        Panels without signal have the derivative zero.
+        """
+        normals, strength = self._turned(tilt), self._strengths(gain)
+        lit = components_along_normals(sun_B, normals) > 0
+        return [
+            strength * np.where(lit, components_along_normals(step, normals), 0.0) for step in steps
+        ]
+
+    def light_power(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return signals (..., n_panel) under a light vector, direction times brightness, and their derivative by this vector.
+
+        `unit` divides both. The derivative, (..., n_panel, 3) or (n_panel, 3), holds only where the signal is not zero.
+        """
         rows = self._rows / unit
         return np.maximum(0.0, light_B @ rows.T), rows
 
-    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signals (..., n_panel) under the Earth about `axis_B`, `strength` (...) being what a panel of gain 1 gets that looks
-        there; and their derivative (..., n_panel, 3) by the vector strength times axis.
+    def earthlight(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return signals (..., n_panel) under the Earth, and their derivative (..., n_panel, 3) by the vector strength times axis.
 
-        The Earth fills a disk of 66 degrees' radius seen from 550 km: on a panel turned away by an angle a its light falls as
-        ((1 + cos a) / 2)^2, to 0.05 of what it is at most."""
+        `axis_B` (..., 3) is the direction of the Earth, `strength` (...) the signal of a panel with gain 1 that faces it. A
+        panel at an angle a to the Earth gets ((1 + cos a) / 2)^2 of it, equation (earthlight) of docs/model.md. To 0.05 of the
+        maximum this is the light of a uniform disk of 66 degrees' radius, the Earth seen from 550 km.
+        """
         share = (1 + axis_B @ self.normals_B.T) / 2
         axis = axis_B[..., None, :]
         slope = share[..., None] * (axis + self.normals_B) - share[..., None] ** 2 * axis
         return self.gains * share**2 * np.asarray(strength)[..., None], self.gains[:, None] * slope
 
     def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest signal for any Sun within `angle` rad, or a little beyond."""
-        off = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
-        low = self.gains * np.maximum(np.cos(np.minimum(off + angle, np.pi)), 0.0)
-        return low, self.gains * np.maximum(np.cos(np.maximum(off - angle, 0.0)), 0.0)
+        """Return bounds of the smallest and the largest signal for any Sun within `angle` (rad) of `sun_B`."""
+        incidence = np.arccos(np.clip(sun_B @ self.normals_B.T, -1.0, 1.0))
+        low = self.gains * np.maximum(np.cos(np.minimum(incidence + angle, np.pi)), 0.0)
+        return low, self.gains * np.maximum(np.cos(np.maximum(incidence - angle, 0.0)), 0.0)
 
     @property
     def _planes(self) -> np.ndarray:
-        """Unit normals (n, 3) of the planes that part the regions."""
+        """Unit normals (n, 3) of the planes that separate cells."""
         return self.normals_B
 
     @cached_property
     def _cells(self) -> Arrangement:
+        """Cells, arcs and vertices into which the planes cut the sphere."""
         return arrangement(tuple(map(tuple, self._planes.tolist())))
 
     def regions(self) -> Regions:
-        """Which panels can be lit together, and where."""
+        """Return the sets of panels that can be lit together, and a direction for each."""
         return Regions(self._cells.cell_B, self._cells.cell_lit)
 
     def edges(self) -> np.ndarray:
-        """What is lit (m, n_panel) in directions between regions, where a panel that the Sun grazes may read as dark."""
+        """Return the lit panels (m, n_panel) in directions between cells.
+
+        A panel at grazing incidence may read as dark, so that these sets occur in telemetry.
+        """
         return np.concatenate(
             [self._cells.arc_lit, self._cells.vertex_B @ self.normals_B.T > ON_PLANE]
         )
 
     @cached_property
-    def _places(self) -> Places:
+    def _candidates(self) -> Candidates:
+        """Candidates for the direction with the smallest Delta."""
         cells, rows = self._cells, self._rows
         within = [rows * lit[:, None] for lit in cells.cell_lit if lit.any()]
         between = [
@@ -249,44 +289,61 @@ class PanelResponse:
             for lit, k in zip(cells.arc_lit, cells.arc_plane, strict=True)
             if lit.any()
         ]
-        return Places.of(within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Candidates.from_cells(
+            within, between, np.concatenate([cells.vertex_B, cells.cell_B])
+        )
 
-    def best(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The direction (n, 3) with the smallest Delta (n) (paper, eq. 2) for readings (n, n_panel): the global minimum."""
-        return self._places.best(self.power, readings)
+    def best_direction(self, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the directions (n, 3) of the global minimum of Delta (paper, eq. 2), and Delta (n), for readings (n, n_panel)."""
+        return self._candidates.best_direction(self.power, readings)
 
-    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
-        """Directions (n, k, 3), the best first, with a Delta that exceeds the smallest by no more than `slack` (n); else NaN. Of
-        panels that share no input the best alone: no two fit alike."""
-        return self.best(readings)[0][:, None]
+    def near_best(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """Return local minima of Delta that exceed the smallest by at most `slack` (n): directions (n, k, 3), NaN if absent.
+
+        The best comes first. For panels with an input each it is the only one, as no two directions fit equally well.
+        """
+        return self.best_direction(readings)[0][:, None]
 
     @property
-    def images(self) -> np.ndarray:
-        """Mirrors and turns (m, 3, 3) of the body that change readings little or not at all, the first of them none at all."""
+    def symmetries(self) -> np.ndarray:
+        """Rotations and mirrors (m, 3, 3) of the body that hardly change the readings, the identity first.
+
+        Panels with an input each have only the identity.
+        """
         return np.eye(3)[None]
 
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
-        """How many numbers of three, direction and brightness, panels `lit` (n_panel) tell there, by default where they are lit."""
+        """Return how many of three quantities (direction and brightness) readings of the panels `lit` (n_panel) determine.
+
+        By default for a direction in which exactly these panels are lit, otherwise at `sun_B` (3).
+        """
         values = np.linalg.svd(self.normals_B[lit], compute_uv=False) if lit.any() else np.zeros(0)
         return int(np.count_nonzero(values > RANK_TOLERANCE))
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Tangent covariance (n, 3, 3) of directions told by readings (n, n_panel), of which `lit` (n_panel) count."""
+        """Return the tangential covariance (n, 3, 3) of directions computed from readings (n, n_panel) of the panels `lit`.
+
+        `noise` (n_panel) is the standard deviation of each reading.
+        """
         design = self._rows * lit[:, None]
         x = readings @ np.linalg.pinv(design).T
         length = np.linalg.norm(x, axis=1)
         n = x / length[:, None]
         tangent = np.eye(3) - n[:, :, None] * n[:, None, :]
-        scaled = plain_covariance(design, noise) / length[:, None, None] ** 2
+        scaled = unweighted_covariance(design, noise) / length[:, None, None] ** 2
         return tangent @ scaled @ tangent
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        """Ends (2, 3) of the arc of directions that panels `lit` (n_panel), of rank 2, with readings (n_panel) leave; else NaN."""
+        """Return the ends (2, 3) of the arc of directions that fit readings of the panels `lit` (n_panel); NaN if there is none.
+
+        The lit panels must have rank 2. Dark panels limit the arc: the Sun must be behind them.
+        """
         design = self._rows[lit]
         middle = np.linalg.pinv(design) @ readings[lit]
         middle /= np.linalg.norm(middle)
         free = np.linalg.svd(design)[2][2]
-        low, high = -np.pi / 2, np.pi / 2  # n(a) = cos(a) middle + sin(a) free
+        # directions n(a) = cos(a) middle + sin(a) free have the same ratios of readings
+        low, high = -np.pi / 2, np.pi / 2
         for normal in self.normals_B[~lit]:
             a, b = normal @ middle, normal @ free
             if abs(b) > RANK_TOLERANCE:
@@ -296,6 +353,9 @@ class PanelResponse:
             return np.full((2, 3), np.nan)
         return np.array([np.cos(angle) * middle + np.sin(angle) * free for angle in (low, high)])
 
-    def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
-        """The directions in which one of the sets of panels `good` (m, n_panel) is lit and none of `bad`, all of them shown."""
-        return Counted(self.normals_B, formula(good, bad))
+    def direction_set(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
+        """Return the set of directions in which the lit panels are one of the patterns `good` (m, n_panel).
+
+        `bad` (m, n_panel) are all other patterns that occur.
+        """
+        return DirectionSet(self.normals_B, minimal_clauses(good, bad))

@@ -1,8 +1,9 @@
-"""Panels that share inputs of the power system: a reading belongs to an input and not to a panel.
+"""Response of panels that share inputs of the power system: a reading belongs to an input, not to a panel.
 
-An input is a channel of several panels, whose sum or largest it reads, or one panel on an input of its own. Which of its panels is
-lit it does not say, so one reading may have several directions. The planes in which panels graze, and those between two of one
-largest, cut the sphere into cells in each of which the same panels make the readings; there these are linear in the direction.
+An input is a channel of several panels, of which it reads the sum or the largest, or a single panel. A channel does not say
+which of its panels is lit, so that one reading may fit several directions. The sphere is cut into cells by the planes in which
+panels graze, and by those in which two panels of a largest-reading channel are equal. In a cell the same panels make the
+readings, which are linear in the direction there.
 """
 
 from __future__ import annotations
@@ -15,46 +16,50 @@ from itertools import combinations
 import numpy as np
 
 from sunspin.base.errors import VehicleError
-from sunspin.solve.rotations import moved, tangents
+from sunspin.solve.rotations import move_on_sphere, tangent_basis
 from sunspin.vehicle.response.flat import (
     RANK_TOLERANCE,
+    Candidates,
     PanelResponse,
-    Places,
     Regions,
     Slopes,
     misfit,
-    plain_covariance,
-    unit_readings,
+    normalise_readings,
+    unweighted_covariance,
 )
-from sunspin.vehicle.response.planes import ON_PLANE, Counted, formula, sphere
+from sunspin.vehicle.response.planes import ON_PLANE, DirectionSet, minimal_clauses, sphere
 
-CLIMBS, STARTS = 30, 200
-"""Steps, and starts, of the search for the direction in which a sum of panels gives most."""
+CLIMB_STEPS, CLIMB_STARTS = 30, 200
+"""Steps and starts of the search for the direction in which a sum of panels is largest."""
 
-LIKE, LOOKS = 0.3, 500
-"""A mirror that changes no reading by more than this share of full Sun leaves motions that are nearly alike, and in how many
-directions that is looked at."""
+SYMMETRY_TOLERANCE, SYMMETRY_DIRECTIONS = 0.3, 500
+"""A mirror is a symmetry if it changes no reading by more than this share of the smallest full-Sun reading.
+Then motions and their mirror images are hard to tell apart. The second number: directions at which it is tested."""
 
-MOST_IMAGES = 48
-"""Mirrors and turns of a cube; no more are tried."""
+MAX_SYMMETRIES = 48
+"""Order of the symmetry group of a cube, rotations and mirrors."""
 
-MOST_PLANES = 40
-"""Planes of panels, and between those of one largest, that a vehicle may have: cells grow with their square."""
+MAX_PLANES = 40
+"""Planes in which panels graze or are equal; the number of cells grows with their square."""
 
-ALONG = np.arange(-1.4, 1.5, 0.2)
-"""Angles (rad) at which an arc of directions that fit alike is looked at."""
+ARC_ANGLES_RAD = np.arange(-1.4, 1.5, 0.2)
+"""Angles at which an arc of equally good directions is sampled."""
 
-AROUND = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1)
-DOWN_RAD, DOWN = 1e-4, 1e-9
-"""A direction is a minimum of Delta if no direction so far from it (`AROUND`) has one smaller by so much."""
+NEIGHBOUR_STEPS = np.stack(
+    [np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=-1
+)
+"""Unit tangent vectors (8, 2) to the directions around one that is tested for a minimum."""
 
-BEYOND = 1e-7
-"""rad by which the next cell is entered."""
+NEIGHBOUR_RAD, DELTA_TOLERANCE = 1e-4, 1e-9
+"""A direction is a minimum of Delta if no neighbour at the first distance is smaller by more than the second number."""
+
+CROSSING_RAD = 1e-7
+"""Step beyond a plane that enters the next cell."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """One reading: its name, which panels it reads, by number, and whether the largest of them and not their sum."""
+    """An input of the telemetry: its name, the indices of its panels, and whether it reads their largest signal or their sum."""
 
     name: str
     panels: tuple[int, ...]
@@ -62,14 +67,18 @@ class Input:
 
 
 def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[np.ndarray, float]:
-    """The direction (3) in which an input of panels with normals (n_panel, 3) and gains (n_panel) reads most, and what it reads."""
-    own = list(shared.panels)
-    if shared.largest or len(own) == 1:
-        best = own[int(np.argmax(gains[own]))]
+    """Return the Sun direction (3) for which an input reads most, and that reading.
+
+    `normals_B` (n_panel, 3) and `gains` (n_panel) are those of all panels.
+    """
+    members = list(shared.panels)  # indices of the panels of this input
+    if shared.largest or len(members) == 1:
+        best = members[int(np.argmax(gains[members]))]
         return normals_B[best], float(gains[best])
-    rows = gains[own, None] * normals_B[own]
-    sun = np.concatenate([normals_B[own], sphere(STARTS)])
-    for _ in range(CLIMBS):  # the sum is convex in the direction: towards its slope it never falls
+    rows = gains[members, None] * normals_B[members]
+    sun = np.concatenate([normals_B[members], sphere(CLIMB_STARTS)])
+    # the sum is convex in the direction, so that moving to the direction of its gradient never lowers it
+    for _ in range(CLIMB_STEPS):
         slope = (sun @ rows.T > 0) @ rows
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         sun = np.where(size > 0, slope / np.where(size > 0, size, 1.0), sun)
@@ -79,14 +88,18 @@ def full_sun(shared: Input, normals_B: np.ndarray, gains: np.ndarray) -> tuple[n
 
 
 @dataclass(frozen=True, eq=False)
-class Joined(PanelResponse):
-    """Panels that share inputs: what is said of panels in :class:`PanelResponse` holds for inputs here, but that `normals_B`
-    (n_panel, 3) and `gains` (n_panel) are those of the panels."""
+class JoinedResponse(PanelResponse):
+    """Response of panels that share inputs.
+
+    The methods of :class:`PanelResponse` return values per input here; `normals_B` (n_panel, 3) and `gains` (n_panel) are per
+    panel.
+    """
 
     inputs: tuple[Input, ...]
 
     @cached_property
     def _full(self) -> list[tuple[np.ndarray, float]]:
+        """Direction and reading of each input at its largest reading."""
         return [full_sun(shared, self.normals_B, self.gains) for shared in self.inputs]
 
     @property
@@ -94,62 +107,70 @@ class Joined(PanelResponse):
         return np.array([sun for sun, _ in self._full])
 
     @property
-    def full(self) -> np.ndarray:
-        """The largest signal (n_input) of each input."""
+    def full_sun_readings(self) -> np.ndarray:
+        """Largest reading (n_input) of each input."""
         return np.array([signal for _, signal in self._full])
 
     @property
-    def largest(self) -> float:
-        return float(self.full.max())
+    def largest_power(self) -> float:
+        return float(self.full_sun_readings.max())
 
-    def _made(self, signal: np.ndarray) -> np.ndarray:
-        """Which panels (..., n_panel) make the readings, by their signals: inside a cell always the same ones."""
-        makes = signal > 0
+    def _contributing(self, signal: np.ndarray) -> np.ndarray:
+        """Return which panels (..., n_panel) contribute to the readings, from their signals; constant within a cell.
+
+        A channel that reads a sum has all its lit panels, one that reads the largest only that panel.
+        """
+        contributing = signal > 0
         for shared in self.inputs:
             if shared.largest and len(shared.panels) > 1:
-                own = list(shared.panels)
-                first = np.arange(len(own)) == np.argmax(signal[..., own], axis=-1)[..., None]
-                makes[..., own] &= first
-        return makes
+                members = list(shared.panels)
+                largest = np.argmax(signal[..., members], axis=-1)[..., None]
+                contributing[..., members] &= np.arange(len(members)) == largest
+        return contributing
 
-    def _sides(self, sun_B: np.ndarray) -> np.ndarray:
-        """The same for directions (..., 3)."""
-        return self._made(super().power(sun_B))
+    def _contributing_at(self, sun_B: np.ndarray) -> np.ndarray:
+        """Return which panels (..., n_panel) contribute to the readings at directions (..., 3)."""
+        return self._contributing(super().power(sun_B))
 
-    def _summed(self, parts: np.ndarray, axis: int = -1) -> np.ndarray:
-        """Of parts of panels, zero where they make no reading, the sums of inputs."""
-        each = [np.take(parts, list(own.panels), axis=axis).sum(axis=axis) for own in self.inputs]
-        return np.stack(each, axis=axis)
-
-    def _matrix(self, makes: np.ndarray) -> np.ndarray:
-        """Readings by direction (..., n_input, 3) where panels `makes` (..., n_panel) make them."""
-        return self._summed((makes * self.gains)[..., None] * self.normals_B, axis=-2)
-
-    def _read(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
-        """Readings (..., n_input) of signals (..., n_panel) of the panels."""
-        each = [
-            (np.max if own.largest else np.sum)(signal[..., list(own.panels)], axis=-1)
-            for own in self.inputs
+    def _sum_inputs(self, parts: np.ndarray, axis: int = -1) -> np.ndarray:
+        """Return the sums over the panels of each input, for values per panel along `axis`."""
+        sums = [
+            np.take(parts, list(shared.panels), axis=axis).sum(axis=axis) for shared in self.inputs
         ]
-        return np.stack(each, axis=-1) * (1.0 if gain is None else gain)
+        return np.stack(sums, axis=axis)
+
+    def _matrix(self, contributing: np.ndarray) -> np.ndarray:
+        """Return matrices (..., n_input, 3): readings are the matrix times the direction.
+
+        `contributing` (..., n_panel) are the panels that contribute.
+        """
+        return self._sum_inputs((contributing * self.gains)[..., None] * self.normals_B, axis=-2)
+
+    def _readings(self, signal: np.ndarray, gain: np.ndarray | None = None) -> np.ndarray:
+        """Return the readings (..., n_input) for signals (..., n_panel) of the panels and factors `gain` (..., n_input)."""
+        readings = [
+            (np.max if shared.largest else np.sum)(signal[..., list(shared.panels)], axis=-1)
+            for shared in self.inputs
+        ]
+        return np.stack(readings, axis=-1) * (1.0 if gain is None else gain)
 
     def power(
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> np.ndarray:
-        return self._read(super().power(sun_B, tilt=tilt), gain)
+        return self._readings(super().power(sun_B, tilt=tilt), gain)
 
     def slopes(
         self, sun_B: np.ndarray, *, gain: np.ndarray | None = None, tilt: np.ndarray | None = None
     ) -> Slopes:
         signal, to_sun, to_tilt = super().slopes(sun_B, tilt=tilt)
-        makes = self._made(signal)[..., None]
+        contributing = self._contributing(signal)[..., None]
         factor = 1.0 if gain is None else np.asarray(gain)[..., None]
-        to_sun = self._summed(makes * to_sun, axis=-2) * factor
+        to_sun = self._sum_inputs(contributing * to_sun, axis=-2) * factor
         if to_tilt is not None:
-            to_tilt = self._summed(makes * to_tilt, axis=-2) * factor
-        return Slopes(self._read(signal, gain), to_sun, to_tilt)
+            to_tilt = self._sum_inputs(contributing * to_tilt, axis=-2) * factor
+        return Slopes(self._readings(signal, gain), to_sun, to_tilt)
 
-    def along(
+    def power_changes(
         self,
         sun_B: np.ndarray,
         steps: Sequence[np.ndarray],
@@ -160,34 +181,35 @@ class Joined(PanelResponse):
         to_sun = self.slopes(sun_B, gain=gain, tilt=tilt).to_sun
         return [np.einsum("...pi,...i->...p", to_sun, step) for step in steps]
 
-    def under(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        signal, _ = super().under(light_B, unit)
-        return self._read(signal), self._matrix(self._made(signal)) / unit
+    def light_power(self, light_B: np.ndarray, unit: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        signal, _ = super().light_power(light_B, unit)
+        return self._readings(signal), self._matrix(self._contributing(signal)) / unit
 
-    def disc(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        signal, slope = super().disc(axis_B, np.ones(axis_B.shape[:-1]))
-        light = self._read(signal) * np.asarray(strength)[..., None]
-        return light, self._summed(self._made(signal)[..., None] * slope, axis=-2)
+    def earthlight(self, axis_B: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        signal, slope = super().earthlight(axis_B, np.ones(axis_B.shape[:-1]))
+        light = self._readings(signal) * np.asarray(strength)[..., None]
+        return light, self._sum_inputs(self._contributing(signal)[..., None] * slope, axis=-2)
 
     def bounds(self, sun_B: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
         low, high = super().bounds(sun_B, angle)
-        return self._read(low), np.minimum(self._read(high), self.full)
+        return self._readings(low), np.minimum(self._readings(high), self.full_sun_readings)
 
     @cached_property
     def _planes(self) -> np.ndarray:
-        """Where a panel grazes, and where two of one largest give alike."""
+        """Unit normals (n, 3) of the planes in which a panel grazes, or two panels of a largest-reading input are equal."""
         normals = [*self.normals_B]
         for shared in self.inputs:
             for i, j in combinations(shared.panels, 2) if shared.largest else ():
-                across = self._rows[i] - self._rows[j]
-                if (size := np.linalg.norm(across)) > ON_PLANE * self.largest:
-                    normals.append(across / size)
+                difference = self._rows[i] - self._rows[j]
+                if (size := np.linalg.norm(difference)) > ON_PLANE * self.largest_power:
+                    normals.append(difference / size)
+        # opposite normals are the same plane
         kept: list[np.ndarray] = []
         for normal in normals:
-            if all(abs(normal @ other) < 1 - 1e-12 for other in kept):
+            if all(abs(normal @ known) < 1 - 1e-12 for known in kept):
                 kept.append(normal)
-        if len(kept) > MOST_PLANES:
-            what = f"the panels have {len(kept)} planes, more than {MOST_PLANES}"
+        if len(kept) > MAX_PLANES:
+            what = f"the panels have {len(kept)} planes, more than {MAX_PLANES}"
             do = "leave out panels, or let channels read sums"
             raise VehicleError(f"{what}, where some share an input", do=do)
         return np.array(kept)
@@ -197,145 +219,177 @@ class Joined(PanelResponse):
 
     def edges(self) -> np.ndarray:
         sun = np.concatenate([self._cells.arc_B, self._cells.vertex_B])
-        return self._summed(sun @ self.normals_B.T > ON_PLANE) > 0
+        return self._sum_inputs(sun @ self.normals_B.T > ON_PLANE) > 0
 
     def rank(self, lit: np.ndarray, sun_B: np.ndarray | None = None) -> int:
         if not lit.any():
             return 0
         if sun_B is None:
             cells = self._cells
-            every = np.concatenate([cells.cell_B, cells.arc_B, cells.vertex_B])
-            shown = np.concatenate([self.regions().lit, self.edges()])
-            there = every[(shown == lit).all(axis=1)]
-            return max((self.rank(lit, sun) for sun in there), default=min(int(lit.sum()), 3))
-        design = (self._matrix(self._sides(sun_B)) / self.full[:, None])[lit]
+            directions = np.concatenate([cells.cell_B, cells.arc_B, cells.vertex_B])
+            patterns = np.concatenate([self.regions().lit, self.edges()])
+            matching = directions[(patterns == lit).all(axis=1)]
+            return max((self.rank(lit, sun) for sun in matching), default=min(int(lit.sum()), 3))
+        design = (self._matrix(self._contributing_at(sun_B)) / self.full_sun_readings[:, None])[lit]
         return int(np.count_nonzero(np.linalg.svd(design, compute_uv=False) > RANK_TOLERANCE))
 
-    def counted(self, good: np.ndarray, bad: np.ndarray) -> Counted:
-        """By the planes of the cells: which of their sides are those of a cell in which one of the sets is lit."""
+    def direction_set(self, good: np.ndarray, bad: np.ndarray) -> DirectionSet:
+        """Return the set of directions in which the lit inputs are one of the patterns `good` (m, n_input).
+
+        It is described by the sides of the planes, as an input does not show which of its panels is lit.
+        """
         lit, sides = self.regions().lit, self._cells.cell_lit
-        wanted = (lit[:, None] == good).all(axis=-1).any(axis=1)
-        return Counted(self._planes, formula(sides[wanted], sides[~wanted]))
+        is_good = (lit[:, None] == good).all(axis=-1).any(axis=1)
+        return DirectionSet(self._planes, minimal_clauses(sides[is_good], sides[~is_good]))
 
     @cached_property
-    def _places(self) -> Places:
+    def _candidates(self) -> Candidates:
         planes, cells = self._planes, self._cells
-        on_arcs = np.unique(np.column_stack([self._sides(cells.arc_B), cells.arc_plane]), axis=0)
+        on_arcs = np.unique(
+            np.column_stack([self._contributing_at(cells.arc_B), cells.arc_plane]), axis=0
+        )
         between = [(self._matrix(arc[:-1]), planes[arc[-1]]) for arc in on_arcs]
         between = [(matrix, normal) for matrix, normal in between if matrix.any()]
-        return Places.of(self._within, between, np.concatenate([cells.vertex_B, cells.cell_B]))
+        return Candidates.from_cells(
+            self._cell_matrices, between, np.concatenate([cells.vertex_B, cells.cell_B])
+        )
 
     @cached_property
-    def _within(self) -> list[np.ndarray]:
-        """Readings by direction (n_input, 3) in each cell."""
-        makes = np.unique(self._sides(self._cells.cell_B), axis=0)
-        return [matrix for panels in makes if (matrix := self._matrix(panels)).any()]
+    def _cell_matrices(self) -> list[np.ndarray]:
+        """Matrices (n_input, 3) of the cells that give their readings for a direction."""
+        contributing = np.unique(self._contributing_at(self._cells.cell_B), axis=0)
+        return [matrix for panels in contributing if (matrix := self._matrix(panels)).any()]
 
     @cached_property
     def _free(self) -> np.ndarray:
-        """Per matrix of a cell the direction (3) along which the readings' proportions stay, zeros if there is none."""
-        tolerance = RANK_TOLERANCE * self.largest
+        """Direction (3) for each cell that leaves the ratios of the readings unchanged; zeros if there is none."""
+        tolerance = RANK_TOLERANCE * self.largest_power
         return np.array(
             [
                 np.linalg.svd(matrix)[2][2]
                 if np.linalg.matrix_rank(matrix, tolerance) == 2
                 else np.zeros(3)
-                for matrix in self._within
+                for matrix in self._cell_matrices
             ]
         )
 
     def _all_candidates(self, target: np.ndarray) -> np.ndarray:
-        """Directions (n, n_candidate, 3) in which unit readings (n, n_input) may have the least Delta: those of `_places`, and more
-        along the arcs on which the readings stay as they are."""
-        has = self._free.any(axis=1)
-        mapped = self._places.mapped(target)
-        middle = mapped[:, : len(self._free)][:, has]
-        along = [np.cos(angle) * middle + np.sin(angle) * self._free[has] for angle in ALONG]
-        fixed = np.broadcast_to(self._places.fixed, (len(target), *self._places.fixed.shape))
+        """Return directions (n, n_candidate, 3) among which Delta is smallest, for unit readings (n, n_input).
+
+        These are `_candidates`, and directions along the arcs on which the ratios of the readings do not change.
+        """
+        has_arc = self._free.any(axis=1)
+        mapped = self._candidates.from_readings(target)
+        middle = mapped[:, : len(self._free)][:, has_arc]
+        along = [
+            np.cos(angle) * middle + np.sin(angle) * self._free[has_arc] for angle in ARC_ANGLES_RAD
+        ]
+        fixed = np.broadcast_to(
+            self._candidates.fixed, (len(target), *self._candidates.fixed.shape)
+        )
         return np.concatenate([mapped, fixed, *along], axis=1)
 
-    def alike(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
-        """Of the candidates those from which no way leads down: minima in a cell or on its border; and along arcs where there are
-        any."""
-        target, (best, delta) = unit_readings(readings), self.best(readings)
+    def near_best(self, readings: np.ndarray, slack: np.ndarray) -> np.ndarray:
+        """Return the candidates that are local minima of Delta, in a cell or on its border, and within `slack` of the smallest.
+
+        Along an arc of equally good directions several are returned.
+        """
+        target, (best, delta) = normalise_readings(readings), self.best_direction(readings)
         tried = np.concatenate([best[:, None], self._all_candidates(target)], axis=1)
         fits = misfit(self.power(tried), target[:, None]) <= (delta + slack)[:, None]
-        sample, which = np.nonzero(fits & tried.any(axis=-1))  # in the dark there is no candidate
-        sun, wanted = tried[sample, which], target[sample]
-        near = [moved(sun, np.tile(DOWN_RAD * step, (len(sun), 1))) for step in AROUND]
-        lowest = np.min([misfit(self.power(each), wanted) for each in near], axis=0)
+        sample, which = np.nonzero(fits & tried.any(axis=-1))  # zero vectors are no candidates
+        sun, sun_target = tried[sample, which], target[sample]
+        neighbours = [
+            move_on_sphere(sun, np.tile(NEIGHBOUR_RAD * step, (len(sun), 1)))
+            for step in NEIGHBOUR_STEPS
+        ]
+        lowest = np.min([misfit(self.power(each), sun_target) for each in neighbours], axis=0)
         kept = np.zeros(tried.shape[:2], dtype=bool)
-        kept[sample, which] = misfit(self.power(sun), wanted) <= lowest + DOWN
+        kept[sample, which] = misfit(self.power(sun), sun_target) <= lowest + DELTA_TOLERANCE
         kept[:, 0] = True
         return np.where(kept[..., None], tried, np.nan)
 
     def covariance(self, readings: np.ndarray, lit: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        sun, _ = self.best(readings)
-        design = self._matrix(self._sides(sun)) * lit[:, None]
+        sun, _ = self.best_direction(readings)
+        design = self._matrix(self._contributing_at(sun)) * lit[:, None]
         power = self.power(sun) * lit
         bright = (readings * power).sum(axis=1) / np.maximum((power**2).sum(axis=1), 1e-300)
         tangent = np.eye(3) - sun[:, :, None] * sun[:, None, :]
         covariance = np.full((len(sun), 3, 3), np.nan)
         normal = np.swapaxes(design, -1, -2) @ design
-        fine = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
-        scaled = plain_covariance(design[fine], noise) / bright[fine, None, None] ** 2
-        covariance[fine] = tangent[fine] @ scaled @ tangent[fine]
+        solvable = (np.linalg.cond(normal) < RANK_TOLERANCE**-2) & (bright > 0)
+        scaled = unweighted_covariance(design[solvable], noise) / bright[solvable, None, None] ** 2
+        covariance[solvable] = tangent[solvable] @ scaled @ tangent[solvable]
         return covariance
 
-    def _unseen(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        """The tangent (3) at a direction (3) along which the proportions of the lit inputs' readings change least."""
-        frame = np.stack(tangents(sun[None]), axis=-1)[0]
+    def _free_tangent(self, sun: np.ndarray, lit: np.ndarray) -> np.ndarray:
+        """Return the tangent (3) at a direction (3) along which the ratios of the lit inputs' readings change least."""
+        frame = np.stack(tangent_basis(sun[None]), axis=-1)[0]
         power, to_sun = (value[lit] for value in self.slopes(sun)[:2])
-        across = to_sun @ frame
-        across = across - np.outer(power, power @ across) / (power @ power)
-        return frame @ np.linalg.svd(across)[2][1]
+        change = to_sun @ frame
+        # the part along the readings themselves changes only the brightness
+        change = change - np.outer(power, power @ change) / (power @ power)
+        return frame @ np.linalg.svd(change)[2][1]
 
     def arc(self, readings: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        target = unit_readings(np.where(lit, readings, 0.0)[None])
+        target = normalise_readings(np.where(lit, readings, 0.0)[None])
         sun = self._all_candidates(target)[0]
         power = self.power(sun)
-        there = ((power > 0) == lit).all(axis=1)
-        if not there.any():
+        matching = ((power > 0) == lit).all(axis=1)
+        if not matching.any():
             return np.full((2, 3), np.nan)
-        away = np.where(there, misfit(power, target), np.inf)
-        room = np.where(away < away.min() + DOWN, np.abs(sun @ self._planes.T).min(axis=1), -1.0)
+        away = np.where(matching, misfit(power, target), np.inf)
+        room = np.where(
+            away < away.min() + DELTA_TOLERANCE, np.abs(sun @ self._planes.T).min(axis=1), -1.0
+        )
+        # begin at the best direction that is farthest from all planes
         begin = sun[np.argmax(room)]
-        return np.array([self._followed(begin, lit, sign) for sign in (1.0, -1.0)])
+        return np.array([self._follow_arc(begin, lit, sign) for sign in (1.0, -1.0)])
 
-    def _followed(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
-        """The end of an arc: a great circle from one plane to the next."""
-        planes, sun, along, left = self._planes, begin, sign * self._unseen(begin, lit), np.pi
+    def _follow_arc(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
+        """Return the end of an arc that is followed from `begin` in one direction, by great circles from plane to plane."""
+        planes, sun = self._planes, begin
+        along, remaining = sign * self._free_tangent(begin, lit), np.pi
         while True:
-            here, onward = planes @ sun, planes @ along
-            across = np.hypot(here, onward) > ON_PLANE  # not the planes in which the arc lies
-            crossing = np.arctan2(-here, onward)[across] % np.pi
-            step = min(float(crossing.min(initial=np.pi)), left)
-            left -= step
+            # sun(a) = cos(a) sun + sin(a) along meets a plane where cos(a) height + sin(a) slope = 0
+            height, slope = planes @ sun, planes @ along
+            crossed = np.hypot(height, slope) > ON_PLANE  # excludes planes that contain the arc
+            crossing = np.arctan2(-height, slope)[crossed] % np.pi
+            step = min(float(crossing.min(initial=np.pi)), remaining)
+            remaining -= step
             end, ahead = (
-                np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + BEYOND)
+                np.cos(angle) * sun + np.sin(angle) * along for angle in (step, step + CROSSING_RAD)
             )
-            if left <= BEYOND or not np.array_equal(self.power(ahead) > 0, lit):
+            if remaining <= CROSSING_RAD or not np.array_equal(self.power(ahead) > 0, lit):
                 return end
-            new = self._unseen(ahead, lit)
-            along = new * np.copysign(1.0, new @ (np.cos(step) * along - np.sin(step) * sun))
+            # in the next cell other panels contribute: a new great circle, in the same sense
+            tangent = self._free_tangent(ahead, lit)
+            along = tangent * np.copysign(
+                1.0, tangent @ (np.cos(step) * along - np.sin(step) * sun)
+            )
             sun = ahead
 
     @cached_property
-    def images(self) -> np.ndarray:
-        """Mirrors that exchange two panels of one input, and what they make together, as far as they change no reading much."""
+    def symmetries(self) -> np.ndarray:
+        """Rotations and mirrors (m, 3, 3) of the body that hardly change the readings, the identity first.
+
+        They are products of mirrors that exchange two panels of one input.
+        """
         mirrors = []
         for shared in self.inputs:
             for i, j in combinations(shared.panels, 2):
                 across = self.normals_B[i] - self.normals_B[j]
                 if (size := np.linalg.norm(across)) > 0:
                     mirrors.append(np.eye(3) - 2 * np.outer(across, across) / size**2)
-        sun, most = sphere(LOOKS), LIKE * self.full.min()
+        sun = sphere(SYMMETRY_DIRECTIONS)
+        max_change = SYMMETRY_TOLERANCE * self.full_sun_readings.min()
+        # multiply by mirrors until no new product is a symmetry
         images, new = [np.eye(3)], [np.eye(3)]
-        while new and len(images) < MOST_IMAGES:
+        while new and len(images) < MAX_SYMMETRIES:
             products, new = [mirror @ image for image in new for mirror in mirrors], []
             for image in products:
                 if all(np.abs(image - known).max() > 1e-6 for known in images + new):
                     change = np.abs(self.power(sun @ image.T) - self.power(sun)).max()
-                    new += [image] if change < most else []
+                    new += [image] if change < max_change else []
             images += new
-        return np.array(images[:MOST_IMAGES])
+        return np.array(images[:MAX_SYMMETRIES])

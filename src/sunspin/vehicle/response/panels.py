@@ -1,4 +1,4 @@
-"""The forward model of a vehicle's panels, and which of them can be lit together, by name."""
+"""Forward model of a vehicle's panels, the patterns of panels that can be lit together, and panel misalignment."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from sunspin.vehicle.response.planes import sphere
 if TYPE_CHECKING:
     from sunspin.vehicle import Vehicle
 
-Pattern = frozenset[str]  # of panel names: the lit ones
+Pattern = frozenset[str]
+"""Names of the lit panels (inputs)."""
 
-OPPOSITE = -0.99
-"""Cosine of the angle between opposite panels, at most."""
+OPPOSITE_COSINE = -0.99
+"""Largest cosine of the angle between the normals of opposite panels."""
 
-SUNS = 4000
-"""Directions of the Sun that are tried over panels turned otherwise than drawn, 3 degrees apart."""
+SUN_DIRECTIONS = 4000
+"""Sun directions that are tested for misaligned panels, 3 degrees apart."""
 
 
 def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
-    """Signal of each panel by the law that the vehicle's file names, else ``gain * max(0, normal . sun)`` (paper, eq. 1); where
-    panels share inputs (channels), the reading of each input (`vehicle.input_names`).
+    """Compute the signal of each panel, ``gain * max(0, normal . sun)`` (paper, eq. 1).
+
+    If panels share inputs (channels), the values are the readings of the inputs (`vehicle.input_names`).
 
     Parameters
     ----------
@@ -41,71 +43,84 @@ def panel_power(vehicle: Vehicle, sun_B: npt.ArrayLike) -> np.ndarray:
 def brightness(
     vehicle: Vehicle, reading: np.ndarray, sun_B: np.ndarray | None = None
 ) -> np.ndarray:
-    """Factor (n) by which readings (n, n_panel) exceed `panel_power` at `sun_B` (n, 3); default: the directions that fit best."""
-    light = panel_power(vehicle, vehicle.response_in().best(reading)[0] if sun_B is None else sun_B)
+    """Return the factor (n) between readings (n, n_panel) and :func:`panel_power` at `sun_B` (n, 3), by least squares.
+
+    By default `sun_B` are the directions that fit best.
+    """
+    light = panel_power(
+        vehicle, vehicle.response_in().best_direction(reading)[0] if sun_B is None else sun_B
+    )
     return (reading * light).sum(axis=1) / np.maximum((light**2).sum(axis=1), 1e-300)
 
 
 def opposite_panels(facing_B: np.ndarray) -> np.ndarray:
-    """Which of panels (n, n) that look along `facing_B` (n, 3) look opposite ways."""
-    return facing_B @ facing_B.T < OPPOSITE
+    """Return which pairs (n, n) of panels that face the directions `facing_B` (n, 3) are opposite."""
+    return facing_B @ facing_B.T < OPPOSITE_COSINE
 
 
 def lit_patterns(vehicle: Vehicle) -> tuple[Pattern, ...]:
-    """The sets of panels (inputs) that the Sun can light together, for directions on no edge (16 for Philae)."""
+    """Return the sets of panels (inputs) that the Sun can light together, directions on edges excluded (16 for Philae)."""
     vehicle.require_panels()
-    patterns = named(vehicle, vehicle.response_in().regions().lit)
+    patterns = patterns_by_name(vehicle, vehicle.response_in().regions().lit)
     return tuple(sorted(patterns, key=lambda pattern: (len(pattern), sorted(pattern))))
 
 
 def observable_patterns(vehicle: Vehicle) -> frozenset[Pattern]:
-    """The lit patterns that a measurement can show: those of `lit_patterns`, and those of directions on edges.
+    """Return the lit patterns that telemetry can show: those of :func:`lit_patterns`, and those of directions on edges.
 
-    A panel that the Sun grazes may read as dark, so the patterns of arcs and vertices occur in real data.
+    A panel at grazing incidence may read as dark, so that the patterns of arcs and vertices occur in real data.
     """
     vehicle.require_panels()
     response = vehicle.response_in()
-    return named(vehicle, np.concatenate([response.regions().lit, response.edges()]))
+    return patterns_by_name(vehicle, np.concatenate([response.regions().lit, response.edges()]))
 
 
-def patterns_of_turned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
-    """The lit patterns of the same panels, turned by any of `turns_B` (k, n_panel, 3), rotation vectors in rad in B."""
-    response, suns = vehicle.response_in(), sphere(SUNS)
+def patterns_of_misaligned(vehicle: Vehicle, turns_B: np.ndarray) -> frozenset[Pattern]:
+    """Return the lit patterns of panels rotated by any of the vectors `turns_B` (k, n_panel, 3), rad in B."""
+    response, suns = vehicle.response_in(), sphere(SUN_DIRECTIONS)
     lit = [
-        np.unique(response.power(suns, tilt=np.broadcast_to(turn, (SUNS, *turn.shape))) > 0, axis=0)
+        np.unique(
+            response.power(suns, tilt=np.broadcast_to(turn, (SUN_DIRECTIONS, *turn.shape))) > 0,
+            axis=0,
+        )
         for turn in turns_B
     ]
-    return named(vehicle, np.unique(np.concatenate(lit), axis=0))
+    return patterns_by_name(vehicle, np.unique(np.concatenate(lit), axis=0))
 
 
-def named(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
-    """Sets of lit panels (m, n_panel) by name."""
+def patterns_by_name(vehicle: Vehicle, lit: np.ndarray) -> frozenset[Pattern]:
+    """Return sets of lit panels (m, n_panel) by the names of the inputs."""
     names = np.array(vehicle.input_names)
     return frozenset(frozenset(names[row].tolist()) for row in lit)
 
 
-def stated_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
-    """How far panels may stand off: sigmas in rad as the vehicle's file has them, 0 where it states none, (n_panel) of each
-    normal's direction, to each side, and of the turn of all panels.
+def misalignment_sigma(vehicle: Vehicle) -> tuple[np.ndarray, float]:
+    """Return standard deviations of panel misalignment (rad) from the vehicle file: of each panel (n_panel), and common to all.
 
-    That of `normal_B`, each component's (where these differ, their root mean square), and of the turn of a panel that is tilted.
+    Each is the angle to one side; 0 if the file states none. That of a panel comes from the sigma of `normal_B` (root mean
+    square of its components), and from the sigma of its tilt.
     """
-    own = np.array([_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels])
+    single = np.array(
+        [_rms_sigma(vehicle, f"panel.{panel.name}.normal_B") for panel in vehicle.panels]
+    )
     tilted = vehicle.panel_response.tilted
     if tilted is not None:
-        by_tilt = _sigma(vehicle, "panel_response.tilted.turn_B_rad")
-        own = np.hypot(own, by_tilt * (np.array(vehicle.panel_names) == tilted.panel))
-    return own, _sigma(vehicle, "panel_response.turned_B_rad")
+        by_tilt = _rms_sigma(vehicle, "panel_response.tilted.turn_B_rad")
+        single = np.hypot(single, by_tilt * (np.array(vehicle.panel_names) == tilted.panel))
+    return single, _rms_sigma(vehicle, "panel_response.turned_B_rad")
 
 
-def turned_sigma(vehicle: Vehicle) -> np.ndarray:
-    """How far full Sun may be off in each reading (n_input), in the unit of the gains, as panels are turned by `stated_sigma`,
-    each for itself: a turn of all together is one of the Sun."""
-    by_panel = stated_sigma(vehicle)[0] * vehicle.panel_gains
-    return np.array([np.linalg.norm(by_panel[list(own.panels)]) for own in vehicle.inputs])
+def misalignment_signal_sigma(vehicle: Vehicle) -> np.ndarray:
+    """Return the error (n_input) of full-Sun readings from the misalignment of single panels, in the unit of the gains.
+
+    A common misalignment is not included: it acts as a rotation of the Sun.
+    """
+    by_panel = misalignment_sigma(vehicle)[0] * vehicle.panel_gains
+    return np.array([np.linalg.norm(by_panel[list(shared.panels)]) for shared in vehicle.inputs])
 
 
-def _sigma(vehicle: Vehicle, key: str) -> float:
+def _rms_sigma(vehicle: Vehicle, key: str) -> float:
+    """Return the root mean square of the sigma of a fact of the vehicle, 0 if it is not stated."""
     fact = vehicle.facts.get(key)
     known = fact is not None and fact.sigma is not None
     return float(np.sqrt(np.mean(np.square(fact.sigma)))) if known else 0.0

@@ -1,4 +1,4 @@
-"""How the planes of flat panels cut the sphere of directions: which panels can be lit together, and a short formula for some."""
+"""Geometry of flat panels: how their planes cut the sphere of directions, and short descriptions of sets of cells."""
 
 from __future__ import annotations
 
@@ -8,43 +8,44 @@ from typing import NamedTuple
 
 import numpy as np
 
-Literals = tuple[tuple[int, bool], ...]
-"""A conjunction: (panel index, lit?) ..."""
+Clause = tuple[tuple[int, bool], ...]
+"""A conjunction of conditions (index of a plane, True for the side of its normal)."""
 
 ON_PLANE = 1e-9
-"""A direction this close to a panel's plane counts as lying in it (cosine of the angle to the normal)."""
+"""A direction with a smaller component along the normal is in the plane."""
 
-Cube = frozenset  # of (panel index, lit?): all must hold
+Cube = frozenset
+"""A clause as a set, in which conditions can be removed."""
 
 
 @dataclass(frozen=True)
-class Counted:
-    """A signed function on the sphere, above 0 where a direction counts: as data, for kernels and for Python.
+class DirectionSet:
+    """A set of directions as data, for compiled kernels and for Python.
 
-    It is the largest over `clauses` of the smallest of distances from the planes of `normals_B` (n, 3), each clause a conjunction
-    of (number of the plane, which side?).
+    A direction belongs to it if it satisfies one of the `clauses`. Each is a conjunction of conditions on the sides of planes
+    with normals `normals_B` (n, 3). Kernels evaluate it as a signed function: the maximum over the clauses of the minimum of
+    the distances from the planes.
     """
 
     normals_B: np.ndarray
-    clauses: tuple[Literals, ...]
+    clauses: tuple[Clause, ...]
 
-    def holds(self, sun_B: np.ndarray) -> np.ndarray:
-        """Whether each direction (..., 3) counts."""
+    def contains(self, sun_B: np.ndarray) -> np.ndarray:
+        """Return whether each direction (..., 3) belongs to the set."""
         lit = sun_B @ self.normals_B.T > 0
         clauses = [
-            np.all([lit[..., k] == wanted for k, wanted in clause], axis=0)
-            for clause in self.clauses
+            np.all([lit[..., k] == side for k, side in clause], axis=0) for clause in self.clauses
         ]
         return np.any([np.broadcast_to(clause, lit.shape[:-1]) for clause in clauses], axis=0)
 
     @property
-    def numbers(self) -> np.ndarray:
-        """What compiled code reads, in float32."""
+    def kernel_data(self) -> np.ndarray:
+        """Components of the normals in one row, as compiled code reads them (float32)."""
         return np.asarray(self.normals_B, dtype=np.float32).ravel()
 
 
 def sphere(n: int) -> np.ndarray:
-    """About evenly spread directions (n, 3), by Fibonacci's spiral."""
+    """Return n nearly evenly spread directions (n, 3), by the Fibonacci spiral."""
     z = 1 - (2 * np.arange(n) + 1) / n
     longitude = np.pi * (1 + np.sqrt(5)) * np.arange(n)
     return np.stack(
@@ -53,9 +54,10 @@ def sphere(n: int) -> np.ndarray:
 
 
 class Arrangement(NamedTuple):
-    """How the planes of the panels cut the sphere: one interior direction per open cell, arc and vertex, and what is lit.
+    """Cells, arcs and vertices into which the planes of the panels cut the sphere.
 
-    Directions are (n, 3); `lit` arrays are (n, n_panel) of bool; `arc_plane` (n_arc) is the panel in whose plane an arc lies.
+    Each cell and arc has one interior direction (n, 3) and its lit panels (n, n_panel); `arc_plane` (n_arc) is the index of the
+    panel in whose plane the arc lies.
     """
 
     cell_B: np.ndarray
@@ -68,9 +70,10 @@ class Arrangement(NamedTuple):
 
 @lru_cache(maxsize=64)
 def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
-    """The arrangement of great circles that the planes of panels with these normals make on the sphere of directions."""
+    """Return the arrangement of the planes with these normals on the sphere of directions."""
     p = np.array(normals)
-    vertices: list[np.ndarray] = []  # directions in which two planes meet, both signs
+    # vertices: the two opposite directions in which two planes meet
+    vertices: list[np.ndarray] = []
     for i, j in np.argwhere(np.tri(len(p), k=-1)):
         line = np.cross(p[i], p[j])
         length = np.linalg.norm(line)
@@ -78,6 +81,7 @@ def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
             if not vertices or np.max(np.array(vertices) @ vertex) < 1 - 1e-12:
                 vertices.append(vertex)
     vertex_B = np.array(vertices).reshape(-1, 3)
+    # arcs: the vertices in a plane divide its great circle
     arcs, planes, cells = [], [], []
     for k, normal in enumerate(p):
         basis = plane_basis(normal)
@@ -89,12 +93,14 @@ def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
             middles = (angles + np.append(angles[1:], angles[0] + 2 * np.pi)) / 2
             arcs += [basis @ [np.cos(angle), np.sin(angle)] for angle in middles]
         planes += [k] * (len(arcs) - len(planes))
-    for arc, k in zip(arcs, planes, strict=True):  # a step to both sides of an arc ends in a cell
+    # cells: a step from an arc to each side, shorter than the distance to any plane, ends in a cell
+    for arc, k in zip(arcs, planes, strict=True):
         distances = np.abs(p @ arc)
         room = np.min(distances[distances > ON_PLANE], initial=1.0) / 2
         for direction in (arc + room * p[k], arc - room * p[k]):
             cells.append(direction / np.linalg.norm(direction))
     cell_B, arc_B = np.array(cells), np.array(arcs).reshape(-1, 3)
+    # each cell is reached from several arcs: keep the first direction
     _, first = np.unique(cell_B.reshape(-1, 3) @ p.T > 0, axis=0, return_index=True)
     cell_B = cell_B[np.sort(first)]
     lit, arc_lit = cell_B @ p.T > ON_PLANE, arc_B @ p.T > ON_PLANE
@@ -102,29 +108,33 @@ def arrangement(normals: tuple[tuple[float, float, float], ...]) -> Arrangement:
 
 
 def plane_basis(normal: np.ndarray) -> np.ndarray:
-    """Two orthonormal vectors (3, 2) that span the plane of a normal."""
+    """Return two orthonormal vectors (3, 2) that span the plane with this normal."""
     return np.linalg.svd(normal[None])[2][1:].T
 
 
-def formula(good: np.ndarray, bad: np.ndarray) -> tuple[Literals, ...]:
-    """A short disjunction of conjunctions that holds for the sets of lit panels `good` (m, n_panel) and for none of `bad`."""
-    wanted: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
+def minimal_clauses(good: np.ndarray, bad: np.ndarray) -> tuple[Clause, ...]:
+    """Return few short clauses that hold for all patterns `good` (m, n_panel) and for none of `bad`.
+
+    Conditions are removed greedily, and then a small cover of `good` is chosen greedily. The result is short, not always
+    shortest.
+    """
+    patterns: list[Cube] = [frozenset(enumerate(lit.tolist())) for lit in good]
     shortened = set()
-    for (
-        cube
-    ) in wanted:  # without conditions, of dark panels first, as long as nothing of `bad` slips in
+    # remove conditions, those of dark panels first, as long as every pattern of `bad` still violates one
+    for cube in patterns:
         differs = bad != [lit for _, lit in sorted(cube)]
-        kept = differs.sum(axis=1)  # conditions that keep each unwanted pattern out
+        kept = differs.sum(axis=1)  # number of conditions that each pattern of `bad` violates
         for literal in sorted(cube, key=lambda item: (item[1], item[0])):
-            less = kept - differs[:, literal[0]]
-            if np.all(less > 0):
-                cube, kept = cube - {literal}, less
+            violated = kept - differs[:, literal[0]]
+            if np.all(violated > 0):
+                cube, kept = cube - {literal}, violated
         shortened.add(cube)
     cubes = sorted(shortened, key=lambda cube: (len(cube), sorted(cube)))
-    holds = np.array([[cube <= pattern for pattern in wanted] for cube in cubes])
-    left, chosen = np.ones(len(wanted), dtype=bool), []
-    while left.any():  # few of them that together hold every wanted pattern
-        best = int(np.argmax((holds & left).sum(axis=1)))
+    holds = np.array([[cube <= pattern for pattern in patterns] for cube in cubes])
+    uncovered, chosen = np.ones(len(patterns), dtype=bool), []
+    # greedy cover: the clause that holds for most of the remaining patterns
+    while uncovered.any():
+        best = int(np.argmax((holds & uncovered).sum(axis=1)))
         chosen.append(tuple(sorted(cubes[best])))
-        left &= ~holds[best]
+        uncovered &= ~holds[best]
     return tuple(chosen)
