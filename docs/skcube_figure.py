@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import sunspin as ss
 from sunspin.output.figures import COLOURS
-from sunspin.output.figures.rates import chosen_passes, clock_text, component
+from sunspin.output.figures.rates import clock_text, draw_component, largest_passes
 
 
 def sun_and_rates_figure(
@@ -24,15 +24,15 @@ def sun_and_rates_figure(
     figure = Figure(figsize=(11, 7.2), layout="constrained")
     left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25), squeeze=False)[0]
     _sun_against_sensors(left, currents, beacons, shift_s)
-    known = [n for n in chosen_passes(sensors) if np.isfinite(_gyro_at(sensors, beacons, n)).all()][
-        -3:
-    ]
+    known = [
+        n for n in largest_passes(sensors) if np.isfinite(_gyro_at(sensors, beacons, n)).all()
+    ][-3:]
     grid = right.subplots(3, len(known), sharey="row", squeeze=False)
     for column, number in enumerate(known):
         at = np.flatnonzero(sensors["pass_of"].values == number)
         t = sensors["time"].values[at]
         for k, axes in enumerate(grid[:, column]):
-            component(axes, sensors, number, k, "Sun sensors, one sigma")
+            draw_component(axes, sensors, number, k, "Sun sensors, one sigma")
             gyro = np.degrees(_gyro_at(sensors, beacons, number)[:, k])
             axes.plot((t - t[0]) / 60, gyro, "x", color=COLOURS[6], ms=5, label="gyro")
         grid[0, column].set_title(clock_text(sensors, t[0]), fontsize=8)

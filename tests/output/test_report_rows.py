@@ -16,7 +16,7 @@ from browser import HOSTILE
 from sunspin.cases import load_case
 from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
-from sunspin.output.report.rows import VERDICTS, between, verdict_of
+from sunspin.output.report.rows import VERDICTS, interval_text, verdict_of
 
 FILES_OF_CANDIDATES = tuple(
     "candidates outcomes-off outcomes-held strategies speed motion-best-fit".split()
@@ -137,7 +137,7 @@ def test_a_row_shows_its_interval_what_was_possible_and_what_made_it(tmp_path):
         and "✓ agrees within 0.5" in text
     )
     assert text.count("interval:") == 2 and "no telemetry" in text and "○ uninformative" in text
-    assert between([1, 2], 3) == "(1, 2) to 3" and between("x", None) == ""
+    assert interval_text([1, 2], 3) == "(1, 2) to 3" and interval_text("x", None) == ""
 
 
 def test_texts_of_rows_and_of_the_first_screen_stay_text(tmp_path):

@@ -13,7 +13,7 @@ from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.estimate.orbit.check import Verdict
 from sunspin.estimate.verdict import Answers
-from sunspin.output.verdicts import ANCHORS, PAGE, explained, section
+from sunspin.output.verdicts import ANCHORS, PAGE, find_labels, read_section
 from sunspin.telemetry.sun import RECONSTRUCTED, STATUS_TEXT
 
 ROOT = Path(__file__).parents[2]
@@ -47,9 +47,9 @@ def statuses():
 
 def test_every_status_and_every_warning_has_a_section():
     loud = {*warnings()}
-    assert len(loud) > 10 and all(explained("rates", [text]) for text in [*loud, *statuses()])
+    assert len(loud) > 10 and all(find_labels("rates", [text]) for text in [*loud, *statuses()])
     good = [Verdict.FITS.value, *(STATUS_TEXT[status] for status in RECONSTRUCTED)]
-    assert not explained("rates", good) and not explained("compare", loud)
+    assert not find_labels("rates", good) and not find_labels("compare", loud)
 
 
 def test_the_last_line_and_the_summary_name_the_section(tmp_path):
@@ -77,4 +77,4 @@ def test_explain_lists_its_labels_and_names_the_nearest_one():
     done = CliRunner().invoke(cli, ["explain"], catch_exceptions=False)
     assert done.output.split() == list(ANCHORS)
     with pytest.raises(InputError, match="did you mean poor-fit?"):
-        section("poor-fits")
+        read_section("poor-fits")

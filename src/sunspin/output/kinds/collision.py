@@ -1,4 +1,4 @@
-"""Simulated collisions weighted by what a trajectory shows of the true one (paper, section 3.3)."""
+"""Simulated collisions, weighted by their agreement with the speeds of a trajectory (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from sunspin.output.text import with_sigma
 
 
 def collision_summary(runs: Any) -> Summary:
-    """How many collisions come near the trajectory's speeds, and rates and periods under each weighting."""
-    table, near = weightings(runs), explained(runs)
-    lines = [f"collision: {with_sigma(*near)} of the runs come near the kernel's jump and speed"]
+    """Return the summary of collisions: the share that agrees with the trajectory, rates and periods under each weighting."""
+    table, agreeing = weightings(runs), explained(runs)
+    lines = [
+        f"collision: {with_sigma(*agreeing)} of the runs come near the kernel's jump and speed"
+    ]
     for row in table:
         rates = (row[name] for name in ("rate_before", "rate_after"))
         before, after = (with_sigma(*np.degrees(rate), "deg/s") for rate in rates)
@@ -24,10 +26,11 @@ def collision_summary(runs: Any) -> Summary:
             f"  {row['name']}: effective sample size {row['effective_runs']:.0f}, rate before {before}, after {after}, "
             f"median period after {row['median_period_after']:.1f} s"
         )
-    return Summary({"facts": facts_of(runs), "explained": near, "table": table}, lines)
+    return Summary({"facts": facts_of(runs), "explained": agreeing, "table": table}, lines)
 
 
 def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of simulated collisions."""
     yield Drawing(
         "collision",
         lambda: collision_figure(runs),
@@ -38,7 +41,7 @@ def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def collision_figure(runs: Any) -> Any:
-    """Simulated collisions against the kernel's speeds, and angular speeds after it as drawn and as weighted."""
+    """Draw simulated collisions with the speeds of the trajectory, and the angular speed after it, unweighted and weighted."""
     figure, (left, right) = axes_grid(11, 4.4, 1, 2, "The collision")
     facts, sigma = facts_of(runs), runs.attrs["sigma_m_s"]
     change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
@@ -64,6 +67,7 @@ def collision_figure(runs: Any) -> Any:
         right.hist(rate[known], edges, weights=weight, density=True, label=text, **style)
     period, width = runs.attrs["period_after_s"], 2 * runs.attrs["sigma_period_s"]
     label = f"magnetometer: {period:g} s, drawn {width:g} s wide to each side"
+    # deg/s for periods in s
     slow, fast = 360 / (period + width), 360 / (period - width)
     right.axvspan(slow, fast, color=COLOURS[2], alpha=0.25, lw=0, label=label)
     right.set(xlabel="angular speed just after the collision (deg/s)", xlim=(0, edges[-1]))
