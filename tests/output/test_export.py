@@ -94,7 +94,7 @@ def test_a_celestial_frame_is_refused_without_a_second_direction(result):
     with pytest.raises(ss.InputError, match="axes are those of the body at the start of the run"):
         build_attitude(result, "EME2000")
     with pytest.raises(
-        ss.InputError, match="turn about it is arbitrary.*an orbit and a magnetometer"
+        ss.InputError, match="rotation about it is arbitrary.*an orbit and a magnetometer"
     ):
         build_attitude(result.assign_attrs(frame_N="sun_z_local"), "EME2000")
     known = result.assign_attrs(celestial_frame="EME2000")

@@ -149,9 +149,8 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
                     what = f"--{name.replace('_', '-')} and --set {change.key} say the same thing"
                     raise InputError(what, do="give one of them")
                 if _is_listed(change.key, TABLES) and not _is_listed(change.key, uses):
-                    read_assumptions(
-                        [change]
-                    )  # raises an error with the nearest name if the key is misspelt
+                    # raises an error with the nearest name if the key is misspelt
+                    read_assumptions([change])
                     what, do = "this command does not use that assumption", "`--set list` shows all"
                     raise InputError(what, got=change.key, do=do)
             values = [(SHORT[name][0], given.pop(name)) for name in short]

@@ -29,9 +29,7 @@ def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    elements_of(
-        craft, elements, shift_sigma
-    )  # raises an error in the elements before the telemetry is read
+    elements_of(craft, elements, shift_sigma)  # raises errors of the elements before the long work
     summary, lines = describe_vehicle(craft)
     if telemetry is not None:
         samples = describe_telemetry(craft, telemetry, vehicle)

@@ -266,6 +266,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
             raise InputError(what, do=do)
         folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
         piped, size = Path(folder) / "standard-input", 0
+        # reading stops just above the largest size, and then the reader of the file refuses it
         with open(piped, "wb") as file:
             while size <= MAX_FILE_BYTES and (piece := sys.stdin.buffer.read(PIECE)):
                 size += file.write(piece)

@@ -123,20 +123,20 @@ def rates(
 
     # a terminal shows a progress bar instead of these lines
     progress = output.progress if output.quiet or output.progress else announce
-    orbit = ChosenOrbit(None, None, {}, [])
+    chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
         if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
             announce(f"{samples.sizes['time']} samples; the elements are checked first")
-        orbit = choose_orbit(whole_file, elements, shift_sigma)
-        if orbit.orbit is None and orbit.summary and progress is announce:
+        chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
+        if chosen_orbit.orbit is None and chosen_orbit.summary and progress is announce:
             announce("the elements do not fit the telemetry; continuing without the orbit")
     result = estimate_rates(
         craft,
         used,
         max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         column_tests=not no_column_tests,
-        environment=orbit.orbit,
-        calibration=orbit.calibration,
+        environment=chosen_orbit.orbit,
+        calibration=chosen_orbit.calibration,
         periods=observed_periods,
         workers=worker_count(workers),
         **settings,
@@ -148,7 +148,7 @@ def rates(
 
     mismatches, repeats = describe_mismatches(used, vehicle), describe_repeats(used)
     keys = [key for key in ("wrong_units", "wrong_axes") if mismatches.summary[key]]
-    also = {key: mismatches.summary[key] for key in keys} | repeats.summary | orbit.summary
+    also = {key: mismatches.summary[key] for key in keys} | repeats.summary | chosen_orbit.summary
     wrong = [line for line in mismatches.lines if "WRONG" in line]
-    lines = [*wrong, *repeats.lines, *orbit.lines]
+    lines = [*wrong, *repeats.lines, *chosen_orbit.lines]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

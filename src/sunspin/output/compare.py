@@ -73,8 +73,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
     manifests = [read_manifest(folder) for folder in folders]
     command, second = (read_command(folder / MARKER) for folder in folders)
     if command != second or command not in NUMBERS:
-        what, known = "only two results of one command can be compared", " or ".join(NUMBERS)
-        raise InputError(what, got=f"{command} and {second}", do=f"give two of {known}")
+        what, commands = "only two results of one command can be compared", " or ".join(NUMBERS)
+        raise InputError(what, got=f"{command} and {second}", do=f"give two of {commands}")
     files = [
         verify_file(folder, manifest, "summary.json")
         for folder, manifest in zip(folders, manifests, strict=True)
@@ -107,8 +107,8 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         what = f"a summary holds something else than `sunspin {command}` writes"
         raise InputError(f"{what} ({type(e).__name__}: {e})", got=got, do=do) from None
     if not rows:
-        what, same = "the two results have nothing in common", "compare results of the same data"
-        raise InputError(what, got=got, do=same)
+        what, advice = "the two results have nothing in common", "compare results of the same data"
+        raise InputError(what, got=got, do=advice)
     rows.sort(key=lambda row: (np.isnan(row["error"]), -row["size"]))
     columns = {name: ("row", np.array([row[name] for row in rows])) for name in rows[0]}
     return xr.Dataset(columns, attrs=provenance("comparison", command=command, **attrs))
@@ -125,8 +125,10 @@ def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:
         words.append("another value")
     # two estimates have independent sigmas; intervals and tolerances are limits, of which the wider counts
     error = np.hypot(a.error, b.error) if a.error_kind == SIGMA else max(a.error, b.error)
-    known = a.error_kind == b.error_kind and SMALLEST <= error <= LARGEST
-    size = abs(change) / (error if known else largest) if abs(change) > ROUNDING * largest else 0.0
+    has_error = a.error_kind == b.error_kind and SMALLEST <= error <= LARGEST
+    size = (
+        abs(change) / (error if has_error else largest) if abs(change) > ROUNDING * largest else 0.0
+    )
     return {
         "row": printable(name),
         "what": printable(a.what),
@@ -134,10 +136,10 @@ def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:
         "b": printable(b.text),
         "unit": printable(a.unit),
         "change": float(change),
-        "error": float(error) if known else np.nan,
-        "of": a.error_kind if known else "none known",
+        "error": float(error) if has_error else np.nan,
+        "of": a.error_kind if has_error else "none known",
         "size": float(size),
-        "beyond": bool(size > 1 if known else size > 0 or words),
+        "beyond": bool(size > 1 if has_error else size > 0 or words),
         "words": printable("; ".join(words)),
     }
 

@@ -41,12 +41,18 @@ def with_wheel_speeds(
     """
     t = run["time"].values
     read = xr.Dataset(coords={"time": t}) if telemetry is None else telemetry
-    known = wheel_speeds(vehicle, read, t) if telemetry is not None or HELD in wheel_use else {}
-    # `known`: speeds by the words for how they came about; the attribute begins with the words of the ones that were used
-    names = [name for name in known if wheel_use.startswith(name) or len(known) == 1]
+    speeds_by_source = (
+        wheel_speeds(vehicle, read, t) if telemetry is not None or HELD in wheel_use else {}
+    )
+    # keys say in words where the speeds come from; `wheel_use` begins with the words of those that `rates` used
+    names = [
+        name
+        for name in speeds_by_source
+        if wheel_use.startswith(name) or len(speeds_by_source) == 1
+    ]
     speed = np.full((len(t), len(vehicle.wheels)), np.nan)
     if names:
-        speed = np.array(known[max(names, key=len)])
+        speed = np.array(speeds_by_source[max(names, key=len)])
     silent = untold(vehicle, read)
     speed[:, [wheel.name in silent for wheel in vehicle.wheels]] = np.nan
     return run.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
@@ -61,9 +67,11 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
     start = Rotation.from_quat(samples["B_from_N"].values[0])
     attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
     # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-    about = f"the likeliest motion of {samples.sizes['time']} samples; between samples as the equations of motion carry it"
+    about = (
+        f"the likeliest motion of {samples.sizes['time']} samples; between samples it is propagated"
+    )
     if rates.attrs.get("frame_N") != J2000:
-        about += ", and the turn about the line to the Sun at its start is arbitrary"
+        about += ", and the rotation about the Sun direction at its start is arbitrary"
     return xr.Dataset(
         {
             "omega_B": (("time", "axis"), curve["curve_omega_B"].values),

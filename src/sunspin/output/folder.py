@@ -104,7 +104,7 @@ def remove_empty_folders() -> None:
 
 
 def keep_folders() -> None:
-    """Forget which folders were claimed: the command has ended well."""
+    """Keep the claimed folders, even an empty one, because the command succeeded."""
     _CLAIMED.clear()
 
 
@@ -297,8 +297,8 @@ def verify_file(folder: Path, manifest: dict[str, Any], name: Any) -> Path:
     InputError
         The file is missing, a link, or its SHA-256 differs from that in the manifest.
     """
-    known = isinstance(name, str) and Path(name).name == name and name in manifest["sha256"]
-    if not known or not is_own(folder / name):
+    listed = isinstance(name, str) and Path(name).name == name and name in manifest["sha256"]
+    if not listed or not is_own(folder / name):
         what, do = "this is not a regular file of the folder", "put the file itself there"
         raise InputError(what, do=do, where=str(name)[:200])
     if _digest(folder / name) != manifest["sha256"][name]:

@@ -75,14 +75,14 @@ class Result:
         from sunspin.output.kind import Context
 
         context = Context(telemetry)
-        known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
-        if not known:
+        drawings = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
+        if not drawings:
             what = f"a result of kind {self._data.attrs['kind']!r} has no figure"
             raise InputError(what, do="print its summary()")
-        if name is not None and name not in known:
-            do = f"known: {', '.join(known)}"
+        if name is not None and name not in drawings:
+            do = f"known: {', '.join(drawings)}"
             raise InputError("there is no figure of this name", got=name, do=do)
-        return known[name or next(iter(known))].make()
+        return drawings[name or next(iter(drawings))].make()
 
     def save(
         self,

@@ -121,8 +121,8 @@ def _lines(summary: dict[str, Any], fit: Any) -> list[str]:
     lines += [f"  {note}" for note in summary["notes"]]
     lines += [f"  {text}" for text in (str(fit.sun_in_shadow), clock_off(fit)) if text]
     if fit.sign_turned:
-        turned = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
-        lines.append(f"  {turned}")
+        remedy = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
+        lines.append(f"  {remedy}")
     if fit.turned_axes:
         lines.append(f"  {fit.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in fit.samples.items() if n)

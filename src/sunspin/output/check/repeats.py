@@ -64,13 +64,15 @@ def describe_repeats(assessment: Assessment) -> Findings:
             )
     if repeats.columns is not None and repeats.columns.any():
         names = samples["panel"].values.astype(str)
-        each = {
+        repeat_counts = {
             name: int(n) for name, n in zip(names, repeats.columns.sum(axis=0), strict=True) if n
         }
-        summary["held_panels"] = each
-        of = ", ".join(f"{name} in {count_text(n, 'sample')}" for name, n in each.items())
+        summary["held_panels"] = repeat_counts
+        panels = ", ".join(
+            f"{name} in {count_text(n, 'sample')}" for name, n in repeat_counts.items()
+        )
         lines.append(
-            f"  HELD VALUES: panels that are read less often than the samples repeat their last reading: {of}; left out"
+            f"  HELD VALUES: panels that are read less often than the samples repeat their last reading: {panels}; left out"
         )
     if words := repeats.doubt:
         summary["repeats_doubtful"] = int(repeats.unsure.sum())

@@ -60,14 +60,14 @@ def noise_lines(assessment: Assessment) -> list[str]:
     """Return lines on the noise of panel readings and its source; none if the vehicle file states one noise for all panels."""
     sun = assessment.sun
     noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
-    own = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
-    if not np.isfinite(noise) or (source == "given" and len({*own.values()}) == 1):
+    noise_of_panel = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
+    if not np.isfinite(noise) or (source == "given" and len({*noise_of_panel.values()}) == 1):
         return []
-    known = reading_unit(assessment.vehicle, signals(assessment.telemetry))
-    unit = f" {known}" if known else " (in the unit of the readings)"
+    unit_name = reading_unit(assessment.vehicle, signals(assessment.telemetry))
+    unit = f" {unit_name}" if unit_name else " (in the unit of the readings)"
     if source == "given":
-        each = ", ".join(f"{panel} {size_text(sigma)}" for panel, sigma in own.items())
-        return [f"  noise of panel readings, from the vehicle file: {each}{unit}"]
+        values = ", ".join(f"{panel} {size_text(sigma)}" for panel, sigma in noise_of_panel.items())
+        return [f"  noise of panel readings, from the vehicle file: {values}{unit}"]
     if source != ASSUMED_FROM:
         return [f"  noise of panel readings: {size_text(noise)}{unit}, {source}"]
     return [
@@ -109,7 +109,7 @@ def _describe_panels(assessment: Assessment) -> Findings:
     craft, quality = assessment.vehicle, assessment.quality
     counts_by_reason = reasons(quality)
     names = quality["panel"].values.astype(str)
-    # Of the panels without signal, those are missed whose light the other panels do not account for: they have failed.
+    # Panels without signal: `missed` are those without which the other panels do not account for the full Sun.
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()
     whole = _complete_samples(assessment)
@@ -131,14 +131,15 @@ def _describe_panels(assessment: Assessment) -> Findings:
             "no signal, probably never sunlit (the other panels account for the full Sun); not used"
         )
         lines.append(f"  panel {', '.join(unlit)}: {text}")
-    pairs = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
-    pairs = pairs / craft.input_gains[:, None]
-    summary["gains"] = dict(zip(names.tolist(), pairs.tolist(), strict=True))
+    # gain and sigma of each panel, relative to the gain in the vehicle file
+    relative_gains = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
+    relative_gains = relative_gains / craft.input_gains[:, None]
+    summary["gains"] = dict(zip(names.tolist(), relative_gains.tolist(), strict=True))
     summary["gains_from"] = quality.attrs["gains_from"]
     weak = quality["weak"].values
-    # gain (estimated / vehicle file) of the other panels, with which that of a weak one is compared
-    usual = np.median(pairs[~weak, 0]) if (~weak).any() else 1.0
-    weak_pairs = (pairs[weak] / usual).tolist()
+    # relative gain of the other panels, with which that of a weak panel is compared
+    usual = np.median(relative_gains[~weak, 0]) if (~weak).any() else 1.0
+    weak_pairs = (relative_gains[weak] / usual).tolist()
     summary["weak_panels"] = dict(zip(names[weak].tolist(), weak_pairs, strict=True))
     lines += [
         f"  WEAK PANEL: {name} gives {with_sigma(g, s)} of what its gain in the vehicle file says, compared with the other panels; "
@@ -147,21 +148,21 @@ def _describe_panels(assessment: Assessment) -> Findings:
     ]
     gains = f"  gains: {quality.attrs['gains_from']}"
     if np.isfinite(quality.attrs["spread"]):
-        each = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
+        values = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
         gains = (
-            f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {each}"
+            f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {values}"
         )
     lines.append(gains)
     lines.append(
         f"  albedo and stray light on unlit panels: up to {quality.attrs['albedo']:.0%} of full Sun"
     )
-    often = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
+    counts = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
     if not whole.any():
         # each row has only some of the panels, which `_partial_rows_advice` reports
         return Findings(summary, lines)
     lines.append(
-        f"  {lit} lit: {often}; three determine the direction; `sunspin rates` also uses samples with one or two"
+        f"  {lit} lit: {counts}; three determine the direction; `sunspin rates` also uses samples with one or two"
     )
     return Findings(summary, lines)
 

@@ -32,8 +32,8 @@ LOCAL_FRAME = "SUNSPIN_LOCAL"
 """Name of a frame whose orientation in space is not known."""
 
 ORIENTATIONS = {
-    SUN_Z_LOCAL: "its z axis points to the Sun, the turn about it is arbitrary and another in each pass",
-    FIELD_Z_LOCAL: "its z axis follows the magnetic field, the turn about it is arbitrary and another in each pass",
+    SUN_Z_LOCAL: "its z axis points to the Sun, the rotation about it is arbitrary and differs from pass to pass",
+    FIELD_Z_LOCAL: "its z axis follows the magnetic field, the rotation about it is arbitrary and differs from pass to pass",
     BODY_AT_START: "its axes are those of the body at the start of the run",
 }
 """Orientation of a local frame, by `frame_N` of the results."""
@@ -335,11 +335,12 @@ def _readers_follow(samples: AttitudeSamples, motion: AttitudeSamples) -> bool:
         return False
     if len(samples.t_s) == 1:
         return True
+    # at the instants of the dense motion: angle to the interpolated attitude, and error of the interpolated rate
     path = Slerp(samples.t_s, Rotation.from_quat(samples.quaternion))(motion.t_s)
-    bend = (path.inv() * Rotation.from_quat(motion.quaternion)).magnitude()
+    angle = (path.inv() * Rotation.from_quat(motion.quaternion)).magnitude()
     rates = np.stack([np.interp(motion.t_s, samples.t_s, x) for x in samples.omega_B.T], axis=1)
-    missed = np.abs(rates - motion.omega_B).max() / max(np.abs(motion.omega_B).max(), TINY)
-    return bool(bend.max() < BEND_RAD and missed < RATE_SHARE)
+    error = np.abs(rates - motion.omega_B).max() / max(np.abs(motion.omega_B).max(), TINY)
+    return bool(angle.max() < BEND_RAD and error < RATE_SHARE)
 
 
 def _fill_between(motion: AttitudeSamples) -> AttitudeSamples:
@@ -411,8 +412,8 @@ def write_cf(target: Path, data: xr.Dataset, attitude: Attitude) -> Path:
         omega_B=(("time", "axis"), attitude.omega_B, omega),
     )
     conventions = {"Conventions": "CF-1.11", "title": f"Attitude of {attitude.name}"}
-    about = {"frame": attitude.frame, "source": attitude.source}
-    return write_netcdf(target, data.assign_attrs(conventions | about))
+    origin = {"frame": attitude.frame, "source": attitude.source}
+    return write_netcdf(target, data.assign_attrs(conventions | origin))
 
 
 def write_parquet(target: Path, attitude: Attitude) -> Path:
@@ -429,9 +430,9 @@ def write_parquet(target: Path, attitude: Attitude) -> Path:
     columns = {"time_utc": attitude.utc, "time_s": attitude.t_s, "pass": attitude.pass_of}
     columns |= {f"q_{k}_B_from_N": q for k, q in zip("xyzw", attitude.quaternion.T, strict=True)}
     columns |= {f"omega_{k}_B_rad_s": w for k, w in zip("xyz", attitude.omega_B.T, strict=True)}
-    about = {"frame": attitude.frame, "object": attitude.name, "source": attitude.source}
-    about["epoch_utc"] = f"{attitude.epoch}Z"
+    metadata = {"frame": attitude.frame, "object": attitude.name, "source": attitude.source}
+    metadata["epoch_utc"] = f"{attitude.epoch}Z"
     buffer = io.BytesIO()  # pyarrow refuses file names that are not UTF-8
-    table = pyarrow.table(columns).replace_schema_metadata(about)
+    table = pyarrow.table(columns).replace_schema_metadata(metadata)
     pyarrow.parquet.write_table(table, buffer)
     return write_whole(target, buffer.getvalue())

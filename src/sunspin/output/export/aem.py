@@ -76,12 +76,12 @@ def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:
         add(head, key, value)
     for metadata, states in segments:
         segment = add(body, "segment")
-        about, data = add(segment, "metadata"), add(segment, "data")
+        metadata_element, data = add(segment, "metadata"), add(segment, "data")
         for text in comments:
-            add(about, "COMMENT", text)
+            add(metadata_element, "COMMENT", text)
         for key, value in metadata.items():
             if key not in IN_KVN_ALONE:
-                add(about, key, value)
+                add(metadata_element, key, value)
         for utc, components in states:
             state = add(add(data, "attitudeState"), "quaternionEphemeris")
             add(state, "EPOCH", utc)

@@ -83,7 +83,7 @@ def _fit_factor(
     time: np.ndarray, measured: np.ndarray, model_time: np.ndarray, model: np.ndarray
 ) -> float:
     """Return the least-squares factor by which the model signals (m, panel) fit the measured ones (n, panel); 1 without samples."""
-    known = np.isfinite(measured).all(axis=1)
-    predicted = np.stack([np.interp(time[known], model_time, p) for p in model.T], axis=1)
-    power = float((predicted**2).sum()) if known.any() else 0.0
-    return float((predicted * measured[known]).sum()) / power if power > 0 else 1.0
+    complete = np.isfinite(measured).all(axis=1)
+    predicted = np.stack([np.interp(time[complete], model_time, p) for p in model.T], axis=1)
+    power = float((predicted**2).sum()) if complete.any() else 0.0
+    return float((predicted * measured[complete]).sum()) / power if power > 0 else 1.0

@@ -74,7 +74,7 @@ def label_time_axis(axes: Any, data: xr.Dataset, time_axis: TimeAxis) -> None:
         unit = "min" if time_axis.in_min else "h"
         axes.set_xlabel(f"time ({unit}) since {epoch or 'the first sample'}")
         return
-    begins, at = time_axis.hours[::2], time_axis.places[::2]
+    begins, at = time_axis.hours[::2], time_axis.places[::2]  # time (h) and position of each begin
     shown = [0]  # passes whose begin is written: each far enough from the last one
     for k in range(1, len(at)):
         if at[k] - at[shown[-1]] > (at[-1] - at[0]) / MOST_TICKS:
@@ -82,8 +82,9 @@ def label_time_axis(axes: Any, data: xr.Dataset, time_axis: TimeAxis) -> None:
     zero = np.datetime64(str(epoch or "1970-01-01").removesuffix("Z"), "s")
     utc = zero + np.round(3600 * begins[shown]).astype("timedelta64[s]")
     texts = [str(time)[:16].replace("T", "\n") for time in utc]
-    begin = 5 if len({text[:4] for text in texts}) == 1 else 0  # the year, if they do not share it
-    axes.set_xticks(at[shown], [text[begin:] for text in texts])
+    # the year is written if passes are of different years
+    year_end = 5 if len({text[:4] for text in texts}) == 1 else 0
+    axes.set_xticks(at[shown], [text[year_end:] for text in texts])
     for end, begin in zip(time_axis.places[1:-1:2], time_axis.places[2::2], strict=True):
         axes.axvspan(end, begin, color=COLOURS[7], alpha=0.12, lw=0, zorder=0)
     longest = 60 * float(np.diff(time_axis.hours.reshape(-1, 2), axis=1).max())

@@ -45,9 +45,9 @@ def collision_figure(runs: Any) -> Any:
     figure, (left, right) = axes_grid(11, 4.4, 1, 2, "The collision")
     facts, sigma = facts_of(runs), runs.attrs["sigma_m_s"]
     change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
-    known = np.isfinite(speed)
+    finite = np.isfinite(speed)
     style = {"gridsize": 45, "cmap": "cividis", "mincnt": 1, "linewidth": 0}
-    image = left.hexbin(change[known], speed[known], **style)
+    image = left.hexbin(change[finite], speed[finite], **style)
     figure.colorbar(image, ax=left, label="simulated collisions")
     angle = np.linspace(0, 2 * np.pi, 100)
     for k in (1, 2):
@@ -60,11 +60,11 @@ def collision_figure(runs: Any) -> Any:
     left.legend(loc="lower left", frameon=True)
     left.set_title(f"Impacts at {facts['speed_before']:.3f} m/s and what the trajectory shows")
     rate = np.degrees(np.linalg.norm(runs["omega_after_B"].values, axis=1))
-    known, edges = np.isfinite(rate), np.linspace(0, 60, 61)
+    finite, edges = np.isfinite(rate), np.linspace(0, 60, 61)
     for k, text in enumerate(("as drawn", "weighted by the kernel's speeds")):
-        weight = runs["weight"].values[known] if k else None
+        weight = runs["weight"].values[finite] if k else None
         style = {"histtype": "step", "lw": 1.8, "ls": ("-", "--")[k], "color": COLOURS[k]}
-        right.hist(rate[known], edges, weights=weight, density=True, label=text, **style)
+        right.hist(rate[finite], edges, weights=weight, density=True, label=text, **style)
     period, width = runs.attrs["period_after_s"], 2 * runs.attrs["sigma_period_s"]
     label = f"magnetometer: {period:g} s, drawn {width:g} s wide to each side"
     # deg/s for periods in s

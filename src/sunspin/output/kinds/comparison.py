@@ -22,15 +22,15 @@ UNITS = {INTERVAL: "half widths", TOLERANCE: "tolerances", SIGMA: "sigmas"}
 def comparison_summary(data: Any) -> Summary:
     """Return the summary of a comparison: the number of rows that changed by more than their error, and the largest changes."""
     attrs, table = data.attrs, data.to_dataframe().reset_index()
-    known = table["error"].notna()
+    has_error = table["error"].notna()
     changed = table[table["beyond"] | (table["words"] != "")]
     numbers: dict[str, Any] = {
         "command": attrs["command"],
         "a": attrs["folder_a"],
         "b": attrs["folder_b"],
         "rows": len(table),
-        "beyond": int((table["beyond"] & known).sum()),
-        "changed_without_error": int((table["beyond"] & ~known).sum()),
+        "beyond": int((table["beyond"] & has_error).sum()),
+        "changed_without_error": int((table["beyond"] & ~has_error).sum()),
         "same_telemetry": bool(attrs["same_telemetry"]),
         "synthetic_telemetry": bool(attrs["synthetic"]),
         **{name: attrs[name].splitlines() for name in ("only_a", "only_b", "said_a", "said_b")},
@@ -45,8 +45,8 @@ def comparison_summary(data: Any) -> Summary:
             shown = ", ".join(only[:MOST_LINES]) + ", ..." * (len(only) > MOST_LINES)
             lines.append(f"   {len(only)} rows are in this result alone: {shown}")
     lines.append(
-        f"{numbers['beyond']} of {known.sum()} rows with a known error changed by more than it; of {(~known).sum()} without one "
-        f"{numbers['changed_without_error']} changed"
+        f"{numbers['beyond']} of {has_error.sum()} rows with a known error changed by more than it; "
+        f"of {(~has_error).sum()} without one {numbers['changed_without_error']} changed"
     )
     if attrs["command"] != "outcomes":
         same = "both are" if numbers["same_telemetry"] else "not"

@@ -53,8 +53,8 @@ def posterior_summary(tree: Any) -> Summary:
         omega = with_sigma(*np.degrees([solution["omega_B"], solution["sigma"]]), "deg/s")
         too_few = solution["effective_draws"] < TOO_FEW
         rough = " (approximate: few draws)" if too_few else ""
-        about = f"probability {solution['probability']:.3f}, omega {omega}{rough}"
-        lines.append(f"  solution {k}: {about}, chi-square {solution['chi_square']:.0f}")
+        text = f"probability {solution['probability']:.3f}, omega {omega}{rough}"
+        lines.append(f"  solution {k}: {text}, chi-square {solution['chi_square']:.0f}")
     lines.append(
         f"  diagnostics: posterior predictive p {number_text(numbers['p_value'], 3)}, effective sample size "
         f"{numbers['effective_draws']:.0f}, Pareto k {numbers['pareto_k']:.2f}"

@@ -219,7 +219,7 @@ def _summarize_pass(result: Any, k: int) -> PassSummary:
         "at_s": rate.at_s,
         "omega_at_deg_s": rate.omega.tolist(),
     }
-    speed, omega = _speed(numbers, rate), with_sigma(rate.omega, rate.sigma)
+    speed, omega = _speed_text(numbers, rate), with_sigma(rate.omega, rate.sigma)
     over_the_pass = range_text(rate.low, rate.high, float(rate.sigma.max()))
     # the reasons without what is in parentheses, except the limit "(95 %)": those are remedies
     verdict = re.sub(r" \((?!95 %\)).*", "", str(numbers["why_not_decided"])) or "decided"
@@ -236,8 +236,8 @@ def _summarize_pass(result: Any, k: int) -> PassSummary:
     return PassSummary(numbers, row, sentence)
 
 
-def _speed(numbers: dict[str, Any], rate: RateAt) -> str:
-    """Return the speed at mid-pass (deg/s) with its sigma, or its upper limit if the data do not constrain it."""
+def _speed_text(numbers: dict[str, Any], rate: RateAt) -> str:
+    """Return the speed of a pass at mid-pass (deg/s) with its sigma, or its upper limit if the data do not constrain it."""
     limit = numbers.get("speed_below_deg_s", np.nan)
     if not numbers.get("constrained_speed", True) and np.isfinite(limit):
         return f"below {upper_text(limit)} (95 %)"

@@ -82,18 +82,18 @@ def _draw_signals(axes: Any, telemetry: xr.Dataset, time_axis: TimeAxis) -> None
 
 def sun_summary(sun: Any) -> Summary:
     """Return the summary of Sun directions: how many samples give one, and why the others do not."""
-    known = is_reconstructed(sun["status"])
-    sigma = sun["sigma_rad"].values[known]
+    reconstructed = is_reconstructed(sun["status"])
+    sigma = sun["sigma_rad"].values[reconstructed]
     numbers = {
-        "samples": int(known.size),
-        "reconstructed": int(known.sum()),
+        "samples": int(reconstructed.size),
+        "reconstructed": int(reconstructed.sum()),
         "status": status_counts(sun),
         "median_sigma_deg": float(np.degrees(np.median(sigma))) if sigma.size else None,
         "noise": float(sun.attrs["noise"]),
         "noise_from": sun.attrs["noise_from"],
         "synthetic_telemetry": bool(sun.attrs.get("synthetic", 0)),
     }
-    lines = [f"Sun direction determined for {known.sum()} of {known.size} samples"]
+    lines = [f"Sun direction determined for {reconstructed.sum()} of {reconstructed.size} samples"]
     lines += status_lines(sun)
     if numbers["median_sigma_deg"] is not None:
         size = "" if numbers["noise_from"] == "given" else f"{size_text(numbers['noise'])}, "
@@ -142,13 +142,15 @@ def sun_directions_figure(
     figure, grid = axes_grid(10, height, rows, 1, title, sharex=True, height_ratios=ratios)
     time_axis = build_time_axis(3600 * hours)
     x, direction, error = time_axis.x(hours), sun["sun_B"].values, sun["sigma_rad"].values
-    known = np.isfinite(direction[:, 0])
+    has_direction = np.isfinite(direction[:, 0])
     if telemetry is not None:
         _draw_signals(grid[0], telemetry, time_axis)
     middle, low = grid[-2:]
     for k, axis in enumerate("xyz"):
         style = {"fmt": ".", "ms": 5, "lw": 0.8, "color": COLOURS[k], "label": f"$n_{axis}$"}
-        middle.errorbar(x[known], direction[known, k], error[known], **style)
+        middle.errorbar(
+            x[has_direction], direction[has_direction, k], error[has_direction], **style
+        )
     for piece in connected_stretches(hours, sun):
         for k in range(3):
             style = {"lw": 0.6, "alpha": 0.6, "color": COLOURS[k], "zorder": 1}
@@ -190,13 +192,19 @@ def connected_stretches(hours: np.ndarray, sun: xr.Dataset) -> list[np.ndarray]:
     A stretch ends where the phase changes, after more than `PAUSE` usual intervals, and where successive directions differ by more
     than `UNKNOWN_WAY`. A few samples without a direction do not break the line, as in the paper's figure.
     """
-    known = np.flatnonzero(np.isfinite(sun["sun_B"].values[:, 0]))
-    direction = sun["sun_B"].values[known]
+    with_direction = np.flatnonzero(np.isfinite(sun["sun_B"].values[:, 0]))
+    direction = sun["sun_B"].values[with_direction]
     far = (direction[1:] * direction[:-1]).sum(axis=1) < np.cos(UNKNOWN_WAY)
     phase = sun["phase"].values.astype(str) if "phase" in sun.coords else np.full(hours.size, "")
     usual = float(np.median(np.diff(hours))) if hours.size > 1 else 0.0
-    parted = (phase[known[1:]] != phase[known[:-1]]) | (np.diff(hours[known]) > PAUSE * usual) | far
-    return [piece for piece in np.split(known, np.flatnonzero(parted) + 1) if piece.size > 1]
+    parted = (
+        (phase[with_direction[1:]] != phase[with_direction[:-1]])
+        | (np.diff(hours[with_direction]) > PAUSE * usual)
+        | far
+    )
+    return [
+        piece for piece in np.split(with_direction, np.flatnonzero(parted) + 1) if piece.size > 1
+    ]
 
 
 def sun_tables(sun: Any) -> Iterator[Table]:

@@ -48,7 +48,7 @@ def body_in_motion(results: Results, motions: Motions) -> Iterator[View]:
             f"motion-{k}",
             title,
             figure,
-            "The vehicle in three dimensions as it turns; the line under it states time, angular speed and wheel speeds.",
+            "The vehicle in three dimensions as it rotates; the line under it states time, angular speed and wheel speeds.",
             (f"{about}. " if about else "")
             + "Gold: direction to the Sun. Blue: angular momentum, or the first axis of rotation if the momentum is not known. "
             f"A panel is the brighter the more sunlight it gets.{'' if vehicle.hull else f' {shape}'}",
@@ -86,10 +86,12 @@ def _animate(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[st
     to_scene = _inertial_to_scene(attitude[0], sun[0], up) * attitude.inv()
     vertices, faces, owner, size = _shape(vehicle)
     toward_sun = sun / np.linalg.norm(sun, axis=1, keepdims=True)
+    # signal of each panel (frame, panel) as a fraction of its largest one
     light = vehicle.panels_in().power(toward_sun) / vehicle.panel_gains
     wheels = np.zeros((len(at), 0))
     if "wheel_speed_rad_s" in run:
         wheels = run["wheel_speed_rad_s"].values[at].reshape(len(at), -1)
+    # each leg is a line from the origin to its tip, and a NaN ends the line
     legs = [(np.zeros(3), leg.tip_B_m, np.full(3, np.nan)) for leg in vehicle.legs]
     lines, reach = np.array(legs).reshape(-1, 3), 1.3 * size
     name = "angular momentum" if has_momentum else "axis of rotation"
@@ -144,10 +146,8 @@ def _animate(vehicle: Vehicle, run: xr.Dataset) -> tuple[go.Figure, list[dict[st
     ]
     corner = {"x": 0, "y": 0, "xanchor": "left", "yanchor": "top", "pad": {"t": 8}}
     menu = {"type": "buttons", "direction": "right", **corner, "buttons": buttons}
-    shown_now = {
-        "prefix": "",
-        "font": {"size": 13, "color": GREY},
-    }  # page.css sets the theme's colour
+    # page.css replaces the colour by that of the theme
+    shown_now = {"prefix": "", "font": {"size": 13, "color": GREY}}
     bare = {"ticklen": 0, "minorticklen": 0, "font": {"size": 1, "color": "rgba(0,0,0,0)"}}
     slider = {"currentvalue": shown_now, "pad": {"t": 50}, **bare, "steps": steps}
     figure.update_layout(updatemenus=[menu], sliders=[slider])

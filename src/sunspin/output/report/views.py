@@ -71,12 +71,12 @@ def sun_on_sphere(results: Results, motions: Motions) -> View | None:
     traces = _sphere()
     empty_count = len(traces)
     if sun is not None:
-        known = np.isfinite(sun["sun_B"].values).all(axis=1)
-        phase = np.full(known.size, "samples")
+        has_direction = np.isfinite(sun["sun_B"].values).all(axis=1)
+        phase = np.full(has_direction.size, "samples")
         if "phase" in sun.coords:
             phase = sun["phase"].values.astype(str)
-        for k, name in enumerate(dict.fromkeys(phase[known])):
-            points = _thin(sun["sun_B"].values[known & (phase == name)])
+        for k, name in enumerate(dict.fromkeys(phase[has_direction])):
+            points = _thin(sun["sun_B"].values[has_direction & (phase == name)])
             traces.append(_point_trace(points, name.replace("_", " "), COLOURS[k % 6], 4))
     for k, (title, run) in enumerate(motions):
         path = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
@@ -222,13 +222,13 @@ def _clip_line(
 
 
 def _point_trace(points: np.ndarray, name: str, colour: str, size: float) -> go.Scatter3d:
-    """Return points (n, 3) as dots."""
+    """Return the plotly trace of points (n, 3) as dots."""
     marker = {"size": size, "color": colour}
     return go.Scatter3d(coordinates(points), mode="markers", name=name, marker=marker)
 
 
 def line_trace(points: np.ndarray, colour: str, width: float, name: str = "") -> go.Scatter3d:
-    """Return a line through points (n, 3), broken where they are NaN."""
+    """Return the plotly trace of a line through points (n, 3), broken where they are NaN."""
     style = {"line": {"width": width, "color": colour}, "hoverinfo": "skip"}
     return go.Scatter3d(coordinates(points), mode="lines", name=name, showlegend=False, **style)
 
