@@ -67,9 +67,7 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
     start = Rotation.from_quat(samples["B_from_N"].values[0])
     attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
     # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-    about = (
-        f"the likeliest motion of {samples.sizes['time']} samples; between samples it is propagated"
-    )
+    about = f"the likeliest motion of {samples.sizes['time']} samples; between samples it is propagated with the equations of motion"
     if rates.attrs.get("frame_N") != J2000:
         about += ", and the rotation about the Sun direction at its start is arbitrary"
     return xr.Dataset(
