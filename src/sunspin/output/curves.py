@@ -66,14 +66,15 @@ def _pass_motion(rates: xr.Dataset, k: int) -> xr.Dataset:
     )
     start = Rotation.from_quat(samples["B_from_N"].values[0])
     attitude = Rotation.from_quat(curve["curve_B_from_N"].values)
-    # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
-    about = f"the likeliest motion of {samples.sizes['time']} samples; between samples it is propagated with the equations of motion"
+    count = samples.sizes["time"]
+    about = f"the likeliest motion of {count} samples; between samples it is propagated with the equations of motion"
     if rates.attrs.get("frame_N") != J2000:
         about += ", and the rotation about the Sun direction at its start is arbitrary"
     return xr.Dataset(
         {
             "omega_B": (("time", "axis"), curve["curve_omega_B"].values),
             "B_from_N": (("time", "quaternion"), curve["curve_B_from_N"].values),
+            # the Sun is fixed in N during a pass: its direction at the first sample, rotated with the body
             "sun_B": (
                 ("time", "axis"),
                 attitude.apply(start.inv().apply(samples["sun_B"].values[0])),
