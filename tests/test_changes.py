@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
-from sunspin.cli.changes import opened
+from sunspin.cli.changes import load_inputs
 from sunspin.cli.common import Group
 from sunspin.compute.identity import to_json
 from sunspin.landing.outcomes import default_scenario
@@ -361,7 +361,7 @@ def test_outcomes_name_the_vehicle_of_the_motions_of_a_scan(tmp_path):
         ((), "of another body than this run's: philae, wheel.speed_rad_s = 833"),
     ):
         points, whose = starts(
-            opened("philae", parse_changes(sets)).craft, [], tmp_path / "scan.nc", 1.1
+            load_inputs("philae", parse_changes(sets)).craft, [], tmp_path / "scan.nc", 1.1
         )
         assert len(points) == 1 and words in whose and ("another body" in whose) is bool(words)
 

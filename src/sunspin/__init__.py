@@ -1,7 +1,7 @@
 """sunspin: estimates how a spacecraft tumbles from the power of its solar panels.
 
-Public names are loaded on first use, so that ``import sunspin`` and ``sunspin --help`` stay fast. Datasets have the accessor
-``.sunspin`` from then on, also those opened from files: it is registered as soon as xarray has been imported.
+Public names are imported at their first use, so that ``import sunspin`` and ``sunspin --help`` stay fast. The accessor ``.sunspin``
+of Datasets is registered as soon as xarray is imported, so Datasets opened from files have it too.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-if (
-    TYPE_CHECKING
-):  # what type checkers and editors see; test_house_rules.py compares it with the names below
+# What type checkers and editors see. A test compares these names with those of _MODULES below.
+if TYPE_CHECKING:
     from sunspin.cases import (
         Case as Case,
         load_case as load_case,
@@ -68,7 +67,7 @@ if (
 
     __version__: str
 
-_HOME = {
+_MODULES = {
     "Case": "sunspin.cases",
     "load_case": "sunspin.cases",
     "load_example": "sunspin.cases",
@@ -112,14 +111,19 @@ _HOME = {
     "InputError": "sunspin.base.errors",
     "OutputError": "sunspin.base.errors",
 }
+"""Public name -> module that defines it."""
 
-__all__ = ["__version__", *_HOME]
+__all__ = ["__version__", *_MODULES]
 
 
 class _AfterXarray(MetaPathFinder):
-    """Finds xarray as the other finders do, and imports the accessor once xarray has been executed."""
+    """A finder of xarray that imports the accessor as soon as xarray itself has been imported.
+
+    The finder leaves the search to the others, and only extends the loader that they find.
+    """
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Return the spec of xarray with the extended loader, None for other modules."""
         if fullname != "xarray":
             return None
         finders = (finder for finder in sys.meta_path if finder is not self)
@@ -134,11 +138,13 @@ class _AfterXarray(MetaPathFinder):
                     sys.meta_path.remove(self)
                 import_module(_ACCESSOR)
 
-            loader.exec_module = exec_module  # of this loader alone: each import makes its own
+            # a loader serves a single import, so no other module is affected
+            loader.exec_module = exec_module
         return spec
 
 
-_ACCESSOR = "sunspin.output.result"  # the accessor's class only, nothing that draws
+_ACCESSOR = "sunspin.output.result"
+"""Module that registers the accessor; it imports nothing that draws."""
 
 if "xarray" in sys.modules:
     import_module(_ACCESSOR)
@@ -147,14 +153,16 @@ else:
 
 
 def __getattr__(name: str) -> Any:
+    """Import a public name at its first use."""
     if name == "__version__":
         return metadata.version("sunspin")
-    if name not in _HOME:
-        near = get_close_matches(name, _HOME, n=1)
-        meant = f"; did you mean {near[0]!r}?" if near else ""
-        raise AttributeError(f"module 'sunspin' has no attribute {name!r}{meant}")
-    return getattr(import_module(_HOME[name]), name)
+    if name not in _MODULES:
+        near = get_close_matches(name, _MODULES, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise AttributeError(f"module 'sunspin' has no attribute {name!r}{hint}")
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:
+    """Return the public names."""
     return sorted(__all__)

@@ -168,14 +168,14 @@ def test_options_and_changes_of_values_accept_the_same_numbers(seed, capsys, mon
         or odd in ("True", "nan", "inf", "-inf")
     ):
         pass
-    assert values.numbers(f"1,{good}", "--omega-deg-s") == [1, float(good)]
+    assert values.parse_numbers(f"1,{good}", "--omega-deg-s") == [1, float(good)]
     for wrong in (
-        lambda: values.numbers(f"1,{odd}", "--omega-deg-s"),
+        lambda: values.parse_numbers(f"1,{odd}", "--omega-deg-s"),
         lambda: parse_strategy(ss.Vehicle("any"), f"delay:{odd}"),
-        lambda: values.period(f"{odd}+-1@10", None),
-        lambda: values.prior(f"inertia={odd}", "--prior"),
-        lambda: values.grid(f"0:1:{odd}", "--omega-x-deg-s"),
-        lambda: values.times(odd, None),
+        lambda: values.parse_period(f"{odd}+-1@10", None),
+        lambda: values.parse_prior(f"inertia={odd}", "--prior"),
+        lambda: values.parse_grid(f"0:1:{odd}", "--omega-x-deg-s"),
+        lambda: values.parse_times(odd, None),
     ):
         with pytest.raises(InputError):
             wrong()

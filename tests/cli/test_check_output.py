@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.cli.values import between, instants_of
-from sunspin.output.check.samples import _lit
+from sunspin.cli.values import parse_limits, select_interval
+from sunspin.output.check.samples import _count_lit_sides
 from sunspin.output.kinds.panels import SETS, health_lines
 from sunspin.telemetry.synthetic import telemetry_dataset
 from sunspin.vehicle.file import parse_vehicle
@@ -43,7 +43,7 @@ def test_check_counts_panels_of_one_face_as_one_side(each):
     samples = telemetry_dataset(craft, np.arange(len(sun)), power, sun, "2026-01-01T00:00:00Z", {})
     about = {"albedo": 0.01, "full_sun": 1.0}
     quality = xr.Dataset({"noise": ("panel", np.full(6 * each, 0.01))}, attrs=about)
-    lit = _lit(craft, samples, quality)
+    lit = _count_lit_sides(craft, samples, quality)
     assert np.all(lit[np.abs(sun).min(axis=1) > 0.05] == 3) and lit.max() <= 3
 
 
@@ -54,7 +54,9 @@ def test_check_counts_no_side_as_lit_by_noise_alone():
         craft, np.arange(40), dark, np.eye(3)[np.zeros(40, int)], "2026-01-01T00:00:00Z", {}
     )
     about = {"albedo": 0.01, "full_sun": 1.0}
-    lit = _lit(craft, samples, xr.Dataset({"noise": ("panel", np.full(6, 0.05))}, attrs=about))
+    lit = _count_lit_sides(
+        craft, samples, xr.Dataset({"noise": ("panel", np.full(6, 0.05))}, attrs=about)
+    )
     assert np.count_nonzero(lit) <= 3  # at two hundredths of full Sun, 0.04 W, nearly all were
 
 
@@ -100,13 +102,13 @@ def test_rates_posterior_and_scan_select_the_same_time_range():
     samples = xr.Dataset(
         coords={"time": np.arange(0, 600, 60.0)}, attrs={"epoch_utc": "2026-01-01T12:00:00Z"}
     )
-    assert instants_of(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and instants_of(
+    assert parse_limits(samples, "2026-01-01T12:01", "180") == (60.0, 180.0) and parse_limits(
         samples, None, None
     ) == (None, None)
-    assert between(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [
+    assert select_interval(samples, "2026-01-01T12:01", "180")["time"].values.tolist() == [
         60.0,
         120.0,
         180.0,
     ]
     with pytest.raises(InputError, match="--from takes s from the epoch, or UTC"):
-        instants_of(samples, "soon", None)
+        parse_limits(samples, "soon", None)

@@ -48,14 +48,17 @@ def refused(outcome, *words):
 @pytest.mark.parametrize(
     ("read", "text"),
     [
-        (lambda: values.times("soon", None), "--predict takes s from the epoch, or UTC"),
-        (lambda: values.period("13+-1@noon", None), "--period takes s from the epoch, or UTC"),
+        (lambda: values.parse_times("soon", None), "--predict takes s from the epoch, or UTC"),
         (
-            lambda: values.prior("inertia", "--prior"),
+            lambda: values.parse_period("13+-1@noon", None),
+            "--period takes s from the epoch, or UTC",
+        ),
+        (
+            lambda: values.parse_prior("inertia", "--prior"),
             r"takes a number \(found nothing\); for example --prior inertia=0.1",
         ),
         (
-            lambda: values.observation("0,1,2", "--gyro-deg-s"),
+            lambda: values.parse_observation("0,1,2", "--gyro-deg-s"),
             r"5 numbers .*\(found 0,1,2\); for example --gyro-deg-s 0.1,0,-0.2,1,0.5",
         ),
     ],
@@ -318,7 +321,7 @@ def test_files_given_in_the_wrong_order_get_a_message_on_the_order(sunspin, tmp_
 
 
 def test_the_option_for_observed_rates_of_the_posterior_is_in_deg_s():
-    seen = values.observation("5,180,0,-90,18", "--gyro-deg-s")
+    seen = values.parse_observation("5,180,0,-90,18", "--gyro-deg-s")
     assert seen["t_s"] == 5 and seen["sigma"] == pytest.approx(np.pi / 10)
     assert seen["value"] == pytest.approx([np.pi, 0, -np.pi / 2])
 

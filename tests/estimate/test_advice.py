@@ -164,7 +164,7 @@ def test_the_advice_to_state_the_wheel_speed_removes_the_warning(way):
 
 def test_the_advice_to_leave_a_sensor_out_gives_right_rates():
     """The gyro's zero is off by 3 deg/s; what is printed is the option of the command line."""
-    from sunspin.cli.rates import UNUSED
+    from sunspin.cli.rates import SENSOR_VARIABLES
 
     data = seen([0.01, 0.012, -0.01], TIMES)
     gyro = (
@@ -180,7 +180,7 @@ def test_the_advice_to_leave_a_sensor_out_gives_right_rates():
     assert found is not None, bad.attrs["verdict"]
     good = ss.rates(
         vehicle,
-        data.drop_vars(UNUSED[found[1]]),
+        data.drop_vars(SENSOR_VARIABLES[found[1]]),
         max_rate_rad_s=0.1,
         acceleration_noise=1e-5,
         column_tests=True,
@@ -211,7 +211,7 @@ def test_the_advice_to_state_a_time_offset_removes_the_warning():
 
 def test_the_advice_of_check_to_set_the_scale_removes_the_warning(tmp_path):
     """Readings in W that the vehicle file takes for mW: the line that is named is replaced by what is printed."""
-    from sunspin.output.check.files import about_telemetry
+    from sunspin.output.check.files import describe_telemetry
 
     made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     made.vehicle.write_text(
@@ -219,7 +219,9 @@ def test_the_advice_of_check_to_set_the_scale_removes_the_warning(tmp_path):
     )
 
     def wrong() -> list[str]:
-        lines = about_telemetry(ss.load_vehicle(made.vehicle), made.telemetry, str(made.vehicle))[2]
+        lines = describe_telemetry(
+            ss.load_vehicle(made.vehicle), made.telemetry, str(made.vehicle)
+        )[2]
         return [line for line in lines if "WRONG" in line]
 
     (said,) = wrong()
@@ -276,7 +278,7 @@ def about_orbit_lines(vehicle, data, orbit) -> list[str]:
     """What `check` says of an orbit."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check_words, "orbit_of", lambda *_: orbit)
-        return check_words.about_orbit(assess(vehicle, data), None, None)[1]
+        return check_words.describe_orbit(assess(vehicle, data), None, None)[1]
 
 
 def test_torques_of_most_passes_are_not_called_stronger_than_in_the_rest_of_the_file():

@@ -7,7 +7,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.errors import InputError
-from sunspin.cli.values import period
+from sunspin.cli.values import parse_period
 from sunspin.dynamics import gyrostat as g
 from sunspin.estimate.posterior import period as of_draws
 from sunspin.estimate.rates import period as of_modes
@@ -100,10 +100,10 @@ def test_periods_that_the_draws_cannot_decide_are_reported(monkeypatch, middle, 
 
 
 def test_the_option_period_is_parsed():
-    assert period("13.0+-0.5@15:50", "2014-11-12T08:35:00Z") == pd.Period(26100.0, 13.0, 0.5)
+    assert parse_period("13.0+-0.5@15:50", "2014-11-12T08:35:00Z") == pd.Period(26100.0, 13.0, 0.5)
     for text in ("13", "13+-0@100", "13+-1", "x+-1@100"):
         with pytest.raises(InputError):
-            period(text, None)
+            parse_period(text, None)
 
 
 WHEELED = Vehicle(

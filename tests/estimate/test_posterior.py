@@ -20,7 +20,7 @@ from sunspin.estimate.posterior.model import State, model
 from sunspin.estimate.posterior.verdict import Found, believed, dark_stretch, sigmas, verdict
 from sunspin.estimate.wheel_speeds import as_measured, untold
 from sunspin.output.kinds.posterior import posterior_summary
-from sunspin.output.verdicts import explained
+from sunspin.output.verdicts import find_labels
 from sunspin.solve.rotations import move_on_sphere
 from sunspin.solve.weights import _pareto_shape, effective_draws, pareto_tail
 from tests.support.vehicles import small_cube
@@ -367,7 +367,7 @@ def _found(**changes):
 def test_the_verdict_of_a_posterior_has_the_documented_words(changes, word, part):
     got, text = verdict(_found(**changes))
     assert got == word and part in text
-    assert bool(explained("posterior", [text])) is (word != "unique")
+    assert bool(find_labels("posterior", [text])) is (word != "unique")
 
 
 def test_a_time_range_without_light_is_named():

@@ -122,12 +122,12 @@ def test_a_prediction_with_another_vehicle_is_refused(craft):
 
 
 def test_a_prediction_is_saved_drawn_and_summarised(craft, tmp_path):
-    from sunspin.cli.values import times
+    from sunspin.cli.values import parse_times
     from sunspin.landing.predictions import add_predictions
     from sunspin.output.kinds.predictions import predicted_figure, predictions_summary
 
     tree, _ = philae_draws(50, 0.003)
-    asked = times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])
+    asked = parse_times("16:20,2014-11-12T17:25, 25300", tree.attrs["epoch_utc"])
     assert list(asked) == [25300.0, COLLISION, LATER]
     add_predictions(craft, tree, asked, 0)
     told = predictions_summary(tree["predictions"].to_dataset())
@@ -137,6 +137,6 @@ def test_a_prediction_is_saved_drawn_and_summarised(craft, tmp_path):
     figure = predicted_figure(tree["predictions"].to_dataset(), list(asked.values()))
     assert "synthetic" in figure.get_suptitle() and len(figure.axes) == 12
     with pytest.raises(InputError, match="no epoch"):
-        times("16:20", None)
+        parse_times("16:20", None)
     with pytest.raises(InputError, match="ISO-8601"):  # taken to UTC it would lie before the year 1
-        times("0001-01-01T00:00:00+23:59", tree.attrs["epoch_utc"])
+        parse_times("0001-01-01T00:00:00+23:59", tree.attrs["epoch_utc"])

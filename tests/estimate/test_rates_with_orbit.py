@@ -18,7 +18,7 @@ from sunspin.estimate.terms.magnetic_torque import MagneticTorque
 from sunspin.estimate.terms.magnetometer import Magnetometer
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import SUN_N, Seen, normal
-from sunspin.output.export import attitude_of
+from sunspin.output.export import build_attitude
 from sunspin.solve.rotations import rotate_attitude
 from tests.support.orbit_cases import orbit_of, pass_against_truth, rates_case
 
@@ -158,7 +158,7 @@ def test_a_pass_in_its_orbit_has_its_attitude_in_J2000(case):
         and found["attitude_deg"] < 6
         and max(np.abs(found["pulls"])) < 4
     )
-    message = attitude_of(result)
+    message = build_attitude(result)
     assert (
         message.number == str(orbit.elements[0].number)
         and message.centre == "EARTH"

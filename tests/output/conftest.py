@@ -53,7 +53,7 @@ def small() -> Iterator[None]:
                 tuple(step for step in rp.STEPS if step.name not in ("precession", "sensitivity")),
             ),
             (pictures, "PICTURES", {}),
-            (figures, "drawn", blank),
+            (figures, "render", blank),
         ):
             patch.setattr(module, name, value)
         yield
@@ -114,7 +114,7 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                     sys, "argv", ["sunspin", *arguments]
                 )  # kept with the results as the line that repeats them
                 if arguments[0] != "sun" and arguments[1] != str(root / "sun"):
-                    patch.setattr(figures, "drawn", blank)
+                    patch.setattr(figures, "render", blank)
                 done = run.invoke(cli, arguments, catch_exceptions=False)
             assert done.exit_code == 0, done.output
 

@@ -7,7 +7,13 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.export import LOCAL_FRAME, attitude_of, read_results, write_cf, write_parquet
+from sunspin.output.export import (
+    LOCAL_FRAME,
+    build_attitude,
+    read_attitude_data,
+    write_cf,
+    write_parquet,
+)
 from sunspin.output.export.aem import write_aem
 from sunspin.output.export.against import against_kernels
 from sunspin.output.export.ck import ephemeris_time, write_ck
@@ -55,7 +61,7 @@ def quaternions(text, form):
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_an_attitude_message_read_by_its_standard_gives_the_motion(form, result, tmp_path):
-    text = write_aem(tmp_path / "a.aem", attitude_of(result), form).read_text()
+    text = write_aem(tmp_path / "a.aem", build_attitude(result), form).read_text()
     rotations = np.array([matrix_of_standard(q) for q in quaternions(text, form)])
     assert np.abs(rotations - body_from_n(result)).max() < 1e-9
     assert "synthetic" in text and LOCAL_FRAME in text and "2014-11-12T15:34:06.500000" in text
@@ -74,7 +80,7 @@ def test_an_attitude_message_read_by_its_standard_gives_the_motion(form, result,
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_another_library_reads_the_attitude_message(form, result, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
-    path = write_aem(tmp_path / "a.aem", attitude_of(result), form)
+    path = write_aem(tmp_path / "a.aem", build_attitude(result), form)
     segments = ndm_io.NdmIo().from_path(path).body.segment
     assert len(segments) == 2 and segments[0].metadata.ref_frame_a == LOCAL_FRAME
     state = segments[0].data.attitude_state[1]
@@ -86,21 +92,21 @@ def test_another_library_reads_the_attitude_message(form, result, tmp_path):
 
 def test_a_celestial_frame_is_refused_without_a_second_direction(result):
     with pytest.raises(ss.InputError, match="axes are those of the body at the start of the run"):
-        attitude_of(result, "EME2000")
+        build_attitude(result, "EME2000")
     with pytest.raises(
-        ss.InputError, match="turn about it is arbitrary.*an orbit and a magnetometer"
+        ss.InputError, match="rotation about it is arbitrary.*an orbit and a magnetometer"
     ):
-        attitude_of(result.assign_attrs(frame_N="sun_z_local"), "EME2000")
+        build_attitude(result.assign_attrs(frame_N="sun_z_local"), "EME2000")
     known = result.assign_attrs(celestial_frame="EME2000")
-    assert attitude_of(known, "EME2000").frame == "EME2000"
-    assert attitude_of(known).frame == "EME2000"
+    assert build_attitude(known, "EME2000").frame == "EME2000"
+    assert build_attitude(known).frame == "EME2000"
 
 
 def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(result, tmp_path):
     run = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, -np.arange(0, 100, 2.5))
     assert not np.signbit(run["time"].values[0])  # zero, which would else be printed as -0
-    data, _ = read_results(run.sunspin.save(tmp_path / "results"))
-    back = attitude_of(data, epoch_utc="2026-01-01T00:00:00Z")
+    data, _ = read_attitude_data(run.sunspin.save(tmp_path / "results"))
+    back = build_attitude(data, epoch_utc="2026-01-01T00:00:00Z")
     assert back.t_s[0] == -97.5 and np.array_equal(back.omega_B[-1], run["omega_B"].values[0])
     with xr.open_dataset(write_cf(tmp_path / "a.nc", data, back)) as written:
         assert np.array_equal(written["omega_B"].values, back.omega_B)
@@ -109,7 +115,7 @@ def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(result, tm
 @pytest.mark.evidence("export", "validated", "NAIF's SPICE reads the kernels back")
 def test_spice_reads_its_kernels_back(result, tmp_path, reached):
     sp = pytest.importorskip("spiceypy")
-    attitude = attitude_of(result)
+    attitude = build_attitude(result)
     kernels = [str(path) for path in write_ck(tmp_path, attitude)]
     et = ephemeris_time(attitude.utc)
     sp.furnsh(kernels)
@@ -131,7 +137,7 @@ def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reac
     pytest.importorskip("spiceypy")
     result = result.assign_attrs(celestial_frame="J2000")
     folder = result.sunspin.save(tmp_path / "results")
-    known = attitude_of(result, "J2000")
+    known = build_attitude(result, "J2000")
     kernels = write_ck(tmp_path, known._replace(omega_B=1.02 * known.omega_B))
     summary, line = against_kernels(folder, kernels, "SUNSPIN_BODY", "J2000", None)
     assert summary["covered"] == 40 and line.startswith("40 of 40 times covered")
@@ -186,13 +192,13 @@ def sparse():
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_exported_quaternions_never_change_sign_between_neighbours(form, sparse, tmp_path):
-    text = write_aem(tmp_path / "a.aem", attitude_of(sparse), form).read_text()
+    text = write_aem(tmp_path / "a.aem", build_attitude(sparse), form).read_text()
     for q in np.split(quaternions(text, form), [6]):
         assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
 
 
 def test_exported_attitudes_on_a_grid_follow_the_motion_between_samples(sparse, tmp_path):
-    dense = attitude_of(sparse, step_s=0.7)
+    dense = build_attitude(sparse, step_s=0.7)
     assert [len(samples) for samples in dense.passes()] == [76, 76]
     assert np.ptp(dense.t_s[:76]) == pytest.approx(52.5)
     truth = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, dense.t_s)
@@ -208,7 +214,7 @@ def test_exported_attitudes_on_a_grid_follow_the_motion_between_samples(sparse, 
 
 def test_a_motion_too_coarse_to_interpolate_is_refused_in_one_sentence(sparse):
     bare = sparse.drop_dims("curve_time")
-    assert len(attitude_of(bare, step_s=5.0).t_s) == 22  # 37 degrees apart
+    assert len(build_attitude(bare, step_s=5.0).t_s) == 22  # 37 degrees apart
     coarse = bare.isel(time=slice(None, None, 3)).drop_vars("pass_of")
     for data, step_s, words in (
         (coarse, 5.0, "rotates by up to 11[12] degrees between the instants"),
@@ -216,14 +222,14 @@ def test_a_motion_too_coarse_to_interpolate_is_refused_in_one_sentence(sparse):
         (sparse.drop_vars("curve_B_from_N"), 1.0, "no curve_B_from_N"),
     ):
         with pytest.raises(ss.InputError, match=words):
-            attitude_of(data, step_s=step_s)
+            build_attitude(data, step_s=step_s)
 
 
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_object_and_centre_of_a_message_come_from_the_elements(form, sparse, tmp_path):
     def said(key, **attrs):
         text = write_aem(
-            tmp_path / "a.aem", attitude_of(sparse.assign_attrs(**attrs)), form
+            tmp_path / "a.aem", build_attitude(sparse.assign_attrs(**attrs)), form
         ).read_text()
         line = next(line for line in text.splitlines() if key in line)
         return line.replace(f"</{key}>", "").split("= " if form == "kvn" else ">")[1]
@@ -243,7 +249,7 @@ def test_object_and_centre_of_a_message_come_from_the_elements(form, sparse, tmp
 
 
 def test_exported_netcdf_and_parquet_state_frame_and_units(result, tmp_path):
-    attitude = attitude_of(result)
+    attitude = build_attitude(result)
     with xr.open_dataset(write_cf(tmp_path / "a.nc", result, attitude), engine="h5netcdf") as data:
         assert data.attrs["Conventions"].startswith("CF-") and data.attrs["frame"] == LOCAL_FRAME
         assert "synthetic" in data.attrs["source"]
@@ -257,11 +263,11 @@ def test_exported_netcdf_and_parquet_state_frame_and_units(result, tmp_path):
 
 def test_results_without_a_usable_attitude_are_refused_in_one_sentence(result, tmp_path):
     with pytest.raises(ss.InputError, match="not a results folder"):
-        read_results(tmp_path)
+        read_attitude_data(tmp_path)
     vehicle, telemetry = ss.load_example()
     folder = ss.sun_directions(vehicle, telemetry).sunspin.save(tmp_path / "sun")
     with pytest.raises(ss.InputError, match="no attitude here"):
-        read_results(folder)
+        read_attitude_data(folder)
     time, quaternion = result["time"].values, result["B_from_N"]
     for data, words in (
         (result.drop_vars("B_from_N"), "no B_from_N"),
@@ -273,4 +279,4 @@ def test_results_without_a_usable_attitude_are_refused_in_one_sentence(result, t
         (result.assign_coords(time=time * 0), "do not increase"),
     ):
         with pytest.raises(ss.InputError, match=words):
-            attitude_of(data)
+            build_attitude(data)

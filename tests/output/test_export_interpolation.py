@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import sunspin as ss
 from sunspin.dynamics import curve
 from sunspin.dynamics.curve import with_curve
-from sunspin.output.export import LOCAL_FRAME, attitude_of
+from sunspin.output.export import LOCAL_FRAME, build_attitude
 from sunspin.output.export.aem import write_aem
 from sunspin.output.export.ck import ephemeris_time, write_ck
 from sunspin.vehicle import Friction, Vehicle, Wheel
@@ -80,7 +80,7 @@ def degrees_off(attitude, truth):
 @pytest.mark.parametrize("name", MOTIONS)
 def test_exported_kernels_follow_the_motion_between_their_records(name, tmp_path, reached):
     run, between, truth = simulated(name)
-    attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
+    attitude = build_attitude(run, epoch_utc=EPOCH, dense=True)
     found, rates = by_spice(write_ck(tmp_path, attitude), EPOCH, between)
     reached("largest error of the attitude", degrees_off(found, truth), "deg", LARGEST_ERROR_DEG)
     assert degrees_off(found, truth) < LARGEST_ERROR_DEG
@@ -94,7 +94,7 @@ def test_exported_kernels_follow_the_motion_between_their_records(name, tmp_path
 def test_an_interpolated_attitude_message_follows_the_motion(name, form, tmp_path):
     ndm_io = pytest.importorskip("ccsds_ndm.ndm_io")
     run, between, truth = simulated(name)
-    path = write_aem(tmp_path / "a", attitude_of(run, epoch_utc=EPOCH, dense=True), form)
+    path = write_aem(tmp_path / "a", build_attitude(run, epoch_utc=EPOCH, dense=True), form)
     (segment,) = ndm_io.NdmIo().from_path(path).body.segment
     assert segment.metadata.interpolation_method is None  # nothing is promised
     each = [
@@ -170,8 +170,8 @@ def sunspin(folder, *arguments, code=0):
 def test_a_trajectory_too_coarse_to_interpolate_is_refused_with_a_step_that_works():
     motion = propagated(TRIAXIAL, [0, 0, 12], "coast")
     with pytest.raises(ss.InputError, match=r"up to 240 degrees between.*again with --step 2\.1"):
-        attitude_of(motion(np.arange(0, 601, 20.0)), epoch_utc=EPOCH, dense=True)
-    fine = attitude_of(motion(np.arange(0, 601, 2.1)), epoch_utc=EPOCH, dense=True)
+        build_attitude(motion(np.arange(0, 601, 20.0)), epoch_utc=EPOCH, dense=True)
+    fine = build_attitude(motion(np.arange(0, 601, 2.1)), epoch_utc=EPOCH, dense=True)
     assert fine.largest_rotation() < 0.11
 
 
@@ -183,7 +183,7 @@ def test_a_motion_longer_than_a_curve_may_be_is_simulated_in_parts(monkeypatch):
     def exported(duration):
         run = motion(np.arange(0, duration + 1, 20.0))
         run = with_curve(run, TRIAXIAL.inertia_kg_m2, motion)
-        return attitude_of(run, epoch_utc=EPOCH, dense=True)
+        return build_attitude(run, epoch_utc=EPOCH, dense=True)
 
     with pytest.raises(ss.InputError, match="in parts, with a --duration of 100"):
         exported(600)
@@ -203,7 +203,7 @@ def test_an_attitude_is_not_interpolated_across_a_gap(tmp_path):
         curve_pass_of=("curve_time", np.repeat([0, 1], [len(t) for t in fine])),
     ).assign_coords(curve_time=between["time"].values)
     run.attrs["kind"] = "rates"
-    attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
+    attitude = build_attitude(run, epoch_utc=EPOCH, dense=True)
     kernels = write_ck(tmp_path, attitude)
     at = np.array([7.0, 133.0, 199.0, 271.0, 391.0])
     found, _ = by_spice(kernels, EPOCH, at)
@@ -216,13 +216,13 @@ def test_an_attitude_is_not_interpolated_across_a_gap(tmp_path):
     with pytest.raises(
         ss.InputError, match="a shorter stretch of time: `sunspin rates --from --to`"
     ):
-        attitude_of(lone, epoch_utc=EPOCH, dense=True)
+        build_attitude(lone, epoch_utc=EPOCH, dense=True)
 
 
 def test_samples_of_a_uniform_rotation_are_exported_unchanged():
     motion = propagated(TRIAXIAL, [0.2, 0.1, 2], "coast")
     run = motion(np.arange(0, 601, 2.0))
-    attitude = attitude_of(run, epoch_utc=EPOCH, dense=True)
+    attitude = build_attitude(run, epoch_utc=EPOCH, dense=True)
     assert np.array_equal(attitude.t_s, run["time"].values)
     assert "curve_time" not in with_curve(run, TRIAXIAL.inertia_kg_m2, motion)
 
@@ -236,7 +236,7 @@ def test_the_interpolation_has_a_knot_where_a_wheel_stops():
 def test_a_step_that_is_no_duration_is_refused_in_one_sentence(step):
     run = propagated(TRIAXIAL, [0, 0, 1], "coast")(np.arange(0, 61, 2.0))
     with pytest.raises(ss.InputError, match="--step"):
-        attitude_of(run, epoch_utc=EPOCH, step_s=float(step), dense=True)
+        build_attitude(run, epoch_utc=EPOCH, step_s=float(step), dense=True)
 
 
 def test_variables_of_simulate_have_units(tmp_path, undrawn):

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.output.kinds.outcomes import within_one
-from sunspin.output.kinds.telemetry import connected, sun_directions_figure
+from sunspin.output.kinds.outcomes import clip_errors
+from sunspin.output.kinds.telemetry import connected_stretches, sun_directions_figure
 from tests.support.figures import covered
 
 
@@ -48,7 +48,7 @@ def directions(hours: list[float], known: list[int], phase: list[str] | None = N
 def test_lines_connect_successive_directions_of_a_phase_and_cross_no_gap(
     hours, known, phase, pieces
 ):
-    found = connected(np.array(hours, dtype=float), directions(hours, known, phase))
+    found = connected_stretches(np.array(hours, dtype=float), directions(hours, known, phase))
     assert [piece.tolist() for piece in found] == pieces
 
 
@@ -56,14 +56,14 @@ def test_lines_connect_successive_directions_of_a_phase_and_cross_no_gap(
 def test_no_line_connects_directions_too_far_apart_to_interpolate(turned):
     sun = directions(list(range(6)), list(range(6)))
     sun["sun_B"].values[3:] = Rotation.from_euler("x", turned, degrees=True).apply([0.0, 0.6, 0.8])
-    found = [piece.tolist() for piece in connected(np.arange(6.0), sun)]
+    found = [piece.tolist() for piece in connected_stretches(np.arange(6.0), sun)]
     assert found == ([[0, 1, 2, 3, 4, 5]] if turned < 60 else [[0, 1, 2], [3, 4, 5]])
 
 
 def test_error_bars_of_a_probability_stay_between_zero_and_one():
     rng = np.random.default_rng(0)
     value, error = rng.uniform(size=200).round(1), rng.uniform(size=200)
-    low, high = within_one(value, error)
+    low, high = clip_errors(value, error)
     assert (
         np.all(value - low >= -1e-12)
         and np.all(value + high <= 1 + 1e-12)
@@ -80,7 +80,7 @@ def test_the_figure_of_sun_directions_draws_the_connecting_lines():
         for line in figure.axes[1].lines
         if line.get_linestyle() == "-" and len(line.get_xdata()) > 1
     ]
-    pieces = connected(sun["time"].values / 3600, sun)
+    pieces = connected_stretches(sun["time"].values / 3600, sun)
     assert len(drawn) == 3 * len(pieces) and len(pieces) >= 3
     for k, piece in enumerate(pieces):
         assert (

@@ -22,7 +22,7 @@ from sunspin.output.report import write_report
 from sunspin.output.report.body import body_in_motion
 from sunspin.output.report.page import _json, _script
 from sunspin.output.report.read import Results, read_results
-from sunspin.output.report.views import motions_of, sun_on_sphere
+from sunspin.output.report.views import read_motions, sun_on_sphere
 from sunspin.philae.motions import speed_figure
 from sunspin.vehicle import Channel, Panel, Vehicle
 from tests.support.browser import HOSTILE, Page
@@ -124,7 +124,7 @@ def corners_of(view):
 def test_the_attitude_on_the_page_is_the_stored_one(user_runs):
     """The rotation is recovered from the drawn corners; the Sun's arrow, carried back by it, is the stored Sun."""
     results = read_results(user_runs["simulate"])
-    (view,) = body_in_motion(results, motions_of(results))
+    (view,) = body_in_motion(results, read_motions(results))
     run = results.data["trajectory"]
     toward_sun = run["sun_B"].values / np.linalg.norm(run["sun_B"].values, axis=1, keepdims=True)
     label = view.figure.layout.sliders[0].steps[0].label
@@ -150,7 +150,7 @@ def test_the_page_shows_fast_motions_in_part_and_motions_at_rest_whole():
     for rate in (0.0, 0.01, 3.0):
         run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 600.0, 0.05))
         results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-        (view,) = body_in_motion(results, motions_of(results))
+        (view,) = body_in_motion(results, read_motions(results))
         corners = corners_of(view)
         assert 2 <= len(corners) <= 300
         size = np.linalg.norm(corners[0], axis=1).max()
@@ -163,7 +163,7 @@ def test_the_page_shows_a_slow_motion_to_its_end_and_a_coarse_one_not_at_all():
     for rate, number in ((0.05, 1), (0.3, 0)):
         run = ss.propagate(cube, [0, 0, rate], [1, 0, 0], None, np.arange(0.0, 200.0, 10.0))
         results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-        views = list(body_in_motion(results, motions_of(results)))
+        views = list(body_in_motion(results, read_motions(results)))
         assert len(views) == number
         for view in views:
             labels = [step.label for step in view.figure.layout.sliders[0].steps]
@@ -180,7 +180,7 @@ def test_the_page_lights_panels_of_a_shared_input_one_by_one():
     )
     run = ss.propagate(cube, [0, 0, 0.5], [1, 0, 0], None, np.arange(0.0, 12.0, 0.1))
     results = Results(Path("."), "simulate", data={"t": run}, vehicle=cube)
-    (view,) = body_in_motion(results, motions_of(results))
+    (view,) = body_in_motion(results, read_motions(results))
     colours = np.array([frame["data"][0]["facecolor"] for frame in view.frames])
     assert {colours[0][0], colours[0][2]} == {"#facd3c", "#283c6e"}
     assert len(set(colours[:, 0])) > 5
@@ -191,7 +191,7 @@ def test_panels_of_one_side_share_a_label_on_the_sphere():
     cube = Vehicle("cube", np.eye(3), panels=panels)
     run = ss.propagate(cube, [0, 0, 0.1], [1, 0, 0], None, np.arange(9.0))
     results = Results(Path("."), "simulate", data={"trajectory": run}, vehicle=cube)
-    view = sun_on_sphere(results, motions_of(results))
+    view = sun_on_sphere(results, read_motions(results))
     assert sorted(view.figure.data[-1].text) == ["a, b", "c"]
 
 

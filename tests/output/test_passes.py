@@ -9,10 +9,10 @@ import xarray as xr
 
 from sunspin.estimate.passes import PassMotions, table
 from sunspin.estimate.verdict import Misfit, answers
-from sunspin.output.figures import drawn, labels_of
+from sunspin.output.figures import axis_labels, render
 from sunspin.output.folder import Contents, write_contents
 from sunspin.output.kinds.panels import health_lines
-from sunspin.output.kinds.passes import motion_numbers, pass_numbers, passes_table
+from sunspin.output.kinds.passes import pass_numbers, passes_table, solution_numbers
 from sunspin.output.kinds.telemetry import signals_figure
 from sunspin.output.text import (
     number_text,
@@ -84,7 +84,7 @@ def test_passes_csv_rounds_times_after_adding_the_epoch(digits):
 
 
 def test_the_summary_has_the_names_of_passes_csv(found):
-    told = pass_numbers(found, 0) | motion_numbers(found, 0, 1)
+    told = pass_numbers(found, 0) | solution_numbers(found, 0, 1)
     assert set(COLUMNS) <= set(told) and told["omega_x"] == 0.2
     assert told["omega_x_deg_s"] == pytest.approx(11.459, abs=1e-3) and told["decided"] is False
     assert told["why_not_decided"] == "several solutions; constrained: x z only"
@@ -128,9 +128,9 @@ def test_impossible_illumination_patterns_are_printed_as_sets():
 
 def test_panels_in_figures_have_short_and_different_names():
     long = [f"{'solar_panel_' * 8}{k}" for k in range(3)] + ["+X"]
-    labels = labels_of(long)
+    labels = axis_labels(long)
     assert max(map(len, labels)) <= 14 and len(set(labels)) == 4 and labels[3] == "+X"
-    alike = labels_of([f"panel_{k}_of_the_solar_array" for k in range(3)])
+    alike = axis_labels([f"panel_{k}_of_the_solar_array" for k in range(3)])
     assert len(set(alike)) == 3
 
 
@@ -141,4 +141,4 @@ def test_long_names_of_panels_leave_room_for_the_axes():
     telemetry = xr.Dataset(data, {"time": np.arange(4.0), "panel": names}, attrs)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        drawn(signals_figure(telemetry))
+        render(signals_figure(telemetry))

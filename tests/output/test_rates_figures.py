@@ -12,11 +12,11 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.environment.frames import J2000
-from sunspin.output.curves import dense
-from sunspin.output.figures import save
-from sunspin.output.figures.rates import attitude_figure, rates_figure, sources
+from sunspin.output.curves import pass_motions
+from sunspin.output.figures import save_figure
+from sunspin.output.figures.rates import attitude_figure, rates_figure, sensors_text
 from sunspin.output.figures.residuals import residuals_figure
-from sunspin.output.figures.time_axis import passes_together
+from sunspin.output.figures.time_axis import build_time_axis
 from sunspin.output.kind import Context
 from sunspin.output.kinds.rates import rate_at, rates_drawings
 from sunspin.output.kinds.telemetry import sun_directions_figure
@@ -84,7 +84,7 @@ def test_residuals_are_drawn_by_sensor_with_the_share_beyond_the_limit(tmp_path)
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert len(labels) == 2 and labels[0] == "Sun (sigma)\n40.0% beyond 3" and "100.0%" in labels[1]
     assert np.nanmax(figure.axes[1].lines[0].get_ydata()) < figure.axes[1].get_ylim()[1]
-    save(figure, tmp_path, "residuals")
+    save_figure(figure, tmp_path, "residuals")
     assert (tmp_path / "residuals.svg").stat().st_size
 
 
@@ -112,8 +112,8 @@ def test_a_pass_that_must_not_be_used_is_marked_in_its_figure(fits, decided, sai
 )
 def test_the_summary_of_rates_names_the_sensors_used(used, said):
     result, _ = tumble()
-    assert sources(result.assign_attrs({f"{name}_used": 1 for name in used})) == said
-    assert sources(result.assign_attrs(source="field", field_used=1)) == "magnetometer"
+    assert sensors_text(result.assign_attrs({f"{name}_used": 1 for name in used})) == said
+    assert sensors_text(result.assign_attrs(source="field", field_used=1)) == "magnetometer"
 
 
 def with_curve(result: xr.Dataset, omega=OMEGA) -> xr.Dataset:
@@ -151,11 +151,11 @@ def test_drawn_rates_follow_the_motion_and_fill_their_axes():
         assert np.ptp(np.asarray(curve.get_ydata())) > 0.5 * (high - low)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert len(texts) == 2 and "between them" in texts[0] and "sigma" in texts[1]
-    title, run = dense(result)[0]
+    title, run = pass_motions(result)[0]
     assert title == "Pass 0" and "equations of motion" in run.attrs["about"]
     exact = ss.propagate(CUBE, OMEGA, [0.6, 0.0, 0.8], None, run["time"].values)
     np.testing.assert_allclose(run["sun_B"].values, exact["sun_B"].values, atol=1e-6)
-    assert dense(result.drop_vars("curve_pass_of")) == []
+    assert pass_motions(result.drop_vars("curve_pass_of")) == []
 
 
 def test_the_attitude_is_drawn_where_an_orbit_gives_it():
@@ -172,14 +172,14 @@ def test_the_attitude_is_drawn_where_an_orbit_gives_it():
 def test_passes_far_apart_are_drawn_side_by_side(passes):
     one = np.arange(0.0, 600.0, 30.0)
     time = np.concatenate([one + 5700 * k for k in range(passes)])
-    place = passes_together(time)
+    place = build_time_axis(time)
     x = place.x(time / 3600)
     assert np.all(np.diff(x) > 0)
     pauses = np.diff(x)[one.size - 1 :: one.size]
     assert pauses.sum() < 0.5 * np.ptp(x) + 1e-9 or passes == 30
     within = np.diff(x)[: one.size - 1]
     np.testing.assert_allclose(within, np.diff(one) / 3600, rtol=1e-6)
-    assert passes_together(one).hours.size == 0
+    assert build_time_axis(one).hours.size == 0
     sun = xr.concat(
         [tumble(20, 30.0)[1].assign_coords(time=one + 5700 * k) for k in range(passes)], "time"
     )
@@ -215,5 +215,7 @@ def test_names_that_look_like_formulas_are_drawn_unchanged(seed, tmp_path):
     samples = samples.assign_coords(panel=names)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        save(sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun")
+        save_figure(
+            sun_directions_figure(ss.sun_directions(odd, samples), samples), tmp_path, "sun"
+        )
     assert (tmp_path / "sun.png").stat().st_size

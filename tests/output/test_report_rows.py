@@ -14,7 +14,7 @@ import pytest
 from sunspin.cases import load_case
 from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
-from sunspin.output.report.rows import VERDICTS, between, verdict_of
+from sunspin.output.report.rows import VERDICTS, interval_text, verdict_of
 from tests.support.browser import HOSTILE, Page
 
 FILES_OF_CANDIDATES = tuple(
@@ -136,7 +136,7 @@ def test_an_entry_shows_its_interval_the_possible_range_and_its_source(tmp_path)
         and "✓ agrees within 0.5" in text
     )
     assert text.count("interval:") == 2 and "no telemetry" in text and "○ uninformative" in text
-    assert between([1, 2], 3) == "(1, 2) to 3" and between("x", None) == ""
+    assert interval_text([1, 2], 3) == "(1, 2) to 3" and interval_text("x", None) == ""
 
 
 def test_texts_of_entries_and_of_the_first_screen_are_escaped(tmp_path):

@@ -16,7 +16,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.base.netcdf import read_groups, read_netcdf
 from sunspin.output import folder as folders
-from sunspin.output.export import read_results as exported
+from sunspin.output.export import read_attitude_data as exported
 from sunspin.output.folder import MANIFEST, MARKER, write_netcdf
 from sunspin.output.report import read, write_report
 from sunspin.output.report.read import read_results

@@ -12,7 +12,7 @@ from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.estimate.orbit.check import Verdict
 from sunspin.estimate.verdict import Answers
-from sunspin.output.verdicts import ANCHORS, PAGE, explained, section
+from sunspin.output.verdicts import ANCHORS, PAGE, find_labels, read_section
 from sunspin.telemetry.sun import RECONSTRUCTED, STATUS_TEXT
 
 ROOT = Path(__file__).parents[2]
@@ -58,13 +58,13 @@ def statuses():
 
 @pytest.mark.parametrize(("text", "label"), WARNINGS.items())
 def test_a_warning_is_explained_by_its_section(text, label):
-    assert label in explained("rates", [text]) and not explained("compare", [text])
+    assert label in find_labels("rates", [text]) and not find_labels("compare", [text])
 
 
 def test_every_bad_status_has_a_section_and_a_good_one_has_none():
-    assert all(explained("rates", [text]) for text in statuses())
+    assert all(find_labels("rates", [text]) for text in statuses())
     good = [Verdict.FITS.value, *(STATUS_TEXT[status] for status in RECONSTRUCTED)]
-    assert not explained("rates", good)
+    assert not find_labels("rates", good)
 
 
 def test_the_last_line_and_the_summary_name_the_section_to_read(tmp_path):
@@ -92,4 +92,4 @@ def test_explain_lists_its_labels_and_names_the_nearest_one():
     done = CliRunner().invoke(cli, ["explain"], catch_exceptions=False)
     assert done.output.split() == list(ANCHORS)
     with pytest.raises(InputError, match="did you mean poor-fit?"):
-        section("poor-fits")
+        read_section("poor-fits")

@@ -12,7 +12,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.base.errors import TelemetryError
-from sunspin.output.text import starts_text
+from sunspin.output.text import start_texts
 from sunspin.telemetry.restarts import (
     Frames,
     find_boot_starts,
@@ -583,9 +583,9 @@ def test_a_time_cell_that_is_no_number_is_refused_in_plain_words(tmp_path):
 
 def test_starts_of_passes_show_the_year_if_years_differ():
     data = xr.Dataset(attrs={"epoch_utc": "2025-12-31T23:50:00Z"})
-    assert starts_text(data, [0.0, 60.0]) == ["12-31 23:50", "12-31 23:51"]
-    assert starts_text(data, [0.0, 660.0]) == ["2025-12-31 23:50", "2026-01-01 00:01"]
-    assert starts_text(xr.Dataset(), [0.0, 60.0]) == ["0 s", "60 s"]
+    assert start_texts(data, [0.0, 60.0]) == ["12-31 23:50", "12-31 23:51"]
+    assert start_texts(data, [0.0, 660.0]) == ["2025-12-31 23:50", "2026-01-01 00:01"]
+    assert start_texts(xr.Dataset(), [0.0, 60.0]) == ["0 s", "60 s"]
 
 
 NEW_YORK = 'time_format = "utc"\ntime_zone = "America/New_York"'

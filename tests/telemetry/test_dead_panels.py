@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
-from sunspin.output.check.files import _about_panels
+from sunspin.output.check.files import _describe_panels
 from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.synthetic import draw_tilts
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -64,7 +64,7 @@ def drawn(seed: int, i: int, dead: bool) -> tuple[Vehicle, xr.Dataset, str]:
 
 def blamed(craft: Vehicle, data: xr.Dataset) -> set[str]:
     """Panels that `check` calls dead, or whose loss it says would explain what is lit."""
-    quality, health = panel_quality(craft, data), _about_panels(assess(craft, data))[0]
+    quality, health = panel_quality(craft, data), _describe_panels(assess(craft, data))[0]
     by_light = quality["panel"].values[quality["missed"].values].tolist()
     by_pattern = (
         [] if health["made_by"] else [name for lost in health["explanations"] for name in lost]

@@ -13,8 +13,8 @@ import sunspin as ss
 from sunspin.estimate.posterior.data import readings
 from sunspin.estimate.rates.observe import ALONE, observations, passes
 from sunspin.estimate.scan.window import directions_within
-from sunspin.output.check.repeats import repeat_lines
-from sunspin.output.check.samples import worth
+from sunspin.output.check.repeats import describe_repeats
+from sunspin.output.check.samples import describe_samples
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.sun import is_reconstructed
 from sunspin.vehicle import Panel, TelemetryForm, Vehicle
@@ -78,7 +78,7 @@ def test_a_frozen_end_of_any_length_is_named_and_left_out(count):
     t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, count + 1)])
     frozen = looked_at(t, np.concatenate([value, np.tile(value[-1], (count, 1))]))
     assert np.flatnonzero(frozen.repeats.frozen).tolist() == list(range(40, 40 + count))
-    summary, lines = repeat_lines(frozen)
+    summary, lines = describe_repeats(frozen)
     assert summary["frozen"] == [[t[40], t[-1]]] and "FROZEN from 2026-01-01T00:1" in lines[0]
     assert all("stale" in text for text in frozen.quality["why"].values[40:])
 
@@ -91,7 +91,7 @@ def test_a_frozen_half_is_named_even_with_empty_cells(cells, fill):
     value[[50, 60, 45, 55, 65, 70][:cells], 1] = fill
     frozen = looked_at(t, value)
     assert np.flatnonzero(frozen.repeats.frozen).tolist() == list(range(40, 80))
-    assert repeat_lines(frozen)[0]["frozen"] == [[t[40], t[-1]]]
+    assert describe_repeats(frozen)[0]["frozen"] == [[t[40], t[-1]]]
     assert all("stale" in text for text in frozen.quality["why"].values[40:])
 
 
@@ -101,7 +101,7 @@ def test_frames_repeated_by_a_looping_buffer_are_named(frames):
     t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, 61)])
     looped = looked_at(t, np.concatenate([value, np.tile(value[-frames:], (60 // frames, 1))]))
     assert np.flatnonzero(looped.repeats.frozen).tolist() == list(range(40, 100))
-    assert "60 samples equal to earlier ones" in repeat_lines(looped)[1][0]
+    assert "60 samples equal to earlier ones" in describe_repeats(looped)[1][0]
 
 
 @pytest.mark.parametrize("late_s", [1.0, 7.0, 13.0, 23.0, 30.0])
@@ -118,7 +118,7 @@ def test_rows_of_fill_values_between_samples_are_no_directions(fill):
     rows = np.full((120, 6), fill)
     rows[::2] = value
     between = np.sort(np.concatenate([t, t + 5.0]))
-    assert worth(looked_at(between, rows))[0]["directions"] == 60
+    assert describe_samples(looked_at(between, rows))[0]["directions"] == 60
 
 
 def test_held_gyro_readings_are_not_used_as_samples():
@@ -126,7 +126,7 @@ def test_held_gyro_readings_are_not_used_as_samples():
     gyro = np.repeat(0.05 + 0.01 * np.random.default_rng(1).normal(size=(24, 3)), 5, axis=0)
     in_shadow = np.arange(120) % 5 > 0
     value[in_shadow] = np.round(np.random.default_rng(2).normal(size=(96, 6))) * 0.001
-    assert worth(looked_at(t, value, gyro_B=gyro))[0]["directions"] == 24
+    assert describe_samples(looked_at(t, value, gyro_B=gyro))[0]["directions"] == 24
 
 
 def test_a_frozen_time_range_splits_the_pass():
@@ -146,9 +146,9 @@ def test_copies_of_a_frame_are_left_out_at_any_share(late_s, every):
     t, value, copies = with_copies(*tumbling(40), late_s, every)
     found = looked_at(t, value)
     assert np.array_equal(found.repeats.frozen, copies)
-    own, every_own = looked_at(t[~copies], value[~copies]), worth(found)[0]
-    assert every_own["clear_rate_deg_s"] == worth(own)[0]["clear_rate_deg_s"]
-    assert every_own["samples_by_lit_faces"] == worth(own)[0]["samples_by_lit_faces"]
+    own, every_own = looked_at(t[~copies], value[~copies]), describe_samples(found)[0]
+    assert every_own["clear_rate_deg_s"] == describe_samples(own)[0]["clear_rate_deg_s"]
+    assert every_own["samples_by_lit_faces"] == describe_samples(own)[0]["samples_by_lit_faces"]
 
 
 def test_copies_of_a_frame_are_left_out_in_many_short_passes():
@@ -164,7 +164,7 @@ def test_held_samples_are_left_out_and_their_number_is_reported(times):
     each = (t[:, None] + 10.0 / times * np.arange(times)).ravel()
     found = looked_at(np.sort(each), np.repeat(value, times, axis=0))
     assert np.array_equal(found.repeats.frozen, np.arange(40 * times) % times > 0)
-    assert repeat_lines(found)[0]["repeated_each"] == times
+    assert describe_repeats(found)[0]["repeated_each"] == times
 
 
 def test_repeats_among_too_few_readings_are_reported_and_kept():
@@ -172,7 +172,9 @@ def test_repeats_among_too_few_readings_are_reported_and_kept():
     each = (t[:, None] + 20.0 * np.arange(9)).ravel()
     found = looked_at(each, np.repeat(value, 9, axis=0))
     assert not found.repeats.frozen.any() and found.repeats.unsure.all()
-    assert repeat_lines(found)[1][0].startswith("  each reading is repeated 9 times: held values?")
+    assert describe_repeats(found)[1][0].startswith(
+        "  each reading is repeated 9 times: held values?"
+    )
 
 
 def test_rates_of_readings_that_may_be_held_are_never_decided():
@@ -254,7 +256,7 @@ def test_a_gyro_that_repeats_while_panels_change_is_left_out():
     assert not found.repeats.repeated("panels").any()
     read = np.isfinite(found.sensors["gyro_B"].values).all(axis=1)
     assert np.flatnonzero(read).tolist() == list(range(0, 120, 5))
-    assert "the gyro repeats the last reading in 96 samples" in repeat_lines(found)[1][0]
+    assert "the gyro repeats the last reading in 96 samples" in describe_repeats(found)[1][0]
 
 
 def test_held_values_of_a_panel_read_less_often_are_named_and_left_out():
@@ -263,7 +265,7 @@ def test_held_values_of_a_panel_read_less_often_are_named_and_left_out():
     value[:, k] = np.repeat(value[::4, k], 4)
     found = looked_at(t, value)
     assert np.flatnonzero(found.repeats.columns.any(axis=0)).tolist() == [k]
-    assert f"p{k} in" in repeat_lines(found)[1][0]
+    assert f"p{k} in" in describe_repeats(found)[1][0]
     lit, late = value[:, k] > 0.1, np.arange(120) % 4 > 0
     assert not found.quality["reading"].values[lit & late, k].any()
     assert found.quality["reading"].values[~late, k].all()

@@ -1,4 +1,4 @@
-"""The command line: arguments to calls. Heavy modules are imported by the commands that use them."""
+"""The command line: each command turns its arguments into calls, and imports heavy modules only when it runs."""
 
 from __future__ import annotations
 
@@ -38,27 +38,32 @@ def cli(ctx: click.Context) -> None:
 
 
 def main() -> None:
-    """Entry point: errors become one sentence on stderr and an exit code (2 bad input, 130 interrupted)."""
+    """Run the command line; errors become one sentence on stderr and an exit code.
+
+    Exit codes: 0 done, 1 defect of sunspin, 2 bad input, 130 interrupted.
+    """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed before we began, as by >&-: then nobody reads it
+        if getattr(sys, name) is None:  # closed by the caller, as with >&-
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
         stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper):  # a terminal cannot show every name from outside
+        if isinstance(stream, io.TextIOWrapper):
+            # names of files may have characters that the encoding of the terminal lacks
             stream.reconfigure(errors="backslashreplace")
     if not (sys.warnoptions or os.environ.get("SUNSPIN_TRACEBACK")):
-        # a library's warnings speak to programmers; those who want them set PYTHONWARNINGS
+        # warnings of libraries are for programmers, who can set PYTHONWARNINGS to see them
         warnings.simplefilter("ignore")
-    # to end by a signal without a word would leave the copies computing; under nohup one is ignored, and stays so
+    # Signals become exceptions, so that worker processes are ended too. A signal that is ignored, as SIGHUP under nohup,
+    # stays ignored.
     if threading.current_thread() is threading.main_thread():
-        for kind in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-            if signal.getsignal(kind) in (signal.SIG_DFL, signal.default_int_handler):
-                signal.signal(kind, _stop)
+        for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                signal.signal(number, _stop)
     try:
         code = cli.main(prog_name="sunspin", standalone_mode=False)
         sys.stdout.flush()
         sys.exit(code if isinstance(code, int) else 0)
     except (click.Abort, KeyboardInterrupt) as stop:
-        # before the others: Interrupted is an error of sunspin too
+        # before SunspinError, of which an interruption may be a subclass
         text, code = str(stop) or INTERRUPTED, 130
     except SunspinError as error:
         text, code = f"error: {error}", 2
@@ -69,17 +74,20 @@ def main() -> None:
         context = getattr(error, "ctx", None)
         text += f"; see `{context.command_path} --help`" if context is not None else ""
         text, code = f"error: {text}", 2
-    except BrokenPipeError:  # the reader of our output has gone
+    except (
+        BrokenPipeError
+    ):  # the program that reads our output has ended, as in `sunspin ... | head`
         text, code = "", 0
     except MemoryError:
         text, code = "error: not enough memory; use a coarser grid or a shorter file", 2
-    except OSError as error:  # what files and folders answer where no better sentence was found
+    except OSError as error:  # of files for which no function raises a more specific error
         what = error.filename or "a file or the output"
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
         text, code = f"error: {what} cannot be used ({error.strerror or error}); {do}", 2
     except Exception as error:
         text, code = INTERRUPTED, 130
-        if not _STOPPED.is_set():  # else a library caught the interruption and stumbled later
+        # after an interruption, a library may have caught it and failed later: that is no defect
+        if not _STOPPED.is_set():
             if os.environ.get("SUNSPIN_TRACEBACK"):
                 raise
             what = f"a fault of sunspin and not of its input ({type(error).__name__}: {str(error)[:200]})"
@@ -87,19 +95,21 @@ def main() -> None:
             text, code = f"defect: this is {what}; {do}", 1
     text = printable(text)
     text = text if len(text) <= 1200 else f"{text[:600]} ... {text[-600:]}"  # names may be long
-    for stream, words in ((sys.stderr, f"sunspin: {text}\n" if text else ""), (sys.stdout, "")):
+    for stream, message in ((sys.stderr, f"sunspin: {text}\n" if text else ""), (sys.stdout, "")):
         try:
-            stream.write(words)
+            stream.write(message)
             stream.flush()
-        except OSError:  # as where the disk is full; Python would try again at exit, and complain
+        except OSError:
+            # The disk is full, for example. Python would flush again at exit and print an error, so the output is discarded.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     sys.exit(code)
 
 
 _STOPPED = threading.Event()
-"""Set once somebody has asked the process to end."""
+"""Set once a signal has asked the process to end."""
 
 
 def _stop(*_: object) -> None:
+    """Handle a signal: remember it, and raise `KeyboardInterrupt`."""
     _STOPPED.set()
     raise KeyboardInterrupt

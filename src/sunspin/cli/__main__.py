@@ -1,4 +1,4 @@
-"""``python -m sunspin.cli``."""
+"""Entry point of ``python -m sunspin.cli``."""
 
 from sunspin.cli import main
 

@@ -9,10 +9,10 @@ import click
 
 from sunspin.base.errors import OutputError
 from sunspin.cli.changes import Command
-from sunspin.cli.common import PATH, read_both, shared
+from sunspin.cli.common import PATH, read_inputs, shared
 
 COPY = "calibrated.toml"
-"""The vehicle's copy in a results folder."""
+"""Name of the calibrated vehicle file in a results folder."""
 
 
 @click.command("calibrate-sensors", cls=Command)
@@ -37,25 +37,25 @@ def calibrate_sensors(vehicle, telemetry, target, elements, shift_sigma, output)
     Example:
       sunspin calibrate-sensors vehicle.toml telemetry.csv --out calibrated.toml
     """
-    from sunspin.estimate.calibrate.sensors import calibrate_sensors as run
+    from sunspin.estimate.calibrate.sensors import calibrate_sensors as calibrate
     from sunspin.estimate.calibrate.sensors import new_values
     from sunspin.estimate.orbit.judged import orbit_of
     from sunspin.output.folder import write_whole
     from sunspin.vehicle.file import parse_vehicle, read_vehicle_text
     from sunspin.vehicle.rewrite import rewrite_values
 
-    craft, samples = read_both(vehicle, telemetry)
+    craft, samples = read_inputs(vehicle, telemetry)
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     copy = None if target is None else target if target.suffix == ".toml" else target / COPY
     if copy is not None and os.path.lexists(copy):
         raise OutputError("this file is there already", do="choose another --out", where=str(copy))
     output = replace(output, folder=target if copy != target else None)
     output.claim()
-    result = run(craft, samples, orbit, progress=output.progress)
+    result = calibrate(craft, samples, orbit, progress=output.progress)
     lines = []
     if copy is not None:
         text = rewrite_values(read_vehicle_text(vehicle), new_values(result))
-        parse_vehicle(text, str(copy))  # what is written can be read
+        parse_vehicle(text, str(copy))  # raises an error if the copy could not be read again
         write_whole(copy, text)
         lines = [f"Calibrated copy: {copy}"]
     output.deliver(result, vehicle, samples, lines=lines, main=COPY)

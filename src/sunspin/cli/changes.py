@@ -1,4 +1,4 @@
-"""The option --set, its short names, and the list of what can be set."""
+"""The option --set, its short names, the list of keys that it accepts, and the inputs with the changes applied."""
 
 from __future__ import annotations
 
@@ -40,21 +40,29 @@ SHORT = {
     "restitution": ("collision.restitution", "Coefficient of restitution (0 = sticking)."),
     "damper": ("collision.damper", "Fraction of the body-z impulse that the landing gear absorbs."),
 }
-"""Option -> key that it is a name for, its help."""
+"""Short option -> key that it sets, help."""
 
-LANDING = ("body.mass_kg", "leg", "hull", "antenna")
-"""What only collisions and landings use of a vehicle file."""
+LANDING_KEYS = ("body.mass_kg", "leg", "hull", "antenna")
+"""Keys and tables of a vehicle file that only collisions and landings use."""
 
-READING = ("telemetry", "channel", "sun_sensor", "sun_vector", "gyro", "attitude", "magnetometer")
-READING += ("clock", "disturbance", "orbit")
-"""What only those use who read telemetry."""
+TELEMETRY_KEYS = (
+    "telemetry",
+    "channel",
+    "sun_sensor",
+    "sun_vector",
+    "gyro",
+    "attitude",
+    "magnetometer",
+)
+TELEMETRY_KEYS += ("clock", "disturbance", "orbit")
+"""Tables of a vehicle file that only commands with telemetry use."""
 
-SEEING = ("panel", "panel_response", "sun_rule", *READING)
-"""The same with the panels, which also say for whom the published lines were estimated."""
+PANEL_KEYS = ("panel", "panel_response", "sun_rule", *TELEMETRY_KEYS)
+"""Those tables and the tables of panels."""
 
 
-class Opened(NamedTuple):
-    """What a command works with: the vehicle file (with changes), the vehicle, the assumptions."""
+class Inputs(NamedTuple):
+    """Inputs of a command with the changes of --set: the vehicle file, the vehicle, and the assumptions of the study."""
 
     file: Any
     craft: Vehicle
@@ -62,33 +70,39 @@ class Opened(NamedTuple):
 
     @property
     def changes(self) -> tuple[Any, ...]:
+        """Changes of vehicle and assumptions."""
         return (*self.craft.changes, *self.assumptions.changes)
 
-    def mark(self, result: Any) -> Any:
-        """The result, whose attributes list all changes."""
+    def record_changes(self, result: Any) -> Any:
+        """Write all changes into the attributes of a result, and return the result."""
         if self.changes:
             result.attrs["changes"] = "\n".join(map(str, self.changes))
         return result
 
 
 class Command(click.Command):
-    """A command whose texts are checked before they are converted, and of which `--set list` needs no other argument. If it is
-    refused, it leaves no empty results folder."""
+    """A command of sunspin.
+
+    Texts of arguments are checked before they are converted. `--set list` needs no other argument. A command that fails leaves no
+    empty results folder.
+    """
 
     def invoke(self, ctx: click.Context) -> Any:
-        folder = "sunspin.output.folder"  # not imported: without it no folder was claimed
+        """Run the command; if it fails, remove the results folders that it created and left empty."""
+        folder = "sunspin.output.folder"  # if it was not imported, no folder was claimed
         try:
-            done = super().invoke(ctx)
-        except BaseException:  # an interruption too
+            result = super().invoke(ctx)
+        except BaseException:  # including interruptions
             if folder in sys.modules:
-                sys.modules[folder].leave_no_empty_folder()
+                sys.modules[folder].remove_empty_folders()
             raise
         if folder in sys.modules:
             sys.modules[folder].keep_folders()
-        return done
+        return result
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if ctx.resilient_parsing:  # what a shell completes is not whole yet
+        """Check the texts of all arguments, answer `--set list`, and parse the arguments."""
+        if ctx.resilient_parsing:  # a shell completes a line that is not finished
             return super().parse_args(ctx, args)
         given = self.make_parser(ctx).parse_args(args=list(args))[0]
         for parameter in self.params:
@@ -96,20 +110,25 @@ class Command(click.Command):
             for text in values if isinstance(values, list | tuple) else (values,):
                 check_text(text, parameter, ctx)
         if "list" in given.get("sets", ()):
-            vehicle = given.get("vehicle")  # not a text where it is left out
+            vehicle = given.get("vehicle")  # of another type if it is left out
             vehicle = vehicle if isinstance(vehicle, str) else "philae"
-            print_list(vehicle, self.callback, bool(given.get("as_json")))
+            print_settings(vehicle, self.callback, bool(given.get("as_json")))
             ctx.exit()
         return super().parse_args(ctx, args)
 
 
 def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] = ()) -> Callable:
-    """--set and some of its short names, which the command receives as one `changes`; refused is a change that another option says
-    too, or of an assumption that the command does not use.
+    """Return a decorator that adds --set and short options to a command, which receives all changes as `changes`.
 
-    `uses`: keys or tables of the assumptions that the command uses; `idle`: those of the vehicle file that it does not use.
+    A change is refused if another option sets the same key, or if the command does not use that assumption.
+
+    Parameters
+    ----------
+    uses : keys or tables of the assumptions that the command uses
+    short : short options of the command, names in `SHORT`
+    idle : keys or tables of the vehicle file that the command does not use
     """
-    about = (
+    help_text = (
         "Override a value of the vehicle file or the study for this run: KEY=VALUE, KEY*=FACTOR or "
         "KEY+=STEP. `--set list` prints all keys. Repeatable."
     )
@@ -122,32 +141,35 @@ def set_options(*uses: str, short: tuple[str, ...] = (), idle: tuple[str, ...] =
 
             source = click.get_current_context().get_parameter_source
             typed = [name for name in given if source(name) is ParameterSource.COMMANDLINE]
-            said = {SHORT[name][0]: name for name in typed if name in SHORT}
+            option_of_key = {SHORT[name][0]: name for name in typed if name in SHORT}
             changes = parse_changes(sets)
             for change in changes:
-                if name := said.get(re.sub(r"\[[^\]]*\]", "", change.key)):
+                # the key without indices in brackets
+                if name := option_of_key.get(re.sub(r"\[[^\]]*\]", "", change.key)):
                     what = f"--{name.replace('_', '-')} and --set {change.key} say the same thing"
                     raise InputError(what, do="give one of them")
-                if _among(change.key, TABLES) and not _among(change.key, uses):
-                    read_assumptions([change])  # a misspelt one is refused with the nearest name
+                if _is_listed(change.key, TABLES) and not _is_listed(change.key, uses):
+                    # raises an error with the nearest name if the key is misspelt
+                    read_assumptions([change])
                     what, do = "this command does not use that assumption", "`--set list` shows all"
                     raise InputError(what, got=change.key, do=do)
             values = [(SHORT[name][0], given.pop(name)) for name in short]
-            own = parse_changes([f"{key}={value}" for key, value in values if value is not None])
-            function(changes=own + changes, **given)
+            of_options = [f"{key}={value}" for key, value in values if value is not None]
+            function(changes=parse_changes(of_options) + changes, **given)
 
         decorated: Any = command
         for name in reversed(short):
             decorated = click.option(f"--{name.replace('_', '-')}", help=SHORT[name][1])(decorated)
+        # `Command` and `warn_unused` read these attributes of the callback
         vars(decorated).update(uses=uses, idle=idle)
-        option = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help=about)
+        option = click.option("--set", "sets", multiple=True, metavar="KEY=VALUE", help=help_text)
         return option(decorated)
 
     return decorate
 
 
-def opened(vehicle: Any, changes: Iterable[Change]) -> Opened:
-    """The vehicle and the assumptions with the changes."""
+def load_inputs(vehicle: Any, changes: Iterable[Change]) -> Inputs:
+    """Load a vehicle and the assumptions of the study with changes, and warn of changes that the command does not use."""
     from sunspin.vehicle import load_vehicle
     from sunspin.vehicle.assumptions import read_assumptions, split_changes
     from sunspin.vehicle.file import attach_changes
@@ -156,39 +178,39 @@ def opened(vehicle: Any, changes: Iterable[Change]) -> Opened:
     file = attach_changes(vehicle, of_vehicle)
     craft, assumptions = load_vehicle(file), read_assumptions(of_study)
     context = click.get_current_context(silent=True)
-    say_idle(changes, getattr(context and context.command.callback, "idle", ()))
-    return Opened(file, craft, assumptions)
+    warn_unused(changes, getattr(context and context.command.callback, "idle", ()))
+    return Inputs(file, craft, assumptions)
 
 
-def say_idle(changes: Iterable[Any], idle: tuple[str, ...]) -> None:
-    """Name on standard error the changes that have no effect: those of `idle` keys or tables."""
+def warn_unused(changes: Iterable[Any], idle: tuple[str, ...]) -> None:
+    """Print on standard error which changes have no effect, because their keys or tables are in `idle`."""
     for change in changes:
-        if _among(change.key, idle):
+        if _is_listed(change.key, idle):
             command = click.get_current_context().command.name
             what = f"{change.key} changes nothing here: `sunspin {command}` does not use it"
             click.echo(f"sunspin: {what}", err=True)
 
 
-def _among(key: str, names: Iterable[str]) -> bool:
-    """Whether a key, or the table that it is in, is one of these."""
+def _is_listed(key: str, names: Iterable[str]) -> bool:
+    """Return whether a key, or its table, is one of these."""
     return key in names or re.split(r"[.\[]", key)[0] in names
 
 
-def print_list(vehicle: str, command: Any, as_json: bool) -> None:
-    """Key, value, unit and source of all that a command can change."""
+def print_settings(vehicle: str, command: Any, as_json: bool) -> None:
+    """Print key, value, unit and source of everything that a command can change."""
     from sunspin.vehicle.assumptions import AssumptionsFile, assumptions_table
     from sunspin.vehicle.changes import format_value, list_settings
     from sunspin.vehicle.file import VehicleFile, read_vehicle_table
 
     of_vehicle = list_settings(read_vehicle_table(vehicle), VehicleFile)
     of_study = list_settings(assumptions_table(), AssumptionsFile)
-    rows = [each for each in of_vehicle if not _among(each.key, command.idle)]
-    rows += [each for each in of_study if _among(each.key, command.uses)]
+    rows = [row for row in of_vehicle if not _is_listed(row.key, command.idle)]
+    rows += [row for row in of_study if _is_listed(row.key, command.uses)]
     if as_json:
         names = ("key", "value", "unit", "source")
-        rows = [{name: getattr(each, name) for name in names} for each in rows]
-        return click.echo(json.dumps(rows, indent=1))
-    width = max(len(each.key) for each in rows)
+        entries = [{name: getattr(row, name) for name in names} for row in rows]
+        return click.echo(json.dumps(entries, indent=1))
+    width = max(len(row.key) for row in rows)
     for key, value, unit, source, _ in rows:
-        about = f"({source})" if source else ""
-        click.echo(f"{key:{width}}  {' '.join(filter(None, (format_value(value), unit, about)))}")
+        origin = f"({source})" if source else ""
+        click.echo(f"{key:{width}}  {' '.join(filter(None, (format_value(value), unit, origin)))}")

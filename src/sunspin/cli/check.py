@@ -24,18 +24,18 @@ def check(vehicle, telemetry, elements, shift_sigma, output) -> None:
       sunspin check philae philae
     """
     from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.output.check.files import about_telemetry, about_vehicle
-    from sunspin.output.check.orbit import about_orbit
+    from sunspin.output.check.files import describe_telemetry, describe_vehicle
+    from sunspin.output.check.orbit import describe_orbit
     from sunspin.vehicle import load_vehicle
 
     craft = load_vehicle(vehicle)
-    elements_of(craft, elements, shift_sigma)  # what is wrong with them is said before the work
-    summary, lines = about_vehicle(craft)
+    elements_of(craft, elements, shift_sigma)  # raises errors of the elements before the long work
+    summary, lines = describe_vehicle(craft)
     if telemetry is not None:
-        assessment, about, more = about_telemetry(craft, telemetry, vehicle)
-        summary, lines = summary | {"telemetry": about}, lines + more
-        about, more = about_orbit(assessment, elements, shift_sigma)
-        summary, lines = summary | about, lines + more
+        samples = describe_telemetry(craft, telemetry, vehicle)
+        orbit = describe_orbit(samples.assessment, elements, shift_sigma)
+        summary |= {"telemetry": samples.summary} | orbit.summary
+        lines += samples.lines + orbit.lines
     elif elements is not None:
         raise InputError("elements are compared with telemetry", do="give TELEMETRY too")
     output.report(summary, lines)

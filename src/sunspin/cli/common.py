@@ -1,4 +1,4 @@
-"""What the commands share: loading on demand, options, ways to print and to read arguments."""
+"""What the commands share: import on demand, common options, output, and reading of vehicle and telemetry."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sunspin.base.errors import InputError, printable
-from sunspin.cli.values import Parsed, numbers
+from sunspin.cli.values import Parsed, parse_numbers
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 PIECE = 1_000_000
-"""Bytes of standard input that are taken at once."""
+"""Bytes of standard input that are read at once."""
 
 YOURS, MOTIONS, PHILAE, OTHERS = "Your satellite", "Motions", "Philae", "Data of others"
 
@@ -50,52 +50,56 @@ COMMANDS = {
     "reproduce": (PHILAE, "Reproduce the Philae study (figures, tables, report)."),
     "decode": (OTHERS, "Decode raw skCUBE beacons to CSV."),
 }
-"""Name -> heading of --help and line there, in its order. A command's module, of its name, is imported when it is used."""
+"""Command -> heading and line in --help, in the order of --help. The module of the command has its name."""
 
 
 class Group(click.Group):
     """A group whose commands are imported on demand, so that --help stays fast."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """As click does, but an interruption and a closed pipe reach :func:`sunspin.cli.main` without click's own ending."""
+        """Run a command; interruptions and closed pipes reach :func:`sunspin.cli.main` and not click's handlers."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as stop:
             raise click.Abort(str(stop)) from None
         except BrokenPipeError:
-            raise click.exceptions.Exit(0) from None  # main flushes, and meets it again
+            # main flushes stdout, which raises the error again there
+            raise click.exceptions.Exit(0) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands in the order of --help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the module of a command and return the command, or None if there is none of this name."""
         if cmd_name not in COMMANDS:
             return None
         module = import_module(f"sunspin.cli.{cmd_name.replace('-', '_')}")
-        commands = (each for each in vars(module).values() if isinstance(each, click.Command))
+        commands = (value for value in vars(module).values() if isinstance(value, click.Command))
         return next(command for command in commands if command.name == cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands under their headings."""
         for title in (YOURS, MOTIONS, PHILAE, OTHERS):
             with formatter.section(title):
                 lines = [(name, line) for name, (at, line) in COMMANDS.items() if at == title]
                 formatter.write_dl(lines)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        """As click does, but a misspelt command is answered with the likely ones."""
+        """Find the command of an argument; the error for a misspelt one names similar commands."""
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
             near = get_close_matches(args[0], COMMANDS, n=3, cutoff=0.5)
             if not near or "Did you mean" in error.message:
                 raise
-            meant = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
-            raise click.UsageError(meant, ctx) from None
+            message = f"{error.message.rstrip('.')} (did you mean {' or '.join(near)}?)"
+            raise click.UsageError(message, ctx) from None
 
 
 @dataclass(frozen=True)
 class Output:
-    """--out, --json and --quiet of a command: where its result goes and how it is printed."""
+    """The options --out, --json and --quiet of a command: where its result is written and how it is printed."""
 
     command: str
     folder: Path | None
@@ -104,28 +108,28 @@ class Output:
 
     @property
     def progress(self) -> bool:
-        """Whether to show a progress bar."""
+        """Return whether to show a progress bar: not with --quiet, and only if stderr (file descriptor 2) is a terminal."""
         return not self.quiet and os.isatty(2)
 
     def claim(self) -> None:
-        """Refuse a results folder before the work, not after it."""
+        """Create the results folder, or refuse it, before the work begins."""
         if self.folder is not None:
             from sunspin.output.folder import results_folder
 
             results_folder(self.folder, self.command)
 
     def report(self, summary: dict[str, Any], lines: Sequence[str]) -> None:
-        """Print the summary as JSON, or the lines for a person; of a verdict that is explained, where."""
-        from sunspin.output.verdicts import PAGE, explained
+        """Print the summary as JSON, or the lines; add where verdicts and warnings in the lines are explained."""
+        from sunspin.output.verdicts import PAGE, find_labels
 
-        if labels := explained(self.command, lines):
+        if labels := find_labels(self.command, lines):
             summary = {**summary, "explained": [f"{PAGE}#{label}" for label in labels]}
             lines = [*lines, f"For what this means: sunspin explain {' '.join(labels)}"]
         if self.as_json:
-            from sunspin.output.folder import plain
+            from sunspin.output.folder import to_plain_data
 
-            text = json.dumps(plain(summary), indent=1, ensure_ascii=False, allow_nan=False)
-            # half characters of file names become escapes
+            text = json.dumps(to_plain_data(summary), indent=1, ensure_ascii=False, allow_nan=False)
+            # lone surrogates, from file names that are no UTF-8, become escapes
             click.echo(text.encode("utf-8", "backslashreplace").decode("utf-8"))
         elif not self.quiet:
             for line in lines:
@@ -141,7 +145,10 @@ class Output:
         lines: Sequence[str] = (),
         main: str = "",
     ) -> None:
-        """Save a result where a folder is given, and print its summary; `also` and `lines`: more of it; `main`: its file."""
+        """Save a result if there is a results folder, and print its summary.
+
+        `also`: further entries of the summary; `lines`: further lines; `main`: the file of the folder that is named in the output.
+        """
         import_module("sunspin.output.result")
         summary = result.sunspin.summary()
         lines_shown = [*summary.lines, *lines, *summary.notes]
@@ -176,7 +183,7 @@ SHARED: dict[str, dict[str, Any]] = {
         "help": "1-sigma along-track uncertainty of the orbit in s. Default: from the age of the elements.",
     },
     "--wheel-speed": {
-        "type": Parsed(numbers, "RAD/S,..."),
+        "type": Parsed(parse_numbers, "RAD/S,..."),
         "help": "Wheel speeds (rad/s) at the start. Default: wheel.speed_rad_s of the vehicle file.",
     },
     "--wheel-mode": {
@@ -212,16 +219,18 @@ SHARED: dict[str, dict[str, Any]] = {
     "--json as_json": {"is_flag": True, "help": "Print the summary as JSON."},
     "--quiet": {"is_flag": True, "help": "Print errors only."},
 }
-"""Options that mean the same in every command that has them: their names, the argument's last if it has another -> the rest."""
+"""Options with the same meaning in all commands: names, last that of the parameter if it differs -> arguments of `click.option`."""
 
 
 def shared(*names: str, out: bool | str = True) -> Callable:
-    """The options of `SHARED` with these names, and --out, --json and --quiet, which the command receives as one `output`; with
-    --data, TELEMETRY is received as the file that it names.
+    """Return a decorator that adds the options of `SHARED` with these names, and --out, --json and --quiet.
 
-    `out`: the default results folder, False for a command without one.
+    The command receives the last three as one parameter `output` of the class `Output`. With --data, it receives TELEMETRY as the
+    path of a file that exists, if there is one.
+
+    `out`: default of --out; True if there is none, False for a command without --out.
     """
-    declared = {names.split()[0]: (names.split(), more) for names, more in SHARED.items()}
+    declared = {names.split()[0]: (names.split(), options) for names, options in SHARED.items()}
 
     def decorate(function: Callable) -> Callable:
         @wraps(function)
@@ -234,17 +243,20 @@ def shared(*names: str, out: bool | str = True) -> Callable:
 
         decorated: Callable = command
         for name in reversed((*names, *(["--out"] if out else []), "--json", "--quiet")):
-            given, more = declared[name]
+            declarations, options = declared[name]
             default: dict[str, Any] = {} if name != "--out" or out is True else {"default": out}
-            decorated = click.option(*given, **more, **default)(decorated)
+            decorated = click.option(*declarations, **options, **default)(decorated)
         return decorated
 
     return decorate
 
 
 def find_telemetry(path: str, data: Path | None) -> Path:
-    """The telemetry file as given, or under the data folder; the name of a built-in case stands for its own telemetry, and `-` for
-    what is piped in, as a file for as long as the command runs: readers need its size before they begin."""
+    """Return the path of the telemetry file that an argument names.
+
+    The argument is a path, a path in the folder `data`, the name of a built-in case, or `-` for standard input. Standard input is
+    copied into a file that exists while the command runs, because readers need its size.
+    """
     from sunspin.base.tables import MAX_FILE_BYTES
     from sunspin.cases import case_telemetry_path
 
@@ -254,6 +266,7 @@ def find_telemetry(path: str, data: Path | None) -> Path:
             raise InputError(what, do=do)
         folder = click.get_current_context().with_resource(TemporaryDirectory(prefix="sunspin-"))
         piped, size = Path(folder) / "standard-input", 0
+        # reading stops just above the largest size, and then the reader of the file refuses it
         with open(piped, "wb") as file:
             while size <= MAX_FILE_BYTES and (piece := sys.stdin.buffer.read(PIECE)):
                 size += file.write(piece)
@@ -261,14 +274,14 @@ def find_telemetry(path: str, data: Path | None) -> Path:
     given = Path(path)
     if given.name == path and not given.suffix and not given.exists():
         given = case_telemetry_path(path) or given
-    with suppress(OSError, ValueError):  # no name of a file: its reader says so
+    with suppress(OSError, ValueError):  # of a text that is no path; the reader reports it
         if data is not None and not given.exists() and (data / given).exists():
             return data / given
     return given
 
 
-def read_both(vehicle: Any, telemetry: Path) -> tuple[Vehicle, xr.Dataset]:
-    """The vehicle of a name or file, and telemetry read with its columns."""
+def read_inputs(vehicle: Any, telemetry: Path) -> tuple[Vehicle, xr.Dataset]:
+    """Load a vehicle and read telemetry with its columns, and return both."""
     from sunspin.telemetry.reader import read_telemetry
     from sunspin.vehicle import load_vehicle
 

@@ -11,12 +11,12 @@ from sunspin.cli.common import PATH, shared
 
 @click.command(cls=Command)
 @click.argument("folder", metavar="A", type=PATH)
-@click.argument("others", metavar="B|KERNELS...", nargs=-1, required=True, type=PATH)
+@click.argument("paths", metavar="B|KERNELS...", nargs=-1, required=True, type=PATH)
 @click.option("--frame", help="With kernels: the name of the body frame, such as ROS_LANDER.")
 @click.option("--base", default="J2000", help="With kernels: the inertial frame.")
 @click.option("--epoch", help="With kernels: UTC of time zero, if the results have none.")
 @shared()
-def compare(folder, others, frame, base, epoch, output) -> None:
+def compare(folder, paths, frame, base, epoch, output) -> None:
     """Compare results folders A and B of `reproduce`, `rates`, `posterior` or `outcomes`: each change, divided by its error.
 
     Give SPICE attitude kernels (C-kernel, frames, clock, leap seconds) instead of B to compare the rates of A with theirs. For two
@@ -27,24 +27,24 @@ def compare(folder, others, frame, base, epoch, output) -> None:
       sunspin compare results what-if --out moved
       sunspin compare RESULTS LATT_EME2LDR_SDL_V1_0.BC ROS_V38.TF LANDER_170904_STEP.TSC naif0012.tls --frame ROS_LANDER
     """
-    if len(others) == 1 and others[0].is_dir():
-        from sunspin.output.compare import compare as run
+    if len(paths) == 1 and paths[0].is_dir():
+        from sunspin.output.compare import compare as compare_folders
 
         if frame is not None:
             what, do = "--frame belongs to kernels", "leave it out between two folders"
-            raise InputError(what, got=str(others[0]), do=do)
+            raise InputError(what, got=str(paths[0]), do=do)
         output.claim()
-        output.deliver(run(folder, others[0]), main="comparison.csv")
+        output.deliver(compare_folders(folder, paths[0]), main="comparison.csv")
         return
-    if missing := next((other for other in others if not other.exists()), None):
+    if missing := next((path for path in paths if not path.exists()), None):
         raise InputError("there is no such file or folder", where=str(missing))
     if output.folder is not None:
         what, do = "--out is for two results folders", "leave it out with kernels"
-        raise InputError(what, got=str(others[0]), do=do)
+        raise InputError(what, got=str(paths[0]), do=do)
     if frame is None:
         do = "name the body's frame in the kernels, or give two results folders"
         raise InputError("--frame is missing", do=do)
     from sunspin.output.export.against import against_kernels
 
-    summary, line = against_kernels(folder, others, frame, base, epoch)
+    summary, line = against_kernels(folder, paths, frame, base, epoch)
     output.report(summary, [line])

@@ -20,8 +20,8 @@ def explain(labels: tuple[str, ...], output: Output) -> None:
     Example:
       sunspin explain poor-fit
     """
-    from sunspin.output.verdicts import ANCHORS, section
+    from sunspin.output.verdicts import ANCHORS, read_section
 
-    texts = {label: section(label) for label in labels}
+    texts = {label: read_section(label) for label in labels}
     lines = "\n\n".join(texts.values()).splitlines() if texts else list(ANCHORS)
     output.report({"labels": texts or list(ANCHORS)}, lines)

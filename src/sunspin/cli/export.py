@@ -41,15 +41,15 @@ def export(folder, form, frame, epoch, step, output) -> None:
     """
     import numpy as np
 
-    from sunspin.output.export import attitude_of, read_results, write_cf, write_parquet
+    from sunspin.output.export import build_attitude, read_attitude_data, write_cf, write_parquet
     from sunspin.output.export.aem import write_aem
     from sunspin.output.export.ck import write_ck
     from sunspin.output.folder import results_folder
-    from sunspin.output.text import counted
+    from sunspin.output.text import count_text
 
-    data, source = read_results(folder)
+    data, source = read_attitude_data(folder)
     tables = form in ("netcdf", "parquet")
-    attitude = attitude_of(data, frame, epoch, step, dense=not tables)
+    attitude = build_attitude(data, frame, epoch, step, dense=not tables)
     target = results_folder(output.folder, "export")
     if form == "ck":
         paths = write_ck(target, attitude)
@@ -62,9 +62,9 @@ def export(folder, form, frame, epoch, step, output) -> None:
         paths = [write_aem(target / name, attitude, kind)]
     samples, segments = len(attitude.t_s), len(attitude.passes())
     files = [str(path) for path in paths]
-    about = {"from": str(source), "frame": attitude.frame, "samples": samples}
-    about["largest_rotation_deg"] = np.degrees(attitude.largest_rotation())
+    summary = {"from": str(source), "frame": attitude.frame, "samples": samples}
+    summary["largest_rotation_deg"] = np.degrees(attitude.largest_rotation())
     frame = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
-    line = f"{counted(samples, 'attitude')} in {counted(segments, 'segment')}, frame {frame}"
-    summary = about | {"segments": segments, "files": files}
+    line = f"{count_text(samples, 'attitude')} in {count_text(segments, 'segment')}, frame {frame}"
+    summary |= {"segments": segments, "files": files}
     output.report(summary, [line, *(f"  {path}" for path in files)])

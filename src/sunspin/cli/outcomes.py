@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import READING, Command, opened, set_options
+from sunspin.cli.changes import TELEMETRY_KEYS, Command, load_inputs, set_options
 from sunspin.cli.common import PATH, shared
-from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
+from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, parse_vertical
 
 
 @click.command(cls=Command)
@@ -47,7 +47,7 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
 )
 @click.option(
     "--vertical",
-    type=Parsed(vertical),
+    type=Parsed(parse_vertical),
     help="Ground normal at the landing, in body axes at the touchdown: legs_down (any for which a leg tip is lowest), any, the "
     "largest angle (deg) from upright on the legs, or x,y,z.",
 )
@@ -62,7 +62,9 @@ from sunspin.cli.values import BODY_RATE, VECTOR, Parsed, vertical
     type=PATH,
     help="Folder with philae_spk/ (SPK for --condition), or set SUNSPIN_DATA. Default: the speeds stored with the case philae.",
 )
-@set_options("study.lead_s", "collision", short=("friction", "restitution", "damper"), idle=READING)
+@set_options(
+    "study.lead_s", "collision", short=("friction", "restitution", "damper"), idle=TELEMETRY_KEYS
+)
 @shared("--wheel-speed", "--factor", "--store", "--scheduler", "--seed", "--workers")
 def outcomes(
     vehicle,
@@ -81,7 +83,7 @@ def outcomes(
     seed,
     workers,
     output,
-    **known,
+    **scenario_options,
 ) -> None:
     """Simulate a lander after touchdown (Monte Carlo), by wheel strategy: collision, first contact, rest, orbiter in antenna cone.
 
@@ -99,24 +101,26 @@ def outcomes(
     from sunspin.philae.candidates import starts
     from sunspin.philae.collision import against_kernel
 
-    opening = opened(vehicle, changes)
-    craft, assumed = opening.craft, opening.assumptions
-    wanted = [parse_strategy(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
-    known |= {
-        "lead_s": assumed.study.lead_s if lead is None else lead,
+    inputs = load_inputs(vehicle, changes)
+    craft, assumptions = inputs.craft, inputs.assumptions
+    chosen = [parse_strategy(craft, name) for name in dict.fromkeys(strategies or ("off", "held"))]
+    # options that are not given leave the built-in values of the case or the timeline
+    scenario_options |= {
+        "lead_s": assumptions.study.lead_s if lead is None else lead,
         "wheel_speed_rad_s": wheel_speed,
-        "restitution": assumed.collision.restitution,
-        "damper": assumed.collision.damper,
+        "restitution": assumptions.collision.restitution,
+        "damper": assumptions.collision.damper,
     }
-    given = {key: value for key, value in known.items() if value is not None}
-    if given.get("collision_speed_m_s") == 0:
+    given = {key: value for key, value in scenario_options.items() if value is not None}
+    if given.get("collision_speed_m_s") == 0:  # on the command line 0 stands for no collision
         given["collision_speed_m_s"] = None
     scenario = build_scenario(vehicle, craft, given)
-    candidates, whose = starts(craft, omega_B, scan, factor)
+    candidates, source = starts(craft, omega_B, scan, factor)
     output.claim()
-    how = {"store": store, "workers": workers, "executor": executor, "progress": output.progress}
-    table, outcome = compare(craft, candidates, wanted, runs, seed, scenario, **how)
+    execution = {"store": store, "workers": workers, "executor": executor}
+    execution["progress"] = output.progress
+    table, outcome = compare(craft, candidates, chosen, runs, seed, scenario, **execution)
     weighted = against_kernel(craft.name, next(iter(outcome.values())), data) if condition else None
-    tree = opening.mark(comparison_tree(table, outcome, weighted))
-    about, lines = {"candidates_from": whose}, [f"Candidates: {whose}"]
-    output.deliver(tree, opening.file, also=about, lines=lines)
+    tree = inputs.record_changes(comparison_tree(table, outcome, weighted))
+    also, lines = {"candidates_from": source}, [f"Candidates: {source}"]
+    output.deliver(tree, inputs.file, also=also, lines=lines)

@@ -8,15 +8,23 @@ from collections.abc import Callable
 import click
 
 from sunspin.base.errors import InputError
-from sunspin.cli.changes import Command, opened, say_idle, set_options
+from sunspin.cli.changes import Command, load_inputs, set_options, warn_unused
 from sunspin.cli.common import shared
-from sunspin.cli.values import Parsed, instants_of, observation, period, prior, times
+from sunspin.cli.values import (
+    Parsed,
+    parse_limits,
+    parse_observation,
+    parse_period,
+    parse_prior,
+    parse_times,
+)
 
 
-def observed(name: str, form: Parsed, about: str) -> Callable:
+def observation_option(name: str, form: Parsed, about: str) -> Callable:
+    """Return the decorator for a repeatable option of an observation; the command receives rates, gyros or fields."""
     names = f"--{name}", f"{name.partition('-')[0]}s"
-    about = f"Extra observation of the {about}. Repeatable."
-    return click.option(*names, type=form, multiple=True, help=about)
+    help_text = f"Extra observation of the {about}. Repeatable."
+    return click.option(*names, type=form, multiple=True, help=help_text)
 
 
 @click.command(cls=Command)
@@ -26,17 +34,21 @@ def observed(name: str, form: Parsed, about: str) -> Callable:
 @click.option(
     "--prior",
     "priors",
-    type=Parsed(prior, "KEY=SIGMA"),
+    type=Parsed(parse_prior, "KEY=SIGMA"),
     multiple=True,
     help="Prior 1-sigma, relative; 0 = fixed. Keys: inertia, wheel_speed, wheel_inertia, friction, gain (of each panel), noise, "
     "scale (of all panels). In rad: tilt (of each panel), tilt_common (of all). In s: time_s (of each sample). Upper limits: "
     "max_rate_rad_s; steady_torque (rotation in deg that it causes, default 300). Repeatable.",
 )
-@observed("rate-deg-s", Parsed(observation, "T,VALUE,SIGMA"), "angular speed, in s and deg/s")
-@observed("gyro-deg-s", Parsed(observation, "T,X,Y,Z,SIGMA"), "body rate, in s and deg/s")
-@observed(
+@observation_option(
+    "rate-deg-s", Parsed(parse_observation, "T,VALUE,SIGMA"), "angular speed, in s and deg/s"
+)
+@observation_option(
+    "gyro-deg-s", Parsed(parse_observation, "T,X,Y,Z,SIGMA"), "body rate, in s and deg/s"
+)
+@observation_option(
     "field",
-    Parsed(observation, "T,X,Y,Z,ANGLE,SIGMA"),
+    Parsed(parse_observation, "T,X,Y,Z,ANGLE,SIGMA"),
     "magnetic direction X,Y,Z in body axes (any length), with its ANGLE to the Sun and SIGMA of the angle, rad",
 )
 @click.option(
@@ -77,25 +89,26 @@ def posterior(
       sunspin posterior vehicle.toml telemetry.csv --from 0 --to 900 --prior inertia=0.02 --store checkpoints
     """
     from sunspin.cases import case_telemetry_path, read_timeline
-    from sunspin.estimate.posterior.estimate import posterior as run
+    from sunspin.estimate.posterior.estimate import posterior as sample_posterior
     from sunspin.landing.predictions import add_predictions
     from sunspin.telemetry.reader import read_telemetry
 
     if output.quiet:
         logging.getLogger("sunspin").setLevel(logging.ERROR)
-    opening = opened(vehicle, changes)
-    craft = opening.craft
+    inputs = load_inputs(vehicle, changes)
+    craft = inputs.craft
     if predict is None:
-        say_idle(opening.changes, ("body.mass_kg", "leg", "collision"))  # of a collision
+        # without predictions after the collision, nothing uses its parameters
+        warn_unused(inputs.changes, ("body.mass_kg", "leg", "collision"))
     if telemetry is None and (telemetry := case_telemetry_path(vehicle)) is None:
         raise InputError("TELEMETRY is missing", do="only a built-in case comes with its own")
     samples = read_telemetry(telemetry, craft)
     epoch = samples.attrs.get("epoch_utc")
-    asked = None if predict is None else times(predict, epoch)
-    evidence = [period(text, epoch) for text in periods]
-    first_s, last_s = instants_of(samples, begin, end)
+    predicted_times = None if predict is None else parse_times(predict, epoch)
+    observed_periods = [parse_period(text, epoch) for text in periods]
+    first_s, last_s = parse_limits(samples, begin, end)
     output.claim()
-    tree = run(
+    tree = sample_posterior(
         craft,
         samples,
         dict(priors),
@@ -106,9 +119,9 @@ def posterior(
         workers=workers,
         **search,
         progress=output.progress,
-        periods=evidence,
+        periods=observed_periods,
     )
-    if asked is not None:
-        collision, timeline = opening.assumptions.collision, read_timeline(vehicle)
-        add_predictions(craft, tree, asked, seed, timeline, collision, workers)
-    output.deliver(opening.mark(tree), opening.file, samples)
+    if predicted_times is not None:
+        collision, timeline = inputs.assumptions.collision, read_timeline(vehicle)
+        add_predictions(craft, tree, predicted_times, seed, timeline, collision, workers)
+    output.deliver(inputs.record_changes(tree), inputs.file, samples)

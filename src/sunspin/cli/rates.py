@@ -10,12 +10,12 @@ import click
 
 from sunspin.base.errors import InputError, printable
 from sunspin.cli.changes import Command
-from sunspin.cli.common import POSITIVE, read_both, shared
-from sunspin.cli.values import Parsed, between, effort, period
+from sunspin.cli.common import POSITIVE, read_inputs, shared
+from sunspin.cli.values import Parsed, parse_effort, parse_period, select_interval
 from sunspin.vehicle.sensors import VARIABLES
 
-UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
-"""What `--without` may name, and the variable that it takes away."""
+SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
+"""Sensors that `--without` may name -> the variable of the telemetry that it removes."""
 
 
 @click.command(cls=Command)
@@ -51,13 +51,16 @@ UNUSED = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 @click.option("--no-orbit", is_flag=True, help="Do not use the orbit of the vehicle file.")
 @click.option(
     "--effort",
-    type=Parsed(effort, "float"),
+    type=Parsed(parse_effort, "float"),
     default="1.0",
     help="Computing budget of the run, in propagated motions: 1 takes up to about 2 minutes of one core, inf is unlimited. Results "
     "do not depend on the machine's speed. A pass whose search is incomplete is not decided.",
 )
 @click.option(
-    "--without", multiple=True, type=click.Choice(list(UNUSED)), help="Sensor not used. Repeatable."
+    "--without",
+    multiple=True,
+    type=click.Choice(list(SENSOR_VARIABLES)),
+    help="Sensor not used. Repeatable.",
 )
 @shared("--from", "--to", "--tle", "--tle-shift-sigma", "--period", "--workers", "--data")
 def rates(
@@ -74,7 +77,7 @@ def rates(
     periods,
     without,
     output,
-    **estimate,
+    **settings,
 ) -> None:
     """Estimate body rates and attitude of each pass from Sun directions and other sensors.
 
@@ -95,54 +98,57 @@ def rates(
     """
     from sunspin.compute.pool import worker_count
     from sunspin.estimate.orbit.judged import elements_of
-    from sunspin.estimate.rates.estimate import rates as run
-    from sunspin.output.check.orbit import orbit_used
+    from sunspin.estimate.rates.estimate import rates as estimate_rates
+    from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
 
-    craft, samples = read_both(vehicle, telemetry)
-    file = assess(craft, samples)
-    unused = [UNUSED[name] for name in without if UNUSED[name] in samples]
-    whole = begin is None and end is None and not unused
-    used = file if whole else assess(craft, between(samples, begin, end).drop_vars(unused))
-    evidence = [period(text, samples.attrs.get("epoch_utc")) for text in periods]
+    craft, samples = read_inputs(vehicle, telemetry)
+    # The orbit is judged from the whole file, the rates are estimated from the part that is used.
+    whole_file = assess(craft, samples)
+    unused = [SENSOR_VARIABLES[name] for name in without if SENSOR_VARIABLES[name] in samples]
+    if begin is None and end is None and not unused:
+        used = whole_file
+    else:
+        used = assess(craft, select_interval(samples, begin, end).drop_vars(unused))
+    observed_periods = [parse_period(text, samples.attrs.get("epoch_utc")) for text in periods]
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit contradicts the elements or their shift that are given"
         raise InputError(what, do="give one")
 
     def announce(line: str) -> None:
-        with suppress(OSError):  # a log that cannot be written stops no work
+        """Print a line of progress on standard error."""
+        with suppress(OSError):  # a log that cannot be written does not stop the work
             print(f"sunspin: rates: {printable(line)}", file=sys.stderr, flush=True)
 
-    # a terminal shows a progress line in the place of these words
+    # a terminal shows a progress bar instead of these lines
     progress = output.progress if output.quiet or output.progress else announce
-    orbit, calibration, orbit_summary, orbit_lines = None, None, {}, []
+    chosen_orbit = ChosenOrbit(None, None, {}, [])
     if not no_orbit:
         if progress is announce and elements_of(craft, elements, shift_sigma) is not None:
             announce(f"{samples.sizes['time']} samples; the elements are checked first")
-        used_orbit = orbit_used(file, elements, shift_sigma)
-        orbit, calibration, orbit_summary, orbit_lines = used_orbit
-        if orbit is None and orbit_summary and progress is announce:
+        chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
+        if chosen_orbit.orbit is None and chosen_orbit.summary and progress is announce:
             announce("the elements do not fit the telemetry; continuing without the orbit")
-    result = run(
+    result = estimate_rates(
         craft,
         used,
         max_rate_rad_s=None if max_rate is None else math.radians(max_rate),
         column_tests=not no_column_tests,
-        environment=orbit,
-        calibration=calibration,
-        periods=evidence,
+        environment=chosen_orbit.orbit,
+        calibration=chosen_orbit.calibration,
+        periods=observed_periods,
         workers=worker_count(workers),
-        **estimate,
+        **settings,
         progress=progress,
     )
-    # after the search has begun: to import it takes a third of a second
-    from sunspin.output.check.repeats import repeat_lines
-    from sunspin.output.check.samples import doubts
+    # imported late, because the import takes a third of a second
+    from sunspin.output.check.repeats import describe_repeats
+    from sunspin.output.check.samples import describe_mismatches
 
-    about, lines = doubts(used, vehicle)
-    doubted = {key: about[key] for key in ("wrong_units", "wrong_axes") if about[key]}
-    repeated, more = repeat_lines(used)
-    lines = [*(line for line in lines if "WRONG" in line), *more, *orbit_lines]
-    also = doubted | repeated | orbit_summary
+    mismatches, repeats = describe_mismatches(used, vehicle), describe_repeats(used)
+    keys = [key for key in ("wrong_units", "wrong_axes") if mismatches.summary[key]]
+    also = {key: mismatches.summary[key] for key in keys} | repeats.summary | chosen_orbit.summary
+    wrong = [line for line in mismatches.lines if "WRONG" in line]
+    lines = [*wrong, *repeats.lines, *chosen_orbit.lines]
     output.deliver(result, vehicle, samples, also=also, lines=lines)

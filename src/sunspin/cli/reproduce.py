@@ -41,7 +41,7 @@ def reproduce(telemetry, output, **options) -> None:
       sunspin reproduce --telemetry mine.csv --candidates posterior --out mine
       sunspin reproduce --set wheel.speed_rad_s=833 --set 'body.inertia_kg_m2[2][2]*=0.9' --friction printed --out what-if
     """
-    from sunspin.philae.reproduction import reproduce as run
+    from sunspin.philae.reproduction import reproduce as reproduce_study
 
-    written = run(output.folder, telemetry, **options, progress=output.progress)
+    written = reproduce_study(output.folder, telemetry, **options, progress=output.progress)
     output.report(written.summary, written.lines)

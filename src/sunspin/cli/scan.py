@@ -7,15 +7,16 @@ from collections.abc import Callable
 import click
 
 from sunspin.base.errors import InputError
-from sunspin.cli.changes import LANDING, Command, opened, say_idle, set_options
+from sunspin.cli.changes import LANDING_KEYS, Command, load_inputs, set_options, warn_unused
 from sunspin.cli.common import POSITIVE, shared
-from sunspin.cli.values import Parsed, grid, instants_of
+from sunspin.cli.values import Parsed, parse_grid, parse_limits
 
 
 def grid_option(axis: str, default: str) -> Callable:
-    about = f"Grid of omega_{axis} in deg/s: low:high:step, or comma-separated values."
+    """Return the decorator for the option of the grid along one axis of the body rate."""
+    help_text = f"Grid of omega_{axis} in deg/s: low:high:step, or comma-separated values."
     names = f"--omega-{axis}-deg-s", f"omega_{axis}"
-    return click.option(*names, type=Parsed(grid), default=default, help=about)
+    return click.option(*names, type=Parsed(parse_grid), default=default, help=help_text)
 
 
 @click.command(cls=Command)
@@ -47,7 +48,7 @@ def grid_option(axis: str, default: str) -> Callable:
     default=4,
     help="Number of straight lines fitted to the selected rates, in the space of omega_x, omega_y, omega_z; 0: none.",
 )
-@set_options("study.mask", "study.target_weights", short=("friction",), idle=LANDING)
+@set_options("study.mask", "study.target_weights", short=("friction",), idle=LANDING_KEYS)
 @shared(
     *("--from", "--to", "--wheel-speed", "--wheel-mode", "--factor", "--store", "--scheduler"),
     *("--seed", "--workers", "--data"),
@@ -70,27 +71,28 @@ def scan(
     """Scan a grid of initial body rates: which motions reproduce the measured r_z, the body-z component of the Sun direction?
 
     Motions begin at the first sample with a Sun direction. With --out, writes scan.nc. A scan with a --store can be interrupted
-    and resumed. The first scan of a kind of vehicle compiles its code in about 20 s, unless `sunspin compile` has done so.
+    and resumed. The first scan of a kind of vehicle takes 20 s longer, to compile its code; `sunspin compile` does so in advance.
 
     \b
     Examples (the second with the built-in vehicle philae and its telemetry):
       sunspin scan vehicle.toml telemetry.csv --to 160 --omega-x-deg-s=-6:6:1 --omega-y-deg-s=-6:6:1 --omega-z-deg-s=0:6:1
       sunspin scan philae philae --from 25140 --to 27900 --omega-x-deg-s=-30:60:6 --store scan-rows --out scan-results
     """
-    from sunspin.estimate.scan import volume as scans
     from sunspin.estimate.scan.chosen import with_chosen
+    from sunspin.estimate.scan.volume import Propagation
+    from sunspin.estimate.scan.volume import scan as scan_rates
     from sunspin.estimate.scan.window import directions_within, target_weights
     from sunspin.telemetry.reader import read_telemetry
 
-    opening = opened(vehicle, changes)
-    craft, study = opening.craft, opening.assumptions.study
+    inputs = load_inputs(vehicle, changes)
+    craft, study = inputs.craft, inputs.assumptions.study
     if craft.telemetry.lit_threshold and not craft.channels:
-        # then directions do not depend on the noise, only their sigmas do
-        say_idle(craft.changes, ("telemetry.noise",))
+        # the scan uses directions without their sigmas, and here the directions do not depend on the noise
+        warn_unused(craft.changes, ("telemetry.noise",))
     samples = read_telemetry(telemetry, craft)
-    track = directions_within(craft, samples, *instants_of(samples, begin, end))
+    track = directions_within(craft, samples, *parse_limits(samples, begin, end))
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
-    if metric == "E" and opening.assumptions.changes:
+    if metric == "E" and inputs.assumptions.changes:
         what, do = "mask and target weights are those of EMD", "leave one of them out"
         raise InputError(what, got="--metric E", do=do)
     target, weights = track, None
@@ -98,18 +100,18 @@ def scan(
         target = track["sun_B"].values[:, 2]
         weights = target_weights(study.target_weights, track["time"].values)
     output.claim()
-    how = scans.Propagation(run.pop("wheel_mode"), run.pop("direction_error"))
-    volume = scans.scan(
+    propagation = Propagation(run.pop("wheel_mode"), run.pop("direction_error"))
+    volume = scan_rates(
         craft,
         target,
         track["sun_B"].values[0],
         wheel_speed_rad_s=speeds or None,
         duration_s=float(track["time"].values[-1]),
-        propagation=how,
+        propagation=propagation,
         weights=weights,
         mask=None if study.mask == "everywhere" else study.mask,
         progress=output.progress,
         **run,
     )
-    result = opening.mark(with_chosen(volume, samples, factor, threshold, n_lines, seed))
-    output.deliver(result, opening.file, samples, {"seed": seed}, main="scan.nc")
+    result = inputs.record_changes(with_chosen(volume, samples, factor, threshold, n_lines, seed))
+    output.deliver(result, inputs.file, samples, {"seed": seed}, main="scan.nc")

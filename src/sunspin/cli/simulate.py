@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from sunspin.cli.changes import LANDING, SEEING, Command, opened, set_options
+from sunspin.cli.changes import LANDING_KEYS, PANEL_KEYS, Command, load_inputs, set_options
 from sunspin.cli.common import POSITIVE, shared
 from sunspin.cli.values import BODY_RATE, VECTOR
 
@@ -25,7 +25,7 @@ from sunspin.cli.values import BODY_RATE, VECTOR
     type=float,
     help="Backward runs: when a wheel that is at rest at the start had stopped, s from the start (negative).",
 )
-@set_options(short=("friction",), idle=(*LANDING, *SEEING))
+@set_options(short=("friction",), idle=(*LANDING_KEYS, *PANEL_KEYS))
 @shared("--wheel-speed", "--wheel-mode")
 def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, output, **run) -> None:
     """Propagate one motion: body rates, Sun direction, attitude, wheel speeds and when wheels stop.
@@ -40,17 +40,18 @@ def simulate(vehicle, omega_B, sun_B, duration, step, changes, wheel_speed, outp
     from sunspin.dynamics.extent import check_work, output_times
     from sunspin.dynamics.propagate import propagate
 
-    opening = opened(vehicle, changes)
-    craft = opening.craft
+    inputs = load_inputs(vehicle, changes)
+    craft = inputs.craft
     speeds = wheel_speed or [wheel.speed_rad_s for wheel in craft.wheels]
     t = output_times(duration, step)
     check_work(craft, omega_B, speeds, duration)
     output.claim()
 
-    def motion(at):
-        return propagate(craft, omega_B, sun_B, speeds or None, at, **run)
+    def propagate_to(times):
+        """Return the motion at these times (s)."""
+        return propagate(craft, omega_B, sun_B, speeds or None, times, **run)
 
-    result = motion(t)
+    result = propagate_to(t)
     if output.folder is not None:
-        result = with_curve(result, craft.require_inertia(), motion)
-    output.deliver(result, opening.file, main="trajectory.nc")
+        result = with_curve(result, craft.require_inertia(), propagate_to)
+    output.deliver(result, inputs.file, main="trajectory.nc")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from sunspin.cli.changes import Command
-from sunspin.cli.common import POSITIVE, read_both, shared
+from sunspin.cli.common import POSITIVE, read_inputs, shared
 
 
 @click.command(cls=Command)
@@ -32,7 +32,7 @@ def sun(vehicle, telemetry, noise, threshold, output) -> None:
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.sun import sun_directions
 
-    craft, samples = read_both(vehicle, telemetry)
+    craft, samples = read_inputs(vehicle, telemetry)
     output.claim()
     assessment = assess(craft, samples)
     directions = assessment.sun

@@ -1,4 +1,4 @@
-"""Text of options into values; what is no such value is one sentence that names the option."""
+"""Conversion of the texts of options to values. The errors name the option."""
 
 from __future__ import annotations
 
@@ -16,30 +16,37 @@ if TYPE_CHECKING:
     import numpy as np
 
 MAX_GRID = 100_000
-"""Values of one axis of a scan's grid."""
+"""Largest number of values of one axis of a scan's grid."""
 
 EXAMPLE = ("0.1", "0", "-0.2", "1", "0.5", "0.02")
-"""Numbers of an option, as many as it takes."""
+"""Numbers for the examples in error messages; an option takes the first ones."""
 
 WHEN = "s from the epoch, or UTC such as 2014-11-12T16:20"
+"""Form of a time in error messages."""
 
 
 class Parsed(click.ParamType):
-    """What `read` makes of the text and the name of an option; `form`: how --help writes the text."""
+    """A type of options whose value a function `parse` makes from the text and the name of the option.
 
-    def __init__(self, read: Callable[[str, str], Any], form: str = "text") -> None:
-        self.read, self.name = read, form
+    `form` is the form of the text in --help.
+    """
+
+    def __init__(self, parse: Callable[[str, str], Any], form: str = "text") -> None:
+        self.parse, self.name = parse, form
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return self.read(value, param.opts[0] if param else "the option")
+        """Return the value of a text."""
+        return self.parse(value, param.opts[0] if param else "the option")
 
 
 def check_text(text: Any, parameter: click.Parameter, context: click.Context) -> None:
-    """Refuse, of what is given to an option or argument, empty text, which as a path would be the present folder, forms of numbers
-    that only Python knows, and numbers that are infinite, none, or beyond all measure."""
+    """Raise an error if the text of an option or argument is empty or, for a number, not a plain and finite one.
+
+    Python reads more texts as numbers than people write, such as 1_000. Numbers must also be of a sensible size.
+    """
     if not isinstance(text, str):  # not given, or a flag
         return
-    if not text.strip():
+    if not text.strip():  # as a path, it would be the current folder
         raise click.BadParameter("the value is empty", context, parameter)
     kind = parameter.type
     is_float = isinstance(kind, click.types.FloatParamType)
@@ -54,12 +61,16 @@ def check_text(text: Any, parameter: click.Parameter, context: click.Context) ->
 
 
 def _check_number(name: str, value: float, sizes: str = SIZES) -> None:
+    """Raise `InputError` if a number is infinite, NaN, or too large or small; `sizes`: the allowed sizes in words."""
     if not is_sensible(value):
         raise InputError(f"{name} must be {sizes}", got=str(value))
 
 
-def numbers(text: str, name: str, count: int | None = None, form: str = "") -> list[float]:
-    """Comma-separated numbers of an option; `form`: what it takes, where that is not only numbers."""
+def parse_numbers(text: str, name: str, count: int | None = None, form: str = "") -> list[float]:
+    """Return the comma-separated numbers of an option.
+
+    `count`: how many there must be; `form`: what the option takes, for errors, if that is not only numbers.
+    """
     values = [plain_number(part) for part in text.split(",")] if text else []
     if any(map(math.isnan, values)) or count not in (None, len(values)):
         several = f"{count or ''} numbers separated by commas".lstrip()
@@ -72,33 +83,33 @@ def numbers(text: str, name: str, count: int | None = None, form: str = "") -> l
     return values
 
 
-def rate(text: str, name: str) -> list[float]:
-    """A body rate in deg/s; the result is in rad/s."""
-    return [math.radians(each) for each in numbers(text, name, 3)]
+def parse_rate(text: str, name: str) -> list[float]:
+    """Return a body rate (3) in rad/s from a text in deg/s."""
+    return [math.radians(number) for number in parse_numbers(text, name, 3)]
 
 
-VECTOR, BODY_RATE = Parsed(partial(numbers, count=3), "X,Y,Z"), Parsed(rate, "X,Y,Z")
+VECTOR, BODY_RATE = Parsed(partial(parse_numbers, count=3), "X,Y,Z"), Parsed(parse_rate, "X,Y,Z")
 
 
-def effort(text: str, name: str) -> float:
-    """A positive number, or infinity."""
-    given = math.inf if text == "inf" else plain_number(text)
-    if not given > 0:
+def parse_effort(text: str, name: str) -> float:
+    """Return the computing budget: a positive number, or infinity."""
+    budget = math.inf if text == "inf" else plain_number(text)
+    if not budget > 0:
         what, do = f"{name} must be a positive number or inf", "1 is the usual effort"
         raise InputError(what, got=text, do=do)
-    return given
+    return budget
 
 
-def grid(text: str, name: str) -> np.ndarray:
-    """low:high:step in deg/s, or values separated by commas; the result is in rad/s."""
+def parse_grid(text: str, name: str) -> np.ndarray:
+    """Return the values of one axis of a grid in rad/s, from low:high:step or comma-separated values in deg/s."""
     import numpy as np
 
     from sunspin.estimate.scan.volume import check_size
 
     if ":" not in text:
-        return np.radians(numbers(text, name))
+        return np.radians(parse_numbers(text, name))
     parts, do = text.split(":"), f"for example {name}=-6:6:1"
-    low, high, step = numbers(",".join(parts), name, 3) if len(parts) == 3 else (0, 0, 0)
+    low, high, step = parse_numbers(",".join(parts), name, 3) if len(parts) == 3 else (0, 0, 0)
     count = (high - low) / step + 1 if step > 0 and high >= low else math.nan
     if not math.isfinite(count):
         what = f"{name} must be low:high:step in deg/s, low to high and with a positive step"
@@ -111,36 +122,40 @@ def grid(text: str, name: str) -> np.ndarray:
     return np.radians(np.linspace(low, low + step * steps, steps + 1))
 
 
-def vertical(text: str, name: str) -> Any:
-    """The name of a rule, rad about legs-down, or a direction."""
+def parse_vertical(text: str, name: str) -> Any:
+    """Return the ground normal of `sunspin outcomes`: "legs_down", "any", an angle (rad) from upright, or a direction (3)."""
     if text in ("legs_down", "any"):
         return text
-    values = numbers(text, name)
+    values = parse_numbers(text, name)
     if len(values) not in (1, 3):
         raise InputError(f"{name} takes legs_down, any, an angle in degrees or x,y,z", got=text)
     return math.radians(values[0]) if len(values) == 1 else tuple(values)
 
 
-def prior(text: str, name: str) -> tuple[str, float]:
-    """KEY=SIGMA."""
+def parse_prior(text: str, name: str) -> tuple[str, float]:
+    """Return key and sigma of a text KEY=SIGMA."""
     key, _, value = text.partition("=")
-    return key.strip(), numbers(value, f"{name} {key.strip()}", 1)[0]
+    return key.strip(), parse_numbers(value, f"{name} {key.strip()}", 1)[0]
 
 
-def observation(text: str, name: str) -> dict[str, Any]:
-    """What an option of this name takes: T,VALUE,SIGMA of an angular speed or T,X,Y,Z,SIGMA of a body rate, in deg/s (the result is
-    in rad/s); T,X,Y,Z,ANGLE,SIGMA of a magnetic direction."""
+def parse_observation(text: str, name: str) -> dict[str, Any]:
+    """Return an observation for `posterior`, with the time in s from the epoch.
+
+    The name of the option determines the form of the text: T,VALUE,SIGMA of an angular speed (--rate-deg-s), T,X,Y,Z,SIGMA of a
+    body rate (--gyro-deg-s), T,X,Y,Z,ANGLE,SIGMA of a magnetic direction (--field). Rates are in deg/s in the text and in rad/s in
+    the result; angles are in rad in both.
+    """
     kind = name.removeprefix("--").removesuffix("-deg-s")
-    t, *value, sigma = numbers(text, name, {"rate": 3, "gyro": 5, "field": 6}[kind])
+    t, *value, sigma = parse_numbers(text, name, {"rate": 3, "gyro": 5, "field": 6}[kind])
     if kind == "field":
         *value, angle = value
         return {"kind": kind, "t_s": t, "value": value, "angle_rad": angle, "sigma": sigma}
-    value = [math.radians(each) for each in value]
+    value = [math.radians(number) for number in value]
     return {"kind": kind, "t_s": t, "value": value, "sigma": math.radians(sigma)}
 
 
-def period(text: str, epoch_utc: str | None) -> Any:
-    """SECONDS+-SIGMA@TIME of a period seen."""
+def parse_period(text: str, epoch_utc: str | None) -> Any:
+    """Return the observed period (`Period`) of a text SECONDS+-SIGMA@TIME."""
     from sunspin.estimate.terms.period import Period
 
     value, _, rest = text.partition("+-")
@@ -148,48 +163,57 @@ def period(text: str, epoch_utc: str | None) -> Any:
     if not (value and sigma and when):
         what, do = "--period takes SECONDS+-SIGMA@TIME", "for example --period 13.0+-0.5@15:50"
         raise InputError(what, got=text, do=do)
-    t_s, _ = instant(when, epoch_utc, "--period")
-    return Period(t_s, *numbers(f"{value},{sigma}", "--period", 2))
+    t_s, _ = parse_instant(when, epoch_utc, "--period")
+    return Period(t_s, *parse_numbers(f"{value},{sigma}", "--period", 2))
 
 
-def instant(text: str, epoch_utc: str | None, option: str) -> tuple[float, str]:
-    """A time in s from the epoch and as text, given in s, as UTC or as the clock on the epoch's day."""
+def parse_instant(text: str, epoch_utc: str | None, option: str) -> tuple[float, str]:
+    """Return a time in s from the epoch, and as text with its scale.
+
+    The text is a number of seconds, a UTC date and time, or a time of the day of the epoch such as 16:20.
+    """
     from sunspin.vehicle.timeline import utc_seconds
 
     text = text.strip()
     if ":" not in text and "T" not in text:
-        return numbers(text, option, 1, WHEN)[0], f"{text} s"
+        return parse_numbers(text, option, 1, WHEN)[0], f"{text} s"
     if epoch_utc is None:
         raise InputError("the telemetry has no epoch, so a time must be in s", got=text)
     utc = text if "T" in text else f"{epoch_utc[:10]}T{text}"
     return utc_seconds(utc, epoch_utc), f"{utc.rstrip('Z')} UTC"
 
 
-def times(text: str, epoch_utc: str | None) -> dict[float, str]:
-    """The times of --predict: s from the epoch -> as text, in their order."""
-    return dict(sorted(instant(piece, epoch_utc, "--predict") for piece in text.split(",")))
+def parse_times(text: str, epoch_utc: str | None) -> dict[float, str]:
+    """Return the times of --predict, sorted: s from the epoch -> text."""
+    return dict(sorted(parse_instant(piece, epoch_utc, "--predict") for piece in text.split(",")))
 
 
-def instants_of(
+def parse_limits(
     samples: Any, begin: str | None, end: str | None
 ) -> tuple[float | None, float | None]:
-    """Seconds from the epoch of --from and --to; None where they are not given."""
+    """Return the times of --from and --to in s from the epoch; None for one that is not given."""
     epoch = samples.attrs.get("epoch_utc")
-    first = None if begin is None else instant(begin, epoch, "--from")[0]
-    return first, None if end is None else instant(end, epoch, "--to")[0]
+    first = None if begin is None else parse_instant(begin, epoch, "--from")[0]
+    return first, None if end is None else parse_instant(end, epoch, "--to")[0]
 
 
-def between(samples: Any, begin: str | None, end: str | None) -> Any:
-    """The samples from one time to another."""
+def select_interval(samples: Any, begin: str | None, end: str | None) -> Any:
+    """Return the samples from the time of --from to that of --to.
+
+    Raises
+    ------
+    InputError
+        A time cannot be read, or no sample lies in the interval.
+    """
     from sunspin.vehicle.timeline import utc_after
 
-    first, last = instants_of(samples, begin, end)
+    first, last = parse_limits(samples, begin, end)
     t = samples["time"].values
     after, before = -math.inf if first is None else first, math.inf if last is None else last
     inside = (t >= after) & (t <= before)
     if not inside.any():
-        there = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
+        extent = " to ".join(utc_after(float(at), samples.attrs["epoch_utc"]) for at in t[[0, -1]])
         got = f"{begin or 'the beginning'} to {end or 'the end'}"
-        what, do = "no samples lie between --from and --to", f"the file has {there}"
+        what, do = "no samples lie between --from and --to", f"the file has {extent}"
         raise InputError(what, got=got, do=do)
     return samples.isel(time=inside.nonzero()[0])

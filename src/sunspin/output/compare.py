@@ -1,4 +1,4 @@
-"""What changed between two results folders of one command: the numbers of both summaries, each against its error."""
+"""Comparison of two results folders of one command: the change of each number of the summaries, relative to its error."""
 
 from __future__ import annotations
 
@@ -14,70 +14,92 @@ from sunspin.base.errors import InputError, printable
 from sunspin.base.provenance import provenance
 from sunspin.base.untrusted import LARGEST, SMALLEST
 from sunspin.landing.tally import quantity
-from sunspin.output.folder import MARKER, as_written, maker, read_manifest
+from sunspin.output.folder import MARKER, read_command, read_manifest, verify_file
 from sunspin.output.text import number_text, with_sigma
 
-ROUNDING = 1e-12  # relative difference of values that are the same
+ROUNDING = 1e-12
+"""Relative difference below which two values count as equal."""
+
 SIGMA = "one sigma of both together"
 INTERVAL = "half of the wider interval"
 TOLERANCE = "tolerance of the row"
+"""Kinds of error with which a change is compared, as the column `of` names them."""
 
 
 class Number(NamedTuple):
-    """A quantity of a summary: its values (n), their `error` (NaN: not known), `of` which kind that is, what is printed, and facts
-    whose changes are reported in words."""
+    """A quantity of a summary that is compared with the same quantity of another result.
+
+    Attributes
+    ----------
+    what : name of the quantity, for people
+    values : its numbers (n), in `unit`
+    error : error of the values in `unit`, NaN if not known
+    error_kind : `SIGMA`, `INTERVAL` or `TOLERANCE`
+    text : the values as they are printed
+    facts : words such as "decided"; a change of one is reported in words
+    """
 
     what: str
     unit: str
     values: list[float]
     error: float
-    of: str
+    error_kind: str
     text: str
     facts: tuple[str, ...] = ()
 
 
 def compare(a: str | Path, b: str | Path) -> xr.Dataset:
-    """What changed from one results folder to another of `reproduce`, `rates`, `posterior` or `outcomes`.
+    """Compare two results folders of `reproduce`, `rates`, `posterior` or `outcomes`, number by number.
 
     Parameters
     ----------
     a, b : path
-        Folders that the same command wrote. Of each, `summary.json` is read.
+        Folders that the same command wrote. Only their `summary.json` is read.
 
     Returns
     -------
     xarray.Dataset
-        Over `row`, the largest change first: `what` it is, both values as text (`a`, `b`), `change` (B less A) and `error` in
-        `unit`; `of` names the error, NaN if none is known; `size` is the change over the error, or without one over the value;
-        `beyond`: whether size exceeds 1, or without an error whether anything changed; `words`: what else changed. Attributes:
-        rows of one result alone (`only_a`, `only_b`), conclusions that the other does not draw (`said_a`, `said_b`).
+        Over `row`, the largest change first: `what` it is, both values as text (`a`, `b`), `change` (B minus A) and `error` in
+        `unit`. `error` is NaN if none is known; `of` names its kind. `size` is the change divided by the error, or by the value if
+        there is no error. `beyond` is true if `size` exceeds 1, or without an error if anything changed. `words` lists other
+        changes. Attributes: names of rows in one result only (`only_a`, `only_b`), conclusions in one only (`said_a`, `said_b`).
 
     Raises
     ------
     InputError
-        Folders of different commands, of others than these, or with nothing in common.
+        The folders are of different commands, of a command without comparison, or have no row in common.
     """
     folders, got, do = [Path(a), Path(b)], f"{a} and {b}", "run the command again"
     manifests = [read_manifest(folder) for folder in folders]
-    command, second = (maker(folder / MARKER) for folder in folders)
+    command, second = (read_command(folder / MARKER) for folder in folders)
     if command != second or command not in NUMBERS:
-        what, known = "only two results of one command can be compared", " or ".join(NUMBERS)
-        raise InputError(what, got=f"{command} and {second}", do=f"give two of {known}")
-    both = zip(folders, manifests, strict=True)
-    files = [as_written(folder, manifest, "summary.json") for folder, manifest in both]
+        what, commands = "only two results of one command can be compared", " or ".join(NUMBERS)
+        raise InputError(what, got=f"{command} and {second}", do=f"give two of {commands}")
+    files = [
+        verify_file(folder, manifest, "summary.json")
+        for folder, manifest in zip(folders, manifests, strict=True)
+    ]
     try:
         with np.errstate(all="ignore"):
             summaries = [json.loads(path.read_text("utf-8")) for path in files]
             passes_a, passes_b = (summary.get("passes") or () for summary in summaries)
             for row in passes_b:
-                # named as a pass of the first result that overlaps it, rather as one of its own name
+                # The two runs may number passes differently. A pass of B is compared with the pass of A that overlaps it in
+                # time, so it takes its number; if several overlap and one has the same number, that one is compared.
                 start, end = row["utc_start"], row["utc_end"]
-                early = [p for p in passes_a if p["utc_start"] <= end]
-                names = [p["pass_id"] for p in early if start <= p["utc_end"]]
-                if row["pass_id"] not in names:
-                    row["pass_id"] = names[0] if names else f"{row['pass_id']} of B"
-            ours, theirs = tables = [NUMBERS[command](summary) for summary in summaries]
-            rows = [_change(name, ours[name], theirs[name]) for name in ours if name in theirs]
+                overlapping = [
+                    p["pass_id"]
+                    for p in passes_a
+                    if p["utc_start"] <= end and start <= p["utc_end"]
+                ]
+                if row["pass_id"] not in overlapping:
+                    row["pass_id"] = overlapping[0] if overlapping else f"{row['pass_id']} of B"
+            numbers_a, numbers_b = tables = [NUMBERS[command](summary) for summary in summaries]
+            rows = [
+                _compare_numbers(name, number, numbers_b[name])
+                for name, number in numbers_a.items()
+                if name in numbers_b
+            ]
             attrs = _attributes(folders, summaries, tables)
     except InputError:
         raise
@@ -85,15 +107,15 @@ def compare(a: str | Path, b: str | Path) -> xr.Dataset:
         what = f"a summary holds something else than `sunspin {command}` writes"
         raise InputError(f"{what} ({type(e).__name__}: {e})", got=got, do=do) from None
     if not rows:
-        what, same = "the two results have nothing in common", "compare results of the same data"
-        raise InputError(what, got=got, do=same)
+        what, advice = "the two results have nothing in common", "compare results of the same data"
+        raise InputError(what, got=got, do=advice)
     rows.sort(key=lambda row: (np.isnan(row["error"]), -row["size"]))
     columns = {name: ("row", np.array([row[name] for row in rows])) for name in rows[0]}
     return xr.Dataset(columns, attrs=provenance("comparison", command=command, **attrs))
 
 
-def _change(name: str, a: Number, b: Number) -> dict[str, Any]:
-    """The change from `a` to `b`, of several values the largest, over the error or without one over the values."""
+def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:
+    """Return the row of the comparison from `a` to `b`. Of several values, the one that changes most is compared."""
     words = [f"{old}, now {new}" for old, new in zip(a.facts, b.facts, strict=True) if old != new]
     change, largest = 0.0, 0.0
     if a.values and len(a.values) == len(b.values):
@@ -101,9 +123,12 @@ def _change(name: str, a: Number, b: Number) -> dict[str, Any]:
         change, largest = changes[np.argmax(np.abs(changes))], np.max(np.abs([a.values, b.values]))
     elif a.text != b.text:
         words.append("another value")
-    error = np.hypot(a.error, b.error) if a.of == SIGMA else max(a.error, b.error)
-    known = a.of == b.of and SMALLEST <= error <= LARGEST
-    size = abs(change) / (error if known else largest) if abs(change) > ROUNDING * largest else 0.0
+    # two estimates have independent sigmas; intervals and tolerances are limits, of which the wider counts
+    error = np.hypot(a.error, b.error) if a.error_kind == SIGMA else max(a.error, b.error)
+    has_error = a.error_kind == b.error_kind and SMALLEST <= error <= LARGEST
+    size = (
+        abs(change) / (error if has_error else largest) if abs(change) > ROUNDING * largest else 0.0
+    )
     return {
         "row": printable(name),
         "what": printable(a.what),
@@ -111,24 +136,24 @@ def _change(name: str, a: Number, b: Number) -> dict[str, Any]:
         "b": printable(b.text),
         "unit": printable(a.unit),
         "change": float(change),
-        "error": float(error) if known else np.nan,
-        "of": a.of if known else "none known",
+        "error": float(error) if has_error else np.nan,
+        "of": a.error_kind if has_error else "none known",
         "size": float(size),
-        "beyond": bool(size > 1 if known else size > 0 or words),
+        "beyond": bool(size > 1 if has_error else size > 0 or words),
         "words": printable("; ".join(words)),
     }
 
 
 def _attributes(folders: list[Path], summaries: list[dict], tables: list[dict]) -> dict[str, Any]:
-    """What concerns the results as wholes: telemetry, changes made for the run, and rows and sentences of one alone."""
+    """Return the attributes of a comparison: same telemetry or not, `--set` changes, rows and conclusions in one result only."""
     inputs = [summary.get("inputs") or () for summary in summaries]
     hashes = [{row["sha256"] for row in rows if row["what"] == "telemetry"} for rows in inputs]
-    said = [[str(line) for line in summary.get("headline") or ()] for summary in summaries]
+    conclusions = [[str(line) for line in summary.get("headline") or ()] for summary in summaries]
     attrs: dict[str, Any] = {"same_telemetry": int(bool(hashes[0]) and hashes[0] == hashes[1])}
-    attrs["synthetic"] = int(any(bool(each.get("synthetic_telemetry")) for each in summaries))
+    attrs["synthetic"] = int(any(bool(summary.get("synthetic_telemetry")) for summary in summaries))
     for letter, i in (("a", 0), ("b", 1)):
         lines = {"folder": [folders[i]], "changes": summaries[i].get("changes") or ()}
-        lines["said"] = [line for line in said[i] if line not in said[1 - i]]
+        lines["said"] = [line for line in conclusions[i] if line not in conclusions[1 - i]]
         lines["only"] = [name for name in tables[i] if name not in tables[1 - i]]
         for name, texts in lines.items():
             attrs[f"{name}_{letter}"] = "\n".join(printable(str(text)) for text in texts)
@@ -136,44 +161,52 @@ def _attributes(folders: list[Path], summaries: list[dict], tables: list[dict]) 
 
 
 def _study_numbers(summary: dict[str, Any]) -> dict[str, Number]:
-    """Entries of `reproduce`. If there is an interval, its ends are compared and not the printed value: that one comes from few
-    motions and scatters by more than the interval."""
+    """Return the entries of a summary of `reproduce` by id, without those that only name figures.
+
+    If an entry has an interval, its ends are compared and not the value. The value comes from few motions and scatters by more
+    than the interval.
+    """
     table = {}
     for entry in summary.get("figures") or ():
         if str(entry["id"]).startswith("figure_"):
             continue
         text, values = number_text(entry["ours"], 4), _numbers(entry["ours"])
-        of, error = TOLERANCE, entry.get("tolerance")
+        error_kind, error = TOLERANCE, entry.get("tolerance")
         low, high = (np.array(_numbers(entry.get(end))) for end in ("low", "high"))
         if low.size and low.shape == high.shape:
             text += f" ({number_text(entry['low'], 4)} to {number_text(entry['high'], 4)})"
-            values, of, error = [*low, *high], INTERVAL, np.max(np.abs(high - low)) / 2
+            values, error_kind = [*low, *high], INTERVAL
+            error = np.max(np.abs(high - low)) / 2
         elif entry.get("kind") == "put_in" or not isinstance(error, int | float):
-            error = np.nan
+            error = np.nan  # an input of the study has no error of the result
         judged = {True: "agrees", False: "differs"}.get(entry.get("agrees"), "not judged")
         about, unit = str(entry.get("what")), str(entry.get("unit") or "").removeprefix("1")
-        table[str(entry["id"])] = Number(about, unit, values, error, of, text, (judged,))
+        table[str(entry["id"])] = Number(about, unit, values, error, error_kind, text, (judged,))
     return table
 
 
 def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
-    """Speed, rates and probability of the likeliest solution of each pass. If the pass is not decided, which one is the likeliest
-    is chance: speed and rates are means over all its solutions, and the sigmas include their spread."""
+    """Return speed, rates (deg/s) and probability of the likeliest solution of each pass, by "pass N quantity".
+
+    In a pass that is not decided, the likeliest solution may be another in each run. Speed and rates are then means over all
+    solutions, weighted by probability, and their sigmas include the spread of the solutions.
+    """
     table = {}
     for row in summary.get("passes") or ():
         name, decided, at = f"pass {row['pass_id']}", row["decided"] is not False, row["utc_at"]
         used = pd.DataFrame(row["solutions"][:1] if decided else row["solutions"])
         share = used["probability"] / used["probability"].sum()
-        of = "likeliest solution" if len(used) == 1 else "mean of all solutions, not decided"
-        half = (used["speed_high_deg_s"] - used["speed_low_deg_s"]) / 2  # of a 90 % interval
-        estimates = {"speed": (used["speed_median_deg_s"], half / 1.645)}
+        source = "likeliest solution" if len(used) == 1 else "mean of all solutions, not decided"
+        half_width = (used["speed_high_deg_s"] - used["speed_low_deg_s"]) / 2
+        # a 90 % interval of a normal distribution is 1.645 sigmas wide to each side
+        estimates = {"speed": (used["speed_median_deg_s"], half_width / 1.645)}
         for axis in "xyz":
             sigma = used[f"sigma_{axis}_deg_s"]
             estimates[f"omega_{axis} at {at}"] = used[f"omega_{axis}_deg_s"], sigma
         for what, (value, sigma) in estimates.items():
             mean = share @ value
             spread = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
-            table[f"{name} {what}"] = _estimate(f"{what}: {of}", "deg/s", mean, spread)
+            table[f"{name} {what}"] = _estimate(f"{what}: {source}", "deg/s", mean, spread)
         what, likeliest = "probability of the likeliest solution", row["solutions"][0]
         facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]
         facts += [f"columns {row['columns_checked']}", f"{summary.get('verdict_word')}"]
@@ -183,7 +216,7 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
 
 
 def _outcome_numbers(summary: dict[str, Any]) -> dict[str, Number]:
-    """Means and shares over the runs of each strategy; the same seed draws the same runs."""
+    """Return means and shares over the runs of each strategy, by "wheels STRATEGY QUANTITY"."""
     table = {}
     for strategy, estimates in (summary.get("strategies") or {}).items():
         for name, estimate in estimates.items():
@@ -194,11 +227,12 @@ def _outcome_numbers(summary: dict[str, Any]) -> dict[str, Number]:
 
 
 def _estimate(what: str, unit: str, value: float, sigma: float) -> Number:
+    """Return a quantity whose error is a sigma, NaN if not known."""
     return Number(what, unit, _numbers(value), float(sigma), SIGMA, with_sigma(value, sigma))
 
 
 def _numbers(value: Any) -> list[float]:
-    """The numbers in a JSON value, in their order."""
+    """Return the numbers in a JSON value, nested or not, in their order; too large ones are left out."""
     if isinstance(value, list | dict):
         items = value.values() if isinstance(value, dict) else value
         return [number for item in items for number in _numbers(item)]
@@ -211,4 +245,4 @@ NUMBERS = {
     "posterior": _pass_numbers,
     "outcomes": _outcome_numbers,
 }
-"""Commands whose results can be compared -> the numbers of their summaries, by name."""
+"""Command whose results can be compared -> function that reads the numbers of its summary, by name."""

@@ -1,4 +1,4 @@
-"""Results folders: who may write where, and files that appear whole or not at all."""
+"""Results folders: which command owns one, what it holds, and files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sunspin.output.kind import Drawing, Table
 from sunspin.vehicle.file import read_vehicle_text
 
 MARKER = ".sunspin-results"
-"""A file that says that sunspin made the folder, and with which command."""
+"""File that marks a results folder and names the command that made it."""
 
 CITE = (
     "T. Baranyai, A. Balázs and P. L. Várkonyi: Partial reconstruction of the rotational motion of Philae spacecraft during its "
@@ -33,13 +33,23 @@ CITE = (
 """The source of the model."""
 
 MANIFEST = "manifest.json"
-"""The list of the folder's data, figures and tables, of which a page shows these and nothing else; and the SHA-256 of each file."""
+"""File that lists data, figures and tables of the folder, with the SHA-256 of each file. A page shows nothing else."""
 
-MAX_JSON_BYTES, LARGEST_SVG_BYTES = 20_000_000, 1_000_000
+MAX_JSON_BYTES = 20_000_000
+"""Largest manifest that is read."""
+
+LARGEST_SVG_BYTES = 1_000_000
+"""Largest SVG that a page shows; for a larger one it shows the PNG."""
 
 
 def results_folder(path: Any, command: str) -> Path:
-    """Create (or take again) a results folder of this command; a folder with anything else in it is refused."""
+    """Create a results folder of this command, or reuse one, and return its path.
+
+    Raises
+    ------
+    OutputError
+        The folder holds other files or results of another command, or cannot be written.
+    """
     folder = Path(path)
     marker, what = folder / MARKER, ""
     try:
@@ -47,7 +57,7 @@ def results_folder(path: Any, command: str) -> Path:
         atomic_write.make_folder(folder)
         atomic_write.remove_abandoned(folder)
         if is_file_not_link(marker):
-            if (owner := maker(marker)) != command:
+            if (owner := read_command(marker)) != command:
                 what = f"the folder holds results of `sunspin {owner}`"
         elif any(folder.iterdir()):
             what = "the folder is not empty and not a results folder"
@@ -61,8 +71,10 @@ def results_folder(path: Any, command: str) -> Path:
 
 
 class _Claim(NamedTuple):
-    """A results folder that this process asked for: `missing`, it and the folders above it that did not exist, innermost first;
-    `marked`, whether it had a marker."""
+    """A results folder that this process claimed, and how it was before.
+
+    `missing`: the folder and the folders above it that did not exist, innermost first; `marked`: whether it had a marker.
+    """
 
     folder: Path
     missing: tuple[Path, ...]
@@ -70,8 +82,9 @@ class _Claim(NamedTuple):
 
     @classmethod
     def of(cls, folder: Path) -> _Claim:
-        every = (folder, *folder.parents)
-        missing = tuple(path for path in every if not os.path.lexists(path))
+        """Return the claim on a folder, as it is now."""
+        folders = (folder, *folder.parents)
+        missing = tuple(path for path in folders if not os.path.lexists(path))
         return cls(folder, missing, os.path.lexists(folder / MARKER))
 
 
@@ -79,8 +92,8 @@ _CLAIMED: list[_Claim] = []
 """Results folders that the running command claimed."""
 
 
-def leave_no_empty_folder() -> None:
-    """Remove each claimed folder that did not exist before and holds nothing but the marker: the command was refused."""
+def remove_empty_folders() -> None:
+    """Remove the claimed folders that the command created and left empty but for the marker: the command failed."""
     while _CLAIMED:
         claim = _CLAIMED.pop()
         with suppress(OSError, ValueError):
@@ -91,19 +104,24 @@ def leave_no_empty_folder() -> None:
 
 
 def keep_folders() -> None:
-    """Forget which folders were claimed: the command has ended well."""
+    """Keep the claimed folders, even an empty one, because the command succeeded."""
     _CLAIMED.clear()
 
 
-def maker(marker: Path) -> str:
-    """The command that a folder's marker names: a word, whatever somebody wrote there."""
+def read_command(marker: Path) -> str:
+    """Return the command that a folder's marker names.
+
+    The file may come from somebody else, so at most 40 bytes are read, as text of any kind.
+    """
     with open(marker, "rb") as file:
         return file.read(40).decode("utf-8", "replace").strip()
 
 
 def write_whole(target: Path, content: str | bytes | Callable[[Path], Any]) -> Path:
-    """Write text (half characters of names become escapes), bytes or what a function writes, as
-    :func:`sunspin.base.atomic_write.write_atomically`; where the file cannot be written, one sentence."""
+    """Write text, bytes or what a function writes to a path, completely or not at all, and return the path.
+
+    Lone surrogates in text, from file names that are no UTF-8, become escapes. Raises `OutputError` if the file cannot be written.
+    """
     if isinstance(content, str):
         content = content.encode("utf-8", "backslashreplace")
     try:
@@ -118,20 +136,20 @@ def write_whole(target: Path, content: str | bytes | Callable[[Path], Any]) -> P
 
 def write_json(target: Path, data: Any) -> Path:
     """Write plain data as JSON; numbers that are not finite become null."""
-    text = json.dumps(plain(data), indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_plain_data(data), indent=1, ensure_ascii=False, allow_nan=False)
     return write_whole(target, text + "\n")
 
 
-def plain(value: Any) -> Any:
-    """Data as JSON knows it: lists, dicts, text, numbers, null."""
+def to_plain_data(value: Any) -> Any:
+    """Return data as JSON knows it: lists, dicts, text, numbers; numbers that are not finite become None."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_plain_data(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
+        return [to_plain_data(item) for item in value]
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return to_plain_data(value.tolist())
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return to_plain_data(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
@@ -140,7 +158,7 @@ def plain(value: Any) -> Any:
 def write_netcdf(target: Path, data: Any) -> Path:
     """Write an xarray Dataset, DataArray or DataTree (each node a group) as NetCDF-4.
 
-    Made in memory first: where the disk is full, HDF5 fails in ways that end the process.
+    The file is made in memory first, because HDF5 ends the process if the disk is full.
     """
     import h5netcdf
     import xarray as xr
@@ -161,7 +179,17 @@ def write_netcdf(target: Path, data: Any) -> Path:
 
 @dataclass
 class Contents:
-    """What a results folder holds besides its summary: data (name -> dataset), figures that are drawn already, tables."""
+    """What a results folder holds besides its summary.
+
+    Attributes
+    ----------
+    data : NetCDF files, name -> Dataset or DataTree
+    figures : figures whose files are already in the folder
+    tables : tables to write as CSV
+    vehicle : name of a built-in vehicle or path of a vehicle file
+    telemetry : Dataset of `read_telemetry`
+    synthetic : whether the result comes from synthetic telemetry
+    """
 
     data: dict[str, Any] = field(default_factory=dict)
     figures: list[Drawing] = field(default_factory=list)
@@ -172,15 +200,14 @@ class Contents:
 
 
 def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
-    """Write data, tables, the vehicle's file, the samples, `summary.json` and the manifest that lists them, with the hash of each
-    file: figures, and whatever else belongs to the folder, must be there already.
+    """Write data, tables, vehicle file, samples, `summary.json` and the manifest that lists all files with their hashes.
+
+    Figures and all other files of the folder must have been written before.
 
     Parameters
     ----------
     summary : dict
-        Of the command, with "command", the line that repeats the run, and "sentences", what it says to a person.
-    contents : Contents
-        `vehicle`: name of a built-in vehicle or path of a vehicle file; `telemetry`: Dataset of `read_telemetry`.
+        The summary of the command, with "command", the command line of the run, and "sentences", the summary in words.
     """
     data = contents.data | ({} if contents.telemetry is None else {"telemetry": contents.telemetry})
     for name, dataset in data.items():
@@ -192,8 +219,8 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
     manifest = {
         "data": [f"{name}.nc" for name in data],
         "figures": [
-            {"file": _shown(folder, each.name), "alt": each.alt, "caption": each.caption}
-            for each in contents.figures
+            {"file": _page_file(folder, figure.name), "alt": figure.alt, "caption": figure.caption}
+            for figure in contents.figures
         ],
         "tables": [
             {"file": f"{table.name}.csv", "title": table.title, "shown": dict(table.shown)}
@@ -211,7 +238,7 @@ def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) ->
 
 
 def table_text(table: Table, synthetic: bool) -> str:
-    """Return a table as CSV, its header first and comments last, as `numpy.genfromtxt` and `pandas.read_csv` read it."""
+    """Return a table as CSV text that `numpy.genfromtxt` and `pandas.read_csv` read: the header first, comments last."""
     comments = ["synthetic telemetry"] if synthetic else []
     comments += [table.comment] if table.comment else []
     texts = table.frame.select_dtypes(exclude="number")
@@ -220,28 +247,29 @@ def table_text(table: Table, synthetic: bool) -> str:
     return text + "".join(f"# {comment}\n" for comment in comments)
 
 
-def _shown(folder: Path, name: str) -> str:
-    """The file of a drawing that a page shows: SVG, or PNG where very many points make that large."""
+def _page_file(folder: Path, name: str) -> str:
+    """Return the file of a figure that a page shows: the SVG, or the PNG if very many points make the SVG too large."""
     svg = folder / f"{name}.svg"
     return f"{name}.png" if svg.is_file() and svg.stat().st_size > LARGEST_SVG_BYTES else svg.name
 
 
 def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of a results folder.
+    """Read the manifest of a results folder.
 
     Raises
     ------
     InputError
-        No such folder, not one of ours, a run that did not end, or a damaged manifest.
+        There is no such folder, it is no results folder, its run did not end, or its manifest is damaged.
     """
     what, do = "", "run the command again"
     manifest: dict[str, Any] = {}
-    command = maker(folder / MARKER) if is_file_not_link(folder / MARKER) else ""
+    command = read_command(folder / MARKER) if is_file_not_link(folder / MARKER) else ""
     if not command:
         what = f"this is not a results folder of sunspin: it has no file {MARKER}"
         what, do = what if folder.is_dir() else "there is no such folder", "give a command's --out"
@@ -261,16 +289,16 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def as_written(folder: Path, manifest: dict[str, Any], name: Any) -> Path:
-    """The file of this name in a results folder, if it is as it was written.
+def verify_file(folder: Path, manifest: dict[str, Any], name: Any) -> Path:
+    """Return the path of a file of a results folder, after a check that it is unchanged since it was written.
 
     Raises
     ------
     InputError
-        It is missing, a link, or not what the manifest's SHA-256 says.
+        The file is missing, a link, or its SHA-256 differs from that in the manifest.
     """
-    known = isinstance(name, str) and Path(name).name == name and name in manifest["sha256"]
-    if not known or not is_file_not_link(folder / name):
+    listed = isinstance(name, str) and Path(name).name == name and name in manifest["sha256"]
+    if not listed or not is_file_not_link(folder / name):
         what, do = "this is not a regular file of the folder", "put the file itself there"
         raise InputError(what, do=do, where=str(name)[:200])
     if _digest(folder / name) != manifest["sha256"][name]:

@@ -1,4 +1,4 @@
-"""What each kind of result has: its numbers in words, its figures, its tables, its files."""
+"""Kinds of results: how each kind is summarised, drawn and written."""
 
 from __future__ import annotations
 
@@ -10,9 +10,15 @@ import xarray as xr
 
 
 class Summary(dict[str, Any]):
-    """The main numbers of a result as plain data; as text, `lines` and then `notes`, what a person should know with them.
+    """The main numbers of a result as plain data; `str()` returns them as text for the console.
 
-    `table`: lines of a console table, printed after the first line; a page shows `in_words`, sentences, in their place.
+    Parameters
+    ----------
+    numbers : dict of plain data, as written to `summary.json`
+    lines : lines of text; the first one is the verdict or heading
+    notes : remarks, printed after the lines
+    table : lines of a console table, printed after the first line
+    in_words : sentences that a page shows in the place of the table
     """
 
     def __init__(
@@ -33,7 +39,11 @@ class Summary(dict[str, Any]):
 
 
 class Drawing(NamedTuple):
-    """A figure to draw: file name, function that returns the matplotlib figure, what it shows in words, caption."""
+    """A figure to draw.
+
+    `name`: file name without suffix; `make`: function that returns the matplotlib figure; `alt`: what the figure shows, for those
+    who cannot see it; `caption`: the text below it.
+    """
 
     name: str
     make: Callable[[], Any]
@@ -44,8 +54,9 @@ class Drawing(NamedTuple):
 class Table(NamedTuple):
     """A table to write as CSV.
 
-    `frame`: the pandas DataFrame; `shown`: its columns on the page, with their headings there (none: the file only);
-    `comment`: a last line of the file; `prose`: sentences, whose commas are kept between quotation marks.
+    `name`: file name without suffix; `frame`: the pandas DataFrame; `title`: heading on the page; `shown`: columns on the page ->
+    their headings (empty: not on the page); `comment`: last line of the file; `prose`: cells are sentences, so commas are kept and
+    cells are quoted.
     """
 
     name: str
@@ -57,29 +68,31 @@ class Table(NamedTuple):
 
 
 class Context(NamedTuple):
-    """What a result was computed from: the samples, and the vehicle by name, path or itself; None where not known."""
+    """What a result was computed from: the telemetry, and the vehicle (name, path or `Vehicle`); None if not known."""
 
     telemetry: xr.Dataset | None = None
     vehicle: Any = None
 
     def craft(self) -> Any:
-        """The vehicle itself, or None."""
+        """Return the vehicle as a `Vehicle`, loaded from its file if needed, or None."""
         from sunspin.vehicle import Vehicle, load_vehicle
 
-        known = self.vehicle is None or isinstance(self.vehicle, Vehicle)
-        return self.vehicle if known else load_vehicle(self.vehicle)
+        loaded = self.vehicle is None or isinstance(self.vehicle, Vehicle)
+        return self.vehicle if loaded else load_vehicle(self.vehicle)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of result.
+    """A kind of result: the functions that summarise, draw and write it.
 
     Attributes
     ----------
-    command : the command whose results folders these are
-    main : the NetCDF file that holds the result itself; empty if `datasets` has all
-    summary, drawings, tables : what it says, its figures, its tables
-    datasets : further NetCDF files, by name
+    command : the command that writes results of this kind
+    main : name of the NetCDF file that holds the result; empty if `datasets` returns all of it
+    summary : result -> its summary
+    drawings : result and context -> its figures
+    tables : result -> its tables
+    datasets : result and context -> further NetCDF files, by name
     """
 
     command: str
@@ -91,9 +104,9 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {}
-"""`attrs["kind"]` -> what can be said, drawn and written of it; :mod:`sunspin.output.kinds` fills it."""
+"""`attrs["kind"]` of a result -> its `Kind`. The modules of :mod:`sunspin.output.kinds` fill it."""
 
 
 def synthetic_words(synthetic: Any) -> str:
-    """The end of a caption of what was made from synthetic telemetry."""
+    """Return what is added to the caption of a figure from synthetic telemetry, else nothing."""
     return " Synthetic telemetry." if synthetic else ""

@@ -1,6 +1,6 @@
 """The accessor of every result: ``.sunspin.summary()``, ``.sunspin.plot()``, ``.sunspin.save(folder)``.
 
-A result is known by ``attrs["kind"]``; :mod:`sunspin.output.kinds` holds what each kind can do and is loaded when first asked.
+``attrs["kind"]`` of a result names its kind. :mod:`sunspin.output.kinds` defines the kinds and is imported at the first use.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 @xr.register_dataarray_accessor("sunspin")
 @xr.register_datatree_accessor("sunspin")
 class Result:
-    """What can be done with a result of sunspin."""
+    """Summary, figures and files of a result of sunspin: the accessor ``.sunspin`` of Dataset, DataArray and DataTree."""
 
     def __init__(self, data: Any) -> None:
         self._data = data
 
     @property
     def _kind(self) -> Kind:
+        """Kind of the result; raises `InputError` if it has none."""
         from sunspin.output.kinds import KINDS
 
         name = self._data.attrs.get("kind")
@@ -40,7 +41,7 @@ class Result:
         return KINDS[name]
 
     def summary(self) -> Summary:
-        """The main numbers as a dict of plain data; printed, the sentences that the command line prints."""
+        """Return the main numbers as a dict of plain data; ``print()`` shows the text that the command line prints."""
         summary, changed = self._kind.summary(self._data), str(self._data.attrs.get("changes", ""))
         if notes := clock_notes(self._data):
             summary["clock_notes"] = notes
@@ -53,14 +54,14 @@ class Result:
         return summary
 
     def plot(self, name: str | None = None, *, telemetry: xr.Dataset | None = None) -> Any:
-        """A figure of the result.
+        """Draw a figure of the result.
 
         Parameters
         ----------
         name : str, optional
-            Which of its figures; default: the first.
+            Name of the figure; default: the first one of this kind of result.
         telemetry : Dataset of `read_telemetry`, optional
-            The samples that the result was computed from; some figures draw them too.
+            The samples that the result was computed from; some figures show them too.
 
         Returns
         -------
@@ -69,19 +70,19 @@ class Result:
         Raises
         ------
         InputError
-            Where the kind has no figure, or none of this name.
+            This kind of result has no figure, or none of this name.
         """
         from sunspin.output.kind import Context
 
         context = Context(telemetry)
-        known = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
-        if not known:
+        drawings = {drawing.name: drawing for drawing in self._kind.drawings(self._data, context)}
+        if not drawings:
             what = f"a result of kind {self._data.attrs['kind']!r} has no figure"
             raise InputError(what, do="print its summary()")
-        if name is not None and name not in known:
-            do = f"known: {', '.join(known)}"
+        if name is not None and name not in drawings:
+            do = f"known: {', '.join(drawings)}"
             raise InputError("there is no figure of this name", got=name, do=do)
-        return known[name or next(iter(known))].make()
+        return drawings[name or next(iter(drawings))].make()
 
     def save(
         self,
@@ -98,26 +99,37 @@ class Result:
         Parameters
         ----------
         folder : path
-            Made if needed; refused if it holds anything but earlier results of the same kind.
+            Created if needed; refused if it holds anything but earlier results of the same command.
         vehicle : name of a built-in vehicle or path of a vehicle file, optional
             Copied into the folder, for the page.
         telemetry : Dataset of `read_telemetry`, optional
-            The same.
+            Copied into the folder, for the page.
         command : str
-            The line that repeats the run.
+            The command line that repeats the run.
         also : dict, optional
-            More entries of `summary.json`.
+            Further entries of `summary.json`.
         lines : list of str, optional
-            More sentences of the summary.
+            Further sentences of the summary.
+
+        Returns
+        -------
+        pathlib.Path
+            The folder.
+
+        Raises
+        ------
+        OutputError
+            The folder holds other files, or cannot be written.
         """
-        from sunspin.output.figures import save
+        from sunspin.output.figures import save_figure
         from sunspin.output.folder import Contents, results_folder, write_contents
         from sunspin.output.kind import Context, synthetic_words
-        from sunspin.output.verdicts import PAGE, explained
+        from sunspin.output.verdicts import PAGE, find_labels
 
         kind, context, data = self._kind, Context(telemetry, vehicle), self._data
         path = results_folder(folder, kind.command)
-        if isinstance(data, xr.DataArray):  # a Dataset that knows its kind when it is read again
+        if isinstance(data, xr.DataArray):
+            # attributes of a DataArray would be those of its variable, but `kind` must be one of the file
             attrs = {key: value for key, value in data.attrs.items() if key != "units"}
             data = data.to_dataset().assign_attrs(attrs)
         note = synthetic_words(data.attrs.get("synthetic"))
@@ -130,16 +142,17 @@ class Result:
             bool(data.attrs.get("synthetic")),
         )
         for drawing in contents.figures:
-            save(drawing.make(), path, drawing.name)
+            save_figure(drawing.make(), path, drawing.name)
         inputs = []
         if telemetry is not None and "sha256" in telemetry.attrs:
             file, digest = (str(telemetry.attrs[key]) for key in ("file", "sha256"))
             inputs = [{"what": "telemetry", "file": file, "sha256": digest}]
         summary = self.summary()
-        every = [*summary.sentences[:1], *lines, *summary.sentences[1:], *summary.notes]
-        sentences = [" ".join(line.split()) for line in every]
+        # the first sentence is the verdict, so further ones of the command follow it
+        text = [*summary.sentences[:1], *lines, *summary.sentences[1:], *summary.notes]
+        sentences = [" ".join(line.split()) for line in text]
         also = {**(also or {}), "sentences": sentences, "command": command, "inputs": inputs}
-        if labels := explained(kind.command, [*summary.lines, *sentences]):
+        if labels := find_labels(kind.command, [*summary.lines, *sentences]):
             also["explained"] = [f"{PAGE}#{label}" for label in labels]
         write_contents(path, {**summary, **also}, contents)
         return path

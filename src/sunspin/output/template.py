@@ -1,4 +1,4 @@
-"""The files that a user starts from."""
+"""The example files that a user starts from."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from sunspin.base.errors import OutputError
 
 
 def write_templates(folder: Path) -> list[Path]:
-    """A commented vehicle.toml and a telemetry.csv: both or none, what was written is taken back when the second cannot be."""
+    """Write an example vehicle.toml and telemetry.csv into a folder and return their paths; write both or none.
+
+    Raises
+    ------
+    OutputError
+        One of the files exists, or the folder cannot be written.
+    """
     source = resources.files("sunspin").joinpath("template")
     targets = [folder / name for name in ("vehicle.toml", "telemetry.csv")]
     for target in targets:

@@ -1,4 +1,4 @@
-"""What a status or a warning that a command prints means, and what to do."""
+"""Explanations of the verdicts and warnings that commands print."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from pathlib import Path
 from sunspin.base.errors import InputError
 
 PAGE = "docs/howto/verdicts.md"
+"""Page that explains them, a section for each label."""
+
 COMMANDS = ("rates", "posterior", "check", "sun")
+"""Commands whose output is searched for verdicts and warnings."""
 
 ANCHORS = {
     "several-solutions": (
@@ -45,16 +48,16 @@ ANCHORS = {
         *("impossible illumination pattern (", "excluded by a rule", "missing or flagged"),
     ),
 }
-"""Label on `PAGE` -> words of the printed lines that it explains."""
+"""Label of a section of `PAGE` -> words by which the printed lines that it explains are recognised."""
 
 
-def explained(command: str, lines: Iterable[str]) -> list[str]:
-    """Labels of `PAGE` that explain the verdicts and warnings in printed lines; none where all is well."""
+def find_labels(command: str, lines: Iterable[str]) -> list[str]:
+    """Return the labels of the sections of `PAGE` that explain verdicts and warnings in printed lines."""
     text = "\n".join(lines) if command in COMMANDS else ""
     return [label for label, words in ANCHORS.items() if any(word in text for word in words)]
 
 
-def section(label: str) -> str:
+def read_section(label: str) -> str:
     """Return the section of `PAGE` that a label names, as plain text.
 
     Raises
@@ -67,15 +70,15 @@ def section(label: str) -> str:
         do = f"did you mean {near[0]}?" if near else f"known: {', '.join(ANCHORS)}"
         raise InputError("no verdict or warning has this label", got=label, do=do)
     begin = re.escape(f"({label})=")
-    found = re.search(rf"^{begin}\n## (.+?)(?=^\([a-z-]+\)=$|\Z)", _page(), re.M | re.S)
-    text = found[1] if found else ""
+    match = re.search(rf"^{begin}\n## (.+?)(?=^\([a-z-]+\)=$|\Z)", _read_page(), re.M | re.S)
+    text = match[1] if match else ""
     # a link to another section becomes the label to ask for; other links keep their words
     text = re.sub(r"\[([^]]+)\]\(#([a-z-]+)\)", r"\1 (`sunspin explain \2`)", text)
     return re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", text).strip()
 
 
-def _page() -> str:
-    """Return the text of `PAGE`: beside this module where the package is installed, else in the repository."""
+def _read_page() -> str:
+    """Return the text of `PAGE`, which an installed package holds next to this module, and a checkout in its docs."""
     installed = resources.files("sunspin").joinpath("output", "verdicts.md")
     if installed.is_file():
         return installed.read_text("utf-8")

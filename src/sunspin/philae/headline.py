@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.output.text import turn_text
+from sunspin.output.text import period_text
 from sunspin.philae import touchdown
 from sunspin.philae.study import Study
 from sunspin.philae.threshold import CONFIDENCE
@@ -22,7 +22,7 @@ def headline(study: Study) -> list[str]:
         descent = "Descent: the rotation does not follow from this telemetry."
     else:
         rate = float(np.mean(fit.rate_range(fit.fit.coefficients)))
-        descent = f"Descent: rotation period {turn_text(rate)}."
+        descent = f"Descent: rotation period {period_text(rate)}."
     synthetic = (
         "The panel powers measured in flight are not public. This run uses synthetic ones made from published facts: it tests "
         "the method and does not measure Philae again."
@@ -46,7 +46,7 @@ def headline(study: Study) -> list[str]:
         motion = "After the first touchdown: the data are also consistent with no rotation."
     else:
         motion = (
-            f"After the first touchdown: rotation period at most {turn_text(slow)} "
+            f"After the first touchdown: rotation period at most {period_text(slow)} "
             f"({chain.case.assumptions.study.confidence:.0%} confidence); the data give no lower limit on the period."
         )
     if (calibration := chain.calibration) is None:

@@ -193,12 +193,12 @@ def draw(study: Study, drawn: Drawn) -> None:
     """Add to `drawn` the pictures that can be drawn by now, while the other steps of the study go on."""
     for name in PICTURES:
         if name not in drawn and (sheet := drawing(study, name)):
-            drawn[name] = sheet, figures.drawn(sheet.make())
+            drawn[name] = sheet, figures.render(sheet.make())
 
 
 def write(drawn: Drawn, folder: Path) -> list[Drawing]:
     """Write the pictures as PNG and SVG, in the paper's order."""
     names = [name for name in PICTURES if name in drawn]
     for name in names:
-        figures.write(drawn[name][1], folder, name)
+        figures.write_files(drawn[name][1], folder, name)
     return [drawn[name][0] for name in names]

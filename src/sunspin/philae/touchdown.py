@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from sunspin.landing.tally import estimate
 from sunspin.output.figures import ABOVE, COLOURS, titled
-from sunspin.output.text import counted
+from sunspin.output.text import count_text
 from sunspin.philae.candidates import Chain
 from sunspin.philae.row import Row, over_candidates, row, share_of_candidates
 
@@ -152,7 +152,7 @@ def figure(chain: Chain, synthetic: bool) -> Figure:
         ends = *both.argmin(axis=1), *both.argmax(axis=1)
         shown = np.union1d(np.arange(0, len(motions), -(-len(motions) // 6000)), ends)
         style = {"ms": size, "mew": 0, "color": colour, "rasterized": True}
-        label = f"{name} ({counted(len(motions), 'motion')})"
+        label = f"{name} ({count_text(len(motions), 'motion')})"
         angles.plot(*both[:, shown], marker, label=label, **style)
     small, large = np.degrees(box.angles.max(axis=1))
     angles.set(

@@ -1,1 +1,1 @@
-"""What `sunspin check` says of files, samples and orbits, as data and in lines."""
+"""The checks of `sunspin check` in words: vehicle file, telemetry, repeated samples, orbit. Each returns `Findings`."""

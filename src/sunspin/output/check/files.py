@@ -1,18 +1,24 @@
-"""What `sunspin check` says of a vehicle file and of telemetry: what they hold, and what can be learnt from them."""
+"""The checks of a vehicle file and of a telemetry file: what they contain, and what can be determined from them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sunspin.base.provenance import clock_notes
-from sunspin.output.check.repeats import repeat_lines
-from sunspin.output.check.samples import doubts, intervals, noise_lines, worth
+from sunspin.output.check.findings import Findings
+from sunspin.output.check.repeats import describe_repeats
+from sunspin.output.check.samples import (
+    describe_mismatches,
+    describe_samples,
+    noise_lines,
+    sampling_intervals,
+)
 from sunspin.output.kinds.panels import health_lines, health_summary
 from sunspin.output.kinds.telemetry import status_counts, status_lines
-from sunspin.output.text import counted
+from sunspin.output.text import count_text
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.health import NOISE, find_cause_without_loss
 from sunspin.telemetry.reader import FLAGS, read_telemetry
@@ -21,11 +27,19 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns
 from sunspin.vehicle.timeline import utc_after
 
-NOT_READ = "  Sun directions, gains and lit panels are not reported until the unit is fixed (`--json` lists them)"
+UNTIL_UNIT_IS_FIXED = "  Sun directions, gains and lit panels are not reported until the unit is fixed (`--json` lists them)"
 
 
-def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on a vehicle: its parts, what light tells of it, values without a source."""
+class TelemetryFindings(NamedTuple):
+    """The assessment of a telemetry file, with the summary and the lines of its check."""
+
+    assessment: Assessment
+    summary: dict[str, Any]
+    lines: list[str]
+
+
+def describe_vehicle(craft: Vehicle) -> Findings:
+    """Return the findings on a vehicle: its parts, the Sun directions that its panels determine, values without a source."""
     summary: dict[str, Any] = {
         "vehicle": craft.name,
         "panels": list(craft.panel_names),
@@ -34,13 +48,15 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
         "inertia_given": craft.inertia_kg_m2 is not None,
         "without_source": sorted(key for key, fact in craft.facts.items() if fact.source is None),
     }
-    parts = ", ".join(counted(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs"))
-    known = "given"
+    parts = ", ".join(
+        count_text(len(summary[key]), key[:-1]) for key in ("panels", "wheels", "legs")
+    )
+    inertia = "given"
     if not summary["inertia_given"]:
-        known = (
+        inertia = (
             "not given: `rates` starts from equal moments, `simulate` and `scan` are not available"
         )
-    lines = [f"Vehicle {craft.name}: {parts}; inertia {known}"]
+    lines = [f"Vehicle {craft.name}: {parts}; inertia {inertia}"]
     if craft.panels:
         lit, clear = len(lit_patterns(craft)), len(reconstructible_patterns(craft))
         summary |= {"lit_patterns": lit, "reconstructible": clear}
@@ -48,31 +64,33 @@ def about_vehicle(craft: Vehicle) -> tuple[dict[str, Any], list[str]]:
             f"  geometry: {lit} panel combinations can be sunlit; {clear} of them determine the Sun direction"
         ]
     if craft.channels:
-        reads = {"largest": "the largest", "sum": "the sum"}
-        about = "; ".join(
-            f"{channel.name} ({reads[channel.reads]} of {', '.join(channel.panels)})"
+        joined_as = {"largest": "the largest", "sum": "the sum"}
+        inputs = "; ".join(
+            f"{channel.name} ({joined_as[channel.reads]} of {', '.join(channel.panels)})"
             for channel in craft.channels
         )
         summary["channels"] = {channel.name: list(channel.panels) for channel in craft.channels}
         copies = len(craft.response_in().symmetries)
         alike = f", so each sample allows {copies} Sun directions" if copies > 1 else ""
-        lines += [f"  shared inputs: {about}. The readings do not show which panel is lit{alike}"]
-    bare = summary["without_source"]
-    if bare:
-        shown = ", ".join(bare[:3]) + (", ..." if len(bare) > 3 else "")
-        lines.append(f"  {counted(len(bare), 'value')} in the vehicle file cite no source: {shown}")
-    return summary, lines
+        lines += [f"  shared inputs: {inputs}. The readings do not show which panel is lit{alike}"]
+    unsourced = summary["without_source"]
+    if unsourced:
+        shown = ", ".join(unsourced[:3]) + (", ..." if len(unsourced) > 3 else "")
+        lines.append(
+            f"  {count_text(len(unsourced), 'value')} in the vehicle file cite no source: {shown}"
+        )
+    return Findings(summary, lines)
 
 
-def about_telemetry(
-    craft: Vehicle, path: Path, vehicle: str
-) -> tuple[Assessment, dict[str, Any], list[str]]:
-    """The assessment of telemetry, with summary and lines on what it holds and what can be determined from it; `vehicle`: the file
-    of `craft`."""
+def describe_telemetry(craft: Vehicle, path: Path, vehicle: str) -> TelemetryFindings:
+    """Read and assess a telemetry file and return the findings: its contents, and what can be determined from it.
+
+    `vehicle`: name or file of `craft`, from which messages quote lines.
+    """
     samples = read_telemetry(path, craft)
     assessment = assess(craft, samples)
     time, flag = samples["time"].values, samples["flag"].values
-    gaps = intervals(samples)
+    gaps = sampling_intervals(samples)
     spread = [float(gaps.min()), float(np.median(gaps)), float(gaps.max())] if gaps.size else None
     summary: dict[str, Any] = {
         "file": str(path),
@@ -90,7 +108,7 @@ def about_telemetry(
     kind = "synthetic sample" if summary["synthetic"] else "sample"
     epoch = summary["epoch_utc"]
     begin = utc_after(float(time.min()), epoch) if time.size else epoch
-    size = f"{counted(time.size, kind)} over {summary['span_s']:.0f} s"
+    size = f"{count_text(time.size, kind)} over {summary['span_s']:.0f} s"
     lines = [f"Telemetry {path.name}: {size} from {begin}"]
     if time.size and round(float(time[0])):
         before = f"{time.min():.0f} s before the first sample"
@@ -111,24 +129,28 @@ def about_telemetry(
             summary[key] = int(samples.attrs[key])
             lines.append(f"  {summary[key]:6d}  {text}")
     lines += [f"  {n:6d}  flagged: {text}" for text, n in summary["flags"].items()]
-    for about, more in (repeat_lines(assessment), doubts(assessment, vehicle)):
-        summary, lines = summary | about, lines + more
+    repeats, mismatches = describe_repeats(assessment), describe_mismatches(assessment, vehicle)
+    summary |= repeats.summary | mismatches.summary
+    lines += repeats.lines + mismatches.lines
     if assessment.has_panels:
-        about, more = _about_panels(assessment)
-        lines += [NOT_READ] if summary["panels_misread"] else more
-        summary |= about
-    about, more = worth(assessment, summary["panels_misread"])
-    return assessment, summary | about, lines + more
+        panels = _describe_panels(assessment)
+        summary |= panels.summary
+        # a wrong unit makes Sun directions and lit panels wrong, so their lines would mislead
+        lines += [UNTIL_UNIT_IS_FIXED] if summary["panels_misread"] else panels.lines
+    usability = describe_samples(assessment, summary["panels_misread"])
+    return TelemetryFindings(assessment, summary | usability.summary, lines + usability.lines)
 
 
-def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+def _describe_panels(assessment: Assessment) -> Findings:
+    """Return the findings on the Sun directions from the panels and on illumination patterns that the Sun cannot cause."""
     sun, quality = assessment.sun, assessment.quality
     health = health_summary(assessment.health)
-    looked_at = -(-assessment.telemetry.sizes["time"] // assessment.health_stride)
-    without_loss = find_cause_without_loss(assessment.health, looked_at)
+    # of a long file only every `health_stride`-th sample was checked: that many, rounded up
+    checked = -(-assessment.telemetry.sizes["time"] // assessment.health_stride)
+    without_loss = find_cause_without_loss(assessment.health, checked)
     missed = quality["panel"].values[quality["missed"].values].tolist()
     if missed and health["impossible"] and without_loss != NOISE:
-        # patterns may blame another where panels are turned
+        # If panels are misaligned, the patterns may point to another panel than the one without signal.
         health["explanations"], without_loss = [missed], ""
     summary = {
         "status": status_counts(sun),
@@ -136,7 +158,7 @@ def _about_panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         "noise_from": str(sun.attrs["noise_from"]),
         **{key: health[key] for key in ("impossible", "explanations", "noise_probability")},
         "noise_made": without_loss == NOISE,
-        "made_by": without_loss,
+        "find_cause_without_loss": without_loss,
         "health_of_every": assessment.health_stride,
     }
-    return summary, status_lines(sun) + health_lines(summary) + noise_lines(assessment)
+    return Findings(summary, status_lines(sun) + health_lines(summary) + noise_lines(assessment))

@@ -1,9 +1,9 @@
-"""Whether telemetry was taken in an orbit: the check in words, and the orbit that may be used."""
+"""The check of orbital elements against telemetry, in words, and the orbit that `sunspin rates` may use."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -13,54 +13,76 @@ from sunspin.estimate.orbit.check import check_orbit
 from sunspin.estimate.orbit.field_calibration import field_calibration
 from sunspin.estimate.orbit.invariants import FEWEST
 from sunspin.estimate.orbit.judged import clock_off, drifting, judged_orbit, orbit_of
+from sunspin.output.check.findings import Findings
 from sunspin.output.check.samples import noise_lines
 from sunspin.output.text import with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle.timeline import utc_after
 
 
-def about_orbit(
+class ChosenOrbit(NamedTuple):
+    """The orbit that `sunspin rates` uses.
+
+    `orbit` is None if there are no elements or they do not fit the telemetry. `calibration`: of the magnetometer along the orbit,
+    None without an orbit or a calibration. `summary` and `lines`: the comparison of elements and telemetry.
+    """
+
+    orbit: Any
+    calibration: Any
+    summary: dict[str, Any]
+    lines: list[str]
+
+
+def describe_orbit(
     assessment: Assessment, elements: Path | None, shift_sigma: float | None
-) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on whether the elements are consistent with the telemetry; empty without elements."""
+) -> Findings:
+    """Return the findings on whether orbital elements are consistent with the telemetry; empty without elements.
+
+    `elements`: file of elements, default those of the vehicle file; `shift_sigma`: sigma of the along-track offset, s.
+    """
     craft, samples = assessment.vehicle, assessment.telemetry
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
-        return {}, []
+        return Findings({}, [])
     check = check_orbit(orbit, craft, assessment)
     summary = _summary(orbit, samples, check)
-    return {"orbit": summary}, _lines(summary, check)
+    return Findings({"orbit": summary}, _lines(summary, check))
 
 
-def orbit_used(
+def choose_orbit(
     assessment: Assessment, elements: Path | None, shift_sigma: float | None
-) -> tuple[Any, Any, dict[str, Any], list[str]]:
-    """The orbit that the telemetry allows to use (None: no), the magnetometer's calibration along it, and summary and lines on the
-    orbit; nothing where there are no elements."""
+) -> ChosenOrbit:
+    """Return the orbit of the elements if the telemetry is consistent with it, with the calibration of the magnetometer.
+
+    The parameters are those of :func:`describe_orbit`.
+    """
     craft, samples = assessment.vehicle, assessment.telemetry
     orbit = orbit_of(craft, samples, elements, shift_sigma)
     if orbit is None:
-        return None, None, {}, []
+        return ChosenOrbit(None, None, {}, [])
     used, check, words = judged_orbit(orbit, craft, assessment)
     summary: dict[str, Any] = _summary(orbit, samples, check) | {"used": used is not None}
     calibration = None if used is None else field_calibration(used, craft, assessment, check.made)
-    lines = [f"{words}; {_named(summary)}", *(f"  {note}" for note in summary["notes"])]
+    lines = [f"{words}; {_satellite_text(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
         lines += noise_lines(assessment)
-    return used, calibration, {"orbit": summary}, lines
+    return ChosenOrbit(used, calibration, {"orbit": summary}, lines)
 
 
-def _named(summary: dict[str, Any]) -> str:
+def _satellite_text(summary: dict[str, Any]) -> str:
+    """Return name and catalogue number of the satellite of the elements."""
     name, number = summary["name"], summary["satellite"]
     return f"{name} ({number})" if name else f"satellite {number}"
 
 
 def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
+    """Return the numbers of the comparison `fit` of an orbit with the samples, SI units in the names."""
     time = samples["time"].values
     middle = orbit.instants(time).middle_jd
     elements = nearest(orbit.elements, middle)
     day, fraction = elements.epoch_jd
     summary = {
+        # 2451545.0 is the Julian date of 2000-01-01T12:00
         "epoch_utc": utc_after((day - 2451545.0 + fraction) * 86400, "2000-01-01T12:00:00Z"),
         "age_days": elements.days_to(middle),
         "satellite": elements.number,
@@ -94,12 +116,13 @@ def _summary(orbit: Any, samples: xr.Dataset, fit: Any) -> dict[str, Any]:
 
 
 def _lines(summary: dict[str, Any], fit: Any) -> list[str]:
-    lines = [f"Orbit of {_named(summary)}: {fit.verdict.value}"]
+    """Return the comparison of an orbit with the samples in words."""
+    lines = [f"Orbit of {_satellite_text(summary)}: {fit.verdict.value}"]
     lines += [f"  {note}" for note in summary["notes"]]
     lines += [f"  {text}" for text in (str(fit.sun_in_shadow), clock_off(fit)) if text]
     if fit.sign_turned:
-        turned = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
-        lines.append(f"  {turned}")
+        remedy = "the magnetometer has the opposite sign: change the sign of `matrix` in the vehicle file"
+        lines.append(f"  {remedy}")
     if fit.turned_axes:
         lines.append(f"  {fit.turned_axes}")
     used = ", ".join(f"{what} of {n}" for what, n in fit.samples.items() if n)
@@ -114,9 +137,10 @@ def _lines(summary: dict[str, Any], fit: Any) -> list[str]:
         turn = f"with the node turned by {np.degrees(fit.turn_rad):+z.0f} deg"
         lines.append(f"  {turn} residuals are {fit.turn_times:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if fit.border else ""
-    both = " (includes any clock error)"
+    # an orbit 1 s late and a clock 1 s early look the same
+    clock = " (includes any clock error)"
     shift = with_sigma(fit.shift_s, fit.shift_sigma_s, "s")
-    lines.append(f"  along-track offset {shift}{drifting(fit)}{both}{border}")
+    lines.append(f"  along-track offset {shift}{drifting(fit)}{clock}{border}")
     if np.isfinite(fit.strength_residual_T):
         angle, n = np.degrees(fit.angle_residual_rad), fit.samples.get("field and Sun", 0)
         few = f" (too few samples to judge: {n})" if n < FEWEST else ""

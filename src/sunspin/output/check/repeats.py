@@ -1,4 +1,4 @@
-"""What `sunspin check` and `sunspin rates` say of samples that repeat earlier ones: frozen stretches, copies, held values."""
+"""The check for samples that repeat earlier ones: frozen stretches, copies of frames, held values."""
 
 from __future__ import annotations
 
@@ -6,36 +6,38 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.text import clock_text, counted
+from sunspin.output.check.findings import Findings
+from sunspin.output.text import clock_text, count_text
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.repeats import PANELS
 
 FROZEN = 3
-"""Repeats in a row that are called a frozen stretch; fewer are copies of a frame."""
+"""Number of successive repeats from which they are called a frozen stretch; fewer are copies of a frame."""
 
 EACH_SHARE = 0.5
-"""Every reading counts as repeated if more than this part of the distinct samples is."""
+"""Every reading counts as repeated if there are more runs of repeats than this fraction of the distinct samples."""
 
-CALLED = {PANELS: "panels", "sun_sensor_B": "Sun sensors", "gyro_B": "gyro"}
-CALLED |= {"field_B": "magnetometer", "attitude_B_from_N": "attitude"}
-"""What sensors are called, by variable of telemetry."""
+NAMES = {PANELS: "panels", "sun_sensor_B": "Sun sensors", "gyro_B": "gyro"}
+NAMES |= {"field_B": "magnetometer", "attitude_B_from_N": "attitude"}
+"""Names of the sensors, by variable of telemetry."""
 
-SEVERAL = (PANELS, "sun_sensor_B")
-"""Those called by a plural."""
+PLURAL = (PANELS, "sun_sensor_B")
+"""Sensors with a plural name."""
 
 
-def repeat_lines(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
-    """Return summary and lines on the samples that repeat earlier ones; empty if none does."""
+def describe_repeats(assessment: Assessment) -> Findings:
+    """Return the findings on samples that repeat earlier ones; empty if none does."""
     repeats, samples = assessment.repeats, assessment.telemetry
     summary: dict[str, Any] = {}
     lines: list[str] = []
     stretches = _stretches(repeats.frozen)
     count, distinct = int(repeats.frozen.sum()), int((~repeats.frozen).sum())
+    # Three cases: each reading is repeated a fixed number of times, or the file has long frozen stretches, or single copies.
     if len(stretches) > EACH_SHARE * distinct:
         summary["repeated_each"] = round(float(np.mean([b - a for a, b in stretches]))) + 1
         lines.append(
             f"  each reading is repeated {summary['repeated_each']} times: held values or copies of frames; "
-            f"{counted(count, 'repeat')} left out"
+            f"{count_text(count, 'repeat')} left out"
         )
     else:
         long = [(a, b) for a, b in stretches if b - a >= FROZEN]
@@ -44,38 +46,40 @@ def repeat_lines(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
         summary["frozen"] = [[float(time[a]), float(time[b - 1])] for a, b in long]
         lines += [
             f"  FROZEN from {clock_text(samples, float(time[a]))} to {clock_text(samples, float(time[b - 1]))}: "
-            f"{counted(b - a, 'sample')} equal to earlier ones; left out, like a gap"
+            f"{count_text(b - a, 'sample')} equal to earlier ones; left out, like a gap"
             for a, b in long
         ]
         if copies:
             summary["copies"] = copies
             lines.append(
-                f"  {counted(copies, 'sample')} identical to an earlier one (copies of a frame); left out"
+                f"  {count_text(copies, 'sample')} identical to an earlier one (copies of a frame); left out"
             )
     for sensor, held in repeats.held.items():
         if held.any():
-            summary.setdefault("held", {})[CALLED[sensor]] = int(held.sum())
-            repeat = "repeat" if sensor in SEVERAL else "repeats"
+            summary.setdefault("held", {})[NAMES[sensor]] = int(held.sum())
+            repeat = "repeat" if sensor in PLURAL else "repeats"
             lines.append(
-                f"  HELD VALUES: the {CALLED[sensor]} {repeat} the last reading in {counted(int(held.sum()), 'sample')} while "
+                f"  HELD VALUES: the {NAMES[sensor]} {repeat} the last reading in {count_text(int(held.sum()), 'sample')} while "
                 "other sensors change; left out"
             )
     if repeats.columns is not None and repeats.columns.any():
         names = samples["panel"].values.astype(str)
-        each = {
+        repeat_counts = {
             name: int(n) for name, n in zip(names, repeats.columns.sum(axis=0), strict=True) if n
         }
-        summary["held_panels"] = each
-        of = ", ".join(f"{name} in {counted(n, 'sample')}" for name, n in each.items())
+        summary["held_panels"] = repeat_counts
+        panels = ", ".join(
+            f"{name} in {count_text(n, 'sample')}" for name, n in repeat_counts.items()
+        )
         lines.append(
-            f"  HELD VALUES: panels that are read less often than the samples repeat their last reading: {of}; left out"
+            f"  HELD VALUES: panels that are read less often than the samples repeat their last reading: {panels}; left out"
         )
     if words := repeats.doubt:
         summary["repeats_doubtful"] = int(repeats.unsure.sum())
         lines.append(
             f"  {words} Too few different readings to tell; `sunspin rates` does not decide these passes"
         )
-    return {key: value for key, value in summary.items() if value}, lines
+    return Findings({key: value for key, value in summary.items() if value}, lines)
 
 
 def _stretches(repeated: np.ndarray) -> list[tuple[int, int]]:

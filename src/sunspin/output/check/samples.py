@@ -1,4 +1,4 @@
-"""What `sunspin check` says of the samples' worth: which are usable and why, how many faces, what rates the sampling can tell."""
+"""The check of samples: which are usable, how many sides are lit, the noise, and the rates that the sampling can resolve."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.rates.gyro_axes import wrong_gyro_axes
-from sunspin.output.text import counted, size_text, with_sigma
+from sunspin.output.check.findings import Findings
+from sunspin.output.text import count_text, size_text, with_sigma
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, count_reasons
@@ -19,15 +20,18 @@ from sunspin.vehicle.file import find_line, read_vehicle_text
 from sunspin.vehicle.sensors import VARIABLES
 
 SHOWN = 30
-"""Columns listed by name."""
+"""Unused columns that are listed by name."""
 
 MOST_PANELS = 2 / 3
-"""A row without readings of all panels shows the Sun if it has this part of them: five of six bound its direction, two leave it
-open. Rows of one packet among several have a half or a third."""
+"""Least fraction of the panels that a row must have read to count as a sample of the motion. Five of six panels bound the Sun
+direction, two leave it open. If a file has a row for each packet, a row has a half or a third of the panels."""
 
 
-def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on what file and vehicle file do not share: units, sensors, columns; `vehicle` is that file."""
+def describe_mismatches(assessment: Assessment, vehicle: str | None = None) -> Findings:
+    """Return the findings on what does not match between telemetry and vehicle file: units, gyro axes, sensors, columns.
+
+    `vehicle`: name or path of the vehicle file, from which messages quote the wrong line.
+    """
     units, samples = [], assessment.telemetry
     for wrong in assessment.wrong_units:
         line, key = None, wrong.key.split(" or ")[0].split(",")[0]
@@ -41,29 +45,29 @@ def doubts(assessment: Assessment, vehicle: str | None = None) -> tuple[dict[str
     axes = None if gyro_misread else wrong_gyro_axes(assessment)
     lines += [f"  WRONG AXES: {axes}"] if axes else []
     lines += [f"  sensors without columns in this file: {', '.join(missing)}"] if missing else []
-    more = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
-    lines += [f"  unused columns: {', '.join(unused[:SHOWN])}{more}"] if unused else []
+    rest = f" and {len(unused) - SHOWN} more" if len(unused) > SHOWN else ""
+    lines += [f"  unused columns: {', '.join(unused[:SHOWN])}{rest}"] if unused else []
     misread = any(
         wrong.table == "telemetry" and wrong.key.startswith("scale")
         for wrong in assessment.wrong_units
     )
     summary: dict[str, Any] = {"wrong_units": units, "wrong_axes": [axes] if axes else []}
     summary |= {"panels_misread": misread, "missing_sensors": missing, "unused_columns": unused}
-    return summary, lines
+    return Findings(summary, lines)
 
 
 def noise_lines(assessment: Assessment) -> list[str]:
-    """Return what the error of directions from panels rests on; nothing if the vehicle file states one noise for all panels."""
+    """Return lines on the noise of panel readings and its source; none if the vehicle file states one noise for all panels."""
     sun = assessment.sun
     noise, source = float(sun.attrs["noise"]), str(sun.attrs["noise_from"])
-    own = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
-    if not np.isfinite(noise) or (source == "given" and len({*own.values()}) == 1):
+    noise_of_panel = dict(zip(sun["panel"].values, sun["noise"].values, strict=True))
+    if not np.isfinite(noise) or (source == "given" and len({*noise_of_panel.values()}) == 1):
         return []
-    known = reading_unit(assessment.vehicle, signals(assessment.telemetry))
-    unit = f" {known}" if known else " (in the unit of the readings)"
+    unit_name = reading_unit(assessment.vehicle, signals(assessment.telemetry))
+    unit = f" {unit_name}" if unit_name else " (in the unit of the readings)"
     if source == "given":
-        each = ", ".join(f"{panel} {size_text(sigma)}" for panel, sigma in own.items())
-        return [f"  noise of panel readings, from the vehicle file: {each}{unit}"]
+        values = ", ".join(f"{panel} {size_text(sigma)}" for panel, sigma in noise_of_panel.items())
+        return [f"  noise of panel readings, from the vehicle file: {values}{unit}"]
     if source != ASSUMED_FROM:
         return [f"  noise of panel readings: {size_text(noise)}{unit}, {source}"]
     return [
@@ -73,48 +77,52 @@ def noise_lines(assessment: Assessment) -> list[str]:
     ]
 
 
-def worth(assessment: Assessment, misread: bool = False) -> tuple[dict[str, Any], list[str]]:
-    """Summary and lines on quality of the panel readings, on other sensors, and on sampling against rate; of panels `misread`, in a
-    wrong unit, no lines on what their numbers would mean."""
+def describe_samples(assessment: Assessment, misread: bool = False) -> Findings:
+    """Return the findings on the quality of panel readings, on other sensors, and on the rates that the sampling can resolve.
+
+    `misread`: whether panels are in a wrong unit; then there are no lines on gains, albedo and lit sides.
+    """
     summary: dict[str, Any] = {}
     lines: list[str] = []
     samples = assessment.telemetry
     if assessment.has_panels:
-        about, lines = _panels(assessment)
-        summary |= about
-        lines = [f"  {n:6d}  {text}" for text, n in about["worth"].items()] if misread else lines
+        summary, lines = _describe_panels(assessment)
+        if misread:
+            lines = [f"  {n:6d}  {text}" for text, n in summary["worth"].items()]
     alone = {variable: name.replace("_", " ") for name, variable in VARIABLES.items()}
     sensors = {"sun_sensor_B": "Sun sensors"} | alone | {"wheel_speed_rad_s": "wheel speeds"}
-    there = {
+    sample_counts = {
         label: int(np.isfinite(samples[name].values).all(axis=1).sum())
         for name, label in sensors.items()
         if name in samples
     }
-    if there:
-        summary["sensors"] = there
-        others = ", ".join(f"{label} ({n} samples)" for label, n in there.items())
-        lines.append(f"  other sensors: {others}")
-    about, more = _sampling(assessment)
-    return summary | about, lines + more
+    if sample_counts:
+        summary["sensors"] = sample_counts
+        counts = ", ".join(f"{label} ({n} samples)" for label, n in sample_counts.items())
+        lines.append(f"  other sensors: {counts}")
+    sampling = _describe_sampling(assessment)
+    return Findings(summary | sampling.summary, lines + sampling.lines)
 
 
-def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+def _describe_panels(assessment: Assessment) -> Findings:
+    """Return the findings on the panels: readings that are used, panels without signal, gains, albedo, numbers of lit sides."""
     craft, quality = assessment.vehicle, assessment.quality
-    why = count_reasons(quality)
+    counts_by_reason = count_reasons(quality)
     names = quality["panel"].values.astype(str)
+    # Panels without signal: `missed` are those without which the other panels do not account for the full Sun.
     silent, missed = quality["dead"].values, quality["missed"].values
     dead, unlit = names[missed].tolist(), names[silent & ~missed].tolist()
-    whole = _whole(assessment)
-    faces = np.bincount(_lit(craft, assessment.telemetry, quality)[whole])
+    whole = _complete_samples(assessment)
+    faces = np.bincount(_count_lit_sides(craft, assessment.telemetry, quality)[whole])
     summary: dict[str, Any] = {
-        "worth": why,
+        "worth": counts_by_reason,
         "dead_panels": dead,
         "unlit_panels": unlit,
         "full_sun": quality.attrs["full_sun"],
         "albedo": quality.attrs["albedo"],
         "samples_by_lit_faces": {int(k): int(n) for k, n in enumerate(faces) if n},
     }
-    lines = [f"  {n:6d}  {text}" for text, n in why.items()]
+    lines = [f"  {n:6d}  {text}" for text, n in counts_by_reason.items()]
     if dead:
         text = "no signal in any sample (failed, or never sunlit); excluded"
         lines.append(f"  panel {', '.join(dead)}: {text}")
@@ -123,13 +131,15 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
             "no signal, probably never sunlit (the other panels account for the full Sun); not used"
         )
         lines.append(f"  panel {', '.join(unlit)}: {text}")
-    pairs = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
-    pairs = pairs / craft.input_gains[:, None]
-    summary["gains"] = dict(zip(names.tolist(), pairs.tolist(), strict=True))
+    # gain and sigma of each panel, relative to the gain in the vehicle file
+    relative_gains = np.stack([quality["gain"].values, quality["gain_sigma"].values], axis=1)
+    relative_gains = relative_gains / craft.input_gains[:, None]
+    summary["gains"] = dict(zip(names.tolist(), relative_gains.tolist(), strict=True))
     summary["gains_from"] = quality.attrs["gains_from"]
     weak = quality["weak"].values
-    usual = np.median(pairs[~weak, 0]) if (~weak).any() else 1.0
-    weak_pairs = (pairs[weak] / usual).tolist()
+    # relative gain of the other panels, with which that of a weak panel is compared
+    usual = np.median(relative_gains[~weak, 0]) if (~weak).any() else 1.0
+    weak_pairs = (relative_gains[weak] / usual).tolist()
     summary["weak_panels"] = dict(zip(names[weak].tolist(), weak_pairs, strict=True))
     lines += [
         f"  WEAK PANEL: {name} gives {with_sigma(g, s)} of what its gain in the vehicle file says, compared with the other panels; "
@@ -138,57 +148,62 @@ def _panels(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     ]
     gains = f"  gains: {quality.attrs['gains_from']}"
     if np.isfinite(quality.attrs["spread"]):
-        each = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
+        values = ", ".join(f"{name} {with_sigma(*pair)}" for name, pair in summary["gains"].items())
         gains = (
-            f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {each}"
+            f"  estimated gain / gain in the vehicle file, {quality.attrs['gains_from']}: {values}"
         )
     lines.append(gains)
     lines.append(
         f"  albedo and stray light on unlit panels: up to {quality.attrs['albedo']:.0%} of full Sun"
     )
-    often = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
+    counts = ", ".join(f"{k} in {n} samples" for k, n in summary["samples_by_lit_faces"].items())
     lit = "inputs" if craft.channels else "faces"
     if not whole.any():
-        return summary, lines  # of parts of a frame: `_sampling` says so
+        # each row has only some of the panels, which `_partial_rows_advice` reports
+        return Findings(summary, lines)
     lines.append(
-        f"  {lit} lit: {often}; three determine the direction; `sunspin rates` also uses samples with one or two"
+        f"  {lit} lit: {counts}; three determine the direction; `sunspin rates` also uses samples with one or two"
     )
-    return summary, lines
+    return Findings(summary, lines)
 
 
-def _lit(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
-    """How many faces (n) are lit, panels of one face counting once; with channels how many inputs."""
+def _count_lit_sides(craft: Vehicle, samples: xr.Dataset, quality: Any) -> np.ndarray:
+    """Return the number of lit sides in each sample (n).
+
+    Panels with the same normal count as one side. If panels share inputs (channels), the number of lit inputs is returned.
+    """
     light = SURELY_LIT * quality.attrs["albedo"] * quality.attrs["full_sun"] * craft.input_gains
     floor = np.maximum(light, LIT_SIGMAS * quality["noise"].values)
     lit = np.nan_to_num(signals(samples)) > floor
     if craft.channels:
         return lit.sum(axis=1)
+    # adding 0.0 turns -0.0 into 0.0, which would be another normal
     _, face = np.unique(
         np.round([panel.normal_B for panel in craft.panels], 6) + 0.0, axis=0, return_inverse=True
     )
     return (lit.astype(int) @ np.eye(face.max() + 1, dtype=int)[face.ravel()] > 0).sum(axis=1)
 
 
-def intervals(samples: xr.Dataset) -> np.ndarray:
-    """Intervals (s) between the samples whose time is in order; late and repeated frames are no samples."""
+def sampling_intervals(samples: xr.Dataset) -> np.ndarray:
+    """Return the intervals (s) between samples; frames that arrive late or twice are not counted as samples."""
     latest = np.unique(np.maximum.accumulate(samples["time"].values))
     return np.diff(latest)
 
 
-def _whole(assessment: Assessment) -> np.ndarray:
-    """Return the samples (n) in which every panel was read that works."""
+def _complete_samples(assessment: Assessment) -> np.ndarray:
+    """Return in which samples (n) every panel that works was read."""
     quality = assessment.quality
     return np.asarray((quality["reading"].values | quality["missed"].values).all(axis=1))
 
 
 def _shows_motion(assessment: Assessment) -> np.ndarray:
-    """Return which samples (n) say something of the motion: panels show the Sun, or a sensor gives a direction or a rate."""
+    """Return which samples (n) give information on the motion: panels in sunlight, or another sensor's direction or rate."""
     samples = assessment.telemetry
     shows = np.zeros(samples.sizes["time"], dtype=bool)
     if assessment.has_panels:
         status, read = assessment.sun["status"].values, assessment.quality["reading"].values
         value = np.where(read, signals(samples), np.nan)
-        # of the panels that have a reading anywhere: a column that is always empty hides nothing
+        # panels that have no reading in any sample are not missed
         complete = read.sum(axis=1) >= MOST_PANELS * read.any(axis=0).sum()
         lit = (np.nan_to_num(value) > 0).any(axis=1)
         shows |= ~np.isin(status, (SunStatus.DARK, SunStatus.MISSING))
@@ -199,36 +214,42 @@ def _shows_motion(assessment: Assessment) -> np.ndarray:
     return shows
 
 
-def _sampling(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
-    """Return summary and lines on the rates that the sampling can determine. Rows without a direction are no samples of the
-    motion, so they do not count, and
-    neither do copies and frozen ones."""
+def _describe_sampling(assessment: Assessment) -> Findings:
+    """Return the findings on the rates that the sampling can resolve.
+
+    Only samples with information on the motion count; copies and frozen samples do not.
+    """
     samples = assessment.telemetry
     present = _shows_motion(assessment) & ~assessment.repeats.frozen
-    gaps = intervals(samples.isel(time=present))
+    gaps = sampling_intervals(samples.isel(time=present))
     if len(gaps) < 2:
-        return {"directions": int(present.sum())}, [
-            f"  too few directions to estimate a rate: {present.sum()} of {counted(present.size, 'sample')} give one"
-            f"{_parts_of_panels(samples)}"
-        ]
+        line = (
+            f"  too few directions to estimate a rate: {present.sum()} of {count_text(present.size, 'sample')} give one"
+            f"{_partial_rows_advice(samples)}"
+        )
+        return Findings({"directions": int(present.sum())}, [line])
     usual = float(np.median(gaps))
+    # half a revolution per interval: a faster rotation gives the same directions as a slower one the other way round
     clear = 180 / usual
-    near = gaps[gaps < 6 * usual]
-    jitter = float(np.std(near) / usual)
+    within_passes = gaps[gaps < 6 * usual]
+    jitter = float(np.std(within_passes) / usual)
     unambiguous = "are unambiguous (half a revolution between samples); faster rates alias"
     lines = [f"  sampling: rates up to {clear:.3g} deg/s {unambiguous}"]
-    if jitter < 0.02:
+    if (
+        jitter < 0.02
+    ):  # uneven intervals would distinguish rates that differ by a whole revolution per interval
         text = f"rates that differ by {360 / usual:.3g} deg/s are indistinguishable (aliases)"
         lines.append(f"  even sampling: {text}")
-    return {
+    summary = {
         "directions": int(present.sum()),
         "clear_rate_deg_s": clear,
         "relative_jitter": jitter,
-    }, lines
+    }
+    return Findings(summary, lines)
 
 
-def _parts_of_panels(samples: xr.Dataset) -> str:
-    """Return what to do if no row has a reading of every panel, as in a file with a row for each packet; else nothing."""
+def _partial_rows_advice(samples: xr.Dataset) -> str:
+    """Return advice for a file in which each row has only some of the panels, as with a row for each packet; else nothing."""
     if "panel" not in samples.coords:
         return ""
     read = np.isfinite(signals(samples))

@@ -1,9 +1,9 @@
 """CCSDS attitude ephemeris message (CCSDS 504.0-B): KVN of version 1.0, which every reader knows, and XML of version 2.0.
 
-The standard's quaternion rotates the axes of frame A into those of frame B, so that a vector's components in B are R(q)^T times
-those in A, with R the rotation of vectors that SciPy calls by the same q: the numbers written are the conjugate of `B_from_N`.
+The standard's quaternion q rotates the axes of frame A into those of frame B. With R(q) the rotation of vectors that SciPy makes of
+q, components in B are R(q)^T times those in A. The numbers written are therefore the conjugate of `B_from_N`.
 
-No method of interpolation is stated. Readers choose one, so that the attitudes must be dense (`attitude_of` with `dense`).
+The file states no method of interpolation, so readers choose one. The attitudes must be dense (`build_attitude` with `dense`).
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
 IN_KVN_ALONE = ("ATTITUDE_DIR", "QUATERNION_TYPE")
-"""Version 2.0 has only one direction, A to B, and one order of the components."""
+"""Keys of version 1.0 that version 2.0 lacks: it has one direction only, A to B, and one order of the components."""
 
 
 def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
-    """Write an AEM, `form` "kvn" or "xml", one segment per pass."""
+    """Write an attitude ephemeris message with a segment for each pass, and return its path; `form`: "kvn" or "xml"."""
     utc = np.datetime_as_string(attitude.utc)
     name, number = (
         "".join(c if c.isascii() and c.isprintable() else "_" for c in text).strip()
         for text in (attitude.name, attitude.number)
     )
-    object_about = {
+    object_metadata = {
         "OBJECT_NAME": name or "UNKNOWN",
         "OBJECT_ID": number or name or "UNKNOWN",
         "CENTER_NAME": attitude.centre,
@@ -44,7 +44,7 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
     components = [[f"{x:.15f}" for x in q] for q in conjugate]
     segments = []
     for samples in attitude.passes():
-        metadata = object_about | {"START_TIME": utc[samples[0]], "STOP_TIME": utc[samples[-1]]}
+        metadata = object_metadata | {"START_TIME": utc[samples[0]], "STOP_TIME": utc[samples[-1]]}
         metadata |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
         segments.append((metadata, [(utc[i], components[i]) for i in samples]))
     now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S}"
@@ -63,6 +63,8 @@ def write_aem(target: Path, attitude: Attitude, form: str = "kvn") -> Path:
 
 
 def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:
+    """Return the message as XML; `segments`: metadata and (UTC, quaternion components) of each pass."""
+
     def add(parent: ElementTree.Element, key: str, text: str | None = None) -> ElementTree.Element:
         element = ElementTree.SubElement(parent, key)
         element.text = text
@@ -74,12 +76,12 @@ def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:
         add(head, key, value)
     for metadata, states in segments:
         segment = add(body, "segment")
-        about, data = add(segment, "metadata"), add(segment, "data")
+        metadata_element, data = add(segment, "metadata"), add(segment, "data")
         for text in comments:
-            add(about, "COMMENT", text)
+            add(metadata_element, "COMMENT", text)
         for key, value in metadata.items():
             if key not in IN_KVN_ALONE:
-                add(about, key, value)
+                add(metadata_element, key, value)
         for utc, components in states:
             state = add(add(data, "attitudeState"), "quaternionEphemeris")
             add(state, "EPOCH", utc)

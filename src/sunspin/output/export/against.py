@@ -1,4 +1,4 @@
-"""The rates of a results folder compared with those of SPICE attitude kernels."""
+"""Comparison of the rates of a results folder with those of SPICE attitude kernels."""
 
 from __future__ import annotations
 
@@ -11,44 +11,47 @@ import numpy as np
 from sunspin.base.errors import InputError
 from sunspin.base.untrusted import IsolatedRunError, is_nonempty_file, run_isolated
 from sunspin.dynamics.propagate import MAX_RATE
-from sunspin.output.export import attitude_of, read_results
-from sunspin.output.export.ck import ephemeris_time, spice
+from sunspin.output.export import build_attitude, read_attitude_data
+from sunspin.output.export.ck import ephemeris_time, import_spice
 from sunspin.output.text import number_text
 
 KERNEL_S = 20
-"""CPU time in which rates are read from kernels, in another process: damaged ones end SPICE."""
+"""CPU time (s) that the process that reads the kernels may take."""
 
 
 def against_kernels(
     folder: Path, kernels: Sequence[Path], frame: str, base: str, epoch: str | None
 ) -> tuple[dict[str, Any], str]:
-    """Differences of the rates in body axes as data (deg/s) and in a line.
+    """Return the differences between the rates of a result and those of kernels, as data (deg/s) and as a line of text.
 
     Parameters
     ----------
-    frame, base : the body's frame and an inertial one, as the kernels name them
-    epoch : UTC of time zero where the results have none
+    frame, base : names of the body frame and of an inertial frame in the kernels
+    epoch : UTC of time zero, for results without one
 
     Raises
     ------
     InputError
-        Kernels that cannot be read, or that cover none of the times.
+        The kernels cannot be read, or cover none of the times.
     """
-    spice()
-    attitude = attitude_of(read_results(folder)[0], None, epoch)
+    import_spice()
+    attitude = build_attitude(read_attitude_data(folder)[0], None, epoch)
     paths = [str(path) for path in kernels]
     for path in paths:
         if not (path.isprintable() and is_nonempty_file(Path(path))):
             what = "the kernels cannot be used, as there is no such file"
             raise InputError(what, got=path, do="give the paths of SPICE kernels")
     script, et = Path(__file__).with_name("spice_rates.py"), ephemeris_time(attitude.utc)
-    # in another process: of 2,000 damaged kernels 1 ended this one (`validation corrupt --unguarded --only kernel.bc`)
+    # In another process, because SPICE ends its process on some damaged kernels: 1 of 2,000 in
+    # `python -m validation corrupt --unguarded --only kernel.bc`.
     try:
-        read = run_isolated(script, frame, base, *paths, seconds=KERNEL_S, content=et.tobytes())
+        rate_bytes = run_isolated(
+            script, frame, base, *paths, seconds=KERNEL_S, content=et.tobytes()
+        )
     except IsolatedRunError as error:
         what = f"the kernels cannot be used ({error})"
         raise InputError(what, got=", ".join(paths)) from None
-    rates = np.frombuffer(read, dtype=np.float64).reshape(-1, 3)
+    rates = np.frombuffer(rate_bytes, dtype=np.float64).reshape(-1, 3)
     if np.any(np.abs(rates) > MAX_RATE):
         what = f"the kernels hold rates beyond {MAX_RATE:g} rad/s"
         raise InputError(what, do="check them: they may be damaged")

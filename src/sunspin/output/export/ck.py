@@ -1,8 +1,8 @@
-"""SPICE C-kernel with the clock and frame kernels that it needs.
+"""SPICE C-kernel, with the clock kernel and the frame kernel that it needs.
 
-The clock kernel makes one tick a microsecond, from a second before the epoch of the result; the frame kernel names the body's
-frame, which the C-kernel orients, and the local frame N, which is not related to any other: SPICE refuses to go from it to J2000,
-as it should.
+The clock kernel defines ticks of one microsecond from a second before the epoch of the result. The frame kernel names the body
+frame, whose orientation the C-kernel gives, and the local frame N. N is not related to any other frame, so SPICE refuses to convert
+from it to J2000.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sunspin.output.export import Attitude
 from sunspin.output.folder import write_whole
 
 SPACECRAFT = -999_001
-"""Ids made up for the kernels written here, far from those that NAIF has given out."""
+"""Id of the spacecraft in the kernels written here, far from those that NAIF has assigned."""
 
 BODY_ID, LOCAL_ID = SPACECRAFT * 1000, SPACECRAFT * 1000 - 1
 BODY_NAME = "SUNSPIN_BODY"
@@ -26,7 +26,10 @@ TICKS_PER_S = 1_000_000
 
 
 def ephemeris_time(utc: Any) -> np.ndarray:
-    """SPICE's ephemeris time (TDB seconds past J2000) of UTC instants, to 0.05 ms (NAIF time-kernel formula)."""
+    """Return SPICE's ephemeris time (TDB seconds past J2000) of UTC instants, with an error below 0.05 ms.
+
+    TDB - TT is the formula of NAIF's leap-seconds kernel: 1.657 ms times the sine of the Earth's eccentric anomaly.
+    """
     import erfa
 
     utc = np.asarray(utc, dtype="datetime64[us]")
@@ -36,13 +39,14 @@ def ephemeris_time(utc: Any) -> np.ndarray:
     with warnings.catch_warnings():  # years beyond the announced leap seconds
         warnings.simplefilter("ignore", erfa.ErfaWarning)
         tai_ahead = erfa.dat(1970 + month // 12, month % 12 + 1, 1, 0.0)
+    # TT = TAI + 32.184 s
     since = (utc - np.datetime64("2000-01-01T12:00")) / np.timedelta64(1, "s") + tai_ahead + 32.184
     anomaly = 6.239996 + 1.99096871e-7 * since
     return since + 1.657e-3 * np.sin(anomaly + 1.671e-2 * np.sin(anomaly))
 
 
-def spice() -> Any:
-    """The spiceypy module, or a sentence on how to install it."""
+def import_spice() -> Any:
+    """Return the module spiceypy; raise `OutputError` with how to install it if it is missing."""
     try:
         import spiceypy
     except ImportError:
@@ -52,13 +56,14 @@ def spice() -> Any:
 
 
 def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
-    """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into `folder`; one interpolation interval per pass.
+    """Write sunspin.bc (type 3, with rates), sunspin.tsc and sunspin.tf into a folder, and return their paths.
 
-    Between two records SPICE takes the shorter way: give attitudes of :func:`sunspin.output.export.attitude_of` with `dense`.
+    Each pass is an interpolation interval. Between two records SPICE interpolates along the shorter rotation, so `attitude` must be
+    dense: from :func:`sunspin.output.export.build_attitude` with `dense`.
     """
     from scipy.spatial.transform import Rotation
 
-    sp = spice()
+    spiceypy = import_spice()
     if not str(folder).isprintable():
         what, do = "SPICE takes no such folder name", "give one of plain letters"
         raise OutputError(what, got=str(folder), do=do)
@@ -72,32 +77,36 @@ def write_ck(folder: Path, attitude: Attitude) -> list[Path]:
         write_whole(folder / name, text.encode("ascii"))
         for name, text in _text_kernels(start, attitude.frame).items()
     )
-    quaternion = np.roll(attitude.quaternion, 1, axis=1)  # scalar first
+    # SPICE: scalar first, and the matrix of its quaternion takes components in N to B, as B_from_N does
+    quaternion = np.roll(attitude.quaternion, 1, axis=1)
     rate_N = Rotation.from_quat(attitude.quaternion).inv().apply(attitude.omega_B)
     starts = np.array([ticks[samples[0]] for samples in attitude.passes()])
-    span, about = (ticks[0], ticks[-1]), (BODY_ID, attitude.frame, True, "sunspin")
+    span, header = (ticks[0], ticks[-1]), (BODY_ID, attitude.frame, True, "sunspin")
     records = len(ticks), ticks, quaternion, rate_N, len(starts), starts
 
     def write(path: Path) -> None:
-        handle = sp.ckopn(str(path), "sunspin attitude", 0)
+        handle = spiceypy.ckopn(str(path), "sunspin attitude", 0)
         try:
-            sp.ckw03(handle, *span, *about, *records)
+            spiceypy.ckw03(handle, *span, *header, *records)
         finally:
-            sp.ckcls(handle)
+            spiceypy.ckcls(handle)
 
-    sp.furnsh([str(clock), str(frames)])
+    spiceypy.furnsh([str(clock), str(frames)])
     try:
         return [write_whole(folder / "sunspin.bc", write), clock, frames]
-    except sp.exceptions.SpiceyError as error:
+    except spiceypy.exceptions.SpiceyError as error:
         what = f"SPICE refused the kernel ({' '.join(str(error).split())[:200]})"
         raise OutputError(what, where=str(folder)) from None
     finally:
-        sp.unload([str(clock), str(frames)])
+        spiceypy.unload([str(clock), str(frames)])
 
 
 def _text_kernels(start: float, frame: str) -> dict[str, str]:
-    """The clock, whose ticks are microseconds parallel to TDB from `start` on, and the frames: the body's and a local one, which is
-    a CK frame that no kernel orients."""
+    """Return the text of the clock kernel and of the frame kernel, by file name.
+
+    The ticks of the clock are microseconds of TDB from `start` (TDB seconds past J2000). The frames are that of the body and, if
+    `frame` is local, that one: a CK frame to which no kernel gives an orientation.
+    """
     number = -SPACECRAFT
     clock = f"""KPL/SCLK
 Clock made up by sunspin: one tick is a microsecond, tick 0 is TDB {start:.9f} s past J2000.

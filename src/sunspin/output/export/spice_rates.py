@@ -1,7 +1,7 @@
-"""Run as a script in another process: rates of a frame from SPICE kernels, which the C library may not survive if damaged.
+"""Script that reads rates from SPICE kernels. It runs in a process of its own, which a damaged kernel may end.
 
-Arguments: frame, base, kernels. Standard input: ephemeris times, 8 bytes each; standard output: rates (n, 3) in rad/s in the
-axes of the frame, NaN where no kernel covers.
+Arguments: frame, base, kernels. Standard input: ephemeris times as float64. Standard output: rates (n, 3) of the frame relative to
+the base, rad/s in the axes of the frame, as float64; NaN at times that no kernel covers.
 """
 
 import sys
@@ -10,17 +10,18 @@ import numpy as np
 
 
 def main() -> None:
-    import spiceypy as sp
+    """Read times from standard input, and write the rates to standard output."""
+    import spiceypy
 
     frame, base, *kernels = sys.argv[1:]
-    sp.furnsh(kernels)
+    spiceypy.furnsh(kernels)
     rates = []
     for et in np.frombuffer(sys.stdin.buffer.read(), dtype=np.float64).tolist():
         try:
-            rotation, omega_base = sp.xf2rav(sp.sxform(base, frame, et))
+            rotation, omega_base = spiceypy.xf2rav(spiceypy.sxform(base, frame, et))
             with np.errstate(all="ignore"):
                 rates.append(rotation @ omega_base)
-        except sp.exceptions.SpiceNOFRAMECONNECT:
+        except spiceypy.exceptions.SpiceNOFRAMECONNECT:
             rates.append(np.full(3, np.nan))
     sys.stdout.buffer.write(np.array(rates, dtype=np.float64).tobytes())
 

@@ -1,4 +1,4 @@
-"""What all figures share: colours, style, axes, titles, files. The figures of a result are drawn in its module of `kinds`."""
+"""What all figures share: colours, style, axes, titles, files. The modules of `kinds` draw the figures of results."""
 
 from __future__ import annotations
 
@@ -16,19 +16,25 @@ from sunspin.output.folder import write_whole
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# colour-blind safe (Okabe and Ito)
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+"""Colours of Okabe and Ito, which colour-blind people can distinguish."""
+
 ABOVE: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 1.0),
     "borderaxespad": 0.2,
     "frameon": False,
 }
-"""A legend above the axes, where it covers no data."""
+"""Arguments of a legend above the axes, where it covers no data."""
+
 ON_PAPER: dict[str, Any] = {"facecolor": "#ffffff", "edgecolor": "none", "pad": 0.5}
-"""The ground of a label that stands on lines."""
-LONGEST_NAME, LONGEST_LABEL = 60, 14
-"""Characters of a name in a title, and at an axis or in a legend with up to 32 others: a figure is about 100 wide."""
+"""Background of a label that is written across lines."""
+
+LONGEST_NAME = 60
+"""Characters of a name in a title; a figure is about 100 characters wide."""
+
+LONGEST_LABEL = 14
+"""Characters of a name at an axis or in a legend, next to up to 32 others."""
 
 STYLE: Any = {
     "axes.titlesize": 10,
@@ -40,41 +46,48 @@ STYLE: Any = {
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
-    """A drawing function in the style of all figures; the title says so if its first argument, data or a mapping of data by
-    name, follows from synthetic telemetry."""
+    """Decorate a drawing function so that it draws in the style of all figures.
+
+    The first argument of the function is a result, or a dict of results by name. If one of them comes from synthetic telemetry,
+    the title says so.
+    """
 
     @wraps(draw)
-    def in_style(*args: Any, **more: Any) -> Figure:
+    def draw_in_style(*args: Any, **options: Any) -> Figure:
         import matplotlib
 
         with matplotlib.rc_context(STYLE):
-            figure = draw(*args, **more)
-            every: Any = args[0].values() if isinstance(args[0], dict) else args[:1]
-            if any(getattr(each, "attrs", {}).get("synthetic") for each in every):
+            figure = draw(*args, **options)
+            results: Any = args[0].values() if isinstance(args[0], dict) else args[:1]
+            if any(getattr(result, "attrs", {}).get("synthetic") for result in results):
                 figure.suptitle(titled(figure.get_suptitle(), True), wrap=True)
         return figure
 
-    return in_style
+    return draw_in_style
 
 
 def axes_grid(
-    width: float, height: float, rows: int = 1, columns: int = 1, title: str = "", **more: Any
+    width: float, height: float, rows: int = 1, columns: int = 1, title: str = "", **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure (inches) with a title and its axes, as matplotlib's `subplots` returns them; `more`: its further arguments."""
+    """Create a figure of a size in inches, with a title and axes, and return figure and axes.
+
+    `options` are further arguments of matplotlib's `Figure.subplots`, which also determines the form of the axes.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
     figure.suptitle(title, wrap=True)
-    axes = figure.subplots(rows, columns, **more)
-    for each in np.ravel(axes):
-        each.tick_params(labelsize=8)
+    axes = figure.subplots(rows, columns, **options)
+    for panel in np.ravel(axes):
+        panel.tick_params(labelsize=8)
     return figure, axes
 
 
 def lay_out(figure: Figure) -> Figure:
-    """Find the places of axes and labels once and for all: matplotlib does it anew, twice, for each format that is written.
+    """Compute the positions of axes and labels once, and return the figure without a layout engine.
 
-    No engine may be left: even one that does nothing makes matplotlib draw everything once more before it draws.
+    With an engine, matplotlib would compute them twice for each format that is written. Even an engine that does nothing makes
+    matplotlib draw everything an additional time.
     """
     import matplotlib
 
@@ -86,13 +99,13 @@ def lay_out(figure: Figure) -> Figure:
     return figure
 
 
-def drawn(figure: Figure) -> dict[str, bytes]:
-    """A figure as the content of a PNG and of an SVG file."""
+def render(figure: Figure) -> dict[str, bytes]:
+    """Return a figure as the contents of its files: "png" and "svg"."""
     import matplotlib
 
     contents = {}
     with warnings.catch_warnings(), matplotlib.rc_context(STYLE):
-        # names may have letters that the font has not: boxes
+        # a letter that the font lacks is drawn as a box, without a warning for each
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         lay_out(figure)
         for suffix, metadata in (("png", {}), ("svg", {"Date": None})):
@@ -102,18 +115,21 @@ def drawn(figure: Figure) -> dict[str, bytes]:
     return contents
 
 
-def write(files: Mapping[str, bytes], folder: Path, name: str) -> list[Path]:
-    """Write a figure's files."""
+def write_files(files: Mapping[str, bytes], folder: Path, name: str) -> list[Path]:
+    """Write the files of a figure (suffix -> content) into a folder, and return their paths."""
     return [write_whole(folder / f"{name}.{suffix}", files[suffix]) for suffix in files]
 
 
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG."""
-    return write(drawn(figure), folder, name)
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as PNG and SVG into a folder, and return the paths."""
+    return write_files(render(figure), folder, name)
 
 
-def named(name: Any, most: int = LONGEST_NAME) -> str:
-    """Return a name from outside as text and never as a formula, with at most so many characters: of a longer one begin and end."""
+def escape_name(name: Any, most: int = LONGEST_NAME) -> str:
+    """Return a name from a file as matplotlib should print it: dollar signs start no formula.
+
+    A name of more than `most` characters is shortened to its begin and end.
+    """
     text = str(name)
     if len(text) > most:
         head = (most - 1) // 2
@@ -121,14 +137,14 @@ def named(name: Any, most: int = LONGEST_NAME) -> str:
     return text.replace("$", r"\$")
 
 
-def labels_of(names: Iterable[Any], most: int = LONGEST_LABEL) -> list[str]:
-    """Return labels for names that stand side by side, such as those of panels; if two look alike when shortened, they are
-    numbered."""
-    labels = [named(name, most) for name in names]
+def axis_labels(names: Iterable[Any], most: int = LONGEST_LABEL) -> list[str]:
+    """Return labels for names side by side, such as those of panels; shortened labels that look alike are numbered."""
+    labels = [escape_name(name, most) for name in names]
     return [
         f"{label} ({k + 1})" if labels.count(label) > 1 else label for k, label in enumerate(labels)
     ]
 
 
 def titled(text: str, synthetic: Any) -> str:
+    """Return the title of a figure, with a remark if the telemetry is synthetic."""
     return f"{text} (synthetic telemetry)" if synthetic else text

@@ -1,4 +1,4 @@
-"""Body rates and the Sun's direction of each pass, with what other instruments say where there are any."""
+"""Body rates and attitude of each pass of a result of `rates`, with the gyro for comparison."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.terms.sensors import SENSORS
-from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.text import clock_text
 
 SHOWN = 8
-"""Passes drawn; more would not be legible."""
+"""Passes that are drawn; more would not be legible."""
 
 
 @styled
 def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any:
-    """Rate components (deg/s) of the likeliest solution of each pass with one sigma, and the gyro if the telemetry has one."""
+    """Draw the rate components (deg/s) of the likeliest solution of each pass with one sigma, and the gyro if there is one."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    passes = chosen_passes(result)
-    title = f"Body rates of {named(result.attrs['vehicle'])} from {sources(result)}, likeliest solution of each pass"
+    passes = largest_passes(result)
+    title = f"Body rates of {escape_name(result.attrs['vehicle'])} from {sensors_text(result)}, likeliest solution of each pass"
     layout = {"sharey": "row", "sharex": "col", "squeeze": False}
     figure, grid = axes_grid(max(7.5, 2.1 * len(passes)), 6.4, 3, len(passes), title, **layout)
     gyro = None if telemetry is None or "gyro_B" not in telemetry else telemetry["gyro_B"]
     for column, number in zip(grid.T, passes, strict=True):
         t = result["time"].values[result["pass_of"].values == number]
         for k, axes in enumerate(column):
-            component(axes, result, number, k)
+            draw_component(axes, result, number, k)
             if gyro is not None:
                 near = gyro.isel(axis=k).dropna("time").sel(time=slice(t[0] - 1, t[-1] + 1))
                 minutes = (near["time"].values - t[0]) / 60
@@ -57,8 +57,13 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
     return figure
 
 
-def component(axes: Any, result: xr.Dataset, number: int, k: int, label: str | None = None) -> None:
-    """A component of the rate in a pass: samples, and between them the curve and band that the results hold, if they do."""
+def draw_component(
+    axes: Any, result: xr.Dataset, number: int, k: int, label: str | None = None
+) -> None:
+    """Draw component `k` of the rate (deg/s) in pass `number`: dots at samples, and curve and one-sigma band in between.
+
+    The curve is that between samples if the result holds one, else it connects the samples.
+    """
     inside = result["pass_of"].values == number
     t, points = result["time"].values[inside], np.degrees(result["omega_B"].values[inside, k])
     sigma, begin = np.sqrt(result["omega_cov_B"].values[inside, k, k]), t[0]
@@ -76,11 +81,12 @@ def component(axes: Any, result: xr.Dataset, number: int, k: int, label: str | N
 
 @styled
 def attitude_figure(result: xr.Dataset) -> Any:
-    """The attitude in space of the best solution of each pass, as a quaternion, with its rms error in the title."""
-    passes = chosen_passes(result)
-    title = f"Attitude of {named(result.attrs['vehicle'])}: rotation from {result.attrs['frame_N']} to body axes"
+    """Draw the attitude quaternion of the likeliest solution of each pass, with the rms error (deg) in the title."""
+    passes = largest_passes(result)
+    title = f"Attitude of {escape_name(result.attrs['vehicle'])}: rotation from {result.attrs['frame_N']} to body axes"
     layout = {"sharey": True, "squeeze": False}
     figure, (grid,) = axes_grid(max(7.5, 2.1 * len(passes)), 3.2, 1, len(passes), title, **layout)
+    # errors of the Sun direction and of the rotation about it are perpendicular
     sigmas = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
     error = np.degrees(np.hypot(*sigmas))
     for axes, number in zip(grid, passes, strict=True):
@@ -99,16 +105,16 @@ def attitude_figure(result: xr.Dataset) -> Any:
     return figure
 
 
-def sources(result: xr.Dataset) -> str:
-    """The sensors that a motion was found from, in words."""
-    seen = {"panels": "panel signals", "sun_sensor": "Sun sensors"}
-    seen |= {"directions": "Sun directions", "field": ""}
-    others = [each.called for each in SENSORS if result.attrs.get(f"{each.name}_used")]
-    used = [*filter(None, [seen[result.attrs["source"]]]), *others]
+def sensors_text(result: xr.Dataset) -> str:
+    """Return the sensors from which the motion of a result of `rates` was estimated, in words."""
+    direction_sources = {"panels": "panel signals", "sun_sensor": "Sun sensors"}
+    direction_sources |= {"directions": "Sun directions", "field": ""}
+    others = [sensor.called for sensor in SENSORS if result.attrs.get(f"{sensor.name}_used")]
+    used = [*filter(None, [direction_sources[result.attrs["source"]]]), *others]
     return used[0] if len(used) == 1 else f"{', '.join(used[:-1])} and {used[-1]}"
 
 
-def chosen_passes(result: xr.Dataset) -> np.ndarray:
-    """The passes with the most samples, in the order of time."""
+def largest_passes(result: xr.Dataset) -> np.ndarray:
+    """Return the numbers of the passes with the most samples, in the order of time."""
     count = np.bincount(result["pass_of"].values, minlength=result.sizes["pass_id"])
     return np.sort(np.argsort(-count, kind="stable")[:SHOWN])

@@ -1,4 +1,4 @@
-"""How far the readings of each sensor lie from the likeliest solution, in sigmas."""
+"""Residuals of each sensor relative to the likeliest solution, in sigmas."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ import xarray as xr
 from matplotlib.figure import Figure
 from scipy.special import ndtr
 
-from sunspin.output.figures import COLOURS, named, titled
-from sunspin.output.figures.rates import SHOWN, chosen_passes, clock_text
+from sunspin.output.figures import COLOURS, escape_name, titled
+from sunspin.output.figures.rates import SHOWN, clock_text, largest_passes
 
 SHOWN_SIGMAS = 6.0
-"""Residuals farther out are drawn at the edge."""
+"""Residuals (sigmas) beyond this are drawn at the edge."""
 
 LIMIT = 3.0
-"""Sigmas beyond which residuals are counted."""
+"""Residuals (sigmas) beyond this are counted."""
 
 
 def residuals_figure(result: xr.Dataset) -> Figure:
-    """The residuals that a result of `rates` holds: a row for each sensor that was used, a column for each pass."""
-    read = result["residual"].dropna("sensor", how="all")
-    passes, sensors = chosen_passes(result), read["sensor"].values
+    """Draw the residuals of a result of `rates`: a row of axes for each sensor that was used, a column for each pass."""
+    residual = result["residual"].dropna("sensor", how="all")
+    passes, sensors = largest_passes(result), residual["sensor"].values
     rows = max(len(sensors), 1)
     size = max(7.5, 2.1 * len(passes)), 1.9 * rows + 1.0
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(rows, len(passes), sharex="col", sharey=True, squeeze=False)
     for row, sensor in zip(grid, sensors, strict=False):
-        value = read.sel(sensor=sensor).values
+        value = residual.sel(sensor=sensor).values
         for axes, number in zip(row, passes, strict=True):
             at = np.flatnonzero(result["pass_of"].values == number)
             minutes = (result["time"].values[at] - result["time"].values[at[0]]) / 60
@@ -34,13 +34,16 @@ def residuals_figure(result: xr.Dataset) -> Figure:
             axes.axhline(LIMIT, color=COLOURS[7], lw=1, ls="--")
             axes.set_ylim(0, 1.05 * SHOWN_SIGMAS)
         share = np.mean(value[np.isfinite(value)] > LIMIT)
-        row[0].set_ylabel(f"{named(sensor)} (sigma)\n{share:.1%} beyond {LIMIT:g}", fontsize=8)
+        row[0].set_ylabel(
+            f"{escape_name(sensor)} (sigma)\n{share:.1%} beyond {LIMIT:g}", fontsize=8
+        )
     for column, number in zip(grid.T, passes, strict=True):
         first = float(result["time"].values[result["pass_of"].values == number][0])
         column[0].set_title(clock_text(result, first), fontsize=8)
         column[-1].set_xlabel("time (min)")
     count = result.sizes["pass_id"]
     some = f", {SHOWN} of {count} passes" if count > SHOWN else ""
+    # of normal noise, 2 ndtr(-LIMIT) lies beyond LIMIT to both sides
     text = f"Readings less prediction{some}; of noise alone {2 * ndtr(-LIMIT):.1%} lie beyond {LIMIT:g} sigma"
     figure.suptitle(titled(text, result.attrs.get("synthetic")), fontsize=10)
     return figure

@@ -1,4 +1,4 @@
-"""An axis of time on which passes that lie far apart stand side by side."""
+"""Time axis on which the pauses between passes that are far apart are drawn shorter."""
 
 from __future__ import annotations
 
@@ -10,71 +10,83 @@ import xarray as xr
 from sunspin.output.figures import COLOURS
 
 APART = 0.6
-"""Part of the whole time, in pauses, from which the pauses are drawn shorter."""
+"""Fraction of the whole time that pauses must take for them to be drawn shorter."""
 
 SHORT_H = 1.5
-"""Shorter records have an axis in minutes."""
+"""Records shorter than this (h) have an axis in minutes."""
 
-PAUSE_WIDTH, MOST_TICKS = 0.04, 12
-"""A shortened pause is this part of all passes together; at most so many passes are named on the axis."""
+PAUSE_WIDTH = 0.04
+"""Width of a shortened pause, as a fraction of all passes together."""
+
+MOST_TICKS = 12
+"""Passes whose begin is written on the axis."""
 
 PAUSE = 10
-"""Usual steps between samples after which a pause begins."""
+"""Number of usual intervals between samples from which a gap is a pause."""
 
 
-class Passes(NamedTuple):
-    """Where times stand on an axis: `hours` of passes' ends -> `places`; both empty if time runs evenly, in h or in min."""
+class TimeAxis(NamedTuple):
+    """The position of each time on an axis.
+
+    Attributes
+    ----------
+    hours : times (2 n) of begin and end of each pass, h; empty if no pause is shortened
+    places : positions (2 n) of these times on the axis; empty if no pause is shortened
+    in_min : whether the axis without shortened pauses is in minutes, not in hours
+    """
 
     hours: np.ndarray
     places: np.ndarray
     in_min: bool = False
 
     def x(self, hours: np.ndarray) -> np.ndarray:
-        """Places of times (h)."""
+        """Return the positions on the axis of times (h)."""
         if self.hours.size:
             return np.interp(hours, self.hours, self.places)
         return hours * (60 if self.in_min else 1)
 
 
-def long_gaps(hours: np.ndarray) -> np.ndarray:
-    """Indices of the samples that a pause precedes."""
+def find_gaps(hours: np.ndarray) -> np.ndarray:
+    """Return the indices of the samples that follow a pause; `hours`: sorted times (n) of the samples."""
     steps = np.diff(hours)
     return np.flatnonzero(steps > PAUSE * np.median(steps)) + 1 if steps.size else np.zeros(0, int)
 
 
-def passes_together(time_s: np.ndarray) -> Passes:
-    """The axis for samples at these times."""
+def build_time_axis(time_s: np.ndarray) -> TimeAxis:
+    """Return the time axis for samples at these times (s)."""
     hours = np.sort(np.asarray(time_s, dtype=np.float64)) / 3600
-    cuts = long_gaps(hours)
+    cuts = find_gaps(hours)
     whole = float(np.ptp(hours)) if hours.size else 0.0
     if not cuts.size or (hours[cuts] - hours[cuts - 1]).sum() < APART * whole:
-        return Passes(np.zeros(0), np.zeros(0), whole < SHORT_H)
+        return TimeAxis(np.zeros(0), np.zeros(0), whole < SHORT_H)
     passes = np.split(hours, cuts)
-    lengths = np.array([max(each[-1] - each[0], 1e-6) for each in passes])
+    # a pass of one sample has the length 1e-6 h and ends 1e-9 h later, so that positions increase with time
+    lengths = np.array([max(times[-1] - times[0], 1e-6) for times in passes])
     begins = np.cumsum(lengths + PAUSE_WIDTH * lengths.sum()) - lengths
-    ends = [time for each in passes for time in (each[0], each[-1] + 1e-9)]
-    return Passes(np.array(ends), np.stack([begins, begins + lengths], axis=1).ravel())
+    ends = [end for times in passes for end in (times[0], times[-1] + 1e-9)]
+    return TimeAxis(np.array(ends), np.stack([begins, begins + lengths], axis=1).ravel())
 
 
-def time_axis(axes: Any, data: xr.Dataset, place: Passes) -> None:
-    """Title of a time axis, and on one with shortened pauses the time at which each pass begins."""
+def label_time_axis(axes: Any, data: xr.Dataset, time_axis: TimeAxis) -> None:
+    """Write the title of a time axis; if pauses are shortened, also the UTC at which passes begin, and shade the pauses."""
     epoch = data.attrs.get("epoch_utc")
-    if not place.hours.size:
-        unit = "min" if place.in_min else "h"
+    if not time_axis.hours.size:
+        unit = "min" if time_axis.in_min else "h"
         axes.set_xlabel(f"time ({unit}) since {epoch or 'the first sample'}")
         return
-    begins, at = place.hours[::2], place.places[::2]
-    shown = [0]
+    begins, at = time_axis.hours[::2], time_axis.places[::2]  # time (h) and position of each begin
+    shown = [0]  # passes whose begin is written: each far enough from the last one
     for k in range(1, len(at)):
         if at[k] - at[shown[-1]] > (at[-1] - at[0]) / MOST_TICKS:
             shown.append(k)
     zero = np.datetime64(str(epoch or "1970-01-01").removesuffix("Z"), "s")
     utc = zero + np.round(3600 * begins[shown]).astype("timedelta64[s]")
     texts = [str(time)[:16].replace("T", "\n") for time in utc]
-    begin = 5 if len({text[:4] for text in texts}) == 1 else 0  # the year, if they do not share it
-    axes.set_xticks(at[shown], [text[begin:] for text in texts])
-    for end, begin in zip(place.places[1:-1:2], place.places[2::2], strict=True):
+    # the year is written if passes are of different years
+    year_end = 5 if len({text[:4] for text in texts}) == 1 else 0
+    axes.set_xticks(at[shown], [text[year_end:] for text in texts])
+    for end, begin in zip(time_axis.places[1:-1:2], time_axis.places[2::2], strict=True):
         axes.axvspan(end, begin, color=COLOURS[7], alpha=0.12, lw=0, zorder=0)
-    longest = 60 * float(np.diff(place.hours.reshape(-1, 2), axis=1).max())
+    longest = 60 * float(np.diff(time_axis.hours.reshape(-1, 2), axis=1).max())
     text = f"the longest is {longest:.3g} min; grey: pauses, shortened"
     axes.set_xlabel(f"UTC at which each pass begins ({text})")

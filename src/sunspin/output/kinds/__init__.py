@@ -1,4 +1,4 @@
-"""What each kind of result can do: its numbers in words, its figures, its files. A module enters its kinds in `KINDS`."""
+"""Summary, figures and files of each kind of result. Each module registers its kinds in `KINDS`."""
 
 from sunspin.output.kind import KINDS
 from sunspin.output.kinds import (  # noqa: F401

@@ -1,4 +1,4 @@
-"""What a calibration of sensors determines: a line a key of the vehicle file, and a table of all numbers."""
+"""Results of `sunspin calibrate-sensors`: a line for each key of the vehicle file, and a table of all numbers."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from typing import Any
 import numpy as np
 
 from sunspin.output.kind import KINDS, Kind, Summary, Table
-from sunspin.output.text import capital, number_text, with_sigma
+from sunspin.output.text import capitalize_first, number_text, with_sigma
 
 COLUMNS = (
     *("key", "component", "stated", "value", "sigma", "prior_sigma", "unit", "samples"),
     *("determined", "written", "moved"),
 )
-"""Columns of the table; the page shows the first eight."""
+"""Columns of the table of a calibration; the page shows the first eight."""
 
 FIELD = (
     *("shift_s", "shift_sigma_s", "drift_s_day", "drift_sigma_s_day"),
     *("field_residual_before_T", "field_residual_after_T"),
     *("sun_field_residual_before_rad", "sun_field_residual_after_rad", "field_noise_T"),
 )
-"""Attributes of a calibration along an orbit."""
+"""Attributes of a calibration in a known orbit."""
 
 
 def calibration_summary(result: Any) -> Summary:
-    """The keys that are determined, those that moved first, and those that the telemetry does not determine."""
+    """Return the summary of a calibration: keys that the telemetry determines, first those that moved, then the other keys."""
     keys, texts = {}, []
     for name in dict.fromkeys(result["key"].values.tolist()):
         rows = result.isel(quantity=np.flatnonzero(result["key"].values == name))
@@ -35,15 +35,19 @@ def calibration_summary(result: Any) -> Summary:
         keys[name] |= {"written": written, "moved": moved}
         unit = str(rows["unit"].values[0]).removeprefix("1")
         now = with_sigma(value[0], sigma[0], unit) if value.size == 1 else ""
-        was = ", ".join("-" if np.isnan(each) else number_text(each) for each in stated.tolist())
+        was = ", ".join(
+            "-" if np.isnan(number) else number_text(number) for number in stated.tolist()
+        )
         text = f"{name} = {now or with_sigma(value, sigma, unit)} (was {was})"
         texts.append((written, moved, f"  {'moved ' if moved else '      '}{text}"))
-    written = sorted((row for row in texts if row[0]), key=lambda row: not row[1])
+    determined = sorted(
+        ((moved, text) for written, moved, text in texts if written), key=lambda row: not row[0]
+    )
     lines = ["No key of the vehicle file is determined by this telemetry"]
-    if written:
-        moved = f"{sum(row[1] for row in written)} of them move by more than their sigma"
-        lines = [f"{len(written)} keys of the vehicle file are determined; {moved}"]
-        lines += [row[2] for row in written]
+    if determined:
+        count = f"{sum(moved for moved, _ in determined)} of them move by more than their sigma"
+        lines = [f"{len(determined)} keys of the vehicle file are determined; {count}"]
+        lines += [text for _, text in determined]
     if left := [name for name, row in keys.items() if not row["written"]]:
         why = "sigma not below half of what it was before"
         lines.append(f"Not determined ({why}), and left as they are: {', '.join(left)}")
@@ -59,14 +63,14 @@ def calibration_summary(result: Any) -> Summary:
             lines[-1] += f"; of its angle to the Sun {was:.1f} deg before, {now:.1f} deg after"
         shift = with_sigma(numbers["shift_s"], numbers["shift_sigma_s"], "s")
         drift = with_sigma(numbers["drift_s_day"], numbers["drift_sigma_s_day"], "s")
-        middle = "at mid-file"
-        lines.append(f"Shift along the track {shift} {middle}, drifting by {drift} a day")
+        lines.append(f"Shift along the track {shift} at mid-file, drifting by {drift} a day")
     notes = [note for note in str(result.attrs["notes"]).split("\n") if note]
     numbers |= {"source": result.attrs["source"], "notes": notes}
-    return Summary(numbers, lines, [capital(note) for note in notes])
+    return Summary(numbers, lines, [capitalize_first(note) for note in notes])
 
 
 def calibration_tables(result: Any) -> Iterator[Table]:
+    """Yield the table `calibration`: a row for each number of each key."""
     import pandas as pd
 
     shown = {name: name.replace("_", " ") for name in COLUMNS[:8]}

@@ -1,4 +1,4 @@
-"""Simulated collisions weighted by what a trajectory shows of the true one (paper, section 3.3)."""
+"""Simulated collisions, weighted by their agreement with the speeds of a trajectory (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from sunspin.output.text import with_sigma
 
 
 def collision_summary(runs: Any) -> Summary:
-    """How many collisions come near the trajectory's speeds, and rates and periods under each weighting."""
-    table, near = read_weightings(runs), read_explained_share(runs)
-    lines = [f"collision: {with_sigma(*near)} of the runs come near the kernel's jump and speed"]
+    """Return the summary of collisions: the share that agrees with the trajectory, rates and periods under each weighting."""
+    table, agreeing = read_weightings(runs), read_explained_share(runs)
+    lines = [
+        f"collision: {with_sigma(*agreeing)} of the runs come near the kernel's jump and speed"
+    ]
     for row in table:
         rates = (row[name] for name in ("rate_before", "rate_after"))
         before, after = (with_sigma(*np.degrees(rate), "deg/s") for rate in rates)
@@ -24,10 +26,11 @@ def collision_summary(runs: Any) -> Summary:
             f"  {row['name']}: effective sample size {row['effective_runs']:.0f}, rate before {before}, after {after}, "
             f"median period after {row['median_period_after']:.1f} s"
         )
-    return Summary({"facts": read_facts(runs), "explained": near, "table": table}, lines)
+    return Summary({"facts": read_facts(runs), "explained": agreeing, "table": table}, lines)
 
 
 def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of simulated collisions."""
     yield Drawing(
         "collision",
         lambda: collision_figure(runs),
@@ -38,13 +41,13 @@ def collision_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def collision_figure(runs: Any) -> Any:
-    """Simulated collisions against the kernel's speeds, and angular speeds after it as drawn and as weighted."""
+    """Draw simulated collisions with the speeds of the trajectory, and the angular speed after it, unweighted and weighted."""
     figure, (left, right) = axes_grid(11, 4.4, 1, 2, "The collision")
     facts, sigma = read_facts(runs), runs.attrs["sigma_m_s"]
     change, speed = (runs[name].values for name in ("velocity_change", "speed_after"))
-    known = np.isfinite(speed)
+    finite = np.isfinite(speed)
     style = {"gridsize": 45, "cmap": "cividis", "mincnt": 1, "linewidth": 0}
-    image = left.hexbin(change[known], speed[known], **style)
+    image = left.hexbin(change[finite], speed[finite], **style)
     figure.colorbar(image, ax=left, label="simulated collisions")
     angle = np.linspace(0, 2 * np.pi, 100)
     for k in (1, 2):
@@ -57,13 +60,14 @@ def collision_figure(runs: Any) -> Any:
     left.legend(loc="lower left", frameon=True)
     left.set_title(f"Impacts at {facts['speed_before']:.3f} m/s and what the trajectory shows")
     rate = np.degrees(np.linalg.norm(runs["omega_after_B"].values, axis=1))
-    known, edges = np.isfinite(rate), np.linspace(0, 60, 61)
+    finite, edges = np.isfinite(rate), np.linspace(0, 60, 61)
     for k, text in enumerate(("as drawn", "weighted by the kernel's speeds")):
-        weight = runs["weight"].values[known] if k else None
+        weight = runs["weight"].values[finite] if k else None
         style = {"histtype": "step", "lw": 1.8, "ls": ("-", "--")[k], "color": COLOURS[k]}
-        right.hist(rate[known], edges, weights=weight, density=True, label=text, **style)
+        right.hist(rate[finite], edges, weights=weight, density=True, label=text, **style)
     period, width = runs.attrs["period_after_s"], 2 * runs.attrs["sigma_period_s"]
     label = f"magnetometer: {period:g} s, drawn {width:g} s wide to each side"
+    # deg/s for periods in s
     slow, fast = 360 / (period + width), 360 / (period - width)
     right.axvspan(slow, fast, color=COLOURS[2], alpha=0.25, lw=0, label=label)
     right.set(xlabel="angular speed just after the collision (deg/s)", xlim=(0, edges[-1]))

@@ -1,4 +1,4 @@
-"""Comparisons of two results."""
+"""Results of `sunspin compare`: the changes between two results."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 
 from sunspin.output.compare import INTERVAL, SIGMA, TOLERANCE
-from sunspin.output.figures import axes_grid, named, styled
+from sunspin.output.figures import axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 
 MOST_LINES = 20
-"""Rows that are printed; the table has all."""
+"""Number of rows that are printed; the table has all."""
 
 UNITS = {INTERVAL: "half widths", TOLERANCE: "tolerances", SIGMA: "sigmas"}
-"""What a change is compared with -> in what its size is counted."""
+"""Kind of error with which a change is compared -> unit of the size of the change."""
 
 
 def comparison_summary(data: Any) -> Summary:
-    """How many rows changed by more than their errors, and which."""
+    """Return the summary of a comparison: the number of rows that changed by more than their error, and the largest changes."""
     attrs, table = data.attrs, data.to_dataframe().reset_index()
-    known = table["error"].notna()
+    has_error = table["error"].notna()
     changed = table[table["beyond"] | (table["words"] != "")]
     numbers: dict[str, Any] = {
         "command": attrs["command"],
         "a": attrs["folder_a"],
         "b": attrs["folder_b"],
         "rows": len(table),
-        "beyond": int((table["beyond"] & known).sum()),
-        "changed_without_error": int((table["beyond"] & ~known).sum()),
+        "beyond": int((table["beyond"] & has_error).sum()),
+        "changed_without_error": int((table["beyond"] & ~has_error).sum()),
         "same_telemetry": bool(attrs["same_telemetry"]),
         "synthetic_telemetry": bool(attrs["synthetic"]),
         **{name: attrs[name].splitlines() for name in ("only_a", "only_b", "said_a", "said_b")},
@@ -45,12 +45,12 @@ def comparison_summary(data: Any) -> Summary:
             shown = ", ".join(only[:MOST_LINES]) + ", ..." * (len(only) > MOST_LINES)
             lines.append(f"   {len(only)} rows are in this result alone: {shown}")
     lines.append(
-        f"{numbers['beyond']} of {known.sum()} rows with a known error changed by more than it; of {(~known).sum()} without one "
-        f"{numbers['changed_without_error']} changed"
+        f"{numbers['beyond']} of {has_error.sum()} rows with a known error changed by more than it; "
+        f"of {(~has_error).sum()} without one {numbers['changed_without_error']} changed"
     )
     if attrs["command"] != "outcomes":
-        both = "both are" if numbers["same_telemetry"] else "not"
-        lines[-1] += f"; {both} of the same telemetry"
+        same = "both are" if numbers["same_telemetry"] else "not"
+        lines[-1] += f"; {same} of the same telemetry"
     for row in changed[:MOST_LINES].itertuples():
         size, units = (row.size, UNITS[row.of]) if row.of in UNITS else (100 * row.size, "%")
         unit, words = row.unit and f" {row.unit}", row.words and f"; {row.words}"
@@ -62,7 +62,7 @@ def comparison_summary(data: Any) -> Summary:
 
 
 def comparison_drawings(data: Any, _: Context) -> Iterator[Drawing]:
-    """The rows that changed most."""
+    """Yield the figure of the rows that changed most."""
     unknown = int((data["error"].isnull() & data["beyond"]).sum())
     yield Drawing(
         "comparison",
@@ -76,7 +76,7 @@ def comparison_drawings(data: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def comparison_figure(data: Any) -> Any:
-    """The 30 rows with a known error that changed most, in errors."""
+    """Draw the 30 rows with a known error that changed most, in units of their errors."""
     table = data.to_dataframe().reset_index()
     table = table[table["error"].notna() & (table["change"] != 0)][:30]
     size = np.sign(table["change"]) * table["size"]
@@ -87,7 +87,7 @@ def comparison_figure(data: Any) -> Any:
         axes.axvline(error, color="0.3", lw=1, ls="--")
     axes.set(xscale="symlog", xlim=(-100, 100))
     names = table["what" if data.attrs["command"] == "reproduce" else "row"]
-    labels = [named(shorten(name, 72, placeholder="...")) for name in names]
+    labels = [escape_name(shorten(name, 72, placeholder="...")) for name in names]
     axes.set_yticks(range(len(table)), labels)
     axes.invert_yaxis()
     axes.set_xlabel("change over error (dashed: as large as the error)")
@@ -95,7 +95,7 @@ def comparison_figure(data: Any) -> Any:
 
 
 def comparison_tables(data: Any) -> Iterator[Table]:
-    """Every row."""
+    """Yield the table of all rows."""
     shown = {name: name for name in ("row", "a", "b", "unit", "size", "words")}
     yield Table(
         "comparison", data.to_dataframe().reset_index(), "Changes, the largest first", shown

@@ -1,4 +1,4 @@
-"""Trajectories, impacts, wheels that run down."""
+"""Results of `propagate` (trajectories), `impact` and `fit_spin_down` (a wheel that runs down)."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import ABOVE, COLOURS, axes_grid, labels_of, styled
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, axis_labels, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
 from sunspin.output.text import number_text, rate_text, with_sigma
 
 MOST_EVENTS = 20
-"""Wheel events that are printed."""
+"""Number of wheel events that are printed."""
 
 
 def trajectory_summary(run: Any) -> Summary:
-    """The state at the last time, and the wheels' events."""
+    """Return the summary of a trajectory: the state at the last time, and the wheel events."""
     t, end = run["time"].values, run.isel(time=-1)
     names = {"event_time_s": "t_s", "event_wheel": "wheel", "event_what": "what"}
     columns = (run[name].values.tolist() for name in names)
@@ -34,6 +34,7 @@ def trajectory_summary(run: Any) -> Summary:
 
 
 def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of a trajectory."""
     yield Drawing(
         "trajectory",
         lambda: trajectory_figure(run),
@@ -45,7 +46,7 @@ def trajectory_drawings(run: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def trajectory_figure(run: Any) -> Any:
-    """Components and size of the body rate (deg/s), and the speeds of the wheels if there are any, against time."""
+    """Draw components and size of the body rate (deg/s), and wheel speeds if there are any, against time."""
     wheels, rows = run.sizes.get("wheel", 0), 2 if run.sizes.get("wheel", 0) else 1
     layout: dict[str, Any] = {"sharex": True, "squeeze": False, "height_ratios": (3, 2)[:rows]}
     figure, grid = axes_grid(10, 3.6 * rows**0.7, rows, **layout)
@@ -56,9 +57,9 @@ def trajectory_figure(run: Any) -> Any:
         rates.plot(t, omega[:, k], color=COLOURS[k], ls=dashes, lw=1.2, label=label)
     rates.plot(t, np.linalg.norm(omega, axis=1), color=COLOURS[6], lw=1.6, label=r"$|\omega|$")
     rates.set_ylabel("body rate (deg/s)")
-    known = labels_of(run["wheel"].values) if "wheel" in run.coords else []
+    names = axis_labels(run["wheel"].values) if "wheel" in run.coords else []
     for k in range(wheels):
-        name = known[k] if known else f"wheel {k + 1}"
+        name = names[k] if names else f"wheel {k + 1}"
         speed = run["wheel_speed_rad_s"].values[:, k]
         speeds.plot(t, speed, color=COLOURS[k % 7], lw=1.4, label=name)
         speeds.set_ylabel("wheel speed (rad/s)")
@@ -69,7 +70,7 @@ def trajectory_figure(run: Any) -> Any:
 
 
 def impact_summary(hit: Any) -> Summary:
-    """Rates, speed and impulse just after the impact, in the middle of the cases if there are many."""
+    """Return the summary of impacts: rates, speed and impulse just after; medians if there are several cases."""
     cases = int(np.prod(hit["omega_B"].shape[:-1]))
     numbers, lines = {}, ["after the impact" if cases == 1 else f"after {cases} impacts, medians"]
     for name in ("omega_B", "wheel_speed_rad_s", "velocity_B", "impulse_B"):
@@ -81,7 +82,7 @@ def impact_summary(hit: Any) -> Summary:
 
 
 def spin_down_summary(fit: Any) -> Summary:
-    """Coefficients with their sigmas, the friction, the residual."""
+    """Return the summary of a spin-down fit: coefficients with sigmas, friction, rms residual."""
     sigma, names = np.sqrt(np.diag(fit["covariance"].values)), ("c1_rad_s", "c2_per_s", "c3_rad_s")
     frictions = "coulomb_N_m", "viscous_N_m_s"
     numbers = {name: float(fit[name]) for name in (*names, *frictions, "rms_rad_s")}
@@ -98,6 +99,7 @@ def spin_down_summary(fit: Any) -> Summary:
 
 
 def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of a spin-down fit."""
     curves = {"recorded": fit["recorded_rad_s"].values, "fitted": fit["fitted_rad_s"].values}
     title = "A wheel that runs down, and c1 exp(c2 t) + c3"
     yield Drawing(
@@ -110,7 +112,7 @@ def spin_down_drawings(fit: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def spin_down_figure(t_s: np.ndarray, curves: dict[str, np.ndarray], title: str = "") -> Any:
-    """Wheel speed against time for several friction laws (paper, Fig. 5), or as recorded and fitted."""
+    """Draw wheel speeds (rad/s) by label against time, of several friction laws (paper, Fig. 5) or recorded and fitted."""
     published = "computed from published friction (no measured record is public)"
     figure, axes = axes_grid(7, 4, title=title or f"Spin-down of the wheel, {published}")
     for k, (label, speed) in enumerate(curves.items()):

@@ -1,4 +1,4 @@
-"""What a motion leads to: the runs of one strategy, or of several."""
+"""Results of `sunspin outcomes`: simulated landings of one wheel strategy, and figures that compare strategies."""
 
 from __future__ import annotations
 
@@ -8,32 +8,34 @@ from typing import Any
 import numpy as np
 
 from sunspin.landing.tally import Estimate, density, quantity, tally
-from sunspin.output.figures import COLOURS, axes_grid, labels_of, named, styled
+from sunspin.output.figures import COLOURS, axes_grid, axis_labels, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
-from sunspin.output.text import counted, with_sigma
+from sunspin.output.text import count_text, with_sigma
 
 PRINTED = (
     *("touch_leg", "touch_panel", "touch_body", "rest_leg", "rest_panel", "leg_tip_speed"),
     *("antenna_share", "antenna_at_rest", "rz_time_below_-0.5", "rate_before", "rate_after"),
 )
-"""What is printed of a tally, in this order."""
+"""Quantities of a tally that are printed, in this order."""
 
 HATCHES = ("", "//", "..", "xx")
+"""Fill patterns of bars, so that they differ in print without colour."""
 
 
 def outcomes_summary(runs: Any) -> Summary:
-    """Estimates over the runs of one strategy."""
+    """Return the summary of the runs of one strategy: the estimate of each quantity with its standard error."""
     estimates = {
         name: {"value": float(e.value), "error": float(e.error)}
         for name, e in tally(runs).items()
         if np.isfinite(e.value)
     }
-    numbers, left = {"runs": runs.sizes["run"], "estimates": estimates}, runs.attrs.get("not_told")
-    return Summary(numbers, run_lines(runs, estimates), [left] if left else [])
+    numbers = {"runs": runs.sizes["run"], "estimates": estimates}
+    undetermined = runs.attrs.get("not_told")  # in words: what the vehicle file does not determine
+    return Summary(numbers, run_lines(runs, estimates), [undetermined] if undetermined else [])
 
 
 def run_lines(runs: Any, estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """The estimates of a strategy in words, with the number of its runs."""
+    """Return lines on a strategy: number of runs, failed runs, and the estimates."""
     failed = int((runs["outcome"].values != 0).sum())
     head = f"wheels {runs.attrs['strategy']}: {runs.sizes['run']} runs"
     head += f", {failed} of them could not be computed" if failed else ""
@@ -41,7 +43,7 @@ def run_lines(runs: Any, estimates: Mapping[str, Mapping[str, float]]) -> list[s
 
 
 def estimate_lines(estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """A line for each estimate that is printed."""
+    """Return a line for each estimate that is printed, with its standard error."""
     lines = []
     for name in PRINTED:
         if name in estimates:
@@ -52,11 +54,12 @@ def estimate_lines(estimates: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 
 def outcomes_drawings(runs: Any, _: Context) -> Iterator[Drawing]:
+    """Return the figures of the runs of one strategy."""
     return runs_drawings({str(runs.attrs["strategy"]): runs})
 
 
 def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
-    """Figures of the runs of some strategies, those for which the runs have the quantities."""
+    """Yield the figures of the runs of strategies (name -> runs), those whose quantities the runs have."""
     yield Drawing(
         "sun-height",
         lambda: sun_height_figure(runs),
@@ -64,11 +67,11 @@ def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
         "wheel.",
         "How the Sun stood between collision and landing: r_z is 1 with the Sun overhead, -1 underneath; bars: one standard error.",
     )
-    if all(np.isfinite(each["up_z"]).any() for each in runs.values()):
+    if all(np.isfinite(data["up_z"]).any() for data in runs.values()):
         alt = "Distributions of the z axis against the ground's normal, the fastest leg tip and the antenna's share of the time."
         caption = "At the landing and on the way to it, over the runs of each command to the wheel; bars: one standard error."
         yield Drawing("distributions", lambda: distributions_figure(runs), alt, caption)
-    if all("point_kind" in each.coords for each in runs.values()):
+    if all("point_kind" in data.coords for data in runs.values()):
         yield Drawing(
             "first-contact",
             lambda: first_contact_figure(runs),
@@ -79,23 +82,23 @@ def runs_drawings(runs: dict[str, Any]) -> Iterator[Drawing]:
 
 
 def strategy_name(name: str) -> str:
-    """A command to the wheel in plain words."""
+    """Return a wheel strategy, such as "delay:60", in plain words."""
     if name.startswith("delay:"):
         seconds = float(name[6:])
         return f"off after {seconds:g} s" if seconds < 120 else f"off after {seconds / 60:.3g} min"
-    known = {"off": "off at touchdown", "brake": "braked", "after_rest": "off after rest"}
-    return known.get(name, named(name))
+    words = {"off": "off at touchdown", "brake": "braked", "after_rest": "off after rest"}
+    return words.get(name, escape_name(name))
 
 
 @styled
 def sun_height_figure(runs: dict[str, Any]) -> Any:
-    """Densities of r_z between collision and landing, one per strategy, area 1, bars of one standard error (paper, Fig. 13)."""
+    """Draw the density of r_z between collision and landing for each strategy, with one standard error (paper, Fig. 13)."""
     figure, axes = axes_grid(7.5, 4.2, title="Height of the Sun on the way to the landing")
-    for k, (name, each) in enumerate(runs.items()):
-        curve = density(each, merge=2)  # bins 0.05 wide
+    for k, (name, data) in enumerate(runs.items()):
+        curve = density(data, merge=2)  # bins 0.05 wide
         value, edges = curve["density"].values, np.append(curve["rz"] - 1 / curve.sizes["rz"], 1.0)
         style = {"color": COLOURS[k % 8], "lw": 1.6, "fill": k == 0, "alpha": 1 if k else 0.45}
-        label = f"{strategy_name(name)}: {counted(each.sizes['run'], 'run')}"
+        label = f"{strategy_name(name)}: {count_text(data.sizes['run'], 'run')}"
         axes.stairs(value, edges, label=label, **style)
         axes.errorbar(curve["rz"], value, curve["error"], fmt="none", ecolor=COLOURS[k % 8], lw=1)
     axes.set(xlim=(-1, 1), xlabel="$r_z$, cosine of the angle between the Sun and the z axis")
@@ -110,24 +113,24 @@ DISTRIBUTIONS = (
     ("leg_tip_speed", (0, 2, 51), "fastest leg tip at first contact (m/s)", " (s/m)"),
     ("antenna_share", (0, 1, 26), "share of time, orbiter in the antenna's cone", ""),
 )
-"""Quantity -> edges of the bins (first, last, number), titles of its axes."""
+"""Quantities of :func:`distributions_figure`: name, edges of the bins (first, last, number), label, unit of the density."""
 
 
 @styled
 def distributions_figure(runs: dict[str, Any], published_tip_speed: float | None = None) -> Any:
-    """Distributions over runs for each strategy: z axis against the ground's normal, fastest leg tip, antenna's share of time.
+    """Draw the distributions of `DISTRIBUTIONS` over the runs of each strategy.
 
-    `published_tip_speed` (m/s): the paper's estimate, drawn as a line.
+    `published_tip_speed` (m/s): the paper's estimate of the fastest leg tip, drawn as a line.
     """
     figure, grid = axes_grid(11.5, 3.9, 1, 3, "At the landing, and on the way to it")
     for axes, (name, bins, label, unit) in zip(grid, DISTRIBUTIONS, strict=True):
         edges, width = np.linspace(*bins), (bins[1] - bins[0]) / (bins[2] - 1)
-        if not any(np.isfinite(each[name].values).any() for each in runs.values()):
-            say_why_empty(axes, "not determined by this vehicle")
-        for k, (strategy, each) in enumerate(runs.items()):
-            values = each[name].values[np.isfinite(each[name].values)]
+        if not any(np.isfinite(data[name].values).any() for data in runs.values()):
+            explain_empty_axes(axes, "not determined by this vehicle")
+        for k, (strategy, data) in enumerate(runs.items()):
+            values = data[name].values[np.isfinite(data[name].values)]
             share = np.histogram(values, edges)[0] / max(values.size, 1)
-            error = np.sqrt(share * (1 - share) / max(values.size, 1)) / width
+            error = np.sqrt(share * (1 - share) / max(values.size, 1)) / width  # binomial
             style = {"color": COLOURS[k % 8], "ls": ("-", "--", "-.", ":")[k % 4]}
             axes.stairs(share / width, edges, lw=1.6, label=strategy_name(strategy), **style)
             middle = (edges[1:] + edges[:-1]) / 2
@@ -143,17 +146,20 @@ def distributions_figure(runs: dict[str, Any], published_tip_speed: float | None
 
 @styled
 def first_contact_figure(runs: dict[str, Any]) -> Any:
-    """Which leg or panel touches the ground first, by strategy; corners that panels share count for each of them."""
+    """Draw the probability of each leg and panel to touch the ground first, by strategy.
+
+    A corner that several panels share counts for each of them, so that the sum may exceed 1.
+    """
     title = "What touches the ground first; a shared corner counts for each panel"
     figure, axes = axes_grid(8.5, 4, title=title)
     labels: list[str] = []
-    for k, (name, each) in enumerate(runs.items()):
-        estimates = _first_contacts(each)
+    for k, (name, data) in enumerate(runs.items()):
+        estimates = _first_contacts(data)
         value, error = np.transpose(list(estimates.values()))
         labels, width = list(estimates), 0.8 / len(runs)
         place = np.arange(len(labels)) + width * (k - (len(runs) - 1) / 2)
         style = {"color": COLOURS[k % 8], "hatch": HATCHES[k % 4], "ec": "white", "capsize": 2}
-        bars = within_one(value, error)
+        bars = clip_errors(value, error)
         axes.bar(place, value, width, yerr=bars, label=strategy_name(name), **style)
     axes.set_xticks(range(len(labels)), labels)
     axes.set_ylabel("probability of touching first")
@@ -162,6 +168,7 @@ def first_contact_figure(runs: dict[str, Any]) -> Any:
 
 
 def _first_contacts(runs: Any) -> dict[str, Estimate]:
+    """Return the probability with standard error of each leg, each panel and the bare body to touch first, by label."""
     estimates, touched = tally(runs), runs["contact_point"].values
     contacts, legs = {}, runs["point_leg"].values
     for leg in range(int(legs.max()) + 1):
@@ -171,19 +178,19 @@ def _first_contacts(runs: Any) -> dict[str, Estimate]:
     panels = runs["panel"].values
     names = {
         f"touch_panel_{p}": f"panel {label}"
-        for p, label in zip(panels, labels_of(panels), strict=True)
+        for p, label in zip(panels, axis_labels(panels), strict=True)
     }
     names["touch_body"] = "bare body"
     return contacts | {text: estimates[name] for name, text in names.items() if name in estimates}
 
 
-def within_one(value: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Errors (2, n) below and above that lead to no probability below zero or above one."""
+def clip_errors(value: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Return errors of probabilities (2, n), below and above, cut so that bars end at 0 and 1."""
     return np.clip(np.stack([np.minimum(error, value), np.minimum(error, 1 - value)]), 0.0, None)
 
 
-def say_why_empty(axes: Any, why: str) -> None:
-    """Say on empty axes why they are, and leave out the ticks of their scale."""
+def explain_empty_axes(axes: Any, why: str) -> None:
+    """Write on axes without data why there are none, and remove the ticks of their scale."""
     axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", fontsize=9)
     axes.set_yticks([])
 

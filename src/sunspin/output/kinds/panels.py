@@ -1,4 +1,4 @@
-"""Quality and health of panels."""
+"""Results of the kinds `panel_quality` (gains, usable samples) and `panel_health` (impossible illumination patterns)."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from sunspin.output.figures import ABOVE, COLOURS, axes_grid, labels_of, styled
+from sunspin.output.figures import ABOVE, COLOURS, axes_grid, axis_labels, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary
-from sunspin.output.text import counted, number_text, set_text, with_sigma
+from sunspin.output.text import count_text, number_text, set_text, with_sigma
 from sunspin.telemetry.health import named_panels
 
 SETS = 8
-"""Sets of panels named on the console, the most frequent ones; `--json` has all."""
+"""Number of illumination patterns that are printed, the most frequent ones; `--json` has all."""
 
 SIDE_BY_SIDE = 80
-"""Characters of tick labels that fit below an axis of 7 inches."""
+"""Characters of all tick labels that fit side by side below an axis of 7 inches."""
 
-HARDLY = 1e-6
-"""A probability below this is none to a reader."""
+NEGLIGIBLE = 1e-6
+"""Probability below which an event counts as impossible in printed text."""
 
 
 def quality_summary(quality: Any) -> Summary:
-    """What is used of the samples, and the gain of each panel."""
+    """Return the summary of panel quality: samples that are used or why not, the gain of each panel, dead panels."""
     texts, counts = np.unique(quality["why"].values.astype(str), return_counts=True)
     names = quality["panel"].values.astype(str)
     gain, sigma = quality["gain"].values, quality["gain_sigma"].values
@@ -43,6 +43,7 @@ def quality_summary(quality: Any) -> Summary:
 
 
 def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of panel gains."""
     alt = "Gain of each panel with its error bar."
     caption = "Gain of each panel in the unit of the vehicle's gains, one sigma; crosses: panels that never see light."
     yield Drawing("panel-quality", lambda: gains_figure(quality), alt, caption)
@@ -50,66 +51,70 @@ def quality_drawings(quality: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def gains_figure(quality: Any) -> Any:
-    """Gain of each panel with one sigma; dead panels crossed."""
+    """Draw the gain of each panel with one sigma; dead panels are crossed out."""
     figure, axes = axes_grid(7, 3.6, title="Gains of the panels")
     place, gain = np.arange(quality.sizes["panel"]), quality["gain"].values
     dead = quality["dead"].values.astype(bool)
     axes.errorbar(place, gain, quality["gain_sigma"], fmt="o", color=COLOURS[0], capsize=3)
     axes.plot(place[dead], gain[dead], "x", ms=10, color=COLOURS[1])
-    _name_panels(axes, place, quality["panel"].values)
+    _label_panels(axes, place, quality["panel"].values)
     axes.set(xlabel="panel", ylabel="gain (unit of the vehicle's gains)")
     return figure
 
 
-def _name_panels(axes: Any, place: np.ndarray, names: np.ndarray) -> None:
+def _label_panels(axes: Any, place: np.ndarray, names: np.ndarray) -> None:
     """Write the names of panels below an axis, upright if they would not fit side by side."""
-    labels = labels_of(names)
+    labels = axis_labels(names)
     upright = sum(map(len, labels)) > SIDE_BY_SIDE
     axes.set_xticks(place, labels, rotation=90 if upright else 0)
 
 
 def health_summary(health: Any) -> Summary:
-    """Lit patterns that no Sun makes, whose loss would explain them, and what noise alone may have done."""
+    """Return the summary of panel health: illumination patterns that the Sun cannot cause, and their possible explanations.
+
+    An explanation is a failed panel, or noise.
+    """
     allowed, impossible = (
         [set_text(panels) for panels in named_panels(health, name)]
         for name in ("allowed_lit", "impossible_lit")
     )
-    chance = zip(impossible, health["largest"].values.tolist(), strict=True)
+    probabilities = zip(impossible, health["largest"].values.tolist(), strict=True)
     numbers = {
         "allowed": allowed,
         "impossible": dict(zip(impossible, health["samples"].values.tolist(), strict=True)),
         "explanations": [list(lost) for lost in named_panels(health, "lost")],
-        "noise_probability": {lit: value for lit, value in chance if np.isfinite(value)},
+        "noise_probability": {lit: value for lit, value in probabilities if np.isfinite(value)},
     }
     none = "all illumination patterns are physically possible"
     return Summary(numbers, health_lines(numbers) or [none])
 
 
 def health_lines(numbers: Mapping[str, Any]) -> list[str]:
-    """The numbers of :func:`health_summary` in words; none if no pattern is impossible."""
+    """Return the numbers of :func:`health_summary` in words; no line if no pattern is impossible."""
     if not numbers["impossible"]:
         return []
-    often = sorted(numbers["impossible"].items(), key=lambda item: -item[1])
-    shown = often[:SETS]
+    by_frequency = sorted(numbers["impossible"].items(), key=lambda item: -item[1])
+    shown = by_frequency[:SETS]
     if any("," in lit for lit, _ in shown):
-        seen = "; ".join(f"({lit}) in {counted(n, 'sample')}" for lit, n in shown)
+        patterns = "; ".join(f"({lit}) in {count_text(n, 'sample')}" for lit, n in shown)
     else:
-        seen = ", ".join(f"{lit} ({n})" for lit, n in shown)
-    seen += f" and {len(often) - SETS} other sets" if len(often) > SETS else ""
+        patterns = ", ".join(f"{lit} ({n})" for lit, n in shown)
+    patterns += f" and {len(by_frequency) - SETS} other sets" if len(by_frequency) > SETS else ""
     head = "  impossible illumination patterns"
     if made_by := numbers.get("made_by"):
-        return [f"{head}, explained by {made_by}: {seen}"]
+        return [f"{head}, explained by {made_by}: {patterns}"]
     lost = " or ".join(" and ".join(panels) for panels in numbers["explanations"][:3])
     why = f"a failed or shaded panel {lost} would explain" if lost else "no failed panel explains"
     likely, noise = max(numbers["noise_probability"].values(), default=0.0), ""
-    if likely > HARDLY:
+    if likely > NEGLIGIBLE:
         noise = f"; noise alone makes the likeliest of them with a probability of at most {number_text(likely, 2)}"
     elif numbers["noise_probability"]:
         noise = "; noise alone does not make them"
-    return [f"{head}: {seen}; {why} them{noise}"]
+    return [f"{head}: {patterns}; {why} them{noise}"]
 
 
 def health_drawings(health: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of impossible illumination patterns."""
     yield Drawing(
         "panel-health",
         lambda: health_figure(health),
@@ -120,10 +125,14 @@ def health_drawings(health: Any, _: Context) -> Iterator[Drawing]:
 
 @styled
 def health_figure(health: Any) -> Any:
-    """Sets of panels that were lit together and cannot be, a row each with its samples; panels whose loss explains all marked."""
+    """Draw the impossible illumination patterns, a row each with its number of samples.
+
+    Panels are marked whose loss explains all patterns.
+    """
     lit, lost = (health[name].values.astype(bool) for name in ("impossible_lit", "lost"))
-    some = "Lit together, which the Sun alone cannot do"
-    title = some if len(lit) else "Nothing was lit that the Sun cannot light"
+    title = "Nothing was lit that the Sun cannot light"
+    if len(lit):
+        title = "Lit together, which the Sun alone cannot do"
     figure, axes = axes_grid(7, 1.6 + 0.35 * max(len(lit), 3), title=title)
     row, column = np.nonzero(lit)
     axes.plot(column, row, "s", ms=11, color=COLOURS[4], label="lit")
@@ -131,7 +140,7 @@ def health_figure(health: Any) -> Any:
         text = None if k else "its loss explains them"
         axes.axvline(place, color=COLOURS[1], lw=1.4, ls="--", label=text)
     axes.set_yticks(range(len(lit)), [f"{n} samples" for n in health["samples"].values])
-    _name_panels(axes, np.arange(lit.shape[1]), health["panel"].values)
+    _label_panels(axes, np.arange(lit.shape[1]), health["panel"].values)
     axes.set(xlabel="panel", xlim=(-0.6, lit.shape[1] - 0.4))
     axes.set_ylim((len(lit) - 0.4, -0.6) if len(lit) else (1, 0))
     axes.legend(ncols=2, **ABOVE)

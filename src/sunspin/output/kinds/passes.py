@@ -1,4 +1,4 @@
-"""`passes.csv`, and the same names in `summary.json`: a row for every motion of every pass, of `rates` and of `posterior`."""
+"""`passes.csv` of `rates` and `posterior`, a row for each solution of each pass, with the same names in `summary.json`."""
 
 from __future__ import annotations
 
@@ -8,39 +8,49 @@ import numpy as np
 
 from sunspin.output.kind import Table
 
-OF_A_PASS = ("utc_start", "utc_end", "samples")
-BELIEVED = tuple(
+PASS = ("utc_start", "utc_end", "samples")
+"""Columns of a pass."""
+
+CHECKS = tuple(
     "decided unique constrained_x constrained_y constrained_z fits search_complete columns_checked utc_at".split()
 )
-ADDED = ("model", "model_probability")
-"""Columns of a pass that came later, after all others, as scripts read those by place; `posterior` has no models."""
+"""Columns of a pass: verdict, the checks on which it depends, and the time (UTC) of the rates."""
+
+MODEL = ("model", "model_probability")
+"""Columns of a pass: the likeliest alternative model. They stand after all others, because scripts read the columns before by
+position. `posterior` has no alternative models."""
+
 SPEED = ("constrained_speed", "speed_sigma", "speed_below")
-"""Check of the speed, its error and its 95 % upper limit (rad/s, all solutions counted), the last columns."""
-OF_A_MOTION = tuple(
+"""Columns of a pass, the last ones: whether the speed is constrained, its sigma and 95 % upper limit (rad/s, all solutions)."""
+
+SOLUTION = tuple(
     "speed_low speed_median speed_high omega_x omega_y omega_z sigma_x sigma_y sigma_z".split()
 )
-"""rad/s; each has a column in deg/s too."""
+"""Columns of a solution, rad/s; each has a second column in deg/s."""
 
 
 def pass_numbers(result: Any, k: int) -> dict[str, Any]:
-    """What a summary says of pass number `k` of a Dataset with the variables of :func:`sunspin.estimate.passes.table`."""
-    later = (name for name in (*ADDED, *SPEED) if name in result)
-    names = (*OF_A_PASS, *BELIEVED, "why_not_decided", *later)
+    """Return the entries of a summary on pass number `k`.
+
+    `result`: a Dataset with the variables of :func:`sunspin.estimate.passes.table`. Rates are in rad/s and deg/s.
+    """
+    optional = (name for name in (*MODEL, *SPEED) if name in result)
+    names = (*PASS, *CHECKS, "why_not_decided", *optional)
     values: dict[str, Any] = {name: result[name].values[k].item() for name in names}
-    return {"pass_id": int(result["pass_id"].values[k])} | values | in_degrees(values)
+    return {"pass_id": int(result["pass_id"].values[k])} | values | rates_in_degrees(values)
 
 
-def motion_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
-    """The same of one of its motions."""
-    rates: dict[str, Any] = {name: float(result[name].values[k, solution]) for name in OF_A_MOTION}
+def solution_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
+    """Return the entries of a summary on one solution of pass number `k`."""
+    rates: dict[str, Any] = {name: float(result[name].values[k, solution]) for name in SOLUTION}
     probability = float(result["probability"].values[k, solution])
-    return {"solution": solution, "probability": probability} | rates | in_degrees(rates)
+    return {"solution": solution, "probability": probability} | rates | rates_in_degrees(rates)
 
 
-def in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
-    """The columns in rad/s, named in deg/s."""
-    named = (*OF_A_MOTION, *SPEED[1:])
-    rates = [name for name in columns if name.endswith("_rad_s") or name in named]
+def rates_in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
+    """Return those columns that are in rad/s converted to deg/s, with names that end in `_deg_s`."""
+    rate_names = (*SOLUTION, *SPEED[1:])
+    rates = [name for name in columns if name.endswith("_rad_s") or name in rate_names]
     return {name.removesuffix("_rad_s") + "_deg_s": np.degrees(columns[name]) for name in rates}
 
 
@@ -50,20 +60,21 @@ SHOWN |= {"speed_median_deg_s": "speed (deg/s)"}
 for axis in "xyz":
     SHOWN |= {f"omega_{axis}_deg_s": f"ω{axis} (deg/s)", f"sigma_{axis}_deg_s": "±"}
 SHOWN |= {"decided": "decided", "why_not_decided": "why not", "model": "model of the motion"}
-"""Columns on the page."""
+"""Columns that the page shows -> their headings."""
 
 
 def passes_table(result: Any) -> Table:
-    """A row for each solution of each pass."""
+    """Return the table `passes`: a row for each solution of each pass."""
     import pandas as pd
 
     rows = []
     for k in range(result.sizes["pass_id"]):
-        known = pass_numbers(result, k)
+        of_pass = pass_numbers(result, k)
         for solution in np.flatnonzero(np.isfinite(result["probability"].values[k])):
-            rows.append(known | motion_numbers(result, k, int(solution)))
-    head = ("pass_id", *OF_A_PASS, "solution", "probability", *BELIEVED, *OF_A_MOTION)
-    head += (*(f"{name}_deg_s" for name in OF_A_MOTION), *ADDED, "why_not_decided")
+            rows.append(of_pass | solution_numbers(result, k, int(solution)))
+    # the order of the columns is public: new ones are added at the end
+    head = ("pass_id", *PASS, "solution", "probability", *CHECKS, *SOLUTION)
+    head += (*(f"{name}_deg_s" for name in SOLUTION), *MODEL, "why_not_decided")
     head += (*SPEED, *(f"{name}_deg_s" for name in SPEED[1:]))
     frame = pd.DataFrame(rows)
     frame = frame[[name for name in head if name in frame]]

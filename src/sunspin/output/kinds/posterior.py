@@ -1,4 +1,4 @@
-"""Posteriors: the rate at the first sample, by solution."""
+"""Results of `sunspin posterior`: the rate at the first sample, by solution."""
 
 from __future__ import annotations
 
@@ -11,40 +11,50 @@ import numpy as np
 from sunspin.estimate.posterior.period import period_sentences
 from sunspin.estimate.posterior.verdict import TOO_FEW, sigmas
 from sunspin.estimate.posterior.verdict import summary as main_numbers
-from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.kinds import predictions as predicted
-from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
+from sunspin.output.kinds.passes import (
+    pass_numbers,
+    passes_table,
+    rates_in_degrees,
+    solution_numbers,
+)
+from sunspin.output.kinds.predictions import (
+    degrees_text,
+    predictions_drawings,
+    predictions_summary,
+    predictions_tables,
+)
 from sunspin.output.text import number_text, size_text, with_sigma
 
 MOST_SOLUTIONS = 12
 """Solutions that are printed."""
 
 SHOWN_DRAWS = 3000
-"""Draws of the figure."""
+"""Draws that the figure shows."""
 
 MOST_ROUNDS = 8
-"""Rounds of sampling that are named on the axis."""
+"""Largest number of rounds of sampling that are labelled on the axis."""
 
 
 def posterior_summary(tree: Any) -> Summary:
-    """The verdict, the angular speed, the solutions, what the verdict rests on, and the predictions if there are any."""
+    """Return the summary of a posterior: verdict, angular speed, solutions, diagnostics, priors, and predictions if any."""
     numbers = main_numbers(tree)
     if "passes" in tree.children:
         passes = tree["passes"].to_dataset()
-        motions = [motion_numbers(passes, 0, k) for k in range(passes.sizes["solution"])]
+        motions = [solution_numbers(passes, 0, k) for k in range(passes.sizes["solution"])]
         numbers["passes"] = [pass_numbers(passes, 0) | {"solutions": motions}]
     lines = [numbers["verdict"]]
     if numbers["synthetic_telemetry"]:
         lines.append("  synthetic telemetry: not measured")
-    speed = predicted.degrees_text(numbers["rate_rad_s"])
+    speed = degrees_text(numbers["rate_rad_s"])
     lines.append(f"  angular speed at the first sample: {speed} deg/s (90 % interval)")
     for k, solution in enumerate(numbers["solutions"][:MOST_SOLUTIONS], 1):
         omega = with_sigma(*np.degrees([solution["omega_B"], solution["sigma"]]), "deg/s")
-        few = solution["effective_draws"] < TOO_FEW
-        rough = " (approximate: few draws)" if few else ""
-        about = f"probability {solution['probability']:.3f}, omega {omega}{rough}"
-        lines.append(f"  solution {k}: {about}, chi-square {solution['chi_square']:.0f}")
+        too_few = solution["effective_draws"] < TOO_FEW
+        rough = " (approximate: few draws)" if too_few else ""
+        text = f"probability {solution['probability']:.3f}, omega {omega}{rough}"
+        lines.append(f"  solution {k}: {text}, chi-square {solution['chi_square']:.0f}")
     lines.append(
         f"  diagnostics: posterior predictive p {number_text(numbers['p_value'], 3)}, effective sample size "
         f"{numbers['effective_draws']:.0f}, Pareto k {numbers['pareto_k']:.2f}"
@@ -67,12 +77,13 @@ def posterior_summary(tree: Any) -> Summary:
         for name in ("probability", "solution_probability", "rate_quantile"):
             numbers["period"][name] = period[name].values.tolist()
     if "predictions" in tree.children:
-        later = predicted.predictions_summary(tree["predictions"].to_dataset())
-        return Summary(numbers | later, lines + later.lines)
+        predictions = predictions_summary(tree["predictions"].to_dataset())
+        return Summary(numbers | predictions, lines + predictions.lines)
     return Summary(numbers, lines)
 
 
 def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
+    """Yield the figures of a posterior: draws of the rate, the search and the sampling, and the predictions."""
     alt = "Draws of the components of the body rate and its size against each other, by solution."
     caption = "Draws of the rate at the first sample, body axes: every pair of components, one colour to a solution."
     yield Drawing("corner", lambda: corner_figure(tree), alt, caption)
@@ -85,17 +96,18 @@ def posterior_drawings(tree: Any, context: Context) -> Iterator[Drawing]:
             "effective draws and Pareto's k.",
         )
     if "predictions" in tree.children:
-        yield from predicted.predictions_drawings(tree["predictions"].to_dataset(), context)
+        yield from predictions_drawings(tree["predictions"].to_dataset(), context)
 
 
 @styled
 def corner_figure(tree: Any) -> Any:
-    """Components of the rate at the first sample and its size, every pair of them, one colour to a solution."""
-    word = f": {named(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
-    title = f"Body rate of {named(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
+    """Draw every pair of rate components and speed at the first sample, with a colour for each solution."""
+    word = f": {escape_name(tree.attrs['verdict_word'])}" if "verdict_word" in tree.attrs else ""
+    title = f"Body rate of {escape_name(tree.attrs.get('vehicle', 'the body'))} at the first sample{word}"
     figure, grid = axes_grid(9, 9, 4, 4, title, sharex="col")
     omega = np.degrees(tree["posterior"]["omega_B"].values.reshape(-1, 3)[:SHOWN_DRAWS])
     solution = tree["posterior"]["solution_id"].values.ravel()[:SHOWN_DRAWS]
+    # x, y, z and the angular speed, deg/s
     value = np.column_stack([omega, np.linalg.norm(omega, axis=1)])
     names = (r"$\omega_x$", r"$\omega_y$", r"$\omega_z$", r"$|\omega|$")
     for i, j in np.ndindex(4, 4):
@@ -124,7 +136,7 @@ def corner_figure(tree: Any) -> Any:
 
 @styled
 def search_figure(tree: Any) -> Any:
-    """Trial solutions before and after each window, and the log evidence of each round of sampling."""
+    """Draw the numbers of trial solutions for each window of the search, and the log evidence of each round of sampling."""
     search, sampling = tree["search"], tree["sampling"]
     figure, (left, right) = axes_grid(9, 3.6, 1, 2, "Search and sampling")
     stage = np.arange(search.sizes["stage"])
@@ -144,6 +156,7 @@ def search_figure(tree: Any) -> Any:
 
 
 def posterior_tables(tree: Any) -> Iterator[Table]:
+    """Yield the tables of a posterior: its solutions, `passes.csv`, and the predictions if there are any."""
     import pandas as pd
 
     solutions, sigma = tree["solutions"], sigmas(tree["solutions"])
@@ -152,7 +165,7 @@ def posterior_tables(tree: Any) -> Iterator[Table]:
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = solutions["omega_B"].values[:, k]
         columns[f"sigma_{axis}_rad_s"] = sigma[:, k]
-    columns |= in_degrees(columns)
+    columns |= rates_in_degrees(columns)
     columns |= {name: solutions[name].values for name in ("chi_square", "lit_readings", "starts")}
     shown = {"probability": "probability"}
     for axis in "xyz":
@@ -163,11 +176,11 @@ def posterior_tables(tree: Any) -> Iterator[Table]:
     if "passes" in tree.children:
         yield passes_table(tree["passes"].to_dataset())
     if "predictions" in tree.children:
-        yield from predicted.predictions_tables(tree["predictions"].to_dataset())
+        yield from predictions_tables(tree["predictions"].to_dataset())
 
 
 def posterior_datasets(tree: Any, context: Context) -> dict[str, Any]:
-    """The best motion of each solution."""
+    """Return the best motion of each solution, by file name; nothing if the vehicle is not known."""
     if context.vehicle is None:
         return {}
     from sunspin.estimate.posterior.motion import best_motions

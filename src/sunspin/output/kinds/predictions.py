@@ -1,4 +1,4 @@
-"""What a posterior predicts at other times."""
+"""Predictions of a posterior at other times."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.posterior.predict import intervals
-from sunspin.output.figures import COLOURS, axes_grid, named, styled
+from sunspin.output.figures import COLOURS, axes_grid, escape_name, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.text import with_range
 
 
 def predictions_summary(predictions: Any) -> Summary:
-    """Medians and intervals at each time."""
+    """Return the summary of predictions: medians and 90 % intervals at each time."""
     table, lines, times = intervals(predictions), [], predictions["predicted_s"].values
     collided = predictions.get("after_collision", np.zeros(len(times), bool))
     for t, label, after in zip(times, labels(predictions), collided, strict=True):
         row = {r["quantity"]: r for r in table if r["t_s"] == t}
-        off = np.degrees(row["sun_off"]["high_90"])
+        radius = np.degrees(row["sun_off"]["high_90"])
         lines += [
             f"  at {label}{', after the collision' if after else ''} (90 % of the draws):",
             f"    angular speed {degrees_text(row['rate'])} deg/s",
             f"    angle of z to the angular momentum {degrees_text(row['z_to_momentum'])} deg",
             f"    angle of z to the Sun {degrees_text(row['z_to_sun'])} deg",
-            f"    Sun direction: 90 % within {off:.1f} deg of the mean (body axes)",
+            f"    Sun direction: 90 % within {radius:.1f} deg of the mean (body axes)",
         ]
     collision = str(predictions.attrs.get("collision", ""))
     lines += [f"    collision: {collision}"] if collision.startswith("a leg") else []
@@ -34,18 +34,19 @@ def predictions_summary(predictions: Any) -> Summary:
 
 
 def degrees_text(row: Mapping[str, float]) -> str:
-    """Median and ends of the 90 % interval of an angle or angular speed, in degrees."""
+    """Return median and ends of the 90 % interval of an angle or angular speed (rad, rad/s) as text in degrees."""
     return with_range(*(float(np.degrees(row[key])) for key in ("median", "low_90", "high_90")))
 
 
 def labels(predictions: Any) -> list[str]:
-    """The times of predictions as they were asked for."""
+    """Return the times of predictions as the user gave them, or in s."""
     if "asked" in predictions.coords:
         return predictions["asked"].values.astype(str).tolist()
     return [f"{t:g} s" for t in predictions["predicted_s"].values]
 
 
 def predictions_drawings(predictions: Any, _: Context) -> Iterator[Drawing]:
+    """Yield the figure of predictions."""
     yield Drawing(
         "predicted",
         lambda: predicted_figure(predictions, labels(predictions)),
@@ -58,29 +59,30 @@ def predictions_drawings(predictions: Any, _: Context) -> Iterator[Drawing]:
 def predicted_figure(
     predictions: xr.Dataset, labels: list[str], truth: xr.Dataset | None = None
 ) -> Any:
-    """A row for each time: angular speed, components of the rate, direction of the Sun, angles of z from the Sun and from H.
+    """Draw predictions, a row for each time: speed, rate components, Sun direction, angles of z to the Sun and to H.
 
-    `predictions`: of :func:`sunspin.estimate.posterior.predict.predict`; `labels`: the times in words; `truth`: the same of one
-    motion.
+    H is the angular momentum. `predictions`: from :func:`sunspin.estimate.posterior.predict.predict`; `labels`: the times in words;
+    `truth`: predictions of one motion, the true one.
     """
     count = predictions.sizes["predicted_s"]
     dashed = "" if truth is None else "; dashed: the truth"
-    name = named(predictions.attrs.get("vehicle", "the body"))
+    name = escape_name(predictions.attrs.get("vehicle", "the body"))
     title = f"What {name} did: draws of the posterior{dashed}"
     figure, grid = axes_grid(13, 2.7 * count + 0.6, count, 4, title, squeeze=False)
     for i, (label, (speed, rates, sky, angles)) in enumerate(zip(labels, grid, strict=True)):
         draws = predictions.isel(predicted_s=i, chain=0)
         true = None if truth is None else truth.isel(predicted_s=i, chain=0, draw=0)
-        spreads = [
+        # axes, variable, component (None: a scalar), colour, label
+        histograms = [
             (speed, "rate", None, COLOURS[0], ""),
             *((rates, "omega_B", k, COLOURS[k], rf"$\omega_{a}$") for k, a in enumerate("xyz")),
             (angles, "z_to_momentum", None, COLOURS[3], "z and H"),
             (angles, "z_to_sun", None, COLOURS[4], "z and Sun"),
         ]
-        for axes, quantity, k, color, text in spreads:
+        for axes, quantity, k, color, text in histograms:
             index = ... if k is None else (..., k)
             exact = None if true is None else np.degrees(true[quantity].values)[index]
-            _spread(axes, np.degrees(draws[quantity].values)[index], color, text, exact)
+            _draw_histogram(axes, np.degrees(draws[quantity].values)[index], color, text, exact)
         for data, style in (
             (draws, {"marker": ".", "ms": 1.5, "alpha": 0.3, "color": COLOURS[5]}),
             (true, {"marker": "+", "ms": 9, "color": COLOURS[6]}),
@@ -101,8 +103,8 @@ def predicted_figure(
     return figure
 
 
-def _spread(axes: Any, values: np.ndarray, color: str, label: str, true: Any) -> None:
-    """A histogram with its 50 % and 90 % intervals as bars below."""
+def _draw_histogram(axes: Any, values: np.ndarray, color: str, label: str, true: Any) -> None:
+    """Draw a histogram, its 50 % and 90 % intervals as bars below, and the true value, if any, as a line."""
     values = values[np.isfinite(values)]
     axes.hist(values, 50, histtype="stepfilled", color=color, alpha=0.6, label=label)
     for level, width in ((0.9, 1.5), (0.5, 4.0)):
@@ -115,6 +117,7 @@ def _spread(axes: Any, values: np.ndarray, color: str, label: str, true: Any) ->
 
 
 def predictions_tables(predictions: Any) -> Iterator[Table]:
+    """Yield the table `predicted`: a row for each time and quantity."""
     import pandas as pd
 
     names = ("t_s", "quantity", "median", "low_90", "high_90")

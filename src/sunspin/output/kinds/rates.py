@@ -1,4 +1,4 @@
-"""Body rates of passes."""
+"""Results of `sunspin rates`: body rates and attitude of each pass."""
 
 from __future__ import annotations
 
@@ -14,39 +14,53 @@ from sunspin.estimate.rates.hypotheses import AS_STATED
 from sunspin.estimate.terms.period import reading_words, unheard
 from sunspin.estimate.verdict import upper_text
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.kinds.passes import in_degrees, motion_numbers, pass_numbers, passes_table
+from sunspin.output.kinds.passes import (
+    pass_numbers,
+    passes_table,
+    rates_in_degrees,
+    solution_numbers,
+)
 from sunspin.output.text import (
     clock_text,
     range_text,
     rate_text,
     size_text,
-    starts_text,
+    start_texts,
     with_sigma,
 )
 from sunspin.vehicle.timeline import utc_after
 
 MOST_UNSEEN = 6
-"""Changes that look the same as the file as it is written, at most, that are named."""
+"""Largest number of column changes, which the telemetry cannot distinguish from the vehicle file, that are named."""
 
 RATE = "omega x, y, z at mid-pass, deg/s ± 1 sigma"
 RANGE = "range over the pass"
-"""What the speed's smallest and largest value in a pass are called: they are no error of the speed."""
+"""Heading of the smallest and largest speed in a pass, which are not an error of the speed."""
 
 HEADING = f"{'samples':>7}  {'speed, deg/s':17}  {RANGE:19}  {RATE:45}  prob  verdict"
-"""Of the table of passes behind number and start: a line each. The speed is that at mid-pass with one sigma."""
+"""Heading of the console table of passes, after number and start. The speed is that at mid-pass with one sigma."""
 
 PASSES_IN_WORDS = 3
-"""Of the first passes a page has a sentence each; its table has all."""
+"""Number of passes for which a page has a sentence; its table has all passes."""
 
-COARSE, COARSE_WORD = 0.1, "decided, coarse"
-"""A decided rate whose sigma exceeds this part of the speed is called coarse."""
+COARSE = 0.1
+"""A decided rate is called coarse if the sigma of a component exceeds this fraction of the speed."""
+
+COARSE_WORD = "decided, coarse"
+"""Verdict in the console table for such a rate."""
 
 
 class RateAt(NamedTuple):
-    """The rate of the likeliest solution of a pass, deg/s: least, mean and largest speed over the pass; rate (3) and its sigma (3),
-    all solutions counted, at the sample nearest to the middle, `at_s` s from the epoch.
+    """The rate of the likeliest solution of a pass, all in deg/s.
 
-    The mean rate is neither: of a body that tumbles, x and y average out, and the size of the mean is not the speed.
+    The mean of the rate vector is not used: in a tumbling body x and y average out, and the size of the mean is not the speed.
+
+    Attributes
+    ----------
+    low, mean, high : smallest, mean and largest speed over the pass
+    at_s : time of the sample nearest to mid-pass, s from the epoch
+    omega : rate (3) at that sample, body axes
+    sigma : its sigma (3), with the spread of the other solutions
     """
 
     low: float
@@ -58,36 +72,42 @@ class RateAt(NamedTuple):
 
 
 def rate_at(result: Any, k: int) -> RateAt:
-    """The rate of pass number `k` of a result of `rates`."""
+    """Return the rate of the likeliest solution of pass number `k` of a result of `rates`."""
     at = np.flatnonzero(result["pass_of"].values == k)
     t, omega = result["time"].values[at], np.degrees(result["omega_B"].values[at])
     speed = np.linalg.norm(omega, axis=1)
     middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
     variance = np.diagonal(result["omega_cov_B"].values[at[middle]])
-    every, best = result["omega_sigma_all_B"].values[k], result["omega_sigma_B"].values[k, 0]
-    variance = variance + np.nan_to_num(np.maximum(every**2 - best**2, 0.0))  # of other solutions
+    # The covariance of samples is that of the likeliest solution. The sigmas of the mean rate, over all solutions and of the
+    # likeliest one, give the additional variance from the other solutions.
+    sigma_all, sigma_best = (
+        result["omega_sigma_all_B"].values[k],
+        result["omega_sigma_B"].values[k, 0],
+    )
+    variance = variance + np.nan_to_num(np.maximum(sigma_all**2 - sigma_best**2, 0.0))
     low, mean, high = float(speed.min()), float(speed.mean()), float(speed.max())
     return RateAt(low, mean, high, float(t[middle]), omega[middle], np.degrees(np.sqrt(variance)))
 
 
 def rates_summary(result: Any) -> Summary:
-    """The verdict, and the solutions of each pass, deg/s."""
-    decided, *notes = result.attrs["verdict"].split("\n")
-    number = result["pass_of"].values
-    begins = [float(result["time"].values[number == k][0]) for k in range(result.sizes["pass_id"])]
-    starts = starts_text(result, begins)
+    """Return the summary of `rates`: the verdict, a line and the solutions of each pass (deg/s), and remarks on the data."""
+    verdict, *notes = result.attrs["verdict"].split("\n")
+    pass_of = result["pass_of"].values
+    begins = [float(result["time"].values[pass_of == k][0]) for k in range(result.sizes["pass_id"])]
+    starts = start_texts(result, begins)
     width = max(map(len, ["start (UTC)", *starts]))
     table = [f"pass  {'start (UTC)':{width}}  {HEADING}"]
-    passes, lines, in_words = [], [decided], []
+    passes, lines, in_words = [], [verdict], []
     for k, start in enumerate(starts):
-        numbers, row, sentence = _pass(result, k)
-        passes.append(numbers)
-        table.append(f"{numbers['pass_id']:4d}  {start:{width}}  {row}")
-        in_words += [sentence] if k < PASSES_IN_WORDS else []
-        if numbers.get("model", AS_STATED) != AS_STATED:
-            chance = f"{numbers['model_probability']:.2f}"
+        summary = _summarize_pass(result, k)
+        entries = summary.entries
+        passes.append(entries)
+        table.append(f"{entries['pass_id']:4d}  {start:{width}}  {summary.row}")
+        in_words += [summary.sentence] if k < PASSES_IN_WORDS else []
+        if entries.get("model", AS_STATED) != AS_STATED:
+            probability = f"{entries['model_probability']:.2f}"
             notes.append(
-                f"pass {numbers['pass_id']}: alternative model {numbers['model']} (probability {chance})"
+                f"pass {entries['pass_id']}: alternative model {entries['model']} (probability {probability})"
             )
     if any(row.endswith(COARSE_WORD) for row in table):
         notes.append(f"coarse: one sigma of a component exceeds {COARSE:.0%} of the speed")
@@ -106,7 +126,7 @@ def rates_summary(result: Any) -> Summary:
     }
     if "periods" in result.attrs:
         numbers["periods"] = json.loads(result.attrs["periods"])
-        lines += [f"  {_period(result, period)}" for period in numbers["periods"]]
+        lines += [f"  {_period_sentence(result, period)}" for period in numbers["periods"]]
     if left_out:
         why = "no signal in any sample (failed, or never sunlit); excluded"
         lines.append(f"  panel {left_out}: {why}")
@@ -114,7 +134,7 @@ def rates_summary(result: Any) -> Summary:
     if numbers.get("noise_from", "given") != "given":
         size = size_text(numbers["noise"])
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
-    lines += _columns_unseen(result, passes)
+    lines += _unseen_column_lines(result, passes)
     numbers["samples_in_passes"] = result.sizes["time"]
     if (kept := int(result.attrs.get("samples_searched", result.sizes["time"]))) < result.sizes[
         "time"
@@ -127,8 +147,11 @@ def rates_summary(result: Any) -> Summary:
     return Summary(numbers, lines, table=table, in_words=in_words)
 
 
-def _period(result: Any, period: dict[str, Any]) -> str:
-    """What a period decides in its pass, in words."""
+def _period_sentence(result: Any, period: dict[str, Any]) -> str:
+    """Return a sentence on how an observed period changes the probabilities of the solutions of its pass.
+
+    `period`: its entry in the attribute `periods` of the result.
+    """
     k = int(np.flatnonzero(result["pass_id"].values == period["pass"])[0])
     if why_not := unheard(period["nearest_sigmas"], period["effective"], f"pass {period['pass']}"):
         return f"{why_not}; its probabilities stay as they are"
@@ -137,35 +160,49 @@ def _period(result: Any, period: dict[str, Any]) -> str:
             f"periods: the samples of pass {period['pass']} contradict {period['period_s']:g} s at {period['t_s']:g} s: solutions "
             f"that have it hold {period['carried']:.1%} of the probability, which stays as it is"
         )
-    said = reading_words(period["t_s"], period["period_s"], period["sigma_s"], period["shares"])
-    own, heaviest = period["without"]
-    was = f"{own:.0%}" if own == heaviest else f"{own:.0%}, when another held {heaviest:.0%}"
-    return f"{said}; in pass {period['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
+    words = reading_words(period["t_s"], period["period_s"], period["sigma_s"], period["shares"])
+    # probability, without the period, of the solution that is now likeliest, and of the one that was
+    own, largest = period["without"]
+    was = f"{own:.0%}" if own == largest else f"{own:.0%}, when another held {largest:.0%}"
+    return f"{words}; in pass {period['pass']} the likeliest motion holds {result['probability'].values[k, 0]:.0%} (without: {was})"
 
 
-def _columns_unseen(result: Any, passes: list[dict[str, Any]]) -> list[str]:
-    """Changes of columns that look the same in the telemetry as the file as it is written, with the rates of the first decided
-    pass."""
-    sure = [k for k, p in enumerate(passes) if p["decided"] and p["columns_checked"] == "unchecked"]
-    if not sure or "columns_unseen" not in result.attrs:
+def _unseen_column_lines(result: Any, passes: list[dict[str, Any]]) -> list[str]:
+    """Return a line on changes of columns and signs that this telemetry cannot distinguish from the vehicle file, if any.
+
+    The line states the rate of the first decided pass under each change.
+    """
+    decided = [
+        k for k, p in enumerate(passes) if p["decided"] and p["columns_checked"] == "unchecked"
+    ]
+    if not decided or "columns_unseen" not in result.attrs:
         return []
-    rate, changes = rate_at(result, sure[0]), json.loads(result.attrs["columns_unseen"])
+    rate, changes = rate_at(result, decided[0]), json.loads(result.attrs["columns_unseen"])
     unseen = []
     for change in changes[:MOST_UNSEEN]:
         matrix = np.array(change["matrix"])
+        # a rate is an axial vector: a mirror image (determinant -1) also changes its sign
         omega = np.linalg.det(matrix) * matrix @ np.radians(rate.omega)
         unseen.append(f"with {change['what']} it would be {rate_text(omega)}")
     rest = len(changes) - MOST_UNSEEN
-    more = f"; and with {rest} other changes another" if rest > 0 else ""
+    others = f"; and with {rest} other changes another" if rest > 0 else ""
     stated = f"{rate_text(np.radians(rate.omega))} at {clock_text(result, rate.at_s)}"
     return [
         f"  columns unchecked: the file as it is written gives {stated}; this telemetry looks the same if the file is wrong in one "
-        f"of these ways: {'; '.join(unseen)}{more}"
+        f"of these ways: {'; '.join(unseen)}{others}"
     ]
 
 
-def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
-    """Numbers of a pass, its row of the console table behind number and start, and a sentence."""
+class PassSummary(NamedTuple):
+    """The summary of a pass: entries of `summary.json`, row of the console table (after number and start), and a sentence."""
+
+    entries: dict[str, Any]
+    row: str
+    sentence: str
+
+
+def _summarize_pass(result: Any, k: int) -> PassSummary:
+    """Return the summary of pass number `k` of a result of `rates`."""
     at = np.flatnonzero(result["pass_of"].values == k)
     t, rate = result["time"].values[at], rate_at(result, k)
     probability = result["probability"].values[k]
@@ -176,51 +213,52 @@ def _pass(result: Any, k: int) -> tuple[dict[str, Any], str, str]:
         "end_s": float(t[-1]),
         "sigma_deg_s": np.degrees(result["omega_sigma_all_B"].values[k]).tolist(),
         "solutions": [
-            {"omega_deg_s": omega} | motion_numbers(result, k, i) for i, omega in enumerate(mean)
+            {"omega_deg_s": omega} | solution_numbers(result, k, i) for i, omega in enumerate(mean)
         ],
         "speed_deg_s": [rate.low, rate.mean, rate.high],
         "at_s": rate.at_s,
         "omega_at_deg_s": rate.omega.tolist(),
     }
-    speed, omega = _speed(numbers, rate), with_sigma(rate.omega, rate.sigma)
+    speed, omega = _speed_text(numbers, rate), with_sigma(rate.omega, rate.sigma)
     over_the_pass = range_text(rate.low, rate.high, float(rate.sigma.max()))
-    # without remedies, which stand in parentheses
+    # the reasons without what is in parentheses, except the limit "(95 %)": those are remedies
     verdict = re.sub(r" \((?!95 %\)).*", "", str(numbers["why_not_decided"])) or "decided"
     if numbers["decided"] and np.max(rate.sigma) > COARSE * rate.mean:
         verdict = COARSE_WORD
     verdict = verdict.replace("several solutions", f"{n} solutions")
     row = f"{len(at):7d}  {speed:17}  {over_the_pass:19}  "
     row += f"{omega[1:-1]:45}  {probability[0]:.2f}  {verdict}"
-    called = f"pass {numbers['pass_id']} ({len(at)} samples)"
+    name = f"pass {numbers['pass_id']} ({len(at)} samples)"
     sentence = (
-        f"{called}: speed {speed} deg/s ({RANGE}: {over_the_pass}), body rate {omega} deg/s at mid-pass; "
+        f"{name}: speed {speed} deg/s ({RANGE}: {over_the_pass}), body rate {omega} deg/s at mid-pass; "
         f"{verdict}"
     )
-    return numbers, row, sentence
+    return PassSummary(numbers, row, sentence)
 
 
-def _speed(numbers: dict[str, Any], rate: RateAt) -> str:
-    """Return the speed of a pass at mid-pass in deg/s with its sigma, or the upper limit if its sigma exceeds it."""
-    below = numbers.get("speed_below_deg_s", np.nan)
-    if not numbers.get("constrained_speed", True) and np.isfinite(below):
-        return f"below {upper_text(below)} (95 %)"
+def _speed_text(numbers: dict[str, Any], rate: RateAt) -> str:
+    """Return the speed of a pass at mid-pass (deg/s) with its sigma, or its upper limit if the data do not constrain it."""
+    limit = numbers.get("speed_below_deg_s", np.nan)
+    if not numbers.get("constrained_speed", True) and np.isfinite(limit):
+        return f"below {upper_text(limit)} (95 %)"
     return with_sigma(float(np.linalg.norm(rate.omega)), numbers.get("speed_sigma_deg_s", np.nan))
 
 
 def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
-    from sunspin.output.curves import dense
+    """Yield the figures of `rates`: rates, attitude in J2000, residuals, panel signals; each if the result has the data."""
+    from sunspin.output.curves import pass_motions
     from sunspin.output.figures.panel_signals import panel_signals_figure
     from sunspin.output.figures.rates import attitude_figure, rates_figure
     from sunspin.output.figures.residuals import residuals_figure
 
-    sure, look = result["decided"].values, "look at what is said of each, and at all solutions"
-    others = "" if sure.all() else f"; of the others {look}"
+    decided = result["decided"].values
+    others = "; of the others look at what is said of each, and at all solutions"
     yield Drawing(
         "rates",
         lambda: rates_figure(result, context.telemetry),
         "The three components of the body rate against time in each pass, with bands of one sigma.",
         "Body rate of the likeliest solution of each pass, body axes; bands: one sigma of that solution. "
-        f"{int(sure.sum())} of {sure.size} passes are decided{others}.",
+        f"{int(decided.sum())} of {decided.size} passes are decided{'' if decided.all() else others}.",
     )
     if result.attrs.get("frame_N") == J2000 and "turn_sigma_rad" in result:
         yield Drawing(
@@ -242,7 +280,7 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
     if context.telemetry is None or context.vehicle is None:
         return
     samples, vehicle = context.telemetry, context.craft()
-    if "panel" in samples.coords and (runs := dense(result)):
+    if "panel" in samples.coords and (runs := pass_motions(result)):
         left_out = str(result.attrs.get("panels_left_out", "")).split(", ")
         used = np.char.startswith(result["why"].values.astype(str), "used")
         yield Drawing(
@@ -255,25 +293,27 @@ def rates_drawings(result: Any, context: Context) -> Iterator[Drawing]:
 
 
 def rates_tables(result: Any) -> Iterator[Table]:
+    """Yield the tables of `rates`: `passes`, `estimates` of nuisance parameters, and `rates` with a row for each sample."""
     import pandas as pd
 
     epoch, frame = (result.attrs.get(name) for name in ("epoch_utc", "frame_N"))
-    number = result["pass_of"].values
+    pass_of = result["pass_of"].values
     time, rate, sun, q = (result[name].values for name in ("time", "omega_B", "sun_B", "B_from_N"))
     columns: dict[str, Any] = {
         "time_s": time,
         "utc": ["" if epoch is None else utc_after(t, epoch, 3) for t in time.tolist()],
-        "pass": number,
-        "pass_id": result["pass_id"].values[number],
+        "pass": pass_of,
+        "pass_id": result["pass_id"].values[pass_of],
     }
     for k, axis in enumerate("xyz"):
         columns[f"omega_{axis}_B_rad_s"] = rate[:, k]
         columns[f"sigma_{axis}_rad_s"] = np.sqrt(result["omega_cov_B"].values[:, k, k])
-    columns |= in_degrees(columns)
+    columns |= rates_in_degrees(columns)
     columns |= {f"sun_{axis}_B": sun[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"q_{axis}_B_from_N": q[:, k] for k, axis in enumerate("xyzw")}
     columns["sun_sigma_rad"] = result["sun_sigma_rad"].values
-    if "turn_sigma_rad" in result:  # the root mean square of the angle by which the attitude is off
+    if "turn_sigma_rad" in result:
+        # Rms angle of the attitude error: the errors of the Sun direction and of the rotation about it are perpendicular.
         angles = result["sun_sigma_rad"].values, result["turn_sigma_rad"].values
         columns["attitude_sigma_rad"] = np.hypot(*angles)
     frame = "z to the Sun, local" if frame == SUN_Z_LOCAL else frame

@@ -1,4 +1,4 @@
-"""Scans of rate space and the lines in them."""
+"""Results of `sunspin scan`: the misfit over a grid of rates, the near-minimum set, and the lines fitted to it."""
 
 from __future__ import annotations
 
@@ -11,35 +11,42 @@ import xarray as xr
 from sunspin.estimate.scan.volume import near_minimum
 from sunspin.output.figures import COLOURS, axes_grid, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.text import counted, number_text, rate_text
+from sunspin.output.text import count_text, number_text, rate_text
 
 DIMS = ("omega_x", "omega_y", "omega_z")
+
 DEFAULT_FACTOR = 1.1
+"""Near-minimum set of a scan without one: misfit below this factor times the smallest."""
+
 LEAST = 1e-6
-"""Smaller misfits are drawn as this: the colours go with the logarithm."""
+"""Smaller misfits are drawn as this, because colours follow the logarithm."""
 
 
-def misfit(scan: Any) -> xr.DataArray:
-    """The volume of E or EMD over the three rates, of a scan as returned or as stored; `metric`: which of them, for people."""
+def read_misfit(scan: Any) -> xr.DataArray:
+    """Return the misfit (E or EMD) over the three rates, of a scan as returned or as stored.
+
+    The attribute `metric` of the DataArray says which misfit it is: "E" or "EMD".
+    """
     volume = scan if isinstance(scan, xr.DataArray) else scan["emd" if "emd" in scan else "E"]
     metric = "EMD" if volume.name == "emd" else "E"
     return volume.transpose(*DIMS).assign_attrs(scan.attrs, metric=metric)
 
 
-def near(scan: Any) -> tuple[np.ndarray, str]:
-    """The motions (n, 3) near the smallest misfit, and by what they were chosen."""
+def read_near_minimum(scan: Any) -> tuple[np.ndarray, str]:
+    """Return the near-minimum set (n, 3), initial rates in rad/s, and its criterion in words."""
     if isinstance(scan, xr.Dataset) and "near_minimum" in scan:
-        points, by = scan["near_minimum"].values, scan["near_minimum"].attrs
+        points, criterion = scan["near_minimum"].values, scan["near_minimum"].attrs
     else:
-        points, by = near_minimum(misfit(scan), DEFAULT_FACTOR), {"factor": DEFAULT_FACTOR}
-    if "factor" in by:
-        return points, f"within {float(by['factor']):g} times the smallest"
-    return points, f"below {float(by.get('threshold', np.nan)):g}"
+        points = near_minimum(read_misfit(scan), DEFAULT_FACTOR)
+        criterion = {"factor": DEFAULT_FACTOR}
+    if "factor" in criterion:
+        return points, f"within {float(criterion['factor']):g} times the smallest"
+    return points, f"below {float(criterion.get('threshold', np.nan)):g}"
 
 
 def scan_summary(scan: Any) -> Summary:
-    """The smallest misfit, where it is, how many motions come near it, the lines fitted to them."""
-    volume, (points, chosen) = misfit(scan), near(scan)
+    """Return the summary of a scan: the smallest misfit and its rate, the size of the near-minimum set, the fitted lines."""
+    volume, (points, chosen) = read_misfit(scan), read_near_minimum(scan)
     at = {name: xr.DataArray(points[:, k], dims="point") for k, name in enumerate(DIMS)}
     numbers: dict[str, Any] = {
         "metric": str(volume.name),
@@ -51,7 +58,7 @@ def scan_summary(scan: Any) -> Summary:
     directions = volume.attrs.get("directions")
     against = f" against {directions} directions" if directions is not None else ""
     best = f"{numbers['minimum']:.4f} at {rate_text(numbers['best_omega_B'])}"
-    text = f"{volume.size} motions{against}: smallest {volume.metric} {best}; {counted(len(points), 'point')} {chosen}"
+    text = f"{volume.size} motions{against}: smallest {volume.metric} {best}; {count_text(len(points), 'point')} {chosen}"
     if isinstance(scan, xr.Dataset) and "point" in scan:
         lines = lines_summary(scan)
         return Summary(numbers | lines, [text, *lines.lines])
@@ -59,7 +66,7 @@ def scan_summary(scan: Any) -> Summary:
 
 
 def lines_summary(lines: Any) -> Summary:
-    """Points and directions of fitted lines."""
+    """Return the summary of fitted lines: a point and the direction of each."""
     columns = (lines[name].values.tolist() for name in ("point", "direction", "count"))
     rows = [
         {"point": p, "direction": d, "points": int(n)} for p, d, n in zip(*columns, strict=True)
@@ -70,23 +77,25 @@ def lines_summary(lines: Any) -> Summary:
 
 
 def scan_drawings(scan: Any, _: Context) -> Iterator[Drawing]:
-    volume, (points, chosen) = misfit(scan), near(scan)
+    """Yield the figure of a scan."""
+    volume, (points, chosen) = read_misfit(scan), read_near_minimum(scan)
     metric = volume.metric
     yield Drawing(
         "scan",
         lambda: scan_figure(volume, points),
         f"Smallest {metric} over omega_z for every omega_x and omega_y; circles: the motions that fit nearly as well as the best.",
-        f"The smallest {metric} over ωz. Circles: the {counted(len(points), 'motion')} with an {metric} {chosen}; any may be "
+        f"The smallest {metric} over ωz. Circles: the {count_text(len(points), 'motion')} with an {metric} {chosen}; any may be "
         "the true one.",
     )
 
 
 @styled
 def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
-    """The smallest misfit over omega_z for every omega_x and omega_y, and `points` (n, 3), the motions near the smallest of all."""
+    """Draw the smallest misfit over omega_z for each omega_x and omega_y, and the near-minimum set `points` (n, 3), rad/s."""
     figure, axes = axes_grid(7.5, 5.6, title="Scan of initial rates")
     least = np.maximum(volume.min("omega_z").transpose("omega_y", "omega_x").values, LEAST)
     rate_x, rate_y = (np.degrees(volume[name].values) for name in DIMS[:2])
+    # a volume with a single value still needs a range of colours
     high = max(np.nanmax(least), 1.001 * np.nanmin(least))
     style = {"shading": "nearest", "cmap": "cividis_r", "rasterized": True}
     image = axes.pcolormesh(rate_x, rate_y, least, norm="log", vmax=high, **style)
@@ -95,7 +104,7 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
     circles = {"ms": 5, "mfc": "none", "mec": COLOURS[1], "mew": 1.2}
     axes.plot(*np.degrees(points[:, :2]).T, "o", label=label, **circles)
     axes.set(xlabel=r"$\omega_x$ (deg/s)", ylabel=r"$\omega_y$ (deg/s)")
-    for side, axis in (("top", "x"), ("right", "y")):  # the grid is that of the options, rad/s
+    for side, axis in (("top", "x"), ("right", "y")):  # second scales in rad/s
         second = getattr(axes, f"secondary_{axis}axis")(side, functions=(np.radians, np.degrees))
         second.tick_params(labelsize=8)
         second.set(**{f"{axis}label": rf"$\omega_{axis}$ (rad/s)"})
@@ -104,7 +113,7 @@ def scan_figure(volume: xr.DataArray, points: np.ndarray) -> Any:
 
 
 def scan_tables(scan: Any) -> Iterator[Table]:
-    """The lines fitted to the near-minimum set, if any."""
+    """Yield the table of the lines fitted to the near-minimum set, if there are any."""
     import pandas as pd
 
     if "point" not in scan or "direction" not in scan:

@@ -1,7 +1,7 @@
-"""A results folder as one HTML page that opens from disk and asks the network for nothing.
+"""The HTML page of a results folder: a single file that opens from disk and needs no network.
 
-read.py reads what the folder's manifest lists and trusts nothing in it; body.py and views.py draw the three interactive views;
-rows.py compares a study with the paper; page.py fills page.html.j2.
+Module `read` reads the files that the folder's manifest lists, and trusts none of them. Modules `body` and `views` draw the
+interactive views. Module `rows` prepares the comparison of a study with the paper. Module `page` fills the template page.html.j2.
 """
 
 from sunspin.output.report.page import write_report

@@ -1,4 +1,4 @@
-"""The page of a results folder: one HTML file that opens from disk and asks the network for nothing."""
+"""The page of a results folder: one HTML file that opens from disk and needs no network."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from sunspin.output.folder import CITE, plain, write_whole
-from sunspin.output.report import rows
+from sunspin.output.folder import CITE, to_plain_data, write_whole
 from sunspin.output.report.read import PageTable, Results, read_results
+from sunspin.output.report.rows import comparison
 from sunspin.output.text import number_text
 
 FIRST_SENTENCES = 5
-"""Sentences of the first screen; the others are closed."""
+"""Number of sentences on the first screen; the others are folded."""
 
 HIDDEN = (
     *("figures", "sentences", "headline", "score", "conclusions"),
     *("command", "inputs", "title", "changes", "stop"),
 )
-"""Entries of a summary that the page shows in a place of their own."""
+"""Entries of a summary that the page shows elsewhere than in the list of numbers, or not at all."""
 
-TURNS = re.compile("[\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u2069]")
-"""Characters that turn the direction of the text after them, by which names from outside could show what they are not."""
+DIRECTION_MARKS = re.compile("[\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u2069]")
+"""Characters that change the direction of the text after them. A name from a file could use them to look like another name."""
 
 
 def write_report(folder: str | Path) -> Path:
@@ -38,46 +38,50 @@ def write_report(folder: str | Path) -> Path:
     Raises
     ------
     InputError
-        Not a results folder.
+        The folder is no results folder.
     """
     results = read_results(folder)
     with np.errstate(all="ignore"):  # a damaged file may hold any numbers
-        text = _page(results)
-    text = TURNS.sub(lambda turn: f"\\u{ord(turn[0]):04x}", text)
+        text = _render_page(results)
+    text = DIRECTION_MARKS.sub(lambda mark: f"\\u{ord(mark[0]):04x}", text)
     return write_whole(results.folder / "report.html", text)
 
 
-def _page(results: Results) -> str:
+def _render_page(results: Results) -> str:
+    """Return the HTML of the page."""
     summary = results.summary
     views = results.attempt("the views", lambda: _views(results)) or {}
-    every = [str(line) for key in ("headline", "score") for line in _list(summary, key)]
-    every += [str(line) for line in _list(summary, "conclusions" if every else "sentences")]
+    # `reproduce` writes headline, score and conclusions, the other commands sentences
+    sentences = [str(line) for key in ("headline", "score") for line in _read_list(summary, key)]
+    count = len(sentences) or FIRST_SENTENCES
+    sentences += [
+        str(line) for line in _read_list(summary, "conclusions" if sentences else "sentences")
+    ]
     figures = []
     for figure in results.figures:
         kind = "svg+xml" if figure.name.endswith(".svg") else "png"
         data = f"data:image/{kind};base64,{base64.b64encode(figure.content).decode('ascii')}"
         figures.append(figure._asdict() | {"data": data})
-    first = len(_list(summary, "headline")) + len(_list(summary, "score")) or FIRST_SENTENCES
     shown = [view for part in views.values() for view in part]
     plotted = {
         view.id: json.loads(view.figure.to_json()) | {"frames": view.frames} for view in shown
     }
-    scripts = [*([_plotly()] if plotted else []), _asset("page.js")]
+    scripts = [*([_plotly()] if plotted else []), _read_asset("page.js")]
     return _template().render(
-        title=str(summary.get("title") or _title(results)),
+        title=str(summary.get("title") or _page_title(results)),
         results=results,
         stop=str(summary.get("stop") or ""),
-        changes=[str(line) for line in _list(summary, "changes")],
-        first=every[:first],
-        more=every[first:],
+        changes=[str(line) for line in _read_list(summary, "changes")],
+        first=sentences[:count],
+        folded=sentences[count:],
         views=views,
         figures=figures,
-        tables=results.tables + _events(results),
-        rows=results.attempt("the comparison", lambda: rows.comparison(summary)),
+        tables=results.tables + _event_tables(results),
+        rows=results.attempt("the comparison", lambda: comparison(summary)),
         numbers=_numbers(summary),
         provenance=_provenance(results),
         command=str(summary.get("command") or ""),
-        style=Markup(_asset("page.css")),
+        style=Markup(_read_asset("page.css")),
         data=Markup(_json(plotted)),
         licence=_licence() if plotted else "",
         scripts=[Markup(_script(text)) for text in scripts],
@@ -85,21 +89,22 @@ def _page(results: Results) -> str:
 
 
 def _views(results: Results) -> dict[str, list[Any]]:
-    """Interactive views by the heading of their section."""
+    """Return the interactive views of each section of the page, by its heading; sections without views are left out."""
     from sunspin.output.report.body import body_in_motion
-    from sunspin.output.report.views import motions_of, rate_space, sun_on_sphere
+    from sunspin.output.report.views import rate_space, read_motions, sun_on_sphere
 
-    motions = results.attempt("the motions", lambda: motions_of(results)) or []
+    motions = results.attempt("the motions", lambda: read_motions(results)) or []
     parts = {
         "Motion": results.attempt("the motion", lambda: list(body_in_motion(results, motions))),
         "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results, motions)]),
         "Rate space": results.attempt("rate space", lambda: list(rate_space(results))),
     }
-    known = {title: [view for view in part or [] if view] for title, part in parts.items()}
-    return {title: part for title, part in known.items() if part}
+    views = {title: [view for view in part or [] if view] for title, part in parts.items()}
+    return {title: part for title, part in views.items() if part}
 
 
-def _list(summary: dict[str, Any], key: str) -> list[Any]:
+def _read_list(summary: dict[str, Any], key: str) -> list[Any]:
+    """Return a list of the summary; an empty one if the entry is missing or no list."""
     value = summary.get(key)
     return value if isinstance(value, list) else []
 
@@ -112,9 +117,11 @@ TITLES = {
     "outcomes": "What the motion of {vehicle} leads to",
     "posterior": "How {vehicle} rotated: the posterior",
 }
+"""Command -> title of the page of its results."""
 
 
-def _title(results: Results) -> str:
+def _page_title(results: Results) -> str:
+    """Return the title of the page, by command and vehicle."""
     if results.command not in TITLES:
         return f"Results of sunspin {results.command}"
     vehicle = results.vehicle.name if results.vehicle else "the vehicle"
@@ -122,8 +129,8 @@ def _title(results: Results) -> str:
     return TITLES[results.command].format(vehicle=vehicle)
 
 
-def _events(results: Results) -> list[PageTable]:
-    """The events of a timeline as a table."""
+def _event_tables(results: Results) -> list[PageTable]:
+    """Return the table of the events of the timeline; the list is empty without a timeline."""
     if results.timeline is None:
         return []
     from sunspin.vehicle.timeline import utc_after
@@ -137,7 +144,7 @@ def _events(results: Results) -> list[PageTable]:
 
 
 def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Every entry of the summary that is no list of objects, as text."""
+    """Return name and text of each entry of the summary that the page shows nowhere else."""
     entries = []
     for key, value in summary.items():
         if key not in HIDDEN:
@@ -148,51 +155,55 @@ def _numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _provenance(results: Results) -> list[tuple[str, str]]:
-    """Version, seed, inputs with hashes, what is synthetic, how to cite."""
+    """Return the provenance as (what, text): version, seed, time, synthetic data, inputs with hashes, citation."""
     summary = results.summary
-    maker = f"sunspin {summary.get('version', 'of unknown version')}, command {results.command}"
-    facts = [("computed by", maker)]
+    program = f"sunspin {summary.get('version', 'of unknown version')}, command {results.command}"
+    facts = [("computed by", program)]
     facts += [(key, str(summary[key])) for key in ("seed", "seconds") if key in summary]
     origin = "computed, not measured" if results.synthetic else "no file calls itself synthetic"
     facts.append(("synthetic data", origin))
-    for entry in _list(summary, "inputs"):
+    for entry in _read_list(summary, "inputs"):
         if isinstance(entry, dict):
-            words = f"{entry.get('file', '')}, SHA-256 {entry.get('sha256', '')}"
-            facts.append((str(entry.get("what", "input")), words))
+            text = f"{entry.get('file', '')}, SHA-256 {entry.get('sha256', '')}"
+            facts.append((str(entry.get("what", "input")), text))
     return [*facts, ("please cite", f"{summary.get('cite', CITE)}; and sunspin with its version")]
 
 
 @cache
 def _template() -> Any:
+    """Return the template of the page, which escapes all texts that it is given."""
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.trim_blocks = environment.lstrip_blocks = True
-    return environment.from_string(_asset("page.html.j2"))
+    return environment.from_string(_read_asset("page.html.j2"))
 
 
-def _asset(name: str) -> str:
+def _read_asset(name: str) -> str:
+    """Read a file of this package as text."""
     return resources.files("sunspin").joinpath("output", "report", name).read_text(encoding="utf-8")
 
 
 def _json(data: Any) -> str:
-    """JSON for a script element: without a sign that could end the element or a string."""
-    text = json.dumps(plain(data), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    """Return data as JSON for a script element: characters that could end the element are escaped."""
+    text = json.dumps(
+        to_plain_data(data), ensure_ascii=True, allow_nan=False, separators=(",", ":")
+    )
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _script(text: str) -> str:
-    """A script as the content of its element, which ends at the first closing tag wherever it stands."""
+    """Return a script as the content of its element, with closing tags escaped, since the first one would end the element."""
     return text.replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 
 def _plotly() -> str:
-    """The drawing library, as its package brings it."""
+    """Return plotly.js as the package plotly contains it."""
     from plotly.offline import get_plotlyjs
 
     return get_plotlyjs()
 
 
 def _licence() -> str:
-    """The library's licence, which travels with it."""
+    """Return the licence of plotly.js, which must accompany it."""
     for file in metadata.files("plotly") or []:
         if file.name.upper().startswith("LICENSE") and "dist-info" in str(file):
             return file.read_text()

@@ -1,6 +1,7 @@
-"""A results folder read back: its manifest says what is in it; what is not as it was written is named and left out.
+"""Reading of a results folder for its page: files that were changed or damaged are named and left out.
 
-The hashes of the manifest show damage and changes by mistake. They are no seal: who sends a folder has written its manifest.
+The hashes in the manifest reveal damage and accidental changes. They do not protect against forgery, because a sender can write any
+manifest.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ import xarray as xr
 
 from sunspin.base.errors import InputError, SunspinError, printable
 from sunspin.base.netcdf import read_groups
-from sunspin.output.folder import MARKER, as_written, maker, read_manifest
+from sunspin.output.folder import MARKER, read_command, read_manifest, verify_file
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import read_vehicle
 from sunspin.vehicle.timeline import Timeline, parse_timeline
 
 MAX_DATA_BYTES = 500_000_000
-"""Of one NetCDF file; larger ones are named and not read."""
+"""Size of a NetCDF file above which it is named and not read."""
 
 MAX_ROWS = 200
-"""Rows of a table that the page shows."""
+"""Number of rows of a table that the page shows."""
 
 
 class PageTable(NamedTuple):
-    """A table as text: title, headings, rows, the file it is from, how many rows are left out."""
+    """A table as text: `title`, `head` (headings), `rows`, the `file` with the whole table, `left` (number of omitted rows)."""
 
     title: str
     head: list[str]
@@ -41,7 +42,7 @@ class PageTable(NamedTuple):
 
 
 class PageFigure(NamedTuple):
-    """A figure as the bytes of an SVG or PNG file, what it shows in words, its caption."""
+    """A figure: `name` and `content` of its SVG or PNG file, `alt` (what it shows, in words), `caption`."""
 
     name: str
     content: bytes
@@ -51,14 +52,16 @@ class PageFigure(NamedTuple):
 
 @dataclass
 class Results:
-    """What a folder holds.
+    """The contents of a results folder, for its page.
 
     Attributes
     ----------
     command : which `sunspin` command wrote the folder
     summary : its `summary.json`
-    data : file (and group) -> Dataset, in the manifest's order
-    problems : sentences on what could not be read or shown
+    data : name of file and group -> Dataset, in the order of the manifest
+    figures, tables : as the page shows them
+    vehicle, timeline : None if the folder has none
+    problems : sentences on parts that could not be read or shown
     """
 
     folder: Path
@@ -71,26 +74,30 @@ class Results:
     timeline: Timeline | None = None
     problems: list[str] = field(default_factory=list)
 
-    def having(self, *names: str) -> Iterator[tuple[str, xr.Dataset]]:
-        """The data that hold all these variables."""
+    def with_variables(self, *names: str) -> Iterator[tuple[str, xr.Dataset]]:
+        """Yield name and Dataset of the data that hold all these variables."""
         for file, data in self.data.items():
             if all(name in data.variables for name in names):
                 yield file, data
 
-    def first(self, *names: str) -> xr.Dataset | None:
-        """The first of them."""
-        return next((data for _, data in self.having(*names)), None)
+    def first_with(self, *names: str) -> xr.Dataset | None:
+        """Return the first Dataset that holds all these variables, or None."""
+        return next((data for _, data in self.with_variables(*names)), None)
 
     @property
     def synthetic(self) -> bool:
+        """Return whether the summary or a file says that the telemetry is synthetic."""
         marks = [data.attrs.get("synthetic") for data in self.data.values()]
         return bool(self.summary.get("synthetic_telemetry")) or any(mark == 1 for mark in marks)
 
     def attempt(self, what: str, read: Callable[[], Any]) -> Any:
-        """What `read` returns, or None and a sentence in `problems`: a page without one part is worth more than no page."""
+        """Return what `read` returns; if it fails, add a sentence on `what` to `problems` and return None.
+
+        The page is then made without this part.
+        """
         try:
             return read()
-        except Exception as error:  # data of any origin
+        except Exception as error:  # files from anywhere may raise anything
             kind = "" if isinstance(error, SunspinError) else f"{type(error).__name__}: "
             why = f"{kind}{error}"
             self.problems.append(f"{printable(what)} could not be read or shown: {printable(why)}")
@@ -103,40 +110,40 @@ def read_results(folder: str | Path) -> Results:
     Raises
     ------
     InputError
-        No such folder, not one of ours, or of a version that wrote no manifest or had other names.
+        There is no such folder, it is no results folder, or its manifest is missing or damaged.
     """
     path = Path(folder)
     manifest = read_manifest(path)
-    results = Results(path, maker(path / MARKER))
+    results = Results(path, read_command(path / MARKER))
 
-    def attempt(entry: Any, read: Callable[[Path, Any], Any]) -> Any:
-        """What `read` makes of a file of the manifest and of its entry there."""
+    def read_entry(entry: Any, read: Callable[[Path, Any], Any]) -> Any:
+        """Return what `read` makes of the file of a manifest entry, and of the entry; None if it fails."""
         name = entry.get("file") if isinstance(entry, dict) else entry
-        called = name[:200] if isinstance(name, str) else "an entry of the manifest"
-        return results.attempt(called, lambda: read(as_written(path, manifest, name), entry))
+        what = name[:200] if isinstance(name, str) else "an entry of the manifest"
+        return results.attempt(what, lambda: read(verify_file(path, manifest, name), entry))
 
-    # a value that is no object becomes an error of dict()
+    # a summary that is no JSON object becomes an error of dict(), and so a problem
     results.summary = (
-        attempt("summary.json", lambda file, _: dict(json.loads(file.read_text("utf-8")))) or {}
+        read_entry("summary.json", lambda file, _: dict(json.loads(file.read_text("utf-8")))) or {}
     )
     for entry in manifest["data"]:
-        results.data |= attempt(entry, _data) or {}
+        results.data |= read_entry(entry, _read_data) or {}
     for entry in manifest["figures"]:
-        figure = attempt(entry, _figure)
+        figure = read_entry(entry, _read_figure)
         results.figures += [] if figure is None else [figure]
     for entry in manifest["tables"]:
-        results.tables += attempt(entry, _tables) or []
+        results.tables += read_entry(entry, _read_tables) or []
     if "vehicle.toml" in manifest["sha256"]:
-        results.vehicle = attempt("vehicle.toml", lambda file, _: read_vehicle(file))
+        results.vehicle = read_entry("vehicle.toml", lambda file, _: read_vehicle(file))
     if "timeline.toml" in manifest["sha256"]:
-        results.timeline = attempt(
+        results.timeline = read_entry(
             "timeline.toml", lambda file, _: parse_timeline(file.read_text("utf-8"), file.name)
         )
     return results
 
 
-def _data(path: Path, _: Any) -> dict[str, xr.Dataset]:
-    """The groups of a NetCDF file, each with the attributes of its root."""
+def _read_data(path: Path, _: Any) -> dict[str, xr.Dataset]:
+    """Read the groups of a NetCDF file, each with the attributes of the root added."""
     if path.stat().st_size > MAX_DATA_BYTES:
         size = f"{MAX_DATA_BYTES / 1e6:.0f} MB"
         raise InputError(f"the file is larger than {size}", do="look into it with xarray")
@@ -149,28 +156,29 @@ def _data(path: Path, _: Any) -> dict[str, xr.Dataset]:
     }
 
 
-def _figure(path: Path, entry: Any) -> PageFigure:
+def _read_figure(path: Path, entry: Any) -> PageFigure:
+    """Read the file of a figure."""
     alt, caption = (str(entry.get(key, "")) for key in ("alt", "caption"))
     return PageFigure(path.name, path.read_bytes(), alt, caption)
 
 
-def _tables(path: Path, entry: Any) -> list[PageTable]:
-    """The table of a CSV file, if the page shows columns of it."""
+def _read_tables(path: Path, entry: Any) -> list[PageTable]:
+    """Read the table of a CSV file; the list is empty if the page shows none of its columns."""
     shown = entry.get("shown")
     if not isinstance(shown, dict) or not shown:
         return []
     lines = [line for line in path.read_text("utf-8").splitlines() if not line.startswith("#")]
     rows = csv.reader(io.StringIO("\n".join(lines)))
     head = next(rows)
-    places = [(head.index(name), str(heading)) for name, heading in shown.items() if name in head]
-    cells = [[_cell(row[place]) for place, _ in places] for row in islice(rows, MAX_ROWS)]
+    columns = [(head.index(name), str(heading)) for name, heading in shown.items() if name in head]
+    cells = [[_cell_text(row[index]) for index, _ in columns] for row in islice(rows, MAX_ROWS)]
     left = sum(1 for _ in rows)
     title = str(entry.get("title", ""))
-    return [PageTable(title, [text for _, text in places], cells, path.name, left)]
+    return [PageTable(title, [heading for _, heading in columns], cells, path.name, left)]
 
 
-def _cell(text: str) -> str:
-    """A number with four digits; other text as it is."""
+def _cell_text(text: str) -> str:
+    """Return a cell for the page: a number with four digits; integers and other text unchanged."""
     try:
         return text if text.lstrip("-").isdigit() else f"{float(text):.4g}"
     except ValueError:

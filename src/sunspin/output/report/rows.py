@@ -1,4 +1,4 @@
-"""The paper against this run, row by row: what each row is, and whether it agrees."""
+"""The comparison of a study with the paper: the text and the verdict of each row."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ VERDICTS = {
     "not-comparable": "– not comparable",
     "drawn": "– figure, side by side",
 }
-"""What a row can be, in the order of the filters, and the words for it."""
+"""Verdict of a row -> its words on the page, in the order of the filters."""
 
 TESTS = ("agrees", "differs", "uninformative")
+"""Verdicts of rows that test the method."""
 
 OF_KIND = {
     "put_in": {True: "comes-back", False: "not-back", None: "put-in"},
     "arithmetic": {True: "holds", False: "holds-not", None: "arithmetic"},
 }
-"""Kind -> whether it holds -> verdict."""
+"""Kind of a row -> its entry `holds` -> verdict."""
 
 CHAINS = {
     "telemetry": "from this telemetry",
@@ -38,19 +39,23 @@ CHAINS = {
     "published": "from the printed lines",
     "none": "no telemetry",
 }
-"""What made a row; anything else is the name of a file with candidates."""
+"""Source of a row in words; another source is the name of a file of candidates."""
 
 FIGURE = re.compile(r"figure_\d+")
-"""Ids of the rows that only say which pictures show what a figure of the paper shows."""
+"""Form of the ids of rows that only refer a figure of the paper to figures of this run."""
 
 
 def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
-    """Title, filters with counts, and the rows of the summary by section and part; None if it has no rows."""
-    given = summary.get("figures")
-    given = [row for row in given if isinstance(row, dict)] if isinstance(given, list) else []
-    if not given:
+    """Return the comparison with the paper for the page: title, filters with counts, rows by section and part.
+
+    None if the summary has no rows.
+    """
+    entries = summary.get("figures")
+    entries = entries if isinstance(entries, list) else []
+    entries = [row for row in entries if isinstance(row, dict)]
+    if not entries:
         return None
-    shown = [_shown(row) for row in given]
+    shown = [_row_texts(row) for row in entries]
     sections: dict[str, dict[str, list[dict[str, str]]]] = {}
     for row in shown:
         sections.setdefault(row["section"], {}).setdefault(row["part"], []).append(row)
@@ -66,7 +71,7 @@ def comparison(summary: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def verdict_of(row: dict[str, Any]) -> str:
-    """The key of `VERDICTS` for a row of the summary. Only an informative test agrees or differs."""
+    """Return the key of `VERDICTS` for a row of the summary. Only an informative test agrees or differs."""
     kind, agrees, holds = (row.get(key) for key in ("kind", "agrees", "holds"))
     agrees, holds = (value if isinstance(value, bool) else None for value in (agrees, holds))
     if kind in OF_KIND:
@@ -79,35 +84,40 @@ def verdict_of(row: dict[str, Any]) -> str:
     return "drawn" if FIGURE.fullmatch(str(row.get("id", ""))) else "not-comparable"
 
 
-def _shown(row: dict[str, Any]) -> dict[str, str]:
+def _row_texts(row: dict[str, Any]) -> dict[str, str]:
+    """Return the texts of a row, by the names that the template uses."""
     verdict, tolerance = verdict_of(row), row.get("tolerance")
-    more = ""
+    remark = ""
     if tolerance is not None and verdict in ("agrees", "differs"):
-        more = f"within {number_text(tolerance, 3)}"
+        remark = f"within {number_text(tolerance, 3)}"
     if row.get("informative") is False and verdict == "not-comparable":
-        more = "the data leave it open"
+        remark = "the data leave it open"
     chain = str(row.get("chain") or "")
     texts = ("id", "part", "section", "what", "note", "source")
     return {name: str(row.get(name, "")) for name in texts} | {
         "published": "–" if row.get("published") is None else number_text(row["published"]),
         "ours": number_text(row.get("ours")),
-        "interval": between(row.get("low"), row.get("high")),
-        "before": between(row.get("prior_low"), row.get("prior_high")),
+        "interval": interval_text(row.get("low"), row.get("high")),
+        "before": interval_text(row.get("prior_low"), row.get("prior_high")),
         "chain": CHAINS.get(chain, f"from the motions of {chain}" if chain else ""),
         "unit": "" if row.get("unit") == "1" else str(row.get("unit", "")),
         "verdict": verdict,
         "verdict_text": VERDICTS[verdict],
-        "more": more,
+        "remark": remark,
     }
 
 
-def between(low: Any, high: Any) -> str:
-    """An interval as text, with three digits and no more than five decimals: pair by pair if both ends are lists, nothing if one
-    is missing."""
+def interval_text(low: Any, high: Any) -> str:
+    """Return an interval as text, with three digits and at most five decimals.
+
+    If both ends are lists, each pair is an interval. The text is empty if an end is missing.
+    """
     if low is None or high is None:
         return ""
     if isinstance(low, list) and isinstance(high, list) and len(low) == len(high):
-        return "; ".join(text for pair in zip(low, high, strict=True) if (text := between(*pair)))
+        return "; ".join(
+            text for pair in zip(low, high, strict=True) if (text := interval_text(*pair))
+        )
     return " to ".join(
         number_text(round(end, 5) if isinstance(end, float) and abs(end) < 1 else end, 3)
         for end in (low, high)
