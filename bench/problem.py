@@ -35,23 +35,23 @@ class Problem:
     @cached_property
     def wheel_speed_rad_s(self) -> np.ndarray:
         """Wheel speeds (1) at the start."""
-        return np.array(rebound.nominal_speed(self.vehicle))
+        return np.array(rebound.nominal_wheel_speeds(self.vehicle))
 
     @cached_property
     def window_s(self) -> float:
         """Length of the runs."""
-        return rebound.window_s(self.case)
+        return rebound.published_window_s(self.case)
 
     @cached_property
     def target_z(self) -> np.ndarray:
         """The measured r_z that the scan compares with."""
         sun = ss.sun_directions(self.vehicle, self.case.telemetry)
-        z = rebound.rebound_samples(self.case, sun)["sun_B"].values[:, 2]
+        z = rebound.select_rebound(self.case, sun)["sun_B"].values[:, 2]
         return z[np.isfinite(z)]
 
     def axes(self, *counts: int) -> dict[str, np.ndarray]:
         """A regular grid of `counts` initial rates over the ranges of the paper's."""
-        full = rebound.grid(self.case)
+        full = rebound.scan_grid(self.case)
         return {
             name: np.linspace(full[name][0], full[name][-1], n)
             for name, n in zip(AXES, counts, strict=True)

@@ -19,7 +19,7 @@ from sunspin.dynamics.ensemble import run_rows
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import Rebound, make_rebound, scan_grid
 from sunspin.philae.threshold import CONFIDENCE, alike_rebounds, check_confidence
 from validation.campaign import command, rows_folder
 from validation.controls import case_of
@@ -31,7 +31,7 @@ DIRECTION_ERROR, CHUNK = 1e-2, 256
 """Of the directions (rad), less than a bin; motions whose tracks are in memory at once, 8 MB for 45 minutes."""
 
 
-def histograms(rebound: rb.Rebound, omega_B: np.ndarray) -> np.ndarray:
+def histograms(rebound: Rebound, omega_B: np.ndarray) -> np.ndarray:
     """Histograms (3, n, BINS) of the reconstructible r_x, r_y, r_z of motions with the rates omega_B (n, 3) in rad/s."""
     vehicle, states = rebound.case.vehicle, rebound.states(omega_B)
     t = np.arange(STEP_S, rebound.window_s + STEP_S / 2, STEP_S)
@@ -46,9 +46,9 @@ def histograms(rebound: rb.Rebound, omega_B: np.ndarray) -> np.ndarray:
     return hist
 
 
-def scans(rebound: rb.Rebound, coarser: int, twins: int) -> list[dict]:
+def scans(rebound: Rebound, coarser: int, twins: int) -> list[dict]:
     """For x, y and z: EMD (n) of each motion of the grid to the file's directions, "emd"; the "factor" of the 90 % set."""
-    axes = rb.grid(rebound.case, coarser).values()
+    axes = scan_grid(rebound.case, coarser).values()
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     alike = alike_rebounds(rebound, twins, seed=0)
     hist = histograms(rebound, np.concatenate([grid, [each.omega_B for each in alike]]))
@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--twins", type=int, default=60, help="synthetic rebounds")
     parser.add_argument("--coarser", type=int, default=5, help="every n-th point of the grid only")
     given = parser.parse_args(arguments)
-    out, rebound = rows_folder(given.out), rb.rebound_of(*case_of())
+    out, rebound = rows_folder(given.out), make_rebound(*case_of())
     each = scans(rebound, given.coarser, given.twins)
     (out / "components.md").write_text(table_of(each), "utf-8")
     draw(each).savefig(out / "components.png", dpi=150)

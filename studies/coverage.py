@@ -25,9 +25,21 @@ from sunspin.dynamics.ensemble import Outcome
 from sunspin.dynamics.propagate import propagate
 from sunspin.estimate.scan.table import Table
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import LEAST_DIRECTIONS
 from sunspin.philae.metrics import near_minimum_set, run_grid
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    Options,
+    first_sample_lead_s,
+    first_sun,
+    nominal_wheel_speeds,
+    points_on_lines,
+    propagate_back,
+    published_lines,
+    published_window_s,
+    scan_limits,
+    start_states,
+)
 from sunspin.philae.telemetry import CELL_W, drawn_panels, noisy_readings, rebound_times
 from sunspin.philae.threshold import CONFIDENCE, check_confidence, holding, reached
 from sunspin.telemetry.sun import is_reconstructed, sun_directions
@@ -53,9 +65,9 @@ class Grid(NamedTuple):
 
 def make_grid(case: Case, coarser: int) -> Grid:
     """Run every motion of the grid once."""
-    table = run_grid(case, rb.first_sun(case), rb.window_s(case), rb.Options(coarser=coarser))
+    table = run_grid(case, first_sun(case), published_window_s(case), Options(coarser=coarser))
     every = table.rows.start.take(np.arange(len(table.hist)))
-    back = rb.run_back(case, every, rb.after_touchdown_s(case))
+    back = propagate_back(case, every, first_sample_lead_s(case))
     return Grid(case, table, np.linalg.norm(back, axis=1))
 
 
@@ -72,8 +84,8 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     order = np.argsort(emd, kind="stable")
     slowest = np.minimum.accumulate(grid.speed[order])
     count = np.searchsorted(emd[order], FACTORS * smallest, side="left")
-    state = rb.start_states(case, truth, rb.first_sun(case))
-    back = rb.run_back(case, state, rb.after_touchdown_s(case))
+    state = start_states(case, truth, first_sun(case))
+    back = propagate_back(case, state, first_sample_lead_s(case))
     near = near_minimum_set(case, volume, FACTOR, seed=0)
     angles = [float("nan")] * 4  # too few points for four lines
     if near.lines is not None:
@@ -81,7 +93,7 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
     return {
         "truth_touchdown_speed": float(np.linalg.norm(back)),
         "emd_min": smallest,
-        "emd_truth": float(reached(case, state, rb.window_s(case), [(z, None)])[0]),
+        "emd_truth": float(reached(case, state, published_window_s(case), [(z, None)])[0]),
         "bound_set": float(grid.speed[emd < FACTOR * smallest].min()),
         "line_angle": angles,
         "factor_count": count.tolist(),
@@ -92,18 +104,18 @@ def twin(grid: Grid, kind: str, number: int, seed: int) -> dict[str, Any]:
 def true_rate(case: Case, kind: str, rng: np.random.Generator) -> np.ndarray:
     """A rate (3) in rad/s at the first sample."""
     if kind == "grid":
-        return rng.uniform(*rb.grid_ends(case).T)
-    published = rb.published_lines(case)
+        return rng.uniform(*scan_limits(case).T)
+    published = published_lines(case)
     line = published[int(rng.integers(len(published)))]
-    return rb.on_lines([line], [rng.uniform(*rb.LINE_RANGE)])[0, 0]
+    return points_on_lines([line], [rng.uniform(*LINE_RANGE)])[0, 0]
 
 
 def measured_z(case: Case, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The z components (n) of the directions that the simulated readings of this motion give."""
     vehicle = case.vehicle
     t = rebound_times(case, rng)
-    tilt, first = drawn_panels(vehicle, rb.first_sun(case), rng)
-    run = propagate(vehicle, truth, first, rb.nominal_speed(vehicle), t - t[0], rtol=1e-9)
+    tilt, first = drawn_panels(vehicle, first_sun(case), rng)
+    run = propagate(vehicle, truth, first, nominal_wheel_speeds(vehicle), t - t[0], rtol=1e-9)
     true = run["sun_B"].values
     exact = CELL_W * vehicle.response_in().power(true, tilt=tilt)
     power = noisy_readings(vehicle, true, exact, vehicle.require_noise(), rng)

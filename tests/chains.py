@@ -12,8 +12,10 @@ from sunspin.telemetry.sun import sun_directions
 
 def chain_on_the_lines(case: Case) -> candidates.Chain:
     """The printed lines as candidates, a coarse grid as the box and some of it as the paper's own set."""
-    rebound = rb.rebound_of(case, sun_directions(case.vehicle, case.telemetry))
-    grid = np.stack(np.meshgrid(*rb.grid(case, 15).values(), indexing="ij"), axis=-1).reshape(-1, 3)
+    rebound = rb.make_rebound(case, sun_directions(case.vehicle, case.telemetry))
+    grid = np.stack(np.meshgrid(*rb.scan_grid(case, 15).values(), indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     lines = rb.published_candidates(case)
     sets = {"set": ("published", lines), "box": ("scan", grid), "recipe": ("scan", lines[::7])}
     chosen, box, recipe = (

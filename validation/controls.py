@@ -17,7 +17,7 @@ from sunspin.base.errors import SunspinError
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.propagate import propagate
 from sunspin.philae import candidates, data_check, descent, metrics, touchdown
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import Options, nominal_wheel_speeds, read_truth, with_telemetry
 from sunspin.philae.row import Row, settled
 from sunspin.philae.sun_directions import with_own_noise
 from sunspin.philae.telemetry import CELL_W, noisy_readings
@@ -35,8 +35,8 @@ def with_motion(
     """The case's telemetry and panels, with the first rebound of a lander that turns at `omega_B` (rad/s) at its first sample."""
     data = case.telemetry.copy(deep=True)
     inside = np.flatnonzero(data["phase"].values == "first_rebound")
-    t, known = data["time"].values[inside], rb.twin_file(case)
-    speed = rb.nominal_speed(case.vehicle)
+    t, known = data["time"].values[inside], read_truth(case)
+    speed = nominal_wheel_speeds(case.vehicle)
     run = propagate(
         case.vehicle, omega_B, known["sun_B"], speed, t - t[0], wheel_mode=wheel_mode, rtol=1e-9
     )
@@ -86,7 +86,7 @@ CONTROLS: dict[str, Callable[[Case], xr.Dataset]] = {
     "never tumbled": lambda case: with_motion(case, STILL),
     "spins about z": lambda case: with_motion(case, (0.0, 0.0, 0.3)),
     "another motion": lambda case: with_motion(case, TUMBLING),
-    "wheel held": lambda case: with_motion(case, rb.twin_file(case)["omega_B"], "hold"),
+    "wheel held": lambda case: with_motion(case, read_truth(case)["omega_B"], "hold"),
     "each panel shuffled": shuffled_panels,
     "samples shuffled": shuffled_samples,
     "panels 1 and 2 exchanged": exchanged_panels,
@@ -123,7 +123,7 @@ class Found:
 def case_of(telemetry: xr.Dataset | None = None) -> tuple[Case, xr.Dataset]:
     """The case with this telemetry, the built-in one unless given, and its own noise; its Sun directions."""
     case = load_case("philae")
-    case = case if telemetry is None else rb.with_telemetry(case, telemetry)
+    case = case if telemetry is None else with_telemetry(case, telemetry)
     case, _ = with_own_noise(case)
     return case, sun_directions(case.vehicle, case.telemetry)
 
@@ -134,7 +134,7 @@ def chain_of(
 ) -> Found:
     """The chain on a telemetry file, the built-in one unless given."""
     case, sun = case_of(telemetry)
-    how = rb.Options(**{"coarser": COARSER, "twins": TWINS} | options)
+    how = Options(**{"coarser": COARSER, "twins": TWINS} | options)
     try:
         fit = descent.compute(case, sun)
     except SunspinError:

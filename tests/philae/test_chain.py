@@ -38,7 +38,9 @@ def found(quick):
 
 def truth_of(omega, found):
     """Smaller and larger angle of the momentum (rad) and the speed at the touchdown of a known motion."""
-    sun = np.array(rb.twin_file(CASE)["sun_B"])  # what the panels show is some degrees away from it
+    sun = np.array(
+        rb.read_truth(CASE)["sun_B"]
+    )  # what the panels show is some degrees away from it
     states = replace(found.chain.rebound.states(np.array([omega])), sun_B=sun[None])
     theta, alpha, _ = rb.momentum_angles(CASE.vehicle, states)
     back = ss.propagate(CASE.vehicle, omega, sun, 865.0, [0.0, -found.chain.rebound.lead_s])
@@ -65,7 +67,7 @@ def test_what_is_concluded_holds_the_truth(found, name, omega):
     assert one.carries.one_sun and one.chain is not None, one.why
     chosen = one.chain.chosen
     small, large, speed = truth_of(
-        np.array(rb.twin_file(CASE)["omega_B"] if omega is None else omega), one
+        np.array(rb.read_truth(CASE)["omega_B"] if omega is None else omega), one
     )
     for which, value in enumerate((small, large)):
         low, high = chosen.angle_range(which)

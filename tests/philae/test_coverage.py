@@ -32,7 +32,7 @@ AXES = {
 
 @pytest.fixture(scope="module")
 def table():
-    return make_table(CASE.vehicle, rb.first_sun(CASE), AXES, 865.0, rb.window_s(CASE))
+    return make_table(CASE.vehicle, rb.first_sun(CASE), AXES, 865.0, rb.published_window_s(CASE))
 
 
 @pytest.mark.evidence(
@@ -50,10 +50,10 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
 
 def test_rates_at_the_end_are_those_of_the_reference():
     starts = np.array([[0.1, -0.3, 0.2], [0.0, 0.0, 0.0], [-0.4, 0.6, -0.2]])
-    back = rb.at_touchdown(CASE, starts, 865.0)
+    back = rb.rates_at_touchdown(CASE, starts, 865.0)
     for omega, found in zip(starts, back, strict=True):
         run = propagate(
-            CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -rb.after_touchdown_s(CASE)]
+            CASE.vehicle, omega, rb.first_sun(CASE), 865.0, [0.0, -rb.first_sample_lead_s(CASE)]
         )
         np.testing.assert_allclose(found, run["omega_B"].values[-1], atol=1e-9)
 
@@ -72,7 +72,7 @@ def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     truth, other = np.array([-0.27, 0.07, 0.08]), np.array([0.5, 0.5, -0.2])
     states = rb.start_states(CASE, np.array([truth, other]), rb.first_sun(CASE))
     target = simulated_z(CASE, truth), None
-    own, wrong = threshold.reached(CASE, states, rb.window_s(CASE), [target, target])
+    own, wrong = threshold.reached(CASE, states, rb.published_window_s(CASE), [target, target])
     assert own < 1e-3 and wrong > 0.02
 
 

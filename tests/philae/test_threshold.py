@@ -19,12 +19,12 @@ from sunspin.philae.telemetry import CELL_W
 from sunspin.telemetry.sun import sun_directions
 
 CASE, NOISE = with_own_noise(ss.load_case("philae"))
-REBOUND = rb.rebound_of(CASE, sun_directions(CASE.vehicle, CASE.telemetry))
+REBOUND = rb.make_rebound(CASE, sun_directions(CASE.vehicle, CASE.telemetry))
 
 
 @pytest.fixture(scope="module")
 def table():
-    return make_table(CASE.vehicle, REBOUND.sun_B, rb.grid(CASE, 15), 865.0, REBOUND.window_s)
+    return make_table(CASE.vehicle, REBOUND.sun_B, rb.scan_grid(CASE, 15), 865.0, REBOUND.window_s)
 
 
 def made(n, seed):
@@ -105,7 +105,7 @@ def test_the_key_is_that_of_the_data(table):
         keys.add(th.key_of(replace(REBOUND, samples=samples), table))
     keys.add(th.key_of(replace(REBOUND, case=heavier), table))
     keys.add(th.key_of(replace(REBOUND, sun_B=np.array([0.2, 0.5, 0.84])), table))
-    other = make_table(CASE.vehicle, REBOUND.sun_B, rb.grid(CASE, 25), 865.0, REBOUND.window_s)
+    other = make_table(CASE.vehicle, REBOUND.sun_B, rb.scan_grid(CASE, 25), 865.0, REBOUND.window_s)
     keys.add(th.key_of(REBOUND, other))
     assert len(keys) == 6 and own not in keys
 
@@ -118,7 +118,10 @@ def test_the_shipped_calibration_is_used_where_its_key_fits(table, monkeypatch):
         np.mean(shipped.ratio < 3.04) < 0.8
     )  # the factor of panels as drawn, with which nine of ten were held
     grid = Start.on_grid(
-        CASE.vehicle, list(rb.grid(CASE).values()), REBOUND.sun_B, rb.nominal_speed(CASE.vehicle)
+        CASE.vehicle,
+        list(rb.scan_grid(CASE).values()),
+        REBOUND.sun_B,
+        rb.nominal_wheel_speeds(CASE.vehicle),
     )
     whole = Table(
         ScanRows(CASE.vehicle, grid, REBOUND.window_s, "hist"), np.zeros((0, 1)), np.zeros(0)
@@ -173,7 +176,7 @@ def test_noise_on_dark_panels_lights_none(kind):
 
     clean = int((sun_directions(case.vehicle, case.telemetry)["status"].values == 2).sum())
     assert impossible(case.vehicle) > 3 * clean >= impossible(noisy.vehicle) - 2
-    assert rb.rebound_of(noisy, sun_directions(noisy.vehicle, data)).z.size >= 16
+    assert rb.make_rebound(noisy, sun_directions(noisy.vehicle, data)).z.size >= 16
 
 
 def test_a_file_with_too_few_samples_keeps_the_vehicles_noise():
@@ -191,8 +194,8 @@ def test_what_a_calibration_depends_on_is_in_its_key():
     def key(*changes):
         case = rb.with_telemetry(ss.load_case("philae", changes), CASE.telemetry)
         case = with_own_noise(case)[0]
-        rebound = rb.rebound_of(case, ss.sun_directions(case.vehicle, case.telemetry))
-        grid, speed = list(rb.grid(case).values()), rb.nominal_speed(case.vehicle)
+        rebound = rb.make_rebound(case, ss.sun_directions(case.vehicle, case.telemetry))
+        grid, speed = list(rb.scan_grid(case).values()), rb.nominal_wheel_speeds(case.vehicle)
         start = Start.on_grid(case.vehicle, grid, rebound.sun_B, speed)
         return th.key_of(rebound, SimpleNamespace(rows=SimpleNamespace(start=start)))
 

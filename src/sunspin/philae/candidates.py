@@ -22,9 +22,16 @@ from sunspin.dynamics.ensemble import Rows
 from sunspin.estimate.scan.chosen import stored_near_minimum, stored_vehicle
 from sunspin.estimate.scan.end_rates import end_rates
 from sunspin.landing.outcomes import BINS
-from sunspin.philae import rebound as rb
 from sunspin.philae.data_check import DataCheck
 from sunspin.philae.metrics import TelemetryScan
+from sunspin.philae.rebound import (
+    Options,
+    Rebound,
+    momentum_angles,
+    motion_and_panel_parameters,
+    propagate_back,
+    published_candidates,
+)
 from sunspin.philae.threshold import CONFIDENCE, Calibration, calibration
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle import Vehicle
@@ -104,14 +111,14 @@ class Candidates:
         )
 
 
-def speed_at_touchdown(rebound: rb.Rebound, states: Rows) -> np.ndarray:
+def speed_at_touchdown(rebound: Rebound, states: Rows) -> np.ndarray:
     """Angular speed (n) in rad/s of motions just after the first touchdown."""
-    back = rb.run_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
+    back = propagate_back(rebound.case, states, rebound.lead_s, DIRECTION_ERROR)
     return np.linalg.norm(back, axis=1)
 
 
 def describe(
-    rebound: rb.Rebound, states: Rows, seed: int, speed: np.ndarray | None = None, **labels: Any
+    rebound: Rebound, states: Rows, seed: int, speed: np.ndarray | None = None, **labels: Any
 ) -> Candidates:
     """Candidates with what is asked of them; runs to the collision are made for even draws only.
 
@@ -126,7 +133,7 @@ def describe(
     run = k.run_rows(vehicle, few, rebound.window_s, emd_error=k.EMD_ERROR, bins=BINS)
     seen, edges = run.hist > 0, np.linspace(-1, 1, BINS + 1)
     low, high = edges[np.argmax(seen, axis=1)], edges[BINS - np.argmax(seen[:, ::-1], axis=1)]
-    theta, alpha, momentum = rb.momentum_angles(vehicle, states)
+    theta, alpha, momentum = momentum_angles(vehicle, states)
     largest = float(np.linalg.eigvalsh(vehicle.require_inertia())[-1])
     turn = largest * labels.get("cell_rad_s", 0.0) / max(float(np.median(momentum)), 1e-12)
     return Candidates(
@@ -149,7 +156,7 @@ class Chain:
     """
 
     case: Case
-    rebound: rb.Rebound
+    rebound: Rebound
     chosen: Candidates
     box: Candidates
     recipe: Candidates
@@ -162,7 +169,7 @@ class Chain:
         return self.chosen.chain
 
 
-def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Chain:
+def compute(scan: TelemetryScan, carries: DataCheck, options: Options) -> Chain:
     """The candidates of this telemetry, from the source asked for.
 
     Raises
@@ -215,7 +222,7 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
         )
         chosen = below(level * least, source, about)
     else:
-        omega, chain = rb.published_candidates(case), source
+        omega, chain = published_candidates(case), source
         about = "the lines that the paper publishes, for any telemetry"
         if source != "published":
             omega, chain = rates_of(Path(source)), Path(source).name
@@ -225,7 +232,7 @@ def compute(scan: TelemetryScan, carries: DataCheck, options: rb.Options) -> Cha
     return Chain(case, rebound, chosen, box, recipe, calibrated, share)
 
 
-def _from_posterior(rebound: rb.Rebound, options: rb.Options) -> tuple[Candidates, Candidates, str]:
+def _from_posterior(rebound: Rebound, options: Options) -> tuple[Candidates, Candidates, str]:
     """Draws of the posterior of the rebound's readings; motions drawn evenly from the ball of its prior; its verdict."""
     from sunspin.estimate.posterior.estimate import posterior
 
@@ -305,10 +312,10 @@ def starts(
     if case is None or "line_L1" not in case.published:
         do = "give --omega-deg-s x,y,z or --scan scan.nc"
         raise InputError("no candidate motions are given", do=do)
-    if rb.moving_and_seeing(craft) != rb.moving_and_seeing(case.vehicle):
+    if motion_and_panel_parameters(craft) != motion_and_panel_parameters(case.vehicle):
         raise InputError(
             "the published lines hold for another body, wheel or panels than these",
             got=body(craft.said),
             do="scan these with the same --set and give --scan scan.nc, or give --omega-deg-s",
         )
-    return rb.published_candidates(case), "the lines that the paper prints"
+    return published_candidates(case), "the lines that the paper prints"

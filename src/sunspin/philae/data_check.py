@@ -16,7 +16,7 @@ import xarray as xr
 from sunspin.cases import Case
 from sunspin.estimate.spin import fit_spin
 from sunspin.philae.descent import Descent
-from sunspin.philae.rebound import case_seconds, rebound_samples
+from sunspin.philae.rebound import event_seconds, select_rebound
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import whole_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
@@ -96,7 +96,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
     vehicle, status, limit = case.vehicle, sun["status"].values, case.published["delta_max"].value
     kept = is_reconstructed(status) & whole_panels(case, sun)
     delta = float(sun["delta"].values[kept].mean()) if kept.any() else float("nan")
-    end = case_seconds(case, sun, "second_touchdown")
+    end = event_seconds(case, sun, "second_touchdown")
     early = (sun["time"].values < end) & (status != SunStatus.MISSING)
     forbidden = sun.isel(time=early & (status == SunStatus.IMPOSSIBLE))
     unexplained = np.ones(forbidden.sizes["time"], dtype=bool)
@@ -120,7 +120,7 @@ def compute(case: Case, sun: xr.Dataset, descent: Descent | None, seed: int = 0)
             # E is then good to 1e-5 of itself, in half the time that 1e-12 takes or less
             shuffled_E.append(fit_spin(t, mixed, tolerance=1e-6).E)
 
-    rebound = rebound_samples(case, sun)
+    rebound = select_rebound(case, sun)
     n = rebound["sun_B"].values[is_reconstructed(rebound["status"])]
     near = chance = float("nan")
     if len(n) >= 3:

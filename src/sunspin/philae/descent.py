@@ -19,7 +19,7 @@ from sunspin.cases import Case
 from sunspin.estimate.scan.mask import allows, reconstructible_mask
 from sunspin.estimate.spin import SpinFit, error_of_rate, errors_of_rates, fit_spin
 from sunspin.output.figures import COLOURS, titled
-from sunspin.philae.rebound import case_seconds
+from sunspin.philae.rebound import event_seconds
 from sunspin.philae.row import Row, row
 from sunspin.telemetry.sun import SunStatus, is_reconstructed
 
@@ -85,7 +85,7 @@ def clean_from(sun: xr.Dataset) -> tuple[int, float]:
 
 def compute(case: Case, sun: xr.Dataset) -> Descent:
     """Recognise the clean samples of the descent in `sun` (of `sun_directions`, whole landing) and fit the cubic rate."""
-    touchdown = case_seconds(case, sun, "first_touchdown")
+    touchdown = event_seconds(case, sun, "first_touchdown")
     before = sun.isel(time=np.flatnonzero(sun["time"].values < touchdown))
     if before.sizes["time"] == 0:
         what, do = "no sample before the first touchdown", "check the times of the telemetry"

@@ -13,7 +13,11 @@ from sunspin.cases import Case
 from sunspin.estimate.scan.mask import allows
 from sunspin.estimate.scan.metrics import direction_error, emd
 from sunspin.landing.scenario import spiral
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import (
+    nominal_wheel_speeds,
+    reconstructible_mask,
+    smallest_touchdown_speed,
+)
 from sunspin.philae.row import Row, row, tables
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.part import tuples
@@ -49,12 +53,12 @@ def rows(case: Case) -> list[Row]:
     ]
 
     # sentences that need no computation of their own
-    mask, everywhere = rb.reconstructible_mask(vehicle), spiral()
+    mask, everywhere = reconstructible_mask(vehicle), spiral()
     share = float(np.mean(allows(mask, everywhere)))
     below = float(np.mean(allows(mask, everywhere[everywhere[:, 2] < 0])))
     up = np.array([[0.0, 0.0, 1.0]])
     errors = [float(direction_error(sun, up)) for sun in (up, -up)]
-    slowest = rb.smallest_on_lines(case, rb.nominal_speed(vehicle)[0])
+    slowest = smallest_touchdown_speed(case, nominal_wheel_speeds(vehicle)[0])
     ours: dict[str, Any] = {
         "path_duration": paper["path_length"] / paper["collision_speed"] / 60,
         "rate_at_touchdown_min_rounded": slowest,

@@ -27,7 +27,14 @@ from sunspin.dynamics.friction import (
 )
 from sunspin.dynamics.propagate import propagate
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    first_sun,
+    nominal_wheel_speeds,
+    points_on_lines,
+    published_lines,
+    published_window_s,
+)
 from sunspin.philae.row import Row, row
 from sunspin.philae.sun_directions import sphere
 from sunspin.vehicle import Vehicle
@@ -46,7 +53,7 @@ class Mechanics(NamedTuple):
 def compute(case: Case) -> Mechanics:
     """Nothing here depends on telemetry."""
     t = np.arange(0.0, 60.0 * case.published["example_duration"].value + 0.5, 1.0)
-    start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
+    start = first_sun(case), nominal_wheel_speeds(case.vehicle)
     rates = case.published["example_rates"].value
     runs = [propagate(case.vehicle, omega, *start, t) for omega in rates]
     return Mechanics(case, runs, figure_5(case))
@@ -191,11 +198,11 @@ class Precession(NamedTuple):
 
 def precession(case: Case) -> Precession:
     """The swing of the examples of Figs. 6, 7 and of points of the published lines."""
-    start = rb.first_sun(case), rb.nominal_speed(case.vehicle)
+    start = first_sun(case), nominal_wheel_speeds(case.vehicle)
     duration = 60.0 * case.published["example_duration"].value
     examples = swing(case.vehicle, case.published["example_rates"].value, *start, duration)
-    points = rb.on_lines(rb.published_lines(case), np.linspace(*rb.LINE_RANGE, 11))
-    lines = swing(case.vehicle, points, *start, rb.window_s(case))
+    points = points_on_lines(published_lines(case), np.linspace(*LINE_RANGE, 11))
+    lines = swing(case.vehicle, points, *start, published_window_s(case))
     return Precession(case, examples, lines)
 
 

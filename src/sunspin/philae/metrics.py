@@ -27,7 +27,23 @@ from sunspin.estimate.scan.parameters import nominal
 from sunspin.estimate.scan.table import Table, make_table
 from sunspin.estimate.scan.volume import near_minimum, scan
 from sunspin.output.figures import COLOURS, titled
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    Options,
+    Rebound,
+    direction_mask,
+    first_sun,
+    line_in_scan_range,
+    make_rebound,
+    nominal_wheel_speeds,
+    points_on_lines,
+    published_lines,
+    published_window_s,
+    read_truth,
+    scan_grid,
+    scan_limits,
+    select_rebound,
+)
 from sunspin.philae.row import Row, row
 
 NEAR_RAD_S = 0.03
@@ -61,11 +77,11 @@ class Sensitivity:
     valley: xr.DataArray
 
 
-def sensitivity(case: Case, sun: xr.Dataset, options: rb.Options) -> Sensitivity:
+def sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensitivity:
     """Maps of E against the rebound's samples in `sun` (of `sun_directions`, whole landing); growth of errors."""
     paper = {key: figure.value for key, figure in case.published.items()}
-    vehicle, samples, workers = case.vehicle, rb.rebound_samples(case, sun), options.workers
-    speed, window = rb.nominal_speed(vehicle), rb.window_s(case)
+    vehicle, samples, workers = case.vehicle, select_rebound(case, sun), options.workers
+    speed, window = nominal_wheel_speeds(vehicle), published_window_s(case)
     quoted, box = np.array(paper["first_sun_E_study"]), paper["E_study_box"]
     length = float(np.linalg.norm(quoted))
 
@@ -82,10 +98,10 @@ def sensitivity(case: Case, sun: xr.Dataset, options: rb.Options) -> Sensitivity
     drawn = gr.Motion.of(vehicle, paper["E_study_omega"], quoted, speed, window)
     parameters = gr.parameter_map(drawn, samples, {"mu_0": mu_0, "theta_xx": theta_xx}, workers)
 
-    interval, first = 60.0 * paper["sampling_interval"], rb.first_sun(case)
+    interval, first = 60.0 * paper["sampling_interval"], first_sun(case)
     motions = {"Fig. 8 B": drawn} | {
         f"L{k}": gr.Motion.of(vehicle, omega, first, speed, window)
-        for k, (omega,) in enumerate(rb.on_lines(rb.published_lines(case), [0.1]), 1)
+        for k, (omega,) in enumerate(points_on_lines(published_lines(case), [0.1]), 1)
     }
     changes = [
         xr.merge([gr.growth(motion), gr.one_percent(motion, interval)], combine_attrs="drop")
@@ -127,11 +143,11 @@ def sensitivity_rows(r: Sensitivity) -> list[Row]:
 
     def of_map(name: str, error: xr.DataArray, start: np.ndarray, **texts: Any) -> Row:
         ours = [float(error.min()), float(error.max()), *valleys_crossed(error.values)]
-        away = [np.cross(start - point, along) for point, along in rb.published_lines(case)]
+        away = [np.cross(start - point, along) for point, along in published_lines(case)]
         apart = min(float(np.linalg.norm(each)) for each in away)
         return row(case, name, ours, apart=apart, **texts)
 
-    first, quoted = rb.first_sun(case), np.array(paper["first_sun_E_study"])
+    first, quoted = first_sun(case), np.array(paper["first_sun_E_study"])
     cosine = first @ quoted / np.linalg.norm(first) / np.linalg.norm(quoted)
     apart = float(np.degrees(np.arccos(cosine)))
 
@@ -234,19 +250,19 @@ def growth_figure(result: Sensitivity) -> Figure:
 # ---- EMD: the scan and its near-minimum set ----------------------------------------------------------------------------------
 
 
-def run_grid(case: Case, sun_B: np.ndarray, duration_s: float, options: rb.Options) -> Table:
+def run_grid(case: Case, sun_B: np.ndarray, duration_s: float, options: Options) -> Table:
     """Every motion of the grid from this direction (3) of the Sun, run once for any target."""
-    axes, speed = rb.grid(case, options.coarser), rb.nominal_speed(case.vehicle)
-    mask = None if rb.counted(case) is None else "reconstructible"
+    axes, speed = scan_grid(case, options.coarser), nominal_wheel_speeds(case.vehicle)
+    mask = None if direction_mask(case) is None else "reconstructible"
     how: dict[str, Any] = {"workers": options.workers, "progress": options.progress}
     return make_table(case.vehicle, sun_B, axes, speed, duration_s, mask=mask, **how)
 
 
 def simulated_z(case: Case, omega_B: np.ndarray) -> np.ndarray:
     """The reconstructible r_z of one motion over the paper's window, every half second."""
-    t = np.arange(0.0, rb.window_s(case) + 0.25, 0.5)
-    speed, mask = rb.nominal_speed(case.vehicle), rb.counted(case)
-    run = propagate(case.vehicle, omega_B, rb.first_sun(case), speed, t, rtol=1e-9)
+    t = np.arange(0.0, published_window_s(case) + 0.25, 0.5)
+    speed, mask = nominal_wheel_speeds(case.vehicle), direction_mask(case)
+    run = propagate(case.vehicle, omega_B, first_sun(case), speed, t, rtol=1e-9)
     track = run["sun_B"].values
     return track[slice(None) if mask is None else allows(mask, track), 2]
 
@@ -276,12 +292,12 @@ def fitted_lines(lines: xr.Dataset) -> list[Line]:
 
 def near_minimum_set(case: Case, emd: xr.DataArray, factor: float, seed: int) -> NearMinimum:
     """Near-minimum set of a scan, four lines through it, and their distance from the published ones."""
-    points, published = near_minimum(emd, factor), rb.published_lines(case)
+    points, published = near_minimum(emd, factor), published_lines(case)
     try:
         lines = fit_lines(points, len(published), seed=seed)
     except InputError:  # a ragged level set may have fewer points than four lines need
         return NearMinimum(emd, factor, points, None, [])
-    over: dict[str, Any] = {"low": rb.LINE_RANGE[0], "high": rb.LINE_RANGE[1]}
+    over: dict[str, Any] = {"low": LINE_RANGE[0], "high": LINE_RANGE[1]}
     ours = [fitted_lines(lines)[k] for k in match_lines(lines, published, **over)]
     pairs = zip(ours, published, strict=True)
     deviation = [{"line": mine} | line_deviation(mine, theirs, **over) for mine, theirs in pairs]
@@ -299,7 +315,7 @@ class TelemetryScan:
     truth : "omega_B" (3) rad/s, "sun_B" (3), "emd" and its "z" where the telemetry is the case's own twin, else empty
     """
 
-    rebound: rb.Rebound
+    rebound: Rebound
     table: Table
     emd: np.ndarray
     near: NearMinimum
@@ -315,17 +331,17 @@ class TelemetryScan:
         return sum(bool(apart["mean"] <= NEAR_RAD_S) for apart in self.near.deviation)
 
 
-def scan_telemetry(case: Case, sun: xr.Dataset, options: rb.Options) -> TelemetryScan:
+def scan_telemetry(case: Case, sun: xr.Dataset, options: Options) -> TelemetryScan:
     """Scan the grid against the directions `sun` (of `sun_directions`, whole landing); `options.seed` is that of the line fit.
 
     For a twin `truth` holds its true rate and Sun at the first sample after the touchdown, and the EMD that a scan finds at this
     rate, from the direction that the panels show.
     """
-    rebound = rb.rebound_of(case, sun)
+    rebound = make_rebound(case, sun)
     table = run_grid(case, rebound.sun_B, rebound.window_s, options)
     volume = table.volume(rebound.z, rebound.weights, worker_count(options.workers))
     truth: dict[str, Any] = {}
-    if twin := rb.twin_file(case):
+    if twin := read_truth(case):
         z = simulated_z(case, np.array(twin["omega_B"]))
         truth = {name: np.array(twin[name]) for name in ("omega_B", "sun_B")}
         truth |= {"emd": emd(z, rebound.z, weights_b=rebound.weights), "z": z}
@@ -348,10 +364,10 @@ def scan_rows(result: TelemetryScan) -> list[Row]:
         "near": points,
         "each": each if apart else "too few points in the set for four lines",
         "within": NEAR_RAD_S,
-        "omega_z": list(rb.LINE_RANGE),
+        "omega_z": list(LINE_RANGE),
         "directions": rebound.z.size,
     }
-    lines = rb.published_lines(case)
+    lines = published_lines(case)
     # a coarser grid is asked for by the user, and is no other count of the paper's
     whole = near.emd.size == case.published["scan_runs"].value or None
     return [
@@ -381,18 +397,20 @@ def near_minimum_figure(
         axes = rate_axes(figure, 1, 2, k + 1)
         axes.view_init(elevation, azimuth)
         axes.scatter(*points.T, s=8, c=[COLOURS[m % 8] for m in member], depthshade=False)
-        for i, line in enumerate(rb.published_lines(case)):
+        for i, line in enumerate(published_lines(case)):
             label = "the paper's lines" if i == 0 else None
-            axes.plot(*rb.within_grid(case, line).T, "--", lw=1, color="#555555", label=label)
+            axes.plot(*line_in_scan_range(case, line).T, "--", lw=1, color="#555555", label=label)
         for i, line in enumerate([] if lines is None else fitted_lines(lines)):
             label = f"fitted line {i + 1} ({int((member == i).sum())} motions)"
-            axes.plot(*rb.within_grid(case, line).T, "-", lw=1.6, color=COLOURS[i % 8], label=label)
+            axes.plot(
+                *line_in_scan_range(case, line).T, "-", lw=1.6, color=COLOURS[i % 8], label=label
+            )
         if truth is not None:
             label = "truth of the synthetic telemetry"
             axes.scatter(*truth, marker="*", s=130, color="#000000", label=label)
         if k:
             axes.set(zlabel="", zticks=[])
-        axes.set(**dict(zip(("xlim", "ylim", "zlim"), rb.grid_ends(case), strict=True)))
+        axes.set(**dict(zip(("xlim", "ylim", "zlim"), scan_limits(case), strict=True)))
         axes.set_title(name, fontsize=9)
     figure.suptitle(title, fontsize=11)
     labels = figure.axes[0].get_legend_handles_labels()

@@ -21,10 +21,10 @@ from sunspin.dynamics.ensemble import Rows, run_rows
 from sunspin.dynamics.propagate import propagate
 from sunspin.dynamics.wheel_modes import mode_before
 from sunspin.output.figures import COLOURS, titled
-from sunspin.philae import rebound as rb
 from sunspin.philae.candidates import Chain
 from sunspin.philae.descent import Descent
 from sunspin.philae.metrics import TelemetryScan
+from sunspin.philae.rebound import Rebound, event_seconds, nominal_wheel_speeds, read_truth
 from sunspin.philae.telemetry import State, collide
 from sunspin.telemetry.synthetic import generator
 from sunspin.vehicle.response.panels import panel_power
@@ -45,7 +45,7 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dat
     if scan.truth:
         start = replace(rebound.states(scan.truth["omega_B"]), sun_B=scan.truth["sun_B"][None])
         about = "the motion from which the synthetic telemetry was made"
-        runs["Truth"] = landing(rebound, start, about, rb.twin_file(case).get("seed", seed))
+        runs["Truth"] = landing(rebound, start, about, read_truth(case).get("seed", seed))
     start = scan.table.rows.start.take(np.array([np.argmin(scan.emd)]))
     about = f"the grid point whose distribution of r_z fits this telemetry best (EMD {scan.smallest:.4f})"
     runs["Best fit"] = landing(rebound, start, about, seed)
@@ -59,7 +59,7 @@ def compute(case: Case, done: dict[str, Any], seed: int = 0) -> dict[str, xr.Dat
     return runs
 
 
-def landing(rebound: rb.Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
+def landing(rebound: Rebound, start: Rows, about: str, seed: int) -> xr.Dataset:
     """The motion through `start`, one state at the candidates' instant, from the first touchdown over the collision to the second.
 
     Times in s from the case's epoch.
@@ -106,7 +106,7 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
     axis = np.array([0.0, 0.0, 1.0])
     omega = rate(t)[:, None] * axis
     turned = Rotation.from_rotvec(-rate.integ()(t)[:, None] * axis).as_quat()
-    speed = np.tile(rb.nominal_speed(case.vehicle), (t.size, 1))
+    speed = np.tile(nominal_wheel_speeds(case.vehicle), (t.size, 1))
     momentum, body = gyrostat.total_momentum(case.vehicle, omega, speed), ("time", "axis")
     run = xr.Dataset(
         {
@@ -125,7 +125,7 @@ def descent_motion(case: Case, descent: Descent) -> xr.Dataset:
 def _descent_span(case: Case, descent: Descent) -> tuple[float, float]:
     """Begin of the fit and first touchdown, s from the case's epoch."""
     end = case.require_timeline().event("first_touchdown").t_s
-    to_case = end - rb.case_seconds(case, descent.sun, "first_touchdown")
+    to_case = end - event_seconds(case, descent.sun, "first_touchdown")
     return float(case.telemetry["time"].values[descent.number[0] - 1]) + to_case, end
 
 

@@ -14,8 +14,8 @@ from sunspin.output.kind import Drawing, synthetic_words
 from sunspin.output.kinds import collision, motion, strategies, telemetry
 from sunspin.output.kinds.outcomes import sun_height_figure
 from sunspin.philae import descent, mechanics, metrics, published_lines, sun_directions, touchdown
-from sunspin.philae import rebound as rb
 from sunspin.philae.motions import speed_figure
+from sunspin.philae.rebound import event_seconds
 from sunspin.philae.study import Study
 
 
@@ -27,7 +27,7 @@ def _signals(s: Study, r: Any) -> Figure:
 
 def _figure_3(s: Study, _: Any) -> Figure:
     events = "separation unfolding_ends first_touchdown collision second_touchdown rest"
-    at = {name: rb.case_seconds(s.case, s.sun, name) for name in events.split()}
+    at = {name: event_seconds(s.case, s.sun, name) for name in events.split()}
     first, last = s.sun["time"].values[[0, -1]]
     at = {name.replace("_", " "): t for name, t in at.items() if first - 600 <= t <= last}
     return telemetry.sun_directions_figure(s.sun, s.case.telemetry, at)

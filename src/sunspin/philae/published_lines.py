@@ -20,7 +20,6 @@ from sunspin.landing.outcomes import outcomes
 from sunspin.landing.scenario import paper_scenario
 from sunspin.landing.tally import lowest_rz, tally
 from sunspin.output.figures import COLOURS
-from sunspin.philae import rebound as rb
 from sunspin.philae.collision import RARELY, rz_range
 from sunspin.philae.metrics import (
     NearMinimum,
@@ -29,6 +28,20 @@ from sunspin.philae.metrics import (
     rate_axes,
     run_grid,
     simulated_z,
+)
+from sunspin.philae.rebound import (
+    LINE_RANGE,
+    Options,
+    first_sample_lead_s,
+    first_sun,
+    nominal_wheel_speeds,
+    points_on_lines,
+    published_candidates,
+    published_lines,
+    published_window_s,
+    rates_at_touchdown,
+    smallest_touchdown_speed,
+    wheel_speed_at_first_sample,
 )
 from sunspin.philae.row import Row, interval, row
 
@@ -77,17 +90,15 @@ class PublishedLines:
     slow: xr.Dataset
 
 
-def compute(
-    case: Case, scan: TelemetryScan | None, runs: int, options: rb.Options
-) -> PublishedLines:
+def compute(case: Case, scan: TelemetryScan | None, runs: int, options: Options) -> PublishedLines:
     """Run the lines; the motions of `scan` are used where they begin as the paper's do, from one direction over one window."""
-    first, window, lines = rb.first_sun(case), rb.window_s(case), rb.published_lines(case)
+    first, window, lines = first_sun(case), published_window_s(case), published_lines(case)
     if scan is not None and scan.rebound.begins_as(first, window):
         table = scan.table
     else:
         table = run_grid(case, first, window, options)
 
-    starts = rb.on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
+    starts = points_on_lines(lines, np.linspace(*POOL_RANGE, POOL_POINTS))
     pooled = [np.concatenate([simulated_z(case, omega) for omega in line]) for line in starts]
     everything = np.concatenate(pooled)
     volume = table.volume(everything, workers=worker_count(options.workers))
@@ -102,15 +113,15 @@ def compute(
         for factor, near in sets.items()
     ]
 
-    nominal = rb.nominal_speed(case.vehicle)[0]
-    on_lines = rb.on_lines(lines, np.linspace(*rb.LINE_RANGE, LINE_POINTS))
+    nominal = nominal_wheel_speeds(case.vehicle)[0]
+    on_lines = points_on_lines(lines, np.linspace(*LINE_RANGE, LINE_POINTS))
     slowest = [
-        rb.smallest_on_lines(case, speed, lead)
-        for lead in (LEADS_S[0], rb.after_touchdown_s(case), LEADS_S[1])
-        for speed in (nominal, rb.speed_at_first_sample(case, lead))
+        smallest_touchdown_speed(case, speed, lead)
+        for lead in (LEADS_S[0], first_sample_lead_s(case), LEADS_S[1])
+        for speed in (nominal, wheel_speed_at_first_sample(case, lead))
     ]
 
-    scenario, motions = paper_scenario(case), rb.published_candidates(case)
+    scenario, motions = paper_scenario(case), published_candidates(case)
     slow = replace(scenario, collision_speed_m_s=case.published["landing_speed"].value)
 
     def collisions(strategy: str, scenario: Any) -> xr.Dataset:
@@ -123,8 +134,8 @@ def compute(
         max(emd(z, everything) for z in pooled),
         sets[FACTOR],
         thresholds,
-        rb.at_touchdown(case, sets[FACTOR].points, nominal),
-        rb.at_touchdown(case, on_lines, nominal),
+        rates_at_touchdown(case, sets[FACTOR].points, nominal),
+        rates_at_touchdown(case, on_lines, nominal),
         slowest,
         {strategy: collisions(strategy, scenario) for strategy in ("off", "held")},
         collisions("held", slow),
@@ -143,7 +154,7 @@ def rows(r: PublishedLines) -> list[Row]:
     every = [row(case, "lines_common", r.spread, **texts, **given)]
     for k, apart in enumerate(clean.deviation, 1):
         ours = [vector.round(4).tolist() for vector in apart["line"]]
-        angle, over = np.degrees(apart["angle_rad"]), list(rb.LINE_RANGE)
+        angle, over = np.degrees(apart["angle_rad"]), list(LINE_RANGE)
         given = {"angle": angle, "most": apart["max"], "line": f"L{k}", "omega_z": over}
         every += [
             row(case, "line", ours, id=f"line_L{k}", **texts, **given),
@@ -155,7 +166,7 @@ def rows(r: PublishedLines) -> list[Row]:
     # section 3.2: back at the touchdown
     given = {"published": paper["rate_at_touchdown_min"], "points": len(r.near_touchdown)}
     near = float(np.linalg.norm(r.near_touchdown, axis=1).min())
-    ends = {"low": min(r.slowest), "high": max(r.slowest), "lead": rb.after_touchdown_s(case)}
+    ends = {"low": min(r.slowest), "high": max(r.slowest), "lead": first_sample_lead_s(case)}
     as_stated = r.slowest[2]  # wheel nominal at the first sample
     every.append(row(case, "rate_at_touchdown_min_lines", as_stated, **texts, **given, **ends))
     every.append(row(case, "rate_at_touchdown_min_scan", near, **texts, **given))

@@ -59,53 +59,53 @@ def first_sun(case: Case) -> np.ndarray:
     return np.array(case.published["first_sun"].value)
 
 
-def nominal_speed(vehicle: Vehicle) -> list[float]:
+def nominal_wheel_speeds(vehicle: Vehicle) -> list[float]:
     """Speeds of the wheels in rad/s before they are switched off."""
     return [wheel.speed_rad_s for wheel in vehicle.wheels]
 
 
-def window_s(case: Case) -> float:
+def published_window_s(case: Case) -> float:
     """Length of the paper's runs in s."""
     return 60.0 * float(case.published["scan_duration"].value)
 
 
-def after_touchdown_s(case: Case) -> float:
+def first_sample_lead_s(case: Case) -> float:
     """Time in s from the first touchdown to the first sample after it."""
     if case.assumptions.study.lead_s is not None:
         return case.assumptions.study.lead_s
     return case.require_timeline().seconds("first_touchdown", "first_sample_after_touchdown")
 
 
-def case_seconds(case: Case, data: xr.Dataset, event: str) -> float:
+def event_seconds(case: Case, data: xr.Dataset, event: str) -> float:
     """An event's time in s from the epoch of a Dataset."""
     moment = case.require_timeline().event(event)
     return utc_seconds(moment.refined_utc or moment.utc, data.attrs["epoch_utc"])
 
 
-def grid_ends(case: Case) -> np.ndarray:
+def scan_limits(case: Case) -> np.ndarray:
     """Ends (3, 2) of the scanned range of initial rates in rad/s."""
     return np.array([case.published[f"scan_omega_{axis}"].value for axis in "xyz"])
 
 
-def grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
+def scan_grid(case: Case, coarser: int = 1) -> dict[str, np.ndarray]:
     """The paper's grid of initial rates, or every `coarser`-th point of it."""
     step = case.published["scan_step"].value
     return {
         f"omega_{axis}": np.linspace(low, high, round((high - low) / step) + 1)[::coarser]
-        for axis, (low, high) in zip("xyz", grid_ends(case), strict=True)
+        for axis, (low, high) in zip("xyz", scan_limits(case), strict=True)
     }
 
 
-def within_grid(case: Case, line: Line, n: int = 2) -> np.ndarray:
+def line_in_scan_range(case: Case, line: Line, n: int = 2) -> np.ndarray:
     """Points (n, 3) evenly along a line from one end of the scanned range to the other."""
     point, direction = line
     along = np.abs(direction) > 1e-12  # a line parallel to a pair of faces meets neither
-    ends = np.sort((grid_ends(case) - point[:, None])[along] / direction[along, None], axis=1)
+    ends = np.sort((scan_limits(case) - point[:, None])[along] / direction[along, None], axis=1)
     begin, end = ends[:, 0].max(), ends[:, 1].min()
     return point + np.linspace(begin, max(begin, end), n)[:, None] * direction
 
 
-def counted(case: Case) -> Mask | None:
+def direction_mask(case: Case) -> Mask | None:
     """The simulated directions that count, as the study assumes; None: all."""
     everywhere = case.assumptions.study.mask != "reconstructible"
     return None if everywhere else reconstructible_mask(case.vehicle)
@@ -117,14 +117,14 @@ def published_lines(case: Case) -> list[Line]:
     return [(np.array(point), np.array(along) / np.linalg.norm(along)) for point, along in lines]
 
 
-def on_lines(lines: Sequence[Line], omega_z: Any) -> np.ndarray:
+def points_on_lines(lines: Sequence[Line], omega_z: Any) -> np.ndarray:
     """The points (n_lines, n, 3) of lines at these omega_z (n); rad/s."""
     return np.array([point_at(point, along, 2, omega_z) for point, along in lines])
 
 
 def published_candidates(case: Case) -> np.ndarray:
     """Rates (n, 3) in rad/s along the paper's lines, 0.01 rad/s apart in omega_z over the range in which they are compared."""
-    return on_lines(published_lines(case), np.linspace(*LINE_RANGE, 51)).reshape(-1, 3)
+    return points_on_lines(published_lines(case), np.linspace(*LINE_RANGE, 51)).reshape(-1, 3)
 
 
 def start_states(
@@ -132,12 +132,12 @@ def start_states(
 ) -> Rows:
     """States of motions with these rates (..., 3) in rad/s and one direction of the Sun (3); wheels nominal by default."""
     omega = np.asarray(omega_B, dtype=np.float64).reshape(-1, 3)
-    speeds = nominal_speed(case.vehicle) if wheel_speed_rad_s is None else wheel_speed_rad_s
+    speeds = nominal_wheel_speeds(case.vehicle) if wheel_speed_rad_s is None else wheel_speed_rad_s
     n = len(omega)
     return Rows(omega, np.tile(sun_B, (n, 1)), np.tile(np.asarray(speeds, np.float64), (n, 1)))
 
 
-def moving_and_seeing(vehicle: Vehicle) -> list[Any]:
+def motion_and_panel_parameters(vehicle: Vehicle) -> list[Any]:
     """What free motion and panels depend on: body, wheels, panels; not the mass, nor what can touch the ground."""
     wheels = [
         (wheel.axis_B, wheel.inertia_kg_m2, wheel.speed_rad_s, wheel.friction)
@@ -222,9 +222,9 @@ class Rebound:
         return replace(paper_scenario(self.case), **here), real
 
 
-def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
+def select_rebound(case: Case, sun: xr.Dataset) -> xr.Dataset:
     """The Sun samples between first touchdown and collision, time counted from the first of them."""
-    start, end = (case_seconds(case, sun, name) for name in ("first_touchdown", "collision"))
+    start, end = (event_seconds(case, sun, name) for name in ("first_touchdown", "collision"))
     time = sun["time"].values
     samples = sun.isel(time=np.flatnonzero((time >= start) & (time < end)))
     if samples.sizes["time"] == 0:
@@ -237,14 +237,14 @@ def rebound_samples(case: Case, sun: xr.Dataset) -> xr.Dataset:
     return samples.assign_coords(utc_s=utc, time=samples["time"] - time[0])
 
 
-def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
+def make_rebound(case: Case, sun: xr.Dataset) -> Rebound:
     """The first rebound in the Sun directions of the whole landing (`sun_directions`).
 
     The paper states the first direction after the touchdown. Where the file holds it, within its error, the candidates stand at
     the first sample with that direction, whichever sample gave it: so nothing that follows from r_z uses the order of the samples.
     Another lander begins at the first direction that its file gives.
     """
-    samples = rebound_samples(case, sun)
+    samples = select_rebound(case, sun)
     reconstructed = is_reconstructed(samples["status"])
     if not reconstructed.any():
         raise TelemetryError(
@@ -266,12 +266,12 @@ def rebound_of(case: Case, sun: xr.Dataset) -> Rebound:
         first,
         stated if published else own[first],
         samples["sun_cov_B"].values[which],
-        instant - case_seconds(case, sun, "first_touchdown") if lead is None else lead,
-        case_seconds(case, sun, "collision") - instant,
+        instant - event_seconds(case, sun, "first_touchdown") if lead is None else lead,
+        event_seconds(case, sun, "collision") - instant,
     )
 
 
-def run_back(
+def propagate_back(
     case: Case, states: Rows, lead_s: float, direction_error: float = RATE_DIRECTION_ERROR
 ) -> np.ndarray:
     """Body rates (n, 3) `lead_s` before the states (n), back to the touchdown; a wheel at rest is taken to have stood still."""
@@ -279,31 +279,33 @@ def run_back(
     return end_rates(case.vehicle, states, -lead_s, direction_error, mode)
 
 
-def at_touchdown(
+def rates_at_touchdown(
     case: Case, starts: np.ndarray, wheel_speed_rad_s: float, lead_s: float | None = None
 ) -> np.ndarray:
     """Body rates (n, 3) at the first touchdown of motions with rates `starts` (n, 3) at the first sample, `lead_s` after it."""
     speeds = np.full(len(case.vehicle.wheels), wheel_speed_rad_s)
     states = start_states(case, starts, first_sun(case), speeds)
-    return run_back(case, states, after_touchdown_s(case) if lead_s is None else lead_s)
+    return propagate_back(case, states, first_sample_lead_s(case) if lead_s is None else lead_s)
 
 
-def speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:
+def wheel_speed_at_first_sample(case: Case, lead_s: float | None = None) -> float:
     """Wheel speed at the first sample if it was nominal at touchdown and coasted since, the body nearly at rest."""
-    lead = after_touchdown_s(case) if lead_s is None else lead_s
-    speed = nominal_speed(case.vehicle)
+    lead = first_sample_lead_s(case) if lead_s is None else lead_s
+    speed = nominal_wheel_speeds(case.vehicle)
     run = propagate(case.vehicle, [0, 0, 0], first_sun(case), speed, [0.0, lead])
     return float(run["wheel_speed_rad_s"].values[-1, 0])
 
 
-def smallest_on_lines(case: Case, wheel_speed_rad_s: float, lead_s: float | None = None) -> float:
+def smallest_touchdown_speed(
+    case: Case, wheel_speed_rad_s: float, lead_s: float | None = None
+) -> float:
     """Smallest angular speed (rad/s) at touchdown over the published lines, omega_z at the first sample in the compared range."""
-    starts = on_lines(published_lines(case), np.linspace(*LINE_RANGE, 101))
-    rates = at_touchdown(case, starts, wheel_speed_rad_s, lead_s)
+    starts = points_on_lines(published_lines(case), np.linspace(*LINE_RANGE, 101))
+    rates = rates_at_touchdown(case, starts, wheel_speed_rad_s, lead_s)
     return float(np.linalg.norm(rates, axis=1).min())
 
 
-def twin_file(case: Case) -> dict[str, Any]:
+def read_truth(case: Case) -> dict[str, Any]:
     """What made the telemetry, where it is the case's own twin; else nothing."""
     own, truth = case.folder / "telemetry.csv", case.folder / "twin_truth.toml"
     given = case.telemetry.attrs.get("sha256")

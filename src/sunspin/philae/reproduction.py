@@ -22,8 +22,8 @@ from sunspin.output.kind import Drawing, Table
 from sunspin.output.report import write_report
 from sunspin.output.text import number_text
 from sunspin.philae import pictures
-from sunspin.philae import rebound as rb
 from sunspin.philae.headline import conclusions, headline, score
+from sunspin.philae.rebound import published_lines, with_telemetry
 from sunspin.philae.row import Row
 from sunspin.philae.study import SECTIONS, STEPS, Study, compute, require_wheel
 from sunspin.telemetry.reader import read_telemetry
@@ -146,7 +146,7 @@ def _case(
         case = replace(case, vehicle=craft)
     if telemetry is None and vehicle is None:
         return case, source
-    return rb.with_telemetry(case, read_telemetry(source, case.vehicle)), source
+    return with_telemetry(case, read_telemetry(source, case.vehicle)), source
 
 
 def _inputs(case: Case, vehicle: str | Path | None) -> list[dict[str, str]]:
@@ -252,7 +252,7 @@ def datasets(study: Study) -> dict[str, xr.Dataset]:
     if (scan := parts.get("level_set")) is not None:
         scans.insert(0, ("scan_telemetry", scan.near, "the directions of this telemetry"))
     files = {"sun": study.sun}
-    printed = [np.array(each) for each in zip(*rb.published_lines(study.case), strict=True)]
+    printed = [np.array(each) for each in zip(*published_lines(study.case), strict=True)]
     for name, family, target in scans:
         data = family.emd.to_dataset()
         if family.lines is not None:

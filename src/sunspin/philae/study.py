@@ -35,8 +35,7 @@ from sunspin.philae import (
     sun_directions,
     touchdown,
 )
-from sunspin.philae import rebound as rb
-from sunspin.philae.rebound import Options
+from sunspin.philae.rebound import Options, direction_mask, select_rebound
 from sunspin.philae.row import Row, counts, labelled, settled, tables
 from sunspin.telemetry import sun as telemetry_sun
 from sunspin.vehicle import Vehicle
@@ -235,9 +234,9 @@ def compute(case: Case, seen: Callable[[Study], Any] | None = None, **options: A
     require_wheel(case.vehicle)
     case, noise = sun_directions.with_own_noise(case)
     sun = telemetry_sun.sun_directions(case.vehicle, case.telemetry)
-    rb.rebound_samples(case, sun)  # refused before the work
+    select_rebound(case, sun)  # refused before the work
     study = Study(case, Options(**options), noise, sun)
-    k.prepare(case.vehicle, [(rb.counted(case), SCAN_BINS), (None, OUTCOME_BINS)])
+    k.prepare(case.vehicle, [(direction_mask(case), SCAN_BINS), (None, OUTCOME_BINS)])
     # more than two would keep more memory and gain nothing: the rows of each step take all cores
     at_once = threading.Semaphore(min(worker_count(study.options.workers), 2))
     stopped, futures = threading.Event(), dict[str, Future]()

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from sunspin.cases import Case
 from sunspin.output.figures import ABOVE, COLOURS, ON_PAPER, titled
-from sunspin.philae.rebound import case_seconds, with_telemetry
+from sunspin.philae.rebound import event_seconds, with_telemetry
 from sunspin.philae.row import Row, interval, row
 from sunspin.telemetry.health import PanelHealth, explanations, panel_health
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
@@ -209,7 +209,7 @@ def rows(r: Phases) -> list[Row]:
         result.append(row_of("nz_folded", float(z.mean()), z=z, least=z.min(), most=z.max()))
 
     # lit patterns that no Sun makes, the panels that explain them, and whether noise does
-    second = case_seconds(case, r.sun, "second_touchdown")
+    second = event_seconds(case, r.sun, "second_touchdown")
     early, impossible = time < second, health["impossible"]
     counts = [f"{name} {np.count_nonzero(s & r.impossible)}" for name, s in phases.items()]
     before = {"samples": int(early.sum()), "phases": ", ".join(counts).replace("_", " ")}
@@ -241,8 +241,8 @@ def rows(r: Phases) -> list[Row]:
     ]
 
     # how often the file samples
-    blow = case_seconds(case, r.sun, "collision")
-    flight = time[(time >= case_seconds(case, r.sun, "first_touchdown")) & (time < blow)]
+    blow = event_seconds(case, r.sun, "collision")
+    flight = time[(time >= event_seconds(case, r.sun, "first_touchdown")) & (time < blow)]
     step = float(np.median(np.diff(flight))) / 60 if flight.size > 1 else None
     unjudged: dict[str, Any] = {"tolerance": None} if step is None else {}
     after = int(np.count_nonzero((time >= blow) & (time < second)))

@@ -29,7 +29,13 @@ from sunspin.dynamics import ensemble as k
 from sunspin.estimate.scan.rows import BINS, distances_to, target_segments
 from sunspin.estimate.scan.table import Table
 from sunspin.estimate.scan.window import target_weights
-from sunspin.philae import rebound as rb
+from sunspin.philae.rebound import (
+    Options,
+    Rebound,
+    direction_mask,
+    motion_and_panel_parameters,
+    scan_limits,
+)
 from sunspin.philae.telemetry import drawn_panels
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
 from sunspin.vehicle.response.panels import brightness, stated_sigma
@@ -109,7 +115,7 @@ def holding(values: np.ndarray, confidence: float) -> tuple[float, float, float]
     return float(ordered[at]), float(ordered[max(low - 1, 0)]), float(ordered[min(high, n - 1)])
 
 
-def key_of(rebound: rb.Rebound, table: Table) -> str:
+def key_of(rebound: Rebound, table: Table) -> str:
     """The hash of all that a calibration depends on: body, wheels and panels with their sigmas, times of the samples that can be
     read, how many gave directions, noise, brightness, first direction, scan.
     """
@@ -119,7 +125,7 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
     return fingerprint(
         {
             "study": "threshold of a level set, truths even in the scanned box",
-            "vehicle": rb.moving_and_seeing(vehicle),
+            "vehicle": motion_and_panel_parameters(vehicle),
             "panel_sigmas": plain(stated_sigma(vehicle)),
             "times": np.round(rebound.t_s[_readable(rebound)], 3).tolist(),
             "directions": rebound.z.size,
@@ -131,7 +137,7 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
             "lead_s": round(rebound.lead_s, 3),
             "target_weights": None if rebound.weights is None else weights,
             "axes": [np.round(axis, 6).tolist() for axis in axes],
-            "mask": plain(rb.counted(rebound.case)),
+            "mask": plain(direction_mask(rebound.case)),
             "bins": BINS,
             "emd_error": k.EMD_ERROR,
             "alike": ALIKE,
@@ -139,12 +145,12 @@ def key_of(rebound: rb.Rebound, table: Table) -> str:
     )
 
 
-def _readable(rebound: rb.Rebound) -> np.ndarray:
+def _readable(rebound: Rebound) -> np.ndarray:
     """Numbers of the samples that can be read."""
     return np.flatnonzero(rebound.samples["status"].values != SunStatus.MISSING)
 
 
-def scale(rebound: rb.Rebound) -> float:
+def scale(rebound: Rebound) -> float:
     """Brightness of the file's Sun: what the readings are over the model, in the median, to three digits."""
     data, samples = rebound.case.telemetry, rebound.samples
     power = signals(data)[np.searchsorted(data["time"].values, samples["utc_s"].values)]
@@ -161,7 +167,7 @@ class Alike(NamedTuple):
     weights: np.ndarray | None
 
 
-def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
+def alike_rebounds(rebound: Rebound, twins: int, seed: int) -> list[Alike]:
     """Synthetic rebounds like the data; others if too few are like them."""
     wanted, apart = rebound.z.size, max(2.0, ALIKE * rebound.z.size)
     drawn: list[Alike] = []
@@ -173,7 +179,7 @@ def alike_rebounds(rebound: rb.Rebound, twins: int, seed: int) -> list[Alike]:
     return sorted(drawn, key=lambda each: max(abs(len(each.seen_B) - wanted), apart))[:twins]
 
 
-def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
+def drawn_rebounds(rebound: Rebound, index: np.ndarray, seed: int) -> Iterator[Alike]:
     """The synthetic rebounds `index` that can be followed: each draws from its own generators."""
     case, vehicle = rebound.case, rebound.case.vehicle
     motion, panels = (
@@ -183,7 +189,7 @@ def drawn_rebounds(rebound: rb.Rebound, index: np.ndarray, seed: int) -> Iterato
         ]
         for stream in ((), (1,))
     )
-    truth = np.array([rng.uniform(*rb.grid_ends(case).T) for rng in motion])
+    truth = np.array([rng.uniform(*scan_limits(case).T) for rng in motion])
     shown = np.array([rng.multivariate_normal(rebound.sun_B, rebound.covariance) for rng in motion])
     shown /= np.linalg.norm(shown, axis=1, keepdims=True)
     # turns of the panels (None where the vehicle's file has no sigma of them) and the true direction behind the one that they show
@@ -213,13 +219,13 @@ def reached(case: Case, states: k.Rows, window_s: float, targets: list[tuple]) -
 
     A target is z components (n) and their weights (n), None where each counts the same.
     """
-    mask = rb.counted(case)
+    mask = direction_mask(case)
     run = k.run_rows(case.vehicle, states, window_s, emd_error=k.EMD_ERROR, mask=mask, bins=BINS)
     pairs = zip(run.hist, targets, strict=True)
     return np.array([distances_to(row[None], target_segments(*target))[0] for row, target in pairs])
 
 
-def calibrate(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
+def calibrate(rebound: Rebound, table: Table, options: Options) -> Calibration:
     """Repeat the method on `options.twins` synthetic rebounds like the data; `table` of the scan from the same first direction."""
     rebounds = alike_rebounds(rebound, options.twins or TWINS, options.seed)
     targets = [(each.seen_B[:, 2], each.weights) for each in rebounds]
@@ -238,7 +244,7 @@ def calibrate(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibra
     )
 
 
-def calibration(rebound: rb.Rebound, table: Table, options: rb.Options) -> Calibration:
+def calibration(rebound: Rebound, table: Table, options: Options) -> Calibration:
     """The calibration that fits these data: the shipped one if its key is theirs, else one made now.
 
     Twins that are asked for are made even where the shipped calibration fits; `TelemetryError` where none fits and none are.
